@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import stat
 import zipfile
 from collections.abc import Iterator
@@ -78,6 +79,13 @@ def open_regular(path: Path) -> BinaryIO:
     """
     require_regular(path)
     return open(path, "rb")
+
+
+def read_end(path: Path, most: int) -> bytes:
+    """The last bytes of a file, at most so many (see :func:`open_regular` for what it raises)."""
+    with open_regular(path) as file:
+        file.seek(max(os.fstat(file.fileno()).st_size - most, 0))
+        return file.read()
 
 
 def whole_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 
 from prbench.limits import LONGEST_MESSAGE, LONGEST_PATH
@@ -51,13 +52,16 @@ class InputFileError(PrbenchError):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Keep the keyword-only parts when the error crosses a process border."""
-        return _rebuild_input_file_error, (type(self), self.path, self.where, self.expected, self.found, self.remedy)
+        rebuild = partial(type(self), expected=self.expected, found=self.found, remedy=self.remedy)
+        return rebuild, (self.path, self.where)
 
 
-def _rebuild_input_file_error(
-    kind: type[InputFileError], path: Path, where: str, expected: str, found: str, remedy: str
-) -> InputFileError:
-    return kind(path, where, expected=expected, found=found, remedy=remedy)
+class ErrorOfParts(PrbenchError):
+    """An error that makes its message of its parameters, and keeps them as attributes in their order."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Keep the parts when the error crosses a process border: pickle would hand over the finished message."""
+        return type(self), tuple(vars(self).values())
 
 
 class UnforeseenInput(InputFileError):
@@ -113,7 +117,7 @@ class RecordingsWouldBeLost(StorageError):
     """A built table would be replaced by one that holds less, and the user has not asked for that."""
 
 
-class MemoryFullError(PrbenchError):
+class MemoryFullError(ErrorOfParts):
     """The machine's memory does not suffice for one item of the work, also when nothing else is done beside it.
 
     Args:
@@ -129,10 +133,6 @@ class MemoryFullError(PrbenchError):
             f"{clean(item)}: {clean(reason)}, also when nothing else was done beside it. What is finished is kept: end"
             " other programs and run the same command again with fewer --workers, or on a machine with more memory."
         )
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Keep both parts when the error crosses a process border."""
-        return type(self), (self.item, self.reason)
 
 
 class UsageError(PrbenchError):
@@ -167,7 +167,7 @@ class TrainingStopped(PrbenchError):
         super().__init__(message)
 
 
-class MissingExtraError(PrbenchError):
+class MissingExtraError(ErrorOfParts):
     """An optional package is needed; the message holds the ``pip install`` line that helps."""
 
     exit_code = 9
@@ -178,12 +178,8 @@ class MissingExtraError(PrbenchError):
             f"{purpose} needs the package '{package}', which is not installed. Run: pip install 'prbench[{extra}]'"
         )
 
-    def __reduce__(self) -> tuple[object, ...]:
-        """Keep the three parts when the error crosses a process border."""
-        return type(self), (self.package, self.extra, self.purpose)
 
-
-class UnloadableExtraError(PrbenchError):
+class UnloadableExtraError(ErrorOfParts):
     """An optional package is installed and cannot be loaded, for example because a library of the system is missing.
 
     Args:
@@ -200,10 +196,6 @@ class UnloadableExtraError(PrbenchError):
         super().__init__(
             f"{purpose} needs the package '{package}', which is installed and cannot be loaded: {reason}. {remedy}"
         )
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Keep the four parts when the error crosses a process border."""
-        return type(self), (self.package, self.purpose, self.reason, self.remedy)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -25,8 +25,49 @@ class NameTable(NamedTuple):
     names: tuple[tuple[str, ...], ...]
 
 
-def _sides(*names: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    return tuple(f"left{name}" for name in names), tuple(f"right{name}" for name in names)
+class Matched(NamedTuple):
+    """The joints of a hierarchy that are the 22."""
+
+    columns: tuple[int, ...]
+    """Index of each of the 22; -1 where no name matches."""
+    unmatched: tuple[str, ...]
+    """Names of joints of the file that are none of the 22."""
+    convention: str
+
+
+def match_names(joints: Sequence[str]) -> Matched:
+    """Find the 22 joints by name, in the table that knows most of them.
+
+    A name that fits two places (``Spine1``) goes to the one whose other names are missing.
+
+    Args:
+        joints: Names of the source's joints in its order, with any prefix, case and separators.
+    """
+    # From the last to the first: of two joints with one name the first counts.
+    known = {normalised(name): index for index, name in reversed(list(enumerate(joints)))}
+    best = max((_lookup(known, table) for table in _NAME_TABLES), key=lambda found: sum(c >= 0 for c in found.columns))
+    others = tuple(name for index, name in enumerate(joints) if index not in best.columns)
+    return best._replace(unmatched=others)
+
+
+def normalised(name: str) -> str:
+    """A joint's name without prefix, case and separators: ``Character1:Left_Up-Leg``, ``L_UpLeg`` → ``leftupleg``."""
+    plain = re.sub(r"[ _\-.]", "", re.sub(r"^(l|r)(?=[ _\-.])", _side, name.rsplit(":", 1)[-1].lower()))
+    return re.sub(r"^mixamorig", "", plain)
+
+
+def _side(match: re.Match[str]) -> str:
+    return {"l": "left", "r": "right"}[match[1]]
+
+
+def _lookup(known: dict[str, int], table: NameTable) -> Matched:
+    columns: list[int] = []
+    taken: set[int] = set()
+    for names in table.names:
+        index = next((known[name] for name in names if name in known and known[name] not in taken), -1)
+        columns.append(index)
+        taken.add(index)
+    return Matched(tuple(columns), (), table.convention)
 
 
 def _table(convention: str, **paired: tuple[str, ...]) -> NameTable:
@@ -39,8 +80,13 @@ def _table(convention: str, **paired: tuple[str, ...]) -> NameTable:
     names[Joint.SPINE3] = ("spine2", "chest", "spine3", "upperchest")
     for part, alternatives in paired.items():
         left = Joint[f"LEFT_{part.upper()}"]
+        # In HumanML3D's order every right joint follows its left one.
         names[left], names[left + 1] = _sides(*alternatives)
     return NameTable(convention, tuple(names))
+
+
+def _sides(*names: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    return tuple(f"left{name}" for name in names), tuple(f"right{name}" for name in names)
 
 
 _NAME_TABLES: tuple[NameTable, ...] = (
@@ -68,47 +114,3 @@ _NAME_TABLES: tuple[NameTable, ...] = (
     ),
 )
 """Both meanings of ``Shoulder`` are in use, so names are looked up in one whole table at a time."""
-
-
-def normalised(name: str) -> str:
-    """A joint's name without prefix, case and separators: ``Character1:Left_Up-Leg``, ``L_UpLeg`` → ``leftupleg``."""
-    plain = re.sub(r"[ _\-.]", "", re.sub(r"^(l|r)(?=[ _\-.])", _side, name.rsplit(":", 1)[-1].lower()))
-    return re.sub(r"^mixamorig", "", plain)
-
-
-def _side(match: re.Match[str]) -> str:
-    return {"l": "left", "r": "right"}[match[1]]
-
-
-class Matched(NamedTuple):
-    """The joints of a hierarchy that are the 22."""
-
-    columns: tuple[int, ...]
-    """Index of each of the 22; -1 where no name matches."""
-    unmatched: tuple[str, ...]
-    """Names of joints of the file that are none of the 22."""
-    convention: str
-
-
-def match_names(joints: Sequence[str]) -> Matched:
-    """Find the 22 joints by name, in the table that knows most of them.
-
-    A name that fits two places (``Spine1``) goes to the one whose other names are missing.
-
-    Args:
-        joints: Names of the source's joints in its order, with any prefix, case and separators.
-    """
-    known = {normalised(name): index for index, name in reversed(list(enumerate(joints)))}
-    best = max((_lookup(known, table) for table in _NAME_TABLES), key=lambda found: sum(c >= 0 for c in found.columns))
-    others = tuple(name for index, name in enumerate(joints) if index not in best.columns)
-    return best._replace(unmatched=others)
-
-
-def _lookup(known: dict[str, int], table: NameTable) -> Matched:
-    columns: list[int] = []
-    taken: set[int] = set()
-    for names in table.names:
-        index = next((known[name] for name in names if name in known and known[name] not in taken), -1)
-        columns.append(index)
-        taken.add(index)
-    return Matched(tuple(columns), (), table.convention)

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from prbench.errors import StorageError
+from prbench.errors import ErrorOfParts, StorageError
 from prbench.shown import clean
 from prbench.storage import atomic_path, cache_folder, remove_leftovers, text_digest
 
@@ -84,7 +84,7 @@ def lock_file(path: Path) -> Path:
     return path.with_name(f".{path.name}.lock")
 
 
-class _HeldByAnotherError(StorageError):
+class _HeldByAnotherError(ErrorOfParts, StorageError):
     """Another process writes there."""
 
     def __init__(self, path: Path, owner: str) -> None:
@@ -92,10 +92,6 @@ class _HeldByAnotherError(StorageError):
         super().__init__(
             f"{clean(path)}: {owner} is writing there. Wait until it is through, or choose another folder or file."
         )
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Keep both parts when the error crosses a process border."""
-        return type(self), (self.path, self.owner)
 
 
 def _acquired(path: Path) -> FileLock | None:

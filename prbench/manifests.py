@@ -120,6 +120,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     def why_bad(self, recording_id: str) -> str | None:
         """The reason why a recording must be skipped, or None."""
         for name, reason in self.known_bad.items():
+            # A sequence of several glasses is named once; the ids of its recordings go on with an underscore.
             if recording_id == name or recording_id.startswith(f"{name}_"):
                 return reason
         return None

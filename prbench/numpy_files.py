@@ -293,6 +293,7 @@ class Archive:
         with open(self.path, "rb") as file:
             file.seek(info.header_offset)
             local = file.read(_LOCAL_HEADER_BYTES)
+        # The table of contents does not tell: the extra field beside the data may have another length.
         name_bytes, extra_bytes = struct.unpack("<HH", local[26:30])
         return map_array(self.path, header, start=info.header_offset + _LOCAL_HEADER_BYTES + name_bytes + extra_bytes)
 

@@ -53,6 +53,7 @@ def slab_test(
         origin = origins[:, axis, None]
         direction = directions[:, axis, None]
         parallel = direction[:, 0] == 0
+        # Rows with a direction of 0 are overwritten below; here they only must not divide by it.
         inverse = 1.0 / np.where(direction == 0, 1.0, direction)
         np.subtract(box_min[None, :, axis], origin, out=entry)
         np.subtract(box_max[None, :, axis], origin, out=leave)
@@ -104,6 +105,7 @@ def near_miss(
     centre = (box_min + box_max) / 2
     half = (box_max - box_min) / 2
     offset = centre[None] - origins[:, None]  # (n, m, 3)
+    # Equation 5.
     along = np.einsum("nmk,nk->nm", offset, directions)
     to_centre = offset - along[..., None] * directions[:, None]
     length = np.linalg.norm(to_centre, axis=-1)
@@ -113,4 +115,5 @@ def near_miss(
     moving = component > 0
     ratio = np.divide(half[None], component, out=np.full_like(component, np.inf), where=moving).min(axis=-1)
     inside_length = np.where(np.isfinite(ratio), ratio, 0.0) * length
+    # Equation 7; a closest point inside the box is at distance 0.
     return NearMisses(np.maximum(length - inside_length, 0.0), along)

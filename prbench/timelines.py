@@ -123,6 +123,7 @@ class SequenceGrid:
     @classmethod
     def ending_at(cls, event_time: float, *, prime_time: float, lead: float, fps: float) -> SequenceGrid:
         """The grid that covers ``[prime_time - lead, event_time]`` with its last frame on ``event_time``."""
+        # Rounding must not cost a frame; the one added is the event's own.
         n_frames = int(np.floor((event_time - prime_time + lead) * fps + 1e-6)) + 1
         return cls(event_time - (n_frames - 1) / fps, fps, n_frames)
 
@@ -130,6 +131,13 @@ class SequenceGrid:
     def times(self) -> Float[np.ndarray, " n_frames"]:
         """Frame times, seconds."""
         return self.start_time + np.arange(self.n_frames) / self.fps
+
+
+def stream_ranges(streams: Mapping[str, Float[np.ndarray, " _"] | None]) -> dict[str, tuple[float, float]]:
+    """First and last time of each stream for :func:`require_overlap`; streams that are None or empty are left out."""
+    return {
+        name: (float(times[0]), float(times[-1])) for name, times in streams.items() if times is not None and len(times)
+    }
 
 
 def require_overlap(ranges: Mapping[str, tuple[float, float]], *, recording: str) -> tuple[float, float]:

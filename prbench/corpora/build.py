@@ -91,6 +91,7 @@ def build_corpus(
         info = describe(dataset, corpus.manifest, described, options, [part.receipt for part in finished])
         folders = [part.folder for part in finished]
         tables = {table: parts.read_batches(folders, table) for table in CORPUS_TABLES}
+        # Last of all: until here an earlier corpus stands as it was.
         info = write_corpus(out, info, tables, replace=options.replace)
     records = tuple(record for part in finished for record in part.receipt.records)
     return CorpusReport(out, info, records, sum(len(part.receipt.records) for part in finished if part.reused))
@@ -123,6 +124,7 @@ def plan_corpus(name: str, root: Path | str | None, options: CorpusOptions = _DE
     """
     root = None if root is None else Path(root)
     corpus = corpus_for(name)
+    # Options that the build would refuse are refused here, too.
     corpus.described(options)
     recordings = [each for group in find_groups(corpus, root, options) for each in group.recordings]
     costs = [each.cost for each in recordings if each.skip_reason is None]

@@ -38,6 +38,7 @@ def cut_motion(motion: Float[np.ndarray, "frames 22 3"], first: int, stride: int
     taken = motion[first : first + stride * (n_frames - 1) + 1 : stride].astype(np.float64)
     world_from_canonical = canonical_frame(taken)
     before, previous_source = _neighbour(motion, first - stride, taken)
+    # Turned round, the last two frames come first, and their speed is continued outwards.
     after, next_source = _neighbour(motion, first + stride * n_frames, taken[::-1])
     canonical_from_world = invert_rigid(world_from_canonical)
     return CutMotion(

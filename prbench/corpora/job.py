@@ -140,32 +140,6 @@ class CorpusJob:
         return _left_out(recording, "failed", recording.without_places(message))
 
 
-def _left_out(
-    recording: CorpusRecording, status: Literal["failed", "skipped"], message: str
-) -> tuple[ReadRecording, CorpusRecord]:
-    nothing = ReadRecording((), (), 0.0, clock_method="none")
-    return nothing, _record(recording, nothing, Counter(), status, message)
-
-
-def _record(
-    recording: CorpusRecording, read: ReadRecording, outcomes: Counter[str], status: str, message: str
-) -> CorpusRecord:
-    identity = recording.identity
-    return CorpusRecord(
-        recording_id=identity.recording_id,
-        participant_id=identity.participant_id,
-        split=identity.split,
-        split_group=identity.split_group,
-        duration=read.duration,
-        outcomes=dict(outcomes),
-        clock_method=read.clock_method,
-        clock_quality=read.clock_quality,
-        status=status,
-        message=message,
-        measured=dict(read.measured),
-    )
-
-
 def describe(
     dataset: str,
     manifest: Manifest | None,
@@ -231,4 +205,30 @@ def _counts(receipts: Sequence[GroupReceipt], outcomes: Counter[str]) -> CorpusC
         captions=sum(receipt.captions for receipt in receipts),
         approximate_clips=sum(receipt.approximate_clips for receipt in receipts),
         frames=sum(receipt.frames for receipt in receipts),
+    )
+
+
+def _left_out(
+    recording: CorpusRecording, status: Literal["failed", "skipped"], message: str
+) -> tuple[ReadRecording, CorpusRecord]:
+    nothing = ReadRecording((), (), 0.0, clock_method="none")
+    return nothing, _record(recording, nothing, Counter(), status, message)
+
+
+def _record(
+    recording: CorpusRecording, read: ReadRecording, outcomes: Counter[str], status: str, message: str
+) -> CorpusRecord:
+    identity = recording.identity
+    return CorpusRecord(
+        recording_id=identity.recording_id,
+        participant_id=identity.participant_id,
+        split=identity.split,
+        split_group=identity.split_group,
+        duration=read.duration,
+        outcomes=dict(outcomes),
+        clock_method=read.clock_method,
+        clock_quality=read.clock_quality,
+        status=status,
+        message=message,
+        measured=dict(read.measured),
     )

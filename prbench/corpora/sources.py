@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import fnmatch
 import importlib
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -181,6 +182,14 @@ class Corpus(Protocol):
     def group_of(self, recording_id: str) -> str:
         """Name of the group to which a recording belongs."""
         ...
+
+
+def without_folders(message: str, root: Path) -> str:
+    """A message without the dataset's folder and the one around it: equal inputs give equal corpora anywhere."""
+    root = root.expanduser().resolve()
+    for folder in (root, root.parent):
+        message = message.replace(f"{folder}{os.sep}", "")
+    return message
 
 
 def corpus_for(name: str) -> Corpus:

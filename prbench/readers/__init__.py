@@ -11,9 +11,9 @@ All that knows a dataset lies in its folder here, and its numbers in its manifes
 others                 what one dataset has besides: annotated events, hand models, skeletons
 =====================  =================================================================================================
 
-``aria_mps`` and ``egoallo`` serve several datasets. ``files``, ``found``, ``zipped`` and ``extents`` help any. The
-entry-point group ``prbench.readers`` lists the readers, ours and those of other packages (docs/adding-a-dataset.md);
-:func:`reader_for` finds one by its dataset's name.
+``aria_mps`` and ``egoallo`` serve several datasets. ``files``, ``pose_table``, ``found``, ``zipped`` and ``extents``
+help any. The entry-point group ``prbench.readers`` lists the readers, ours and those of other packages
+(docs/adding-a-dataset.md); :func:`reader_for` finds one by its dataset's name.
 """
 
 from __future__ import annotations

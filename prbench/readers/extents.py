@@ -7,14 +7,13 @@ recordings have (:class:`prbench.readers.KnowsEnds`).
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.bounded import open_regular
+from prbench.bounded import open_regular, read_end
 from prbench.limits import LARGEST_UNPACKED_FOR_ITS_END
 from prbench.readers.files import header_names
 from prbench.readers.found import InputFile
@@ -48,6 +47,14 @@ class Extent:
     """True where a late start is normal."""
     slack: float = ONE_SYSTEM
     """Seconds by which it may begin after the recording or end before it."""
+
+
+_END = 1 << 18
+"""Bytes that are read of each end. The static objects of an ADT recording take 60 kB before the first one that moves;
+a frame of a skeleton, printed with one number a line, 130 kB."""
+_NAMED_TIME = re.compile(rb'"(?:tracking_)?timestamp_ns"\s*:\s*(\d{1,19})(?=[\s,}])')
+Span = tuple[float | None, float | None]
+"""First and last time, seconds; None where an end holds none."""
 
 
 def shortfalls(extents: Sequence[Extent]) -> tuple[str, ...]:
@@ -88,15 +95,6 @@ def _told(extent: Extent, start: float, end: float) -> Iterator[str]:
         )
 
 
-_END = 1 << 18
-"""Bytes that are read of each end. The static objects of an ADT recording take 60 kB before the first one that moves;
-a frame of a skeleton, printed with one number a line, 130 kB."""
-_NAMED_TIME = re.compile(rb'"(?:tracking_)?timestamp_ns"\s*:\s*(\d{1,19})(?=[\s,}])')
-
-Span = tuple[float | None, float | None]
-"""First and last time, seconds; None where an end holds none."""
-
-
 def can_be_looked_at(file: InputFile) -> bool:
     """Return True where the ends of a file can be seen without much work."""
     return not file.member or file.size <= LARGEST_UNPACKED_FOR_ITS_END
@@ -122,24 +120,23 @@ def csv_extent(stream: str, file: InputFile, column: str, seconds: float) -> Ext
     return Extent(stream, _name(file), *_scaled(first, last, seconds))
 
 
-def json_extent(stream: str, file: InputFile) -> Extent:
-    """The extent of a JSON or JSON lines file whose frames have a ``timestamp_ns``."""
-    head, tail = _both_ends(file)
-    first = min((float(time) for time in _NAMED_TIME.findall(head)), default=None)
-    last = max((float(time) for time in _NAMED_TIME.findall(tail)), default=None)
-    return Extent(stream, _name(file), *_scaled(first, last, 1e-9))
-
-
 def _both_ends(file: InputFile) -> tuple[bytes, bytes]:
     """The first and the last bytes; of a small file or a member of an archive all of it where that is less."""
     if not file.member:
         with open_regular(file.path) as plain:
-            head = plain.read(_END)
-            plain.seek(max(os.fstat(plain.fileno()).st_size - _END, 0))
-            return head, plain.read()
+            return plain.read(_END), read_end(file.path, _END)
     with opened(source_of(file)) as member:
         content = member.read(LARGEST_UNPACKED_FOR_ITS_END)
     return content[:_END], content[-_END:]
+
+
+def _place(header: bytes, column: str) -> int | None:
+    """Return the index of a column; None where the file has none of that name."""
+    try:
+        names = header_names(header)
+    except UnicodeDecodeError:
+        return None
+    return names.index(column) if column in names else None
 
 
 def _cells(lines: Iterable[bytes], place: int) -> Iterable[float]:
@@ -154,18 +151,17 @@ def _cells(lines: Iterable[bytes], place: int) -> Iterable[float]:
             yield time
 
 
+def _name(file: InputFile) -> str:
+    return file.member.rpartition("/")[2] or file.path.name
+
+
 def _scaled(first: float | None, last: float | None, seconds: float) -> Span:
     return (None if first is None else first * seconds), (None if last is None else last * seconds)
 
 
-def _place(header: bytes, column: str) -> int | None:
-    """Return the index of a column; None where the file has none of that name."""
-    try:
-        names = header_names(header)
-    except UnicodeDecodeError:
-        return None
-    return names.index(column) if column in names else None
-
-
-def _name(file: InputFile) -> str:
-    return file.member.rpartition("/")[2] or file.path.name
+def json_extent(stream: str, file: InputFile) -> Extent:
+    """The extent of a JSON or JSON lines file whose frames have a ``timestamp_ns``."""
+    head, tail = _both_ends(file)
+    first = min((float(time) for time in _NAMED_TIME.findall(head)), default=None)
+    last = max((float(time) for time in _NAMED_TIME.findall(tail)), default=None)
+    return Extent(stream, _name(file), *_scaled(first, last, 1e-9))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -14,7 +15,7 @@ import pyarrow.csv
 from jaxtyping import Bool, Float, Int
 
 from prbench.boundary import foreign_input
-from prbench.bounded import require_size, too_long_line
+from prbench.bounded import open_regular, require_size, too_long_line, whole_lines
 from prbench.errors import InputFileError
 from prbench.limits import LARGEST_FILE, LARGEST_JSON, LARGEST_TABLE, LONGEST_LINE
 from prbench.readers.zipped import RememberingTail, Source, opened, read_all, require_whole_last_line, shown
@@ -30,6 +31,7 @@ _WATCHED_SIZE = 2**28
 """Bytes of a plain text file from which on it is read in pieces, which is slower; of a shorter one no more can come
 than a few times as much."""
 _COPY_AGAIN = "The file may be truncated; copy or download it again."
+_SORT = "The clock runs backwards or a row is repeated; sort the rows by time and remove repeated ones."
 
 
 @foreign_input()
@@ -95,7 +97,13 @@ def column_vectors(table: pa.Table, names: tuple[str, ...]) -> Float[np.ndarray,
 
 
 def require_increasing(
-    path: Source, times: Int[np.ndarray, " n"], *, unit: str, place: str = "line", first: int = 2
+    path: Source,
+    times: Int[np.ndarray, " n"],
+    *,
+    unit: str,
+    place: str = "line",
+    first: int = 2,
+    remedy: str = _SORT,
 ) -> None:
     """Refuse a clock that stands still or runs backwards.
 
@@ -105,6 +113,7 @@ def require_increasing(
         unit: Their unit, for the message.
         place: What a row is called.
         first: Number of the first row.
+        remedy: What to do about it, for the message.
 
     Raises:
         InputFileError: naming the first row that does not come after the one before it.
@@ -117,7 +126,7 @@ def require_increasing(
             f"{place} {row + first}",
             expected=f"a time after {times[row - 1]} {unit}",
             found=f"{times[row]} {unit}",
-            remedy="The clock runs backwards or a row is repeated; sort the rows by time and remove repeated ones.",
+            remedy=remedy,
         )
 
 
@@ -177,6 +186,7 @@ def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded], *, nan_is_
         InputFileError: if the file is missing, is no JSON, or lacks a key (naming it).
     """
     try:
+        # Some programs begin a file with a byte-order mark, which JSON does not know.
         content = read_all(path, largest=LARGEST_JSON).removeprefix(b"\xef\xbb\xbf")
         if nan_is_null and b"NaN" in content:
             content = re.sub(rb"(?<=[\[,:\s])-?NaN\b", b"null", content)
@@ -193,6 +203,31 @@ def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded], *, nan_is_
         ) from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputFileError(shown(path), "", expected="valid JSON", found=str(error), remedy=_COPY_AGAIN) from error
+
+
+@contextlib.contextmanager
+def must_exist(path: Source) -> Iterator[None]:
+    """Turn Python's error for a missing file into ours.
+
+    Raises:
+        InputFileError: if the block finds no file.
+    """
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise missing_file(path) from error
+
+
+def text_lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """The lines of a text file that hold anything, with their numbers.
+
+    Raises:
+        InputFileError: if the file is missing, or a line is longer than any.
+    """
+    with must_exist(path), open_regular(path) as file:
+        for number, line in enumerate(whole_lines(file, path), start=1):
+            if line.strip():
+                yield number, line
 
 
 def missing_file(path: Source) -> InputFileError:

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal, overload
 
-from prbench.errors import InputFileError
+from prbench.errors import InputFileError, RecordingUnusable
 
 _SHOWN = 8
 """Names that a message lists."""
@@ -82,6 +82,15 @@ class RecordingFiles:
     skip_reason: str | None = None
     """Reason why a build must leave it out, reported as skipped and not as failed; None for all that are fine."""
 
+    def require_usable(self, reason: str | None) -> None:
+        """Refuse the recording, if there is a reason to.
+
+        Raises:
+            RecordingUnusable: giving the reason.
+        """
+        if reason:
+            raise RecordingUnusable(f"{self.recording_id} is skipped: {reason}.")
+
     def path(self, role: str) -> Path | None:
         """The file of one role, or None where it was not found."""
         return next((file.path for file in self.files if file.role == role), None)
@@ -103,6 +112,18 @@ class RecordingFiles:
                 remedy="Download the recording again.",
             )
         return path
+
+
+def existing_folder(root: Path | str, expected: str) -> Path:
+    """The folder that a user gave to a search, in full.
+
+    Raises:
+        InputFileError: if there is none; ``expected`` tells the user what was looked for.
+    """
+    root = Path(root).expanduser().resolve()
+    if not root.is_dir():
+        raise InputFileError(root, "", expected=expected, found="no such folder")
+    return root
 
 
 def input_file(role: str, path: Path) -> InputFile:

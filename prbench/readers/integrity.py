@@ -5,7 +5,6 @@ None of this parses a file; a file that passes may still be refused when it is r
 
 from __future__ import annotations
 
-import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +13,7 @@ import h5py
 import msgspec
 
 from prbench.boundary import foreign_input
-from prbench.bounded import read_whole, require_size
+from prbench.bounded import read_end, read_whole, require_size
 from prbench.errors import InputFileError
 from prbench.limits import LARGEST_UNPACKED, LONGEST_LINE
 from prbench.numpy_files import map_array, read_header
@@ -62,7 +61,7 @@ def _damaged_csv(path: Path) -> str:
 
 
 def _damaged_json(path: Path) -> str:
-    end = _tail(path).rstrip()[-1:]
+    end = read_end(path, _TAIL).rstrip()[-1:]
     return "" if end in (b"}", b"]") else "cut off: it does not end with a closing bracket"
 
 
@@ -105,6 +104,7 @@ def _damaged_bvh(path: Path) -> str:
     hierarchy, _, motion = read_whole(path).partition(b"MOTION")
     lines = motion.splitlines()[1:]
     promised = next((line.split()[-1] for line in lines if line.startswith(b"Frames:")), b"")
+    # The first byte of an empty line, which is none, is "in" any text; hence the second test.
     frames = sum(1 for line in lines if line[:1] in b"-0123456789 " and line.strip())
     if not hierarchy or not promised.isdigit():
         return "cut off: it has no motion"
@@ -112,17 +112,11 @@ def _damaged_bvh(path: Path) -> str:
 
 
 def _damaged_pickle(path: Path) -> str:
-    return "" if _tail(path).endswith(b".") else "cut off: it does not end with a stop mark"
-
-
-def _tail(path: Path) -> bytes:
-    with open(path, "rb") as file:
-        file.seek(max(0, os.fstat(file.fileno()).st_size - _TAIL))
-        return file.read()
+    return "" if read_end(path, _TAIL).endswith(b".") else "cut off: it does not end with a stop mark"
 
 
 def _last_line(path: Path) -> bytes:
-    lines = _tail(path).splitlines(keepends=True)
+    lines = read_end(path, _TAIL).splitlines(keepends=True)
     return lines[-1] if lines else b""
 
 

@@ -15,7 +15,6 @@ import contextlib
 import hashlib
 import json
 import os
-import shutil
 import time
 import zipfile
 from pathlib import Path
@@ -35,20 +34,7 @@ _FINGERPRINT = b"prbench.fingerprint"
 _EDGE = 65_536  # bytes at the beginning and the end of a file that are compared
 _SETTLED_NS = 2_000_000_000
 """A file that changed less than this ago may change again without a new time; its content is not kept."""
-
-
-def limit_bytes() -> int:
-    """Most bytes to keep; 0 when the cache is off.
-
-    Raises:
-        UsageError: if ``PRBENCH_PARSE_CACHE`` is neither ``off`` nor a number of megabytes.
-    """
-    setting = os.environ.get(CACHE_VARIABLE, str(_DEFAULT_MEGABYTES)).strip().lower()
-    if setting in ("off", "no", "false"):
-        return 0
-    if not setting.isdecimal():
-        raise UsageError(f"{CACHE_VARIABLE} is '{setting}'; set it to off, or to a number of megabytes.")
-    return int(setting) * 10**6
+_WORTH_REMEMBERING = 2**20  # bytes; a smaller file is hashed in a millisecond
 
 
 def load_parsed(source: Source, wish: bytes) -> pa.Table | None:
@@ -72,37 +58,27 @@ def load_parsed(source: Source, wish: bytes) -> pa.Table | None:
     return table
 
 
-def keep_parsed(source: Source, wish: bytes, table: pa.Table) -> None:
-    """Keep what was parsed from a source; where that cannot be written, or the source just changed, nothing is kept.
+def limit_bytes() -> int:
+    """Most bytes to keep; 0 when the cache is off.
 
-    Args:
-        source: A plain file, or one in an archive.
-        wish: What of it was parsed, and how.
-        table: The result; its metadata is kept too.
+    Raises:
+        UsageError: if ``PRBENCH_PARSE_CACHE`` is neither ``off`` nor a number of megabytes.
     """
-    limit = limit_bytes()
-    if not limit or time.time_ns() - _file(source).stat().st_mtime_ns < _SETTLED_NS:
-        return
-    path = _entry(source)
-    marked = table.replace_schema_metadata({**(table.schema.metadata or {}), _FINGERPRINT: _fingerprint(source, wish)})
-    with contextlib.suppress(StorageError):  # a full or read-only disk makes reading slower, never impossible
-        with sole_file(path) as temporary, pyarrow.ipc.new_file(str(temporary), marked.schema) as writer:
-            writer.write_table(marked)
-        _shrink(path.parent, limit)
-
-
-def clear_parse_cache() -> None:
-    """Delete all that is kept."""
-    shutil.rmtree(_folder(), ignore_errors=True)
-
-
-def _folder() -> Path:
-    return cache_folder() / "parsed"
+    setting = os.environ.get(CACHE_VARIABLE, str(_DEFAULT_MEGABYTES)).strip().lower()
+    if setting in ("off", "no", "false"):
+        return 0
+    if not setting.isdecimal():
+        raise UsageError(f"{CACHE_VARIABLE} is '{setting}'; set it to off, or to a number of megabytes.")
+    return int(setting) * 10**6
 
 
 def _entry(source: Source) -> Path:
     member = source.member if isinstance(source, ZippedFile) else ""
     return _folder() / f"{text_digest(str(_file(source).resolve()), member)[:32]}.arrow"
+
+
+def _folder() -> Path:
+    return cache_folder() / "parsed"
 
 
 def _file(source: Source) -> Path:
@@ -134,6 +110,25 @@ def _edges(path: Path) -> str:
     return digest.hexdigest()
 
 
+def keep_parsed(source: Source, wish: bytes, table: pa.Table) -> None:
+    """Keep what was parsed from a source; where that cannot be written, or the source just changed, nothing is kept.
+
+    Args:
+        source: A plain file, or one in an archive.
+        wish: What of it was parsed, and how.
+        table: The result; its metadata is kept too.
+    """
+    limit = limit_bytes()
+    if not limit or time.time_ns() - _file(source).stat().st_mtime_ns < _SETTLED_NS:
+        return
+    path = _entry(source)
+    marked = table.replace_schema_metadata({**(table.schema.metadata or {}), _FINGERPRINT: _fingerprint(source, wish)})
+    with contextlib.suppress(StorageError):  # a full or read-only disk makes reading slower, never impossible
+        with sole_file(path) as temporary, pyarrow.ipc.new_file(str(temporary), marked.schema) as writer:
+            writer.write_table(marked)
+        _shrink(path.parent, limit)
+
+
 def _shrink(folder: Path, limit: int) -> None:
     """Delete the least recently used entries until the others fit; another process may do the same."""
     entries = []
@@ -147,9 +142,6 @@ def _shrink(folder: Path, limit: int) -> None:
         with contextlib.suppress(OSError):  # in use, on systems that then keep it
             path.unlink()
         total -= size
-
-
-_WORTH_REMEMBERING = 2**20  # bytes; a smaller file is hashed in a millisecond
 
 
 def remembered_digest(path: Path) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from prbench.bounded import open_regular, read_whole, require_size, require_unpackable
+from prbench.bounded import read_end, read_whole, require_size, require_unpackable
 from prbench.errors import InputFileError
 from prbench.limits import LARGEST_ARCHIVE, LARGEST_FILE, LARGEST_UNPACKED
 from prbench.readers.found import InputFile
@@ -178,7 +178,7 @@ def require_whole_last_line(
     Raises:
         InputFileError: saying what to do.
     """
-    tail = _tail(path) if tail is None else tail
+    tail = read_end(path, RememberingTail.LENGTH) if tail is None else tail
     if tail.endswith((b"\n", b"\r")):
         return
     last = tail.splitlines()[-1] if tail else b""
@@ -193,10 +193,3 @@ def require_whole_last_line(
         remedy="Compare its size with the original: if it is smaller, the file is truncated; copy or download it again."
         " If it is complete, append one line break to the file.",
     )
-
-
-def _tail(path: Path) -> bytes:
-    with open_regular(path) as file:
-        file.seek(0, 2)
-        file.seek(max(file.tell() - 80, 0))
-        return file.read()

@@ -48,6 +48,7 @@ def _excursions(times: Float[np.ndarray, " n"], fast: Bool[np.ndarray, " steps"]
     last = np.append(first[1:], len(run)) - 1
     duration = times[last] - times[first]
     short = duration <= _LONGEST_EXCURSION
+    # In a very short recording the longest run is the body itself.
     short[np.argmax(duration)] = False
     return short[run]
 

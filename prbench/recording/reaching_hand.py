@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from prbench.recording.streams import BodyStream, HandSource, HandStream, Side
+from prbench.recording.streams import SIDES, BodyStream, HandSource, HandStream, Side
 from prbench.skeleton import WRISTS
 from prbench.timelines import covered, interpolate
 
@@ -27,8 +27,6 @@ _FARTHEST_WRIST = 0.40
 handle, and estimated bodies end decimetres from where the hand was."""
 LEAST_DIFFERENCE = 0.02
 """Metres by which the other wrist must be farther away. Annotated places are no more exact than that."""
-
-_SIDES: tuple[Side, Side] = ("left", "right")
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ def wrists_at(hands: Sequence[HandStream], body: BodyStream | None, time: float)
         time: Seconds.
     """
     wrists = []
-    for side, joint in zip(_SIDES, WRISTS, strict=True):
+    for side, joint in zip(SIDES, WRISTS, strict=True):
         position = None
         source = "tracked"
         for stream in hands:

@@ -23,6 +23,7 @@ from prbench.shown import quoted
 from prbench.timelines import interpolate, slerp
 
 Side = Literal["left", "right"]
+SIDES: tuple[Side, Side] = ("left", "right")
 Action = Literal["pick", "put"]
 ContactPoint = Literal["wrist", "middle_finger_base", "hand_vertex"]
 HandSource = Literal["annotated", "contact", "tracked", "body", "movement"]
@@ -31,6 +32,7 @@ which wrist moved more before the event."""
 
 
 def _check_stream(times: np.ndarray, *columns: np.ndarray) -> None:
+    # Guaranteed by readers, hence asserts; what users hand in is checked where it is read.
     assert times.ndim == 1, "one time a row"
     assert (np.diff(times) > 0).all(), "times must increase strictly; readers check their files"
     assert all(len(column) == len(times) for column in columns), "one row a time"
@@ -41,6 +43,15 @@ def _check_poses(name: str, stream: PoseStream | ObjectTrack) -> None:
     require_times(name, stream.times)
     require_near(name, stream.position, stream.valid, farthest=FARTHEST_POSITION)
     require_unit_length(f"rotation of {name}", stream.rotation, stream.valid)
+
+
+def _pose_at(
+    stream: PoseStream | ObjectTrack, query: Float[np.ndarray, " m"]
+) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 4"]]:
+    # Without a valid sample the fillers stand in: callers mask the result, and no caller has to treat this case.
+    usable = stream.valid if stream.valid.any() else np.ones_like(stream.valid)
+    times = stream.times[usable]
+    return interpolate(times, stream.position[usable], query), slerp(times, stream.rotation[usable], query)
 
 
 def _require_distinct(what: str, ids: Sequence[str]) -> None:
@@ -80,6 +91,10 @@ class PoseStream:
     def __post_init__(self) -> None:
         _check_stream(self.times, self.position, self.rotation, self.valid)
         _check_poses("glasses", self)
+
+    def pose_at(self, query: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 4"]]:
+        """Position and rotation interpolated between valid samples, end values held beyond them."""
+        return _pose_at(self, query)
 
 
 @dataclass(frozen=True)
@@ -145,9 +160,7 @@ class ObjectTrack:
 
     def pose_at(self, query: Float[np.ndarray, " m"]) -> tuple[Float[np.ndarray, "m 3"], Float[np.ndarray, "m 4"]]:
         """Position and rotation interpolated between valid samples, end values held beyond them."""
-        usable = self.valid if self.valid.any() else np.ones_like(self.valid)
-        times = self.times[usable]
-        return interpolate(times, self.position[usable], query), slerp(times, self.rotation[usable], query)
+        return _pose_at(self, query)
 
     def world_box(
         self, position: Float[np.ndarray, "m 3"], rotation: Float[np.ndarray, "m 4"]

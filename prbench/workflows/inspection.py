@@ -13,11 +13,12 @@ from prbench.corpora.sources import CORPUS_MODULES, CorpusOptions, CorpusRecordi
 from prbench.errors import InputFileError, PrbenchError
 from prbench.manifests import load_manifest
 from prbench.readers import RecordingFiles, reader_for
-from prbench.readers.aria_mps import check_trajectory, source_of
+from prbench.readers.aria_mps.trajectory import check_trajectory
 from prbench.readers.cut_short import cut_short
 from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, discover
 from prbench.readers.integrity import damage
 from prbench.readers.synthetic_tree import SYNTHETIC_FILE, lacks_mark
+from prbench.readers.zipped import source_of
 
 State = Literal["complete", "cut short", "incomplete", "damaged", "left out", "unreadable"]
 

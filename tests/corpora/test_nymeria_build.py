@@ -11,8 +11,7 @@ import pytest
 from prbench.corpora import CorpusOptions, build_corpus, plan_corpus
 from prbench.corpora.nymeria.files import find_sequences
 from prbench.corpora.nymeria.format import participant_of
-from prbench.corpora.nymeria.source import CORPUS
-from prbench.corpora.splits import split_by_participant
+from prbench.corpora.nymeria.source import CORPUS, split_by_participant
 from prbench.engine import ProcessPool
 from prbench.errors import InputFileError, UsageError
 from prbench.manifests import load_manifest

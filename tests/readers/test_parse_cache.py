@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 import zipfile
 from pathlib import Path
@@ -12,13 +13,14 @@ import pytest
 
 from prbench.errors import UsageError
 from prbench.readers import parse_cache
-from prbench.readers.aria_mps import ZippedFile, trajectory
 from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps import trajectory
+from prbench.readers.aria_mps.sparse_rows import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near
-from prbench.readers.aria_mps.wanted import NearGaze, NearTimes
-from prbench.readers.parse_cache import clear_parse_cache, remembered_digest
+from prbench.readers.parse_cache import remembered_digest
+from prbench.readers.zipped import ZippedFile
 from prbench.storage import file_digest
-from tests.readers.mps_files import trajectory_lines, write_lines, zipped
+from tests.readers.mps_files import NearTimes, trajectory_lines, write_lines, zipped
 
 START = 5_000_000_000
 TIMES = START + np.arange(3000, dtype=np.int64) * 1000
@@ -137,7 +139,7 @@ def test_the_cache_can_be_switched_off_and_cleared(path, searches, cache, monkey
     monkeypatch.setenv("PRBENCH_PARSE_CACHE", "100")
     read_near(path, NEAR)
     assert len(list(cache.iterdir())) == 1
-    clear_parse_cache()
+    shutil.rmtree(cache)
     read_near(path, NEAR)
     assert len(searches) == 3
     monkeypatch.setenv("PRBENCH_PARSE_CACHE", "plenty")
@@ -166,7 +168,7 @@ def test_the_least_recently_used_entries_go_first(tmp_path, searches, cache, mon
 
 def test_several_workers_write_the_same_entry(path, cache) -> None:
     expected, found = read_near(path, NEAR), []
-    clear_parse_cache()
+    shutil.rmtree(cache)
     workers = [threading.Thread(target=lambda: found.append(read_near(path, NEAR))) for _ in range(6)]
     for worker in workers:
         worker.start()

@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 from prbench.errors import InputFileError
 from prbench.manifests import load_manifest
 from prbench.readers.aria_mps.format import AriaTrajectory, device_from_cpf
-from prbench.readers.egoallo import find_outputs, read_bodies
+from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.format import EgoAlloBody
 from prbench.readers.egoallo.joints import read_smplh_rest
+from prbench.readers.egoallo.places import find_outputs
 from prbench.readers.egoallo.to_recording import body_from_outputs, body_stream
 from prbench.readers.found import RecordingFiles
 from prbench.recording import PoseStream

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from prbench.readers import reader_for
-from prbench.readers.aria_mps import read_trajectory
+from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.workflows.poses import make_poses, pose_states, read_config
 from prbench.workflows.poses.prepare import prepare

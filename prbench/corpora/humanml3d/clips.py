@@ -120,11 +120,7 @@ def _clip(
     start = first / layout.RATE
     return Clip(
         sequence_id=sequence_id,
-        dataset=identity.dataset,
-        recording_id=identity.recording_id,
-        participant_id=identity.participant_id,
-        split=identity.split,
-        split_group=identity.split_group,
+        **vars(identity),
         kind=kind,
         captions=captions,
         fps=limits.fps,
@@ -133,6 +129,7 @@ def _clip(
         end_time=start + n_frames / limits.fps,
         text_start=span[0],
         text_end=span[1],
+        # Cut only where a whole frame more was described; less than one is lost by rounding down.
         cut=span[1] * layout.RATE - first >= n_frames + 1,
         mirrored=identity.recording_id.startswith(layout.MIRROR_PREFIX),
         clock_method="same",
@@ -141,10 +138,5 @@ def _clip(
         approximate=False,
         pose_source=manifest.body.pose_source,
         head_tilt_deg=manifest.body.head_tilt_deg,
-        joints=motion.joints,
-        previous_joints=motion.previous_joints,
-        previous_source=motion.previous_source,
-        next_joints=motion.next_joints,
-        next_source=motion.next_source,
-        world_from_canonical=motion.world_from_canonical,
+        **vars(motion),
     )

@@ -48,6 +48,10 @@ class TextLine:
         return self.start == 0.0 and self.end == 0.0
 
 
+_SHORTEST_TRUNK = 0.05  # metres; longer ones are in millimetres
+_LONGEST_TRUNK = 20.0
+
+
 def read_texts(path: Path) -> tuple[TextLine, ...]:
     """Read one text file. A time that is NaN counts as 0, as in the official loader; empty lines are passed over.
 
@@ -89,10 +93,6 @@ def _seconds(path: Path, number: int, cell: str) -> float:
     if math.isinf(value):
         raise InputFileError(path, f"line {number}", expected="a finite time in seconds", found=cell)
     return 0.0 if math.isnan(value) else value
-
-
-_SHORTEST_TRUNK = 0.05  # metres; longer ones are in millimetres
-_LONGEST_TRUNK = 20.0
 
 
 def read_joints(path: Path) -> Float[np.ndarray, "frames 22 3"]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,14 @@ from prbench.bounded import read_text
 from prbench.corpora.humanml3d import files as layout
 from prbench.corpora.humanml3d.clips import clips_of
 from prbench.corpora.humanml3d.files import read_joints, read_texts
-from prbench.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
+from prbench.corpora.sources import (
+    ClipLimits,
+    CorpusOptions,
+    Cost,
+    ReadRecording,
+    RecordingIdentity,
+    without_folders,
+)
 from prbench.errors import InputFileError, UsageError
 from prbench.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree
@@ -71,8 +77,7 @@ class HumanML3DSource:
 
     def without_places(self, message: str) -> str:
         """A message without the folders of this machine."""
-        root = self.root.expanduser().resolve()
-        return message.replace(f"{root}{os.sep}", "").replace(f"{root.parent}{os.sep}", "")
+        return without_folders(message, self.root)
 
     @foreign_input()
     def read(self) -> ReadRecording:
@@ -139,9 +144,6 @@ class HumanML3DCorpus:
         return ClipLimits.of(options, self.manifest.thresholds)
 
 
-CORPUS = HumanML3DCorpus()
-
-
 def _motion_files(root: Path) -> dict[str, MotionFiles]:
     """Every motion by name.
 
@@ -196,3 +198,6 @@ def _splits(root: Path) -> dict[str, Split]:
             remedy="Copy them from the dataset's repository.",
         )  # fmt: skip
     return splits
+
+
+CORPUS = HumanML3DCorpus()

@@ -88,28 +88,6 @@ def suit_motion(
     )
 
 
-def measured_head_tilt(suit: Suit) -> float | None:
-    """Tilt of the neck-head bone towards the front in the calibration pose, degrees; None without such a pose."""
-    if suit.tpose is None:
-        return None
-    tpose = y_up(suit.tpose)
-    left, right, neck, head = (
-        tpose[XSENS_SEGMENTS.index(name)] for name in ("L_UpperLeg", "R_UpperLeg", "Neck", "Head")
-    )
-    across = left - right
-    forward = np.array([-across[2], 0.0, across[0]])  # across x up
-    size = float(np.linalg.norm(forward))
-    bone = head - neck
-    if size < 1e-6 or float(np.linalg.norm(bone)) < 1e-3:
-        return None
-    return round(float(np.rad2deg(np.arctan2(bone @ forward / size, bone[1]))), 4)
-
-
-def _l5_above_hips(tpose: np.ndarray) -> float:
-    left, right, spine = (tpose[XSENS_SEGMENTS.index(name), 2] for name in ("L_UpperLeg", "R_UpperLeg", "L5"))
-    return float(spine - 0.5 * (left + right))
-
-
 def _check_sides(
     clean: CleanSuit, pieces: tuple[MotionPiece, ...], walking_speed: float, path: Path | str
 ) -> list[str]:
@@ -125,6 +103,7 @@ def _check_sides(
         speed = np.linalg.norm(velocity, axis=-1)
         fast = speed > walking_speed
         along.append(((velocity * forward[:-1]).sum(axis=-1) / np.maximum(speed, 1e-9))[fast])
+        # The first column of the rotation matrix is the segment's own x axis in the world.
         w, x, y, z = clean.pelvis_rotation[span.first : span.stop : _SPEED_STEP].T
         axis = y_up(np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1))
         agrees.append((axis[:, [0, 2]] * forward).sum(axis=-1))
@@ -142,9 +121,31 @@ def _check_sides(
     return ["the pelvis segment's x axis points backwards"] if by_segment < 0.0 else []
 
 
+def measured_head_tilt(suit: Suit) -> float | None:
+    """Tilt of the neck-head bone towards the front in the calibration pose, degrees; None without such a pose."""
+    if suit.tpose is None:
+        return None
+    tpose = y_up(suit.tpose)
+    left, right, neck, head = (
+        tpose[XSENS_SEGMENTS.index(name)] for name in ("L_UpperLeg", "R_UpperLeg", "Neck", "Head")
+    )
+    across = left - right
+    forward = np.array([-across[2], 0.0, across[0]])  # across x up
+    size = float(np.linalg.norm(forward))
+    bone = head - neck
+    if size < 1e-6 or float(np.linalg.norm(bone)) < 1e-3:
+        return None
+    return round(float(np.rad2deg(np.arctan2(bone @ forward / size, bone[1]))), 4)
+
+
 def _bone_change(joints: np.ndarray) -> float:
     lengths = bone_lengths(joints[::_SPEED_STEP])
     return float(np.abs(lengths - lengths[0]).max())
+
+
+def _l5_above_hips(tpose: np.ndarray) -> float:
+    left, right, spine = (tpose[XSENS_SEGMENTS.index(name), 2] for name in ("L_UpperLeg", "R_UpperLeg", "L5"))
+    return float(spine - 0.5 * (left + right))
 
 
 def read_smpl_fit(path: Path, model: Path, *, tolerance: float, shortest: float) -> tuple[MotionPiece, ...]:
@@ -186,12 +187,12 @@ def read_smpl_fit(path: Path, model: Path, *, tolerance: float, shortest: float)
     return pieces
 
 
-def smpl_motion(pieces: tuple[MotionPiece, ...], pose_source: str, head_tilt_deg: float) -> BodyMotion:
-    """The fit as a body's motion."""
-    return BodyMotion(pieces, pose_source, head_tilt_deg, (), (("bones", str(len(PARENTS) - 1)),))
-
-
 def _arrays(path: Path) -> dict[str, np.ndarray]:
     archive = Archive(path)
     archive.require(_FIT_KEYS)
     return archive.load(_FIT_KEYS)
+
+
+def smpl_motion(pieces: tuple[MotionPiece, ...], pose_source: str, head_tilt_deg: float) -> BodyMotion:
+    """The fit as a body's motion."""
+    return BodyMotion(pieces, pose_source, head_tilt_deg, (), (("bones", str(len(PARENTS) - 1)),))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.corpora.cutting import CutMotion, cut_motion
+from prbench.corpora.cutting import cut_motion
 from prbench.corpora.nymeria.body import BodyMotion, MotionPiece
 from prbench.corpora.nymeria.clock import ClockOffset
 from prbench.corpora.nymeria.format import Narration
@@ -143,6 +143,7 @@ def _fit(
     number = int(np.argmax([n_frames for _, n_frames in placed]))
     (first, n_frames), piece = placed[number], pieces[number]
     share = n_frames / limits.fps / length
+    # Frames are counted whole, so that a span may lose up to one of them.
     if share < coverage - 1.0 / limits.fps / length:
         within = min(p.start for p in pieces) <= start and end <= max(_end(p) for p in pieces)
         return _Fit("clock_gap" if within else "outside_motion", round(share, 6), coverage)
@@ -178,17 +179,13 @@ def _clip(
     piece = fit.piece
     assert piece is not None  # only spans that fit become clips
     try:
-        motion: CutMotion = cut_motion(piece.joints, fit.first, round(piece.rate / fps), fit.n_frames)
+        motion = cut_motion(piece.joints, fit.first, round(piece.rate / fps), fit.n_frames)
     except ValueError:
         return None
     start = piece.start + fit.first / piece.rate
     return Clip(
         sequence_id=sequence_id,
-        dataset=identity.dataset,
-        recording_id=identity.recording_id,
-        participant_id=identity.participant_id,
-        split=identity.split,
-        split_group=identity.split_group,
+        **vars(identity),
         kind=span.kind,
         captions=captions,
         fps=fps,
@@ -205,12 +202,7 @@ def _clip(
         approximate=offset.approximate,
         pose_source=body.pose_source,
         head_tilt_deg=body.head_tilt_deg,
-        joints=motion.joints,
-        previous_joints=motion.previous_joints,
-        previous_source=motion.previous_source,
-        next_joints=motion.next_joints,
-        next_source=motion.next_source,
-        world_from_canonical=motion.world_from_canonical,
+        **vars(motion),
         extra={"annotators": " ".join(sorted({row.annotator for row in span.rows if row.annotator}))}
         if any(row.annotator for row in span.rows)
         else {},

@@ -119,23 +119,6 @@ def offset_by_correlation(
     return ClockOffset("correlation", peak.lag, round(peak.height, 6)), ""
 
 
-def offset_by_starts(
-    narrations: Sequence[Narration], clean: CleanSuit, thresholds: Mapping[str, float]
-) -> tuple[ClockOffset | None, str]:
-    """The offset at which the first text begins as long after the suit as it does in sequences of known offset.
-
-    Returns:
-        The offset, or None and why not.
-    """
-    start, end = clean.span
-    slack = thresholds["start_slack"]
-    offset = start + thresholds["start_lead"] - min(row.start for row in narrations)
-    first, last = (extreme + offset for extreme in _extremes(narrations))
-    if first < start - slack or last > end + slack:
-        return None, f"with aligned starts the texts end {last - end:.1f} s after the suit"
-    return ClockOffset("start_alignment", offset), ""
-
-
 def angular_speed(
     times: Float[np.ndarray, " n"], rotation: Float[np.ndarray, "n 4"], rate: float
 ) -> _AngularSpeed | None:
@@ -148,6 +131,7 @@ def angular_speed(
     right = np.clip(np.searchsorted(times, grid, side="right"), 1, len(times) - 1)
     steady = times[right] - times[right - 1] <= LONGEST_POSE_STEP
     valid = steady[:-1] & steady[1:]
+    # A speed between two samples belongs to the middle between them.
     return _AngularSpeed(
         float(grid[0]) + 0.5 / rate, gaussian_filter1d(np.where(valid, speed, 0.0), _SMOOTHING * rate), valid
     )
@@ -158,6 +142,7 @@ def best_agreement(first: _AngularSpeed, second: _AngularSpeed, rate: float) -> 
 
     Mean and spread are those of the overlap itself, so that a lag at which the quiet ends meet is not preferred.
     """
+    # As long as both together: a shorter transform would wrap one end onto the other.
     size = 1 << (len(first.values) + len(second.values) - 1).bit_length()
 
     def correlate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -178,6 +163,7 @@ def best_agreement(first: _AngularSpeed, second: _AngularSpeed, rate: float) -> 
     score = np.where(enough, covariance / np.sqrt(spread_a * spread_b), -1.0)
     best = int(score.argmax())
     away = np.abs(np.arange(len(score)) - best) > _SECOND_PEAK_AWAY * rate
+    # The first score belongs to the lag -len(b) + 1.
     lag = best - (len(b) - 1) + _parabola(score, best)
     second_height = float(score[away].max(initial=0.0))
     return Peak(first.start - second.start + lag / rate, float(score[best]), max(second_height, 0.0))
@@ -190,6 +176,23 @@ def _parabola(score: np.ndarray, best: int) -> float:
     before, top, after = score[best - 1 : best + 2]
     bend = before - 2.0 * top + after
     return 0.0 if bend >= 0.0 or min(before, after) <= -1.0 else float(0.5 * (before - after) / bend)
+
+
+def offset_by_starts(
+    narrations: Sequence[Narration], clean: CleanSuit, thresholds: Mapping[str, float]
+) -> tuple[ClockOffset | None, str]:
+    """The offset at which the first text begins as long after the suit as it does in sequences of known offset.
+
+    Returns:
+        The offset, or None and why not.
+    """
+    start, end = clean.span
+    slack = thresholds["start_slack"]
+    offset = start + thresholds["start_lead"] - min(row.start for row in narrations)
+    first, last = (extreme + offset for extreme in _extremes(narrations))
+    if first < start - slack or last > end + slack:
+        return None, f"with aligned starts the texts end {last - end:.1f} s after the suit"
+    return ClockOffset("start_alignment", offset), ""
 
 
 def _extremes(narrations: Sequence[Narration]) -> tuple[float, float]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -19,13 +18,20 @@ from prbench.corpora.nymeria.clock import ClockOffset, offset_by_correlation, of
 from prbench.corpora.nymeria.files import METADATA, OFFSET, SMPL, SUIT, TRAJECTORY, find_sequences, read_narrations
 from prbench.corpora.nymeria.format import Narration, NymeriaRecording
 from prbench.corpora.nymeria.suit import CleanSuit, clean_suit, read_suit
-from prbench.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
-from prbench.corpora.splits import split_by_participant
+from prbench.corpora.sources import (
+    ClipLimits,
+    CorpusOptions,
+    Cost,
+    ReadRecording,
+    RecordingIdentity,
+    without_folders,
+)
 from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.manifests import Manifest, load_manifest
+from prbench.randomness import hash_fraction
 from prbench.readers import RecordingFiles, described_options, require_one_origin
+from prbench.readers.aria_mps.sparse_rows import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near
-from prbench.readers.aria_mps.wanted import NearGaze
 from prbench.readers.extents import SEVERAL_SENSORS
 from prbench.readers.options import ReaderOptions, parse_options
 from prbench.storage import file_digest, read_json, text_digest
@@ -95,10 +101,7 @@ class NymeriaSource:
 
     def without_places(self, message: str) -> str:
         """A message without the folders of this machine."""
-        root = self.root.expanduser().resolve()
-        for folder in (root, root.parent):
-            message = message.replace(f"{folder}{os.sep}", "")
-        return message
+        return without_folders(message, self.root)
 
     @foreign_input()
     def read(self) -> ReadRecording:
@@ -115,15 +118,7 @@ class NymeriaSource:
             self.identity, self._body(clean), narrations, offset, self.limits, self._manifest.thresholds
         )
         message = "; ".join(part for part in (*self._without_texts(narrations), *messages, read.message) if part)
-        return ReadRecording(
-            read.clips,
-            read.annotations,
-            read.duration,
-            read.clock_method,
-            read.clock_quality,
-            self.without_places(message),
-            read.measured,
-        )
+        return replace(read, message=self.without_places(message))
 
     @cached_property
     def _manifest(self) -> Manifest:
@@ -190,14 +185,6 @@ class NymeriaSource:
             return None, (*messages, "no way to the suit's clock, and start alignment is switched off")
         offset, why = offset_by_starts(narrations, clean, thresholds)
         return offset, tuple(part for part in (*messages, why) if part)
-
-
-def _cut_short(path: Path, time_us: Int[np.ndarray, " n"], clean: CleanSuit, offset: ClockOffset) -> tuple[str, ...]:
-    """Say by how much the glasses' trajectory ends before the suit does: what follows was not used for the clock."""
-    missing = clean.span[1] - offset.seconds - time_us[-1] * 1e-6
-    if missing <= SEVERAL_SENSORS:
-        return ()
-    return (f"{path.name} ends {missing:.1f} s before the suit does; it may be cut off",)
 
 
 def recording_clips(
@@ -272,9 +259,6 @@ class NymeriaCorpus:
         return chosen
 
 
-CORPUS = NymeriaCorpus()
-
-
 def _participant(found: RecordingFiles) -> str:
     """The wearer's invented name: from the sequence's name, else from the metadata where they tell it.
 
@@ -291,3 +275,22 @@ def _participant(found: RecordingFiles) -> str:
         if isinstance(metadata, dict) and isinstance(metadata.get("fake_name"), str) and metadata["fake_name"]:
             return metadata["fake_name"]
     return nymeria.participant_of(found.recording_id)
+
+
+def split_by_participant(manifest: Manifest, participant_id: str) -> Literal["train", "validation", "test"]:
+    """The manifest's shares of sha256(dataset/participant) / 2**256."""
+    fraction = hash_fraction(manifest.name, participant_id)
+    if fraction >= manifest.thresholds["test_from"]:
+        return "test"
+    return "validation" if fraction < manifest.thresholds["validation_below"] else "train"
+
+
+def _cut_short(path: Path, time_us: Int[np.ndarray, " n"], clean: CleanSuit, offset: ClockOffset) -> tuple[str, ...]:
+    """Say by how much the glasses' trajectory ends before the suit does: what follows was not used for the clock."""
+    missing = clean.span[1] - offset.seconds - time_us[-1] * 1e-6
+    if missing <= SEVERAL_SENSORS:
+        return ()
+    return (f"{path.name} ends {missing:.1f} s before the suit does; it may be cut off",)
+
+
+CORPUS = NymeriaCorpus()

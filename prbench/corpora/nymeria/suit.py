@@ -86,6 +86,41 @@ def read_suit(path: Path) -> Suit:
     )
 
 
+def _load(path: Path) -> dict[str, np.ndarray]:
+    archive = Archive(path, remedy=_DOWNLOAD)
+    archive.require(_NEEDED)
+    arrays: dict[str, np.ndarray] = {}
+    for key in (*_NEEDED, *_OPTIONAL):  # one after the other: the large ones halve before the next is unpacked
+        arrays |= {name: _small(array) if name in _LARGE else array for name, array in archive.load([key]).items()}
+    return arrays
+
+
+def _small(values: np.ndarray) -> np.ndarray:
+    """Single precision (8 micrometres a hundred metres away): an hour of both arrays then fits below a gigabyte."""
+    return values.astype(np.float32, copy=False) if values.dtype == np.float64 else values
+
+
+def _require_number(path: Path, arrays: Mapping[str, np.ndarray], key: str, wanted: float, remedy: str) -> None:
+    if key in arrays and (arrays[key].size != 1 or abs(float(arrays[key].ravel()[0]) - wanted) > 1e-6):
+        found = str(arrays[key].ravel()[:3].tolist())
+        raise InputFileError(path, key, expected=f"{wanted:g}", found=found, remedy=remedy)
+
+
+def _vectors(path: Path, arrays: Mapping[str, np.ndarray], key: str, n: int, size: int) -> np.ndarray:
+    """Values of the shape (F, 23 * size) or (F, 23, size), as the latter."""
+    values = arrays[key]
+    shapes = ((n, N_SEGMENTS * size), (n, N_SEGMENTS, size))
+    if values.shape not in shapes or not np.issubdtype(values.dtype, np.floating):
+        raise InputFileError(
+            path,
+            key,
+            expected=f"numbers of the shape {shapes[0]} or {shapes[1]}, for the {n} times",
+            found=f"{values.dtype} of the shape {values.shape}",
+            remedy=_DOWNLOAD,
+        )
+    return values.reshape(n, N_SEGMENTS, size)
+
+
 def clean_suit(suit: Suit, thresholds: Mapping[str, float], *, path: Path | str) -> CleanSuit:
     """Fill missing rotations, cut at jumps, and check that up is up and left is left.
 
@@ -123,43 +158,9 @@ def clean_suit(suit: Suit, thresholds: Mapping[str, float], *, path: Path | str)
     return CleanSuit(suit, pelvis, head, pieces, tuple(message for message in messages if message))
 
 
-def _load(path: Path) -> dict[str, np.ndarray]:
-    archive = Archive(path, remedy=_DOWNLOAD)
-    archive.require(_NEEDED)
-    arrays: dict[str, np.ndarray] = {}
-    for key in (*_NEEDED, *_OPTIONAL):  # one after the other: the large ones halve before the next is unpacked
-        arrays |= {name: _small(array) if name in _LARGE else array for name, array in archive.load([key]).items()}
-    return arrays
-
-
-def _small(values: np.ndarray) -> np.ndarray:
-    """Single precision (8 micrometres a hundred metres away): an hour of both arrays then fits below a gigabyte."""
-    return values.astype(np.float32, copy=False) if values.dtype == np.float64 else values
-
-
-def _require_number(path: Path, arrays: Mapping[str, np.ndarray], key: str, wanted: float, remedy: str) -> None:
-    if key in arrays and (arrays[key].size != 1 or abs(float(arrays[key].ravel()[0]) - wanted) > 1e-6):
-        found = str(arrays[key].ravel()[:3].tolist())
-        raise InputFileError(path, key, expected=f"{wanted:g}", found=found, remedy=remedy)
-
-
-def _vectors(path: Path, arrays: Mapping[str, np.ndarray], key: str, n: int, size: int) -> np.ndarray:
-    """Values of the shape (F, 23 * size) or (F, 23, size), as the latter."""
-    values = arrays[key]
-    shapes = ((n, N_SEGMENTS * size), (n, N_SEGMENTS, size))
-    if values.shape not in shapes or not np.issubdtype(values.dtype, np.floating):
-        raise InputFileError(
-            path,
-            key,
-            expected=f"numbers of the shape {shapes[0]} or {shapes[1]}, for the {n} times",
-            found=f"{values.dtype} of the shape {values.shape}",
-            remedy=_DOWNLOAD,
-        )
-    return values.reshape(n, N_SEGMENTS, size)
-
-
 def _missing_rotations(rotation: np.ndarray, smallest: float) -> Bool[np.ndarray, "n 23"]:
     """Quaternions that are none: too short, or NaN."""
+    # Not "less than": a comparison with NaN is false, and NaN has to count as missing.
     return ~(np.einsum("nsk,nsk->ns", rotation, rotation) >= smallest**2)
 
 

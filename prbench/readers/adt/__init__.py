@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.boundary import foreign_input
-from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
 from prbench.readers.adt.for_egoallo import adt_inputs, point_cloud
 from prbench.readers.adt.layouts import AdtOptions, extents, find_recordings
@@ -28,9 +27,7 @@ _DEFAULTS = AdtOptions()
 def read_recording(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> Recording:
     """Read one recording (see :class:`prbench.readers.Reader` for what it raises)."""
     manifest = load_manifest("adt")
-    reason = manifest.why_bad(found.recording_id)
-    if reason:
-        raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
+    found.require_usable(manifest.why_bad(found.recording_id))
     return recording_from_adt(read_readings(found, options), manifest, dataset=found.dataset, poses=options.poses)
 
 

@@ -21,7 +21,6 @@ from prbench.readers.aria_mps.to_recording import part_poses
 from prbench.readers.egoallo.inputs import POINT_FILES, EgoalloInputs, aria_inputs, require_trajectory
 from prbench.readers.found import RecordingFiles
 from prbench.recording.streams import PoseStream
-from prbench.timelines import interpolate, slerp
 
 _STEP_US = 1_000
 _GRAPH_UID = "adt-scene-z-up"
@@ -43,7 +42,7 @@ def adt_inputs(root: Path, found: RecordingFiles) -> EgoalloInputs:
         aria_inputs(root, found),
         points=point_cloud(found),
         glasses_size=ASSUMED_SIZE,
-        turned=_turned,
+        turned=prepared_trajectory,
     )
 
 
@@ -64,22 +63,15 @@ def prepared_trajectory(glasses: adt.GlassesPoses) -> AriaTrajectory:
     usable = device.valid if device.valid.any() else np.ones_like(device.valid)
     first, last = (int(glasses.time_us[usable][end]) for end in (0, -1))
     time_us = np.arange(first, last + 1, _STEP_US)
-    times = time_us / 1e6
+    position, rotation = device.pose_at(time_us / 1e6)
     return AriaTrajectory(
         time_us=time_us,
-        position=interpolate(device.times[usable], device.position[usable], times),
-        rotation=slerp(device.times[usable], device.rotation[usable], times),
-        quality=np.ones(len(times)),
+        position=position,
+        rotation=rotation,
+        quality=np.ones(len(time_us)),
         up=np.array([0.0, 0.0, 1.0]),
         graph_uids=(_GRAPH_UID,),
         left_out=0,
-    )
-
-
-def _turned(trajectory: AriaTrajectory) -> AriaTrajectory:
-    """The poses of an ADT trajectory as EgoAllo must see them."""
-    return prepared_trajectory(
-        adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality)
     )
 
 

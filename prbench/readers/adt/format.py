@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.readers.aria_mps.format import GazeAngles, GlassesSize
+from prbench.readers.aria_mps.format import GazeAngles, GlassesPoses, GlassesSize
 from prbench.readers.egoallo.format import EgoAlloBody
 
 METADATA_FILE = "metadata.json"
@@ -101,17 +101,6 @@ def body_joints(joints: Float[np.ndarray, "n 51 3"], mapping: Sequence[str]) -> 
 
 
 @dataclass(frozen=True)
-class GlassesPoses:
-    """``aria_trajectory.csv``: device to scene."""
-
-    time_us: Int[np.ndarray, " n"]
-    position: Float[np.ndarray, "n 3"]
-    rotation: Float[np.ndarray, "n 4"]
-    """w x y z."""
-    quality: Float[np.ndarray, " n"]
-
-
-@dataclass(frozen=True)
 class AdtObject:
     """One entry of ``instances.json`` with its box and its rows of ``scene_objects.csv``."""
 
@@ -159,6 +148,7 @@ class AdtReadings:
     device_from_rgb: Float[np.ndarray, "4 4"] | None
     """Calibrated pose of the RGB camera; None where no file tells."""
     glasses: GlassesPoses
+    """``aria_trajectory.csv``."""
     gaze: GazeAngles
     objects: tuple[AdtObject, ...]
     skeletons: tuple[AdtSkeleton, ...]

@@ -12,13 +12,12 @@ from prbench.boundary import foreign_input
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.adt import format as adt
-from prbench.readers.aria_mps import find_gaze_file
+from prbench.readers.aria_mps.find import find_gaze_file
 from prbench.readers.aria_mps.format import CALIBRATION_FILE, PERSONALIZED_GAZE_FILES, SUMMARY_FILE, TIME_COLUMN
-from prbench.readers.egoallo import find_outputs
-from prbench.readers.egoallo.places import body_extent
+from prbench.readers.egoallo.places import body_extent, find_outputs
 from prbench.readers.extents import Extent, csv_extent, json_extent
 from prbench.readers.files import decode_json
-from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
+from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.options import ReaderOptions
 from prbench.readers.synthetic_tree import read_synthetic_tree
 from prbench.recording import Recording
@@ -50,7 +49,6 @@ GAZE_STATUS = "gaze status"
 SLAM_STATUS = "slam status"
 SKELETON_PREFIX = "skeleton:"
 """Roles of the files of a recording; a skeleton's is this and the skeleton's name."""
-
 _FILES = {
     INSTANCES: (adt.INSTANCES_FILE,),
     OBJECTS: (adt.OBJECTS_FILE,),
@@ -106,13 +104,6 @@ class Metadata(msgspec.Struct):
 
 
 METADATA_DECODER = msgspec.json.Decoder(Metadata)
-
-
-def subtour_id(sequence: str, subtour: str) -> str:
-    """Recording id of one pair of glasses of a v1.x sequence."""
-    return f"{sequence}_{subtour}"
-
-
 _DEFAULTS = AdtOptions()
 
 
@@ -123,9 +114,7 @@ def find_recordings(root: Path | str, options: AdtOptions = _DEFAULTS) -> tuple[
         InputFileError: if ``root`` holds none, saying what was looked for and what was found. Damaged metadata, and
             subtours that would lie outside of their sequence, are reported when the recording is read, not here.
     """
-    root = Path(root).expanduser().resolve()
-    if not root.is_dir():
-        raise InputFileError(root, "", expected="a folder of ADT recordings", found="no such folder")
+    root = existing_folder(root, "a folder of ADT recordings")
     synthetic = read_synthetic_tree(root) is not None
     folders = [root] if _is_recording(root) else sorted(path for path in root.iterdir() if path.is_dir())
     dataset = f"{SYNTHETIC_PREFIX}adt" if synthetic else "adt"
@@ -141,10 +130,27 @@ def find_recordings(root: Path | str, options: AdtOptions = _DEFAULTS) -> tuple[
     return tuple(sorted(found, key=lambda recording: recording.recording_id))
 
 
+def _is_recording(folder: Path) -> bool:
+    """Return True for a recording or a v1.x sequence, also one that lacks its metadata: reading it says so."""
+    metadata_path = _metadata_file(folder)
+    if metadata_path is None:
+        return any((folder / name).is_file() for name in _OWN_FILES)
+    # HOT3D's metadata have the same name and tell the kind of headset.
+    return _metadata(metadata_path).headset is None
+
+
 def _metadata_file(folder: Path) -> Path | None:
     """The metadata of a sequence, under its present or its old name; None if there is none."""
     names = (adt.METADATA_FILE, adt.METADATA_FILE_BEFORE_1_1)
     return next((folder / name for name in names if (folder / name).is_file()), None)
+
+
+def _metadata(path: Path) -> Metadata:
+    """Metadata of a sequence; empty where they are damaged: reading reports it, and no bad folder hides the others."""
+    try:
+        return decode_json(path, METADATA_DECODER)
+    except InputFileError:
+        return Metadata()
 
 
 def _recordings_in(folder: Path, root: Path, dataset: str, options: AdtOptions) -> list[RecordingFiles]:
@@ -170,10 +176,15 @@ def _subtour_places(metadata_path: Path) -> list[tuple[str, Path]]:
     try:
         return [
             (subtour_id(folder.name, tour.subtour_name), subtour_folder(metadata_path, tour))
-            for tour in _subtours(metadata_path)
+            for tour in _metadata(metadata_path).subtour_list()
         ]
     except InputFileError:
         return []
+
+
+def subtour_id(sequence: str, subtour: str) -> str:
+    """Recording id of one pair of glasses of a v1.x sequence."""
+    return f"{sequence}_{subtour}"
 
 
 @foreign_input()
@@ -184,36 +195,6 @@ def subtour_folder(metadata_path: Path, tour: _Subtour) -> Path:
         InputFileError: if its name leads out of the sequence, or cannot be the name of a folder.
     """
     return inside(metadata_path.parent, tour.subtour_name)
-
-
-def _estimated_bodies(root: Path, folder: Path, recording_id: str, options: AdtOptions) -> tuple[InputFile, ...]:
-    if options.poses != "egoallo":
-        return ()
-    return find_outputs(root, folder, recording_id, options.poses_root, smplh_model=options.smplh_model)
-
-
-def _is_recording(folder: Path) -> bool:
-    """Return True for a recording or a v1.x sequence, also one that lacks its metadata: reading it says so."""
-    metadata_path = _metadata_file(folder)
-    if metadata_path is None:
-        return any((folder / name).is_file() for name in _OWN_FILES)
-    return _is_adt(metadata_path)
-
-
-def _is_adt(metadata_path: Path) -> bool:
-    """Return True where metadata is not that of HOT3D, whose file has the same name and tells the kind of headset."""
-    try:
-        return decode_json(metadata_path, METADATA_DECODER).headset is None
-    except InputFileError:
-        return True  # reported when the recording is read
-
-
-def _subtours(metadata_path: Path) -> tuple[_Subtour, ...]:
-    """Subtours of a sequence; none where its metadata is damaged, so that one bad folder does not hide the others."""
-    try:
-        return decode_json(metadata_path, METADATA_DECODER).subtour_list()
-    except InputFileError:
-        return ()
 
 
 def _input_files(folder: Path, options: AdtOptions) -> list[InputFile]:
@@ -232,6 +213,12 @@ def _input_files(folder: Path, options: AdtOptions) -> list[InputFile]:
             files.append(input_file(_STATUS_OF[role], status))
     skeletons = sorted(folder.glob("Skeleton_*.json"))
     return files + [input_file(f"{SKELETON_PREFIX}{path.stem}", path) for path in skeletons]
+
+
+def _estimated_bodies(root: Path, folder: Path, recording_id: str, options: AdtOptions) -> tuple[InputFile, ...]:
+    if options.poses != "egoallo":
+        return ()
+    return find_outputs(root, folder, recording_id, options.poses_root, smplh_model=options.smplh_model)
 
 
 def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from prbench.errors import InputFileError
 from prbench.readers.adt import format as adt
-from prbench.readers.files import column_vectors, decode_json, read_columns, require_increasing, require_poses
+from prbench.readers.files import column_vectors, decode_json, read_columns
+from prbench.readers.pose_table import read_poses_by_body
 
 
 class Instance(msgspec.Struct):
@@ -25,6 +26,51 @@ class Instance(msgspec.Struct):
 
 
 _INSTANCES = msgspec.json.Decoder(dict[str, Instance])
+
+
+def read_objects(
+    instances_path: Path, boxes_path: Path, poses_path: Path
+) -> tuple[tuple[adt.AdtObject, ...], tuple[str, ...]]:
+    """All objects that have a name, a box and a pose, by id; people are no objects.
+
+    Returns:
+        The objects, and remarks on those that lack one of the three.
+
+    Raises:
+        InputFileError: for a missing or damaged file, a pose that is no pose, or a clock that runs backwards.
+    """
+    instances = read_instances(instances_path)
+    boxes = _read_boxes(boxes_path)
+    known = {key for key, instance in instances.items() if instance.instance_type != "human"}
+    poses = read_poses_by_body(
+        poses_path,
+        body={adt.OBJECT_ID: int},
+        time=adt.OBJECT_TIME,
+        position=adt.OBJECT_POSITION,
+        rotation=adt.OBJECT_ROTATION,
+        static_time=adt.STATIC_TIME,
+    )
+    complete = sorted(known & boxes.keys() & poses.keys())
+    objects = tuple(
+        adt.AdtObject(
+            object_id=key,
+            name=instances[key].instance_name,
+            prototype=instances[key].prototype_name,
+            category=instances[key].category,
+            dynamic=instances[key].motion_type == "dynamic",
+            box_min=boxes[key][0],
+            box_max=boxes[key][1],
+            time_ns=poses[key][0],
+            position=poses[key][1],
+            rotation=poses[key][2],
+        )
+        for key in complete
+    )
+    incomplete = sorted((known | boxes.keys() | poses.keys()) - set(complete) - (instances.keys() - known))
+    if not incomplete:
+        return objects, ()
+    named = ", ".join(str(key) for key in incomplete[:5]) + (" …" if len(incomplete) > 5 else "")
+    return objects, (f"{len(incomplete)} objects without name, box or pose are left out: {named}",)
 
 
 def read_instances(path: Path) -> dict[int, Instance]:
@@ -51,87 +97,3 @@ def _read_boxes(path: Path) -> dict[int, tuple[Float[np.ndarray, "3"], Float[np.
         found = f"{lower[row].tolist()} … {upper[row].tolist()}"
         raise InputFileError(path, f"line {row + 2}", expected="a lower and an upper corner", found=found)
     return dict(zip(table[adt.OBJECT_ID].to_pylist(), zip(lower, upper, strict=True), strict=True))
-
-
-def read_objects(
-    instances_path: Path, boxes_path: Path, poses_path: Path
-) -> tuple[tuple[adt.AdtObject, ...], tuple[str, ...]]:
-    """All objects that have a name, a box and a pose, by id; people are no objects.
-
-    Returns:
-        The objects, and remarks on those that lack one of the three.
-
-    Raises:
-        InputFileError: for a missing or damaged file, a pose that is no pose, or a clock that runs backwards.
-    """
-    instances = read_instances(instances_path)
-    boxes = _read_boxes(boxes_path)
-    known = {key for key, instance in instances.items() if instance.instance_type != "human"}
-    poses = _read_poses(poses_path)
-    complete = sorted(known & boxes.keys() & poses.keys())
-    objects = tuple(
-        adt.AdtObject(
-            object_id=key,
-            name=instances[key].instance_name,
-            prototype=instances[key].prototype_name,
-            category=instances[key].category,
-            dynamic=instances[key].motion_type == "dynamic",
-            box_min=boxes[key][0],
-            box_max=boxes[key][1],
-            time_ns=poses[key][0],
-            position=poses[key][1],
-            rotation=poses[key][2],
-        )
-        for key in complete
-    )
-    incomplete = sorted((known | boxes.keys() | poses.keys()) - set(complete) - (instances.keys() - known))
-    if not incomplete:
-        return objects, ()
-    named = ", ".join(str(key) for key in incomplete[:5]) + (" …" if len(incomplete) > 5 else "")
-    return objects, (f"{len(incomplete)} objects without name, box or pose are left out: {named}",)
-
-
-_Poses = tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]]
-
-
-def _read_poses(path: Path) -> dict[int, _Poses]:
-    """Times, positions and rotations of each object, in the order of time."""
-    numbers = dict.fromkeys((*adt.OBJECT_POSITION, *adt.OBJECT_ROTATION), float)
-    table = read_columns(path, {adt.OBJECT_ID: int, adt.OBJECT_TIME: int, **numbers})
-    ids = table[adt.OBJECT_ID].to_numpy()
-    times = table[adt.OBJECT_TIME].to_numpy()
-    position = column_vectors(table, adt.OBJECT_POSITION)
-    rotation = column_vectors(table, adt.OBJECT_ROTATION)
-    require_poses(path, position, rotation)
-    distinct, codes = np.unique(ids, return_inverse=True)
-    order = np.argsort(codes.astype(np.int32), kind="stable")
-    _require_clock(path, codes[order], times[order], order)
-    bounds = np.searchsorted(codes[order], np.arange(len(distinct) + 1))
-    times = times[order]
-    position = position[order]
-    rotation = rotation[order]
-    return {
-        int(key): (times[start:stop], position[start:stop], rotation[start:stop])
-        for key, start, stop in zip(distinct, bounds, bounds[1:], strict=False)
-    }
-
-
-def _require_clock(
-    path: Path, codes: Int[np.ndarray, " n"], times: Int[np.ndarray, " n"], order: Int[np.ndarray, " n"]
-) -> None:
-    """Refuse an object whose rows are not in the order of time; rows are grouped by object here."""
-    same_object = np.diff(codes) == 0
-    mixed = np.flatnonzero(same_object & ((times[:-1] == adt.STATIC_TIME) | (times[1:] == adt.STATIC_TIME)))
-    if mixed.size:
-        raise InputFileError(
-            path,
-            f"line {int(order[mixed[0] + 1]) + 2}",
-            expected="one row of time -1 for an object that never moves, or rows with times",
-            found="both, or two rows of time -1, for one object",
-            remedy="Remove one of the rows, or download the file again.",
-        )
-    backwards = np.flatnonzero(same_object & (np.diff(times) <= 0))
-    if backwards.size:
-        earlier = backwards[0]
-        later = backwards[0] + 1
-        require_increasing(path, times[earlier : later + 1], unit="ns", first=int(order[later]) + 1)

@@ -13,43 +13,16 @@ from prbench.readers.adt.for_egoallo import glasses_z_up
 from prbench.readers.adt.layouts import AdtOptions
 from prbench.readers.adt.objects import read_objects
 from prbench.readers.adt.skeletons import read_skeletons
-from prbench.readers.aria_mps import (
-    AriaTrajectory,
-    OnlineCalibration,
-    read_first_calibration,
-    read_gaze_angles,
-    read_trajectory,
-)
 from prbench.readers.aria_mps.find import read_warnings
-from prbench.readers.aria_mps.format import GazeAngles
-from prbench.readers.egoallo import read_bodies
+from prbench.readers.aria_mps.format import AriaTrajectory, GazeAngles
+from prbench.readers.aria_mps.readings import OnlineCalibration, read_first_calibration, read_gaze_angles
+from prbench.readers.aria_mps.trajectory import read_trajectory
+from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.files import decode_json
 from prbench.readers.found import RecordingFiles
 
 _BEHIND = np.pi / 2  # radians; no eye looks there
 _TOO_MANY = 0.2  # share of rows
-
-
-def read_gaze(path: Path) -> GazeAngles:
-    """Read a gaze file and refuse angles that are no radians.
-
-    Raises:
-        InputFileError: as :func:`prbench.readers.aria_mps.read_gaze_angles`; or if many angles would look backwards.
-    """
-    gaze = read_gaze_angles(path)
-    largest = np.maximum(np.abs(gaze.yaw), np.abs(gaze.pitch))
-    known = largest[np.isfinite(largest)]
-    if len(known) and (known > _BEHIND).mean() > _TOO_MANY:
-        raise InputFileError(
-            path,
-            "yaw and pitch",
-            expected="angles in radians, below 1.57",
-            found=f"angles up to {known.max():.1f} in {int((known > _BEHIND).sum())} of {len(known)} rows",
-            remedy="They look like degrees; use the file as it was released.",
-        )
-    return gaze
-
-
 _DEFAULTS = AdtOptions()
 
 
@@ -68,39 +41,19 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
     calibration, calibration_remarks = _read_calibration(found)
     trajectory = _read_trajectory(found)
     size = None if calibration is None else calibration.size
-    glasses = adt.GlassesPoses(trajectory.time_us, trajectory.position, trajectory.rotation, trajectory.quality)
     return adt.AdtReadings(
         recording_id=found.recording_id,
         serial=serial,
         concurrent=concurrent,
         glasses_size=size,
         device_from_rgb=None if calibration is None else calibration.device_from_camera["camera-rgb"],
-        glasses=glasses,
+        glasses=trajectory,
         gaze=read_gaze(found.require(layouts.GAZE, adt.GAZE_FILE)),
         objects=objects,
         skeletons=read_skeletons(found),
-        estimated_body=read_bodies(found, cpf=glasses_z_up(glasses, size)) if options.poses == "egoallo" else None,
+        estimated_body=read_bodies(found, cpf=glasses_z_up(trajectory, size)) if options.poses == "egoallo" else None,
         messages=(*remarks, *trajectory.remarks, *calibration_remarks, *_gaze_warnings(found)),
     )
-
-
-def _read_calibration(found: RecordingFiles) -> tuple[OnlineCalibration | None, tuple[str, ...]]:
-    """The optional calibration, and remarks; one whose own services call it an error is left aside."""
-    path = found.path(layouts.CALIBRATION)
-    status = found.path(layouts.SLAM_STATUS)
-    if path is None:
-        return None, ()
-    try:
-        remarks = () if status is None else read_warnings(status)
-    except InputFileError as error:
-        return None, (f"the online calibration is not used: {error}",)
-    return read_first_calibration(path), remarks
-
-
-def _gaze_warnings(found: RecordingFiles) -> tuple[str, ...]:
-    """Refuses gaze of the services that they call an error; gaze of the release itself has no such status."""
-    status = found.path(layouts.GAZE_STATUS)
-    return () if status is None else read_warnings(status)
 
 
 def _read_identity(found: RecordingFiles) -> tuple[str, str]:
@@ -127,6 +80,19 @@ def _read_identity(found: RecordingFiles) -> tuple[str, str]:
     return own.device_serial, concurrent
 
 
+def _read_calibration(found: RecordingFiles) -> tuple[OnlineCalibration | None, tuple[str, ...]]:
+    """The optional calibration, and remarks; one whose own services call it an error is left aside."""
+    path = found.path(layouts.CALIBRATION)
+    status = found.path(layouts.SLAM_STATUS)
+    if path is None:
+        return None, ()
+    try:
+        remarks = () if status is None else read_warnings(status)
+    except InputFileError as error:
+        return None, (f"the online calibration is not used: {error}",)
+    return read_first_calibration(path), remarks
+
+
 def _read_trajectory(found: RecordingFiles) -> AriaTrajectory:
     path = found.require(layouts.TRAJECTORY, adt.TRAJECTORY_FILE)
     trajectory = read_trajectory(path)
@@ -139,3 +105,29 @@ def _read_trajectory(found: RecordingFiles) -> AriaTrajectory:
             remedy="This looks like a native MPS trajectory; use the recording's own aria_trajectory.csv.",
         )
     return trajectory
+
+
+def read_gaze(path: Path) -> GazeAngles:
+    """Read a gaze file and refuse angles that are no radians.
+
+    Raises:
+        InputFileError: as :func:`read_gaze_angles`; or if many angles would look backwards.
+    """
+    gaze = read_gaze_angles(path)
+    largest = np.maximum(np.abs(gaze.yaw), np.abs(gaze.pitch))
+    known = largest[np.isfinite(largest)]
+    if len(known) and (known > _BEHIND).mean() > _TOO_MANY:
+        raise InputFileError(
+            path,
+            "yaw and pitch",
+            expected="angles in radians, below 1.57",
+            found=f"angles up to {known.max():.1f} in {int((known > _BEHIND).sum())} of {len(known)} rows",
+            remedy="They look like degrees; use the file as it was released.",
+        )
+    return gaze
+
+
+def _gaze_warnings(found: RecordingFiles) -> tuple[str, ...]:
+    """Refuses gaze of the services that they call an error; gaze of the release itself has no such status."""
+    status = found.path(layouts.GAZE_STATUS)
+    return () if status is None else read_warnings(status)

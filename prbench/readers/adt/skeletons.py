@@ -49,16 +49,6 @@ _ASSOCIATIONS = msgspec.json.Decoder(_Associations)
 _SKELETON = msgspec.json.Decoder(_SkeletonFile)
 
 
-def _read_associations(found: RecordingFiles) -> tuple[_Association, ...]:
-    """The tracked people of a recording; none where it has no association file.
-
-    Raises:
-        InputFileError: if the file is damaged.
-    """
-    path = found.path(ASSOCIATION)
-    return () if path is None else tuple(p for p in decode_json(path, _ASSOCIATIONS).people if p.name != adt.NOBODY)
-
-
 def read_skeletons(found: RecordingFiles) -> tuple[adt.AdtSkeleton, ...]:
     """Every tracked person of a recording.
 
@@ -109,3 +99,13 @@ def _parse_joints(path: Path, frames: list[_Frame]) -> Float[np.ndarray, "n 51 3
             path, "joints", expected="numbers", found=str(error).splitlines()[0], remedy="Download the file again."
         ) from error
     return np.column_stack([table[name].to_numpy() for name in names]).reshape(-1, adt.N_NATIVE_JOINTS, 3)
+
+
+def _read_associations(found: RecordingFiles) -> tuple[_Association, ...]:
+    """The tracked people of a recording; none where it has no association file.
+
+    Raises:
+        InputFileError: if the file is damaged.
+    """
+    path = found.path(ASSOCIATION)
+    return () if path is None else tuple(p for p in decode_json(path, _ASSOCIATIONS).people if p.name != adt.NOBODY)

@@ -14,11 +14,12 @@ from scipy.spatial.transform import Rotation
 from prbench.errors import InputFileError
 from prbench.manifests import Manifest
 from prbench.readers.adt import format as adt
-from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, GlassesSize, cpf_from_rgb, device_from_cpf
-from prbench.readers.aria_mps.to_recording import gaze_in_world, part_poses
+from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, GlassesSize
+from prbench.readers.aria_mps.to_recording import gaze_in_world, head_and_camera, size_remark
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS, body_stream
 from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
 from prbench.recording.streams import (
+    SIDES,
     BodyStream,
     ContactPoint,
     GazeStream,
@@ -27,14 +28,12 @@ from prbench.recording.streams import (
     OtherPerson,
     PoseStream,
     Recording,
-    Side,
 )
 from prbench.skeleton import invert_rigid
-from prbench.timelines import require_overlap
+from prbench.timelines import require_overlap, stream_ranges
 
 ASSUMED_SIZE: GlassesSize = "DVT-L"
 """Size of glasses where no file tells it (choice: the public sample's)."""
-_SIDES: tuple[Side, Side] = ("left", "right")
 _CONTACTS: tuple[tuple[ContactPoint, tuple[int, int]], ...] = (
     ("wrist", adt.WRIST_JOINTS),
     ("middle_finger_base", adt.MIDDLE_FINGER_BASES),
@@ -61,9 +60,7 @@ def recording_from_adt(
     """
     device = _device_poses(readings)
     span = float(device.times[0]), float(device.times[-1])
-    device_cpf = device_from_cpf(readings.glasses_size or ASSUMED_SIZE)
-    device_rgb = device_cpf @ cpf_from_rgb() if readings.device_from_rgb is None else readings.device_from_rgb
-    head = part_poses(device, device_cpf)
+    head, camera = head_and_camera(device, readings.glasses_size or ASSUMED_SIZE, readings.device_from_rgb)
     gaze = gaze_in_world(
         head,
         readings.gaze.time_us / 1e6,
@@ -79,6 +76,7 @@ def recording_from_adt(
     others = [person for person in readings.skeletons if person is not wearer]
     tracks = [object_track(entry, start=span[0]) for entry in readings.objects]
     rooms = {track.object_id for track in tracks if _encloses_scene(track, gaze)}
+    # The suit in either case: an estimated body was held against the glasses when it was read.
     _check_overlap(readings, span, gaze, suit, tracks)
     return Recording(
         dataset=dataset,
@@ -88,12 +86,13 @@ def recording_from_adt(
         head_tilt_deg=source.head_tilt_deg,
         span=span,
         gaze=gaze,
-        camera=part_poses(device, device_rgb),
+        camera=camera,
         head=head,
         body=body,
         hands=hands,
         objects=tuple(track for track in tracks if track.object_id not in rooms),
         other_people=tuple(OtherPerson(person.name, _body_and_hands(person, manifest, span)[1]) for person in others),
+        # Twins name each other; the smaller of both names is the same seen from either.
         split_group=min(filter(None, (readings.recording_id, readings.concurrent))),
         hinged_objects=frozenset(
             str(entry.object_id) for entry in readings.objects if adt.is_hinged(entry.name, entry.category)
@@ -124,7 +123,7 @@ def _body_and_hands(
     valid = plausible_body_frames(times, joints) & _within(times, span)
     hands = []
     for contact, pair in _CONTACTS:
-        for side, index in zip(_SIDES, pair, strict=True):
+        for side, index in zip(SIDES, pair, strict=True):
             measured = valid & _measured(native[:, index])
             points = hold_neighbours(native[:, index, None], measured)
             hands.append(HandStream(side, contact, times, points, measured))
@@ -198,10 +197,7 @@ def _check_overlap(
 ) -> None:
     tolerance = adt.SAME_INSTANT
     ranges = {"glasses": (span[0] - tolerance, span[1] + tolerance)}
-    if len(gaze.times):
-        ranges["gaze"] = float(gaze.times[0]), float(gaze.times[-1])
-    if body is not None and len(body.times):
-        ranges["body"] = float(body.times[0]), float(body.times[-1])
+    ranges |= stream_ranges({"gaze": gaze.times, "body": None if body is None else body.times})
     moving = [
         track for track, entry in zip(tracks, readings.objects, strict=True) if entry.time_ns[0] != adt.STATIC_TIME
     ]
@@ -220,9 +216,7 @@ def _remarks(
     wearer: adt.AdtSkeleton | None,
 ) -> tuple[str, ...]:
     """Tell the user what is unusual about these readings."""
-    remarks = []
-    if readings.glasses_size is None:
-        remarks.append(f"size of the glasses unknown, {ASSUMED_SIZE} assumed: gaze origins may be off by 2.4 mm")
+    remarks = size_remark(readings.glasses_size, ASSUMED_SIZE)
     outside = ~_within(gaze.times, span)
     if outside.any():
         remarks.append(f"{int(outside.sum())} of {len(outside)} gaze rows lie outside the tracked time and are invalid")

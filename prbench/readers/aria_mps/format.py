@@ -144,8 +144,8 @@ def combined_yaw(left: Float[np.ndarray, "*n"], right: Float[np.ndarray, "*n"]) 
 
 
 @dataclass(frozen=True)
-class AriaTrajectory:
-    """Poses of the glasses in one gravity-aligned world."""
+class GlassesPoses:
+    """Poses of the glasses in one world."""
 
     time_us: Int[np.ndarray, " n"]
     """Device clock."""
@@ -153,6 +153,12 @@ class AriaTrajectory:
     rotation: Float[np.ndarray, "n 4"]
     """w x y z, device to world."""
     quality: Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True)
+class AriaTrajectory(GlassesPoses):
+    """A file of poses in a gravity-aligned world."""
+
     up: Float[np.ndarray, "3"]
     """Unit vector against gravity, in the world."""
     graph_uids: tuple[str, ...]

@@ -85,6 +85,7 @@ class TimedLines:
         Raises:
             NotSearchable: if times do not increase as far as they were looked at, or are no plain numbers.
         """
+        # Lines spread over the text bracket every wanted time, so that the search begins close to it.
         anchors = self._anchors()
         anchor_times = self.times(anchors)
         if (np.diff(anchor_times) <= 0).any():
@@ -203,6 +204,7 @@ def _integers(
     length = last - first
     if length.min() < 1 or length.max() > _MOST_DIGITS:
         raise NotSearchable("a time is no number")
+    # In most files all times have one length and one place: one slice instead of an index for every digit.
     alike = (first == first[0]).all() and (length == length[0]).all()
     if alike:
         digits = window[:, first[0] : last[0]] - ord("0")
@@ -211,6 +213,7 @@ def _integers(
         places = last[:, None] - np.arange(int(length.max()), 0, -1)
         inside = places >= first[:, None]
         digits = np.take_along_axis(window, np.maximum(places, 0), axis=1) - ord("0")
+    # Bytes are unsigned: what stands before "0" wraps round to a large number and is found here, too.
     if ((digits > 9) & inside).any():
         raise NotSearchable("a time is no number")
     return np.where(inside, digits, 0).astype(np.int64) @ 10 ** np.arange(digits.shape[1] - 1, -1, -1)

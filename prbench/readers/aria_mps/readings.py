@@ -16,13 +16,106 @@ from prbench.limits import FARTHEST_POSITION, LARGEST_ANGLE, LONGEST_LINE
 from prbench.ranges import require_column
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.find import UNREADABLE, is_personalized, read_warnings
+from prbench.readers.aria_mps.sparse_rows import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near, read_trajectory
-from prbench.readers.aria_mps.wanted import NearGaze
 from prbench.readers.files import column_vectors, read_columns, read_header, require_increasing, require_poses
 from prbench.readers.found import InputFile, RecordingFiles
 from prbench.readers.zipped import Source, archive_members, opened, shown, source_of
 
 _LIKE_DEGREES = "Such angles look like degrees, or are damaged; use the file as it was released."
+_Columns = Callable[[str], tuple[str, ...]]
+
+
+class _Translation(msgspec.Struct):
+    translation: tuple[float, float, float] = msgspec.field(name="Translation")
+    quaternion: tuple[float, tuple[float, float, float]] = msgspec.field(name="UnitQuaternion")
+
+
+class _Camera(msgspec.Struct):
+    label: str = msgspec.field(name="Label")
+    pose: _Translation = msgspec.field(name="T_Device_Camera")
+
+
+class _CalibrationRow(msgspec.Struct):
+    tracking_timestamp_us: int
+    cameras: tuple[_Camera, ...] = msgspec.field(name="CameraCalibrations")
+
+
+@dataclass(frozen=True)
+class OnlineCalibration:
+    """Places of the cameras on the glasses, at one instant."""
+
+    time_us: int
+    device_from_camera: dict[str, Float[np.ndarray, "4 4"]]
+    """Maps a camera's label (``camera-slam-left``, ``camera-slam-right``, ``camera-rgb``) to its pose."""
+
+    @property
+    def slam_baseline(self) -> float:
+        """Distance between the two SLAM cameras, metres; it tells the size of the glasses."""
+        left, right = (self.device_from_camera[f"camera-slam-{side}"] for side in ("left", "right"))
+        return float(np.linalg.norm(left[:3, 3] - right[:3, 3]))
+
+    @property
+    def size(self) -> mps.GlassesSize:
+        """Size of the glasses."""
+        return mps.glasses_size(self.slam_baseline)
+
+
+_REQUIRED = {
+    mps.TRAJECTORY: f"{mps.SLAM_FOLDER}/{mps.TRAJECTORY_FILE}",
+    mps.GAZE: f"{mps.GAZE_FOLDER}/{mps.GAZE_FILES[2]}",
+}
+
+
+def read_mps(found: RecordingFiles, *, thin: bool = True) -> mps.MpsReadings:
+    """Read trajectory, gaze, hands and calibration of one recording, from files of this format's roles.
+
+    A stream whose own summary reports an ERROR is refused: hands and calibration are then left out with a message,
+    without trajectory or gaze there is no recording.
+
+    Args:
+        found: The recording's files; those of other roles are not looked at.
+        thin: Read only the poses around the gaze times and a grid of 30 Hz; else all of them, which needs more time
+            and memory and notices damage in every row.
+
+    Raises:
+        InputFileError: if trajectory or gaze is missing, damaged, or reported as an ERROR.
+    """
+    trajectory_file, gaze_file = (_require(found, role) for role in (mps.TRAJECTORY, mps.GAZE))
+    remarks = [*_warnings(found, mps.SLAM_SUMMARY), *_warnings(found, mps.GAZE_SUMMARY)]
+    gaze = read_gaze_angles(source_of(gaze_file))
+    poses = source_of(trajectory_file)
+    trajectory = read_near(poses, NearGaze(gaze.time_us)) if thin else read_trajectory(poses)
+    calibration = _read_calibration(found)
+    wrists, hand_remarks = _read_wrists(found)
+    return mps.MpsReadings(
+        trajectory=trajectory,
+        gaze=gaze,
+        gaze_kind="personalized" if is_personalized(gaze_file) else "general",
+        wrists=wrists,
+        glasses_size=None if calibration is None else calibration.size,
+        device_from_rgb=None if calibration is None else calibration.device_from_camera["camera-rgb"],
+        messages=(*remarks, *trajectory.remarks, *hand_remarks),
+    )
+
+
+def _require(found: RecordingFiles, role: str) -> InputFile:
+    file = _file(found, role)
+    if file is None:
+        for archive in (other for other in found.files if other.role.startswith(UNREADABLE)):
+            archive_members(archive.path)  # says what is wrong with it
+        found.require(role, _REQUIRED[role])  # says what was looked for
+        raise AssertionError("a missing role was found")
+    return file
+
+
+def _file(found: RecordingFiles, role: str) -> InputFile | None:
+    return next((file for file in found.files if file.role == role), None)
+
+
+def _warnings(found: RecordingFiles, role: str) -> tuple[str, ...]:
+    file = _file(found, role)
+    return () if file is None else read_warnings(source_of(file))
 
 
 def read_gaze_angles(path: Source) -> mps.GazeAngles:
@@ -34,6 +127,7 @@ def read_gaze_angles(path: Source) -> mps.GazeAngles:
         InputFileError: if the file or a column is missing, it has no rows, or time runs backwards.
     """
     names = read_header(path)
+    # Schema B has a yaw for each eye, the other two schemas have one for both.
     two_eyes = mps.YAW not in names and mps.LEFT_YAW in names
     yaws = (mps.LEFT_YAW, mps.RIGHT_YAW) if two_eyes else (mps.YAW,)
     optional = (
@@ -78,93 +172,9 @@ def read_gaze_angles(path: Source) -> mps.GazeAngles:
     )
 
 
-_Columns = Callable[[str], tuple[str, ...]]
-
-
-def read_wrists(path: Source) -> mps.WristPositions:
-    """Read ``wrist_and_palm_poses.csv``, old or new.
-
-    A hand counts as seen where its confidence is above 0 and its wrist is a number; where it was not, other columns
-    may say -1 or 0.
-
-    Raises:
-        InputFileError: if the file or a column is missing, time runs backwards.
-    """
-    return _read(path, lambda side: _axes(f"{side}_wrist_device"), lambda side: _axes(f"{side}_palm_device"))
-
-
-def read_hand_tracking(path: Source) -> mps.WristPositions:
-    """Read wrists and palms of ``hand_tracking_results.csv``: landmarks 5 and 20 of 21.
-
-    Raises:
-        InputFileError: as :func:`read_wrists`.
-    """
-    return _read(
-        path,
-        lambda side: _axes(f"{side}_landmark_{mps.WRIST_LANDMARK}_device"),
-        lambda side: _axes(f"{side}_landmark_{mps.PALM_LANDMARK}_device"),
-    )
-
-
-def _axes(name: str) -> tuple[str, ...]:
-    return tuple(f"t{axis}_{name}" for axis in "xyz")
-
-
-def _read(path: Source, wrist: _Columns, palm: _Columns) -> mps.WristPositions:
-    confidences = tuple(f"{side}_tracking_confidence" for side in mps.SIDES)
-    numbers = (*confidences, *(name for side in mps.SIDES for name in (*wrist(side), *palm(side))))
-    table = read_columns(path, {mps.TIME_COLUMN: int, **dict.fromkeys(numbers, float)})
-    time_us = table[mps.TIME_COLUMN].to_numpy()
-    require_increasing(path, time_us, unit="us")
-    wrists = _points(table, wrist)
-    palms = _points(table, palm)
-    confidence = np.nan_to_num(column_vectors(table, confidences), nan=0.0)
-    seen = (confidence > 0) & np.isfinite(wrists).all(axis=2)
-    return mps.WristPositions(
-        time_us,
-        np.where(seen, confidence, np.minimum(confidence, 0.0)),
-        np.where(seen[..., None], wrists, np.nan),
-        np.where(seen[..., None], palms, np.nan),
-    )
-
-
-def _points(table: pa.Table, columns: _Columns) -> np.ndarray:
-    return np.stack([column_vectors(table, columns(side)) for side in mps.SIDES], axis=1)
-
-
-class _Translation(msgspec.Struct):
-    translation: tuple[float, float, float] = msgspec.field(name="Translation")
-    quaternion: tuple[float, tuple[float, float, float]] = msgspec.field(name="UnitQuaternion")
-
-
-class _Camera(msgspec.Struct):
-    label: str = msgspec.field(name="Label")
-    pose: _Translation = msgspec.field(name="T_Device_Camera")
-
-
-class _CalibrationRow(msgspec.Struct):
-    tracking_timestamp_us: int
-    cameras: tuple[_Camera, ...] = msgspec.field(name="CameraCalibrations")
-
-
-@dataclass(frozen=True)
-class OnlineCalibration:
-    """Places of the cameras on the glasses, at one instant."""
-
-    time_us: int
-    device_from_camera: dict[str, Float[np.ndarray, "4 4"]]
-    """Maps a camera's label (``camera-slam-left``, ``camera-slam-right``, ``camera-rgb``) to its pose."""
-
-    @property
-    def slam_baseline(self) -> float:
-        """Distance between the two SLAM cameras, metres; it tells the size of the glasses."""
-        left, right = (self.device_from_camera[f"camera-slam-{side}"] for side in ("left", "right"))
-        return float(np.linalg.norm(left[:3, 3] - right[:3, 3]))
-
-    @property
-    def size(self) -> mps.GlassesSize:
-        """Size of the glasses."""
-        return mps.glasses_size(self.slam_baseline)
+def _read_calibration(found: RecordingFiles) -> OnlineCalibration | None:
+    file = _file(found, mps.CALIBRATION)
+    return None if file is None else read_first_calibration(source_of(file))
 
 
 def read_first_calibration(path: Source) -> OnlineCalibration:
@@ -198,68 +208,6 @@ def _transform(pose: _Translation) -> np.ndarray:
     return transform
 
 
-_REQUIRED = {
-    mps.TRAJECTORY: f"{mps.SLAM_FOLDER}/{mps.TRAJECTORY_FILE}",
-    mps.GAZE: f"{mps.GAZE_FOLDER}/{mps.GAZE_FILES[2]}",
-}
-
-
-def read_mps(found: RecordingFiles, *, thin: bool = True) -> mps.MpsReadings:
-    """Read trajectory, gaze, hands and calibration of one recording, from files of this format's roles.
-
-    A stream whose own summary reports an ERROR is refused: hands and calibration are then left out with a message,
-    without trajectory or gaze there is no recording.
-
-    Args:
-        found: The recording's files; those of other roles are not looked at.
-        thin: Read only the poses around the gaze times and a grid of 30 Hz; else all of them, which needs more time
-            and memory and notices damage in every row.
-
-    Raises:
-        InputFileError: if trajectory or gaze is missing, damaged, or reported as an ERROR.
-    """
-    trajectory_file, gaze_file = (_require(found, role) for role in (mps.TRAJECTORY, mps.GAZE))
-    remarks = [*_warnings(found, mps.SLAM_SUMMARY), *_warnings(found, mps.GAZE_SUMMARY)]
-    gaze = read_gaze_angles(source_of(gaze_file))
-    poses = source_of(trajectory_file)
-    trajectory = read_near(poses, NearGaze(gaze.time_us)) if thin else read_trajectory(poses)
-    calibration = _read_calibration(found)
-    wrists, hand_remarks = _read_wrists(found)
-    return mps.MpsReadings(
-        trajectory=trajectory,
-        gaze=gaze,
-        gaze_kind="personalized" if is_personalized(gaze_file) else "general",
-        wrists=wrists,
-        glasses_size=None if calibration is None else calibration.size,
-        device_from_rgb=None if calibration is None else calibration.device_from_camera["camera-rgb"],
-        messages=(*remarks, *trajectory.remarks, *hand_remarks),
-    )
-
-
-def _file(found: RecordingFiles, role: str) -> InputFile | None:
-    return next((file for file in found.files if file.role == role), None)
-
-
-def _require(found: RecordingFiles, role: str) -> InputFile:
-    file = _file(found, role)
-    if file is None:
-        for archive in (other for other in found.files if other.role.startswith(UNREADABLE)):
-            archive_members(archive.path)  # says what is wrong with it
-        found.require(role, _REQUIRED[role])  # says what was looked for
-        raise AssertionError("a missing role was found")
-    return file
-
-
-def _warnings(found: RecordingFiles, role: str) -> tuple[str, ...]:
-    file = _file(found, role)
-    return () if file is None else read_warnings(source_of(file))
-
-
-def _read_calibration(found: RecordingFiles) -> OnlineCalibration | None:
-    file = _file(found, mps.CALIBRATION)
-    return None if file is None else read_first_calibration(source_of(file))
-
-
 def _read_wrists(found: RecordingFiles) -> tuple[mps.WristPositions | None, tuple[str, ...]]:
     """Wrists and palms: of the file made for them (10 Hz), else of the landmarks; None where neither is usable."""
     wrists = _file(found, mps.WRISTS)
@@ -274,3 +222,55 @@ def _read_wrists(found: RecordingFiles) -> tuple[mps.WristPositions | None, tupl
         return read_wrists(source_of(wrists)), remarks
     assert landmarks is not None
     return read_hand_tracking(source_of(landmarks)), remarks
+
+
+def read_wrists(path: Source) -> mps.WristPositions:
+    """Read ``wrist_and_palm_poses.csv``, old or new.
+
+    A hand counts as seen where its confidence is above 0 and its wrist is a number; where it was not, other columns
+    may say -1 or 0.
+
+    Raises:
+        InputFileError: if the file or a column is missing, time runs backwards.
+    """
+    return _read(path, lambda side: _axes(f"{side}_wrist_device"), lambda side: _axes(f"{side}_palm_device"))
+
+
+def _read(path: Source, wrist: _Columns, palm: _Columns) -> mps.WristPositions:
+    confidences = tuple(f"{side}_tracking_confidence" for side in mps.SIDES)
+    numbers = (*confidences, *(name for side in mps.SIDES for name in (*wrist(side), *palm(side))))
+    table = read_columns(path, {mps.TIME_COLUMN: int, **dict.fromkeys(numbers, float)})
+    time_us = table[mps.TIME_COLUMN].to_numpy()
+    require_increasing(path, time_us, unit="us")
+    wrists = _points(table, wrist)
+    palms = _points(table, palm)
+    confidence = np.nan_to_num(column_vectors(table, confidences), nan=0.0)
+    # A hand without a wrist is not seen, whatever its confidence says.
+    seen = (confidence > 0) & np.isfinite(wrists).all(axis=2)
+    return mps.WristPositions(
+        time_us,
+        np.where(seen, confidence, np.minimum(confidence, 0.0)),
+        np.where(seen[..., None], wrists, np.nan),
+        np.where(seen[..., None], palms, np.nan),
+    )
+
+
+def _points(table: pa.Table, columns: _Columns) -> np.ndarray:
+    return np.stack([column_vectors(table, columns(side)) for side in mps.SIDES], axis=1)
+
+
+def _axes(name: str) -> tuple[str, ...]:
+    return tuple(f"t{axis}_{name}" for axis in "xyz")
+
+
+def read_hand_tracking(path: Source) -> mps.WristPositions:
+    """Read wrists and palms of ``hand_tracking_results.csv``: landmarks 5 and 20 of 21.
+
+    Raises:
+        InputFileError: as :func:`read_wrists`.
+    """
+    return _read(
+        path,
+        lambda side: _axes(f"{side}_landmark_{mps.WRIST_LANDMARK}_device"),
+        lambda side: _axes(f"{side}_landmark_{mps.PALM_LANDMARK}_device"),
+    )

@@ -15,61 +15,13 @@ from scipy.spatial.transform import Rotation
 
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, WIDEST_GAZE_ANGLE, gaze_directions_cpf
-from prbench.recording.streams import GazeStream, HandStream, PoseStream, Side
-from prbench.timelines import covered, interpolate, slerp
-
-
-def part_poses(device: PoseStream, device_from_part: Float[np.ndarray, "4 4"]) -> PoseStream:
-    """World poses of a part of the glasses (CPF, a camera) from those of the device."""
-    rotation = Rotation.from_quat(device.rotation, scalar_first=True)
-    return PoseStream(
-        times=device.times,
-        position=device.position + rotation.apply(device_from_part[:3, 3]),
-        rotation=(rotation * Rotation.from_matrix(device_from_part[:3, :3])).as_quat(scalar_first=True),
-        valid=device.valid,
-    )
-
-
-def gaze_in_world(
-    cpf: PoseStream,
-    times: Float[np.ndarray, " n"],
-    yaw: Float[np.ndarray, " n"],
-    pitch: Float[np.ndarray, " n"],
-    *,
-    same_instant: float,
-) -> GazeStream:
-    """Gaze rays in the world: origin = CPF origin, direction = rotated ``normalise(tan yaw, tan pitch, 1)``.
-
-    A ray is invalid when an angle is not finite or beyond 60 degrees, or when no valid pose lies within
-    ``same_instant`` and none on both sides at most 50 ms apart.
-
-    Args:
-        cpf: World poses of the central pupil frame.
-        times: Gaze times on the clock of the poses, seconds.
-        yaw: Radians, positive left; may hold NaN.
-        pitch: Radians, positive up; may hold NaN.
-        same_instant: Rows closer than this belong to one instant, seconds.
-    """
-    with np.errstate(invalid="ignore"):
-        measured = (np.abs(yaw) <= WIDEST_GAZE_ANGLE) & (np.abs(pitch) <= WIDEST_GAZE_ANGLE)
-    direction_cpf = gaze_directions_cpf(np.where(measured, yaw, 0.0), np.where(measured, pitch, 0.0))
-    usable = cpf.valid if cpf.valid.any() else np.ones_like(cpf.valid)
-    rotation = slerp(cpf.times[usable], cpf.rotation[usable], times)
-    posed = covered(cpf.times, cpf.valid, times, max_gap=LONGEST_POSE_STEP, tolerance=same_instant)
-    return GazeStream(
-        times=times,
-        origin=interpolate(cpf.times[usable], cpf.position[usable], times),
-        direction=Rotation.from_quat(rotation, scalar_first=True).apply(direction_cpf),
-        valid=measured & posed,
-    )
-
+from prbench.recording.streams import SIDES, GazeStream, HandStream, PoseStream
+from prbench.timelines import covered
 
 ASSUMED_SIZE: mps.GlassesSize = "DVT-S"
 """Size of glasses where no file tells it."""
-"""``world_from_source`` of every native world of the services: (x, y, z) → (x, z, -y)."""
 SAME_INSTANT = 1e-3
 """Seconds; the step of the poses."""
-_SIDES: tuple[Side, Side] = ("left", "right")
 
 
 @dataclass(frozen=True)
@@ -105,11 +57,8 @@ def mps_streams(
         seconds_before_device: Recording time = device time - this.
         least_confidence: A wrist is valid where its confidence is above this.
     """
-    size = readings.glasses_size or ASSUMED_SIZE
     device = _device_poses(readings.trajectory, world_from_source, seconds_before_device)
-    device_cpf = mps.device_from_cpf(size)
-    device_rgb = device_cpf @ mps.cpf_from_rgb() if readings.device_from_rgb is None else readings.device_from_rgb
-    head = part_poses(device, device_cpf)
+    head, camera = head_and_camera(device, readings.glasses_size or ASSUMED_SIZE, readings.device_from_rgb)
     gaze = gaze_in_world(
         head,
         readings.gaze.time_us / 1e6 - seconds_before_device,
@@ -121,7 +70,7 @@ def mps_streams(
         () if readings.wrists is None else _wrists(readings.wrists, device, seconds_before_device, least_confidence)
     )
     messages = (*readings.messages, *_remarks(readings, gaze), *_gap_remarks(device, gaze))
-    return MpsStreams(device, head, part_poses(device, device_rgb), gaze, wrists, messages)
+    return MpsStreams(device, head, camera, gaze, wrists, messages)
 
 
 def _device_poses(
@@ -137,28 +86,86 @@ def _device_poses(
     )
 
 
+def head_and_camera(
+    device: PoseStream, size: mps.GlassesSize, device_from_rgb: Float[np.ndarray, "4 4"] | None
+) -> tuple[PoseStream, PoseStream]:
+    """World poses of the central pupil frame and of the RGB camera.
+
+    Args:
+        device: World poses of the glasses.
+        size: Size of the glasses, which decides where the eyes are.
+        device_from_rgb: Calibrated pose of the camera; its pose by design where None.
+    """
+    device_cpf = mps.device_from_cpf(size)
+    device_rgb = device_cpf @ mps.cpf_from_rgb() if device_from_rgb is None else device_from_rgb
+    return part_poses(device, device_cpf), part_poses(device, device_rgb)
+
+
+def part_poses(device: PoseStream, device_from_part: Float[np.ndarray, "4 4"]) -> PoseStream:
+    """World poses of a part of the glasses (CPF, a camera) from those of the device."""
+    rotation = Rotation.from_quat(device.rotation, scalar_first=True)
+    return PoseStream(
+        times=device.times,
+        position=device.position + rotation.apply(device_from_part[:3, 3]),
+        rotation=(rotation * Rotation.from_matrix(device_from_part[:3, :3])).as_quat(scalar_first=True),
+        valid=device.valid,
+    )
+
+
+def gaze_in_world(
+    cpf: PoseStream,
+    times: Float[np.ndarray, " n"],
+    yaw: Float[np.ndarray, " n"],
+    pitch: Float[np.ndarray, " n"],
+    *,
+    same_instant: float,
+) -> GazeStream:
+    """Gaze rays in the world: origin = CPF origin, direction = rotated ``normalise(tan yaw, tan pitch, 1)``.
+
+    A ray is invalid when an angle is not finite or beyond 60 degrees, or when no valid pose lies within
+    ``same_instant`` and none on both sides at most 50 ms apart.
+
+    Args:
+        cpf: World poses of the central pupil frame.
+        times: Gaze times on the clock of the poses, seconds.
+        yaw: Radians, positive left; may hold NaN.
+        pitch: Radians, positive up; may hold NaN.
+        same_instant: Rows closer than this belong to one instant, seconds.
+    """
+    with np.errstate(invalid="ignore"):
+        measured = (np.abs(yaw) <= WIDEST_GAZE_ANGLE) & (np.abs(pitch) <= WIDEST_GAZE_ANGLE)
+    # Streams hold no NaN: an unmeasured ray looks straight ahead, and the mask says so.
+    direction_cpf = gaze_directions_cpf(np.where(measured, yaw, 0.0), np.where(measured, pitch, 0.0))
+    origin, rotation = cpf.pose_at(times)
+    posed = covered(cpf.times, cpf.valid, times, max_gap=LONGEST_POSE_STEP, tolerance=same_instant)
+    return GazeStream(
+        times=times,
+        origin=origin,
+        direction=Rotation.from_quat(rotation, scalar_first=True).apply(direction_cpf),
+        valid=measured & posed,
+    )
+
+
 def _wrists(
     wrists: mps.WristPositions, device: PoseStream, seconds_before_device: float, least_confidence: float
 ) -> tuple[HandStream, ...]:
     times = wrists.time_us / 1e6 - seconds_before_device
-    usable = device.valid if device.valid.any() else np.ones_like(device.valid)
-    turn = Rotation.from_quat(slerp(device.times[usable], device.rotation[usable], times), scalar_first=True)
-    origin = interpolate(device.times[usable], device.position[usable], times)
+    origin, rotation = device.pose_at(times)
+    turn = Rotation.from_quat(rotation, scalar_first=True)
     posed = covered(device.times, device.valid, times, max_gap=mps.LONGEST_POSE_STEP, tolerance=SAME_INSTANT)
     streams = []
-    for index, side in enumerate(_SIDES):
+    for index, side in enumerate(SIDES):
         local = wrists.wrist[:, index]
         seen = np.isfinite(local).min(axis=1)
         points = turn.apply(np.where(seen[:, None], local, 0.0)) + origin
+        # Greater, not at least: 0 and -1 both stand for a hand that was not seen.
         valid = seen & posed & np.greater(wrists.confidence[:, index], least_confidence)
         streams.append(HandStream(side, "wrist", times, points[:, None], valid))
     return tuple(streams)
 
 
 def _remarks(readings: mps.MpsReadings, gaze: GazeStream) -> tuple[str, ...]:
-    remarks = []
-    if readings.glasses_size is None:
-        remarks.append(f"size of the glasses unknown, {ASSUMED_SIZE} assumed: gaze origins may be off by 2.4 mm")
+    remarks = size_remark(readings.glasses_size, ASSUMED_SIZE)
     if readings.gaze_kind == "general":
         remarks.append("general gaze, without the wearer's own calibration: directions may be off by several degrees")
     if not gaze.valid.any():
@@ -170,6 +177,13 @@ def _remarks(readings: mps.MpsReadings, gaze: GazeStream) -> tuple[str, ...]:
             f" {mps.LEAST_QUALITY} and are invalid"
         )
     return tuple(remarks)
+
+
+def size_remark(size: mps.GlassesSize | None, assumed: mps.GlassesSize) -> list[str]:
+    """Tell the user that a size of the glasses had to be assumed; nothing where a file tells it."""
+    if size is not None:
+        return []
+    return [f"size of the glasses unknown, {assumed} assumed: gaze origins may be off by 2.4 mm"]
 
 
 def _gap_remarks(device: PoseStream, gaze: GazeStream) -> tuple[str, ...]:

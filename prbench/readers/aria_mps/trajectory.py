@@ -5,7 +5,6 @@ Source: docs/specification/aria-mps.md#closed-loop-trajectory.
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,14 +13,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
-from jaxtyping import Bool, Int
+from jaxtyping import Bool
 
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.line_search import NotSearchable
-from prbench.readers.aria_mps.sparse_rows import search_rows
-from prbench.readers.aria_mps.wanted import NearTimes, Wanted
+from prbench.readers.aria_mps.sparse_rows import NearGaze, search_rows
 from prbench.readers.files import (
     Column,
     arrow_types,
@@ -36,146 +34,11 @@ from prbench.readers.files import (
 from prbench.readers.parse_cache import keep_parsed, load_parsed
 from prbench.readers.zipped import RememberingTail, Source, opened, require_whole_last_line, shown
 
-_FACTS = b"prbench.trajectory"
-_WISH = b"aria trajectory 1 "
-_KEPT_NUMBERS = ("x", "y", "z", "qw", "qx", "qy", "qz", "quality")
-
-
-def _load_trajectory(source: Source, wish: bytes) -> mps.AriaTrajectory | None:
-    """Return what was read before from a file that has not changed since; None if nothing was."""
-    table = load_parsed(source, _WISH + wish)
-    if table is None:
-        return None
-    facts = json.loads(table.schema.metadata[_FACTS])
-    numbers = np.column_stack([table[name].to_numpy() for name in _KEPT_NUMBERS])
-    return mps.AriaTrajectory(
-        time_us=table["time_us"].to_numpy(),
-        position=numbers[:, :3],
-        rotation=numbers[:, 3:7],
-        quality=numbers[:, 7],
-        up=np.array(facts["up"]),
-        graph_uids=tuple(facts["graph_uids"]),
-        left_out=facts["left_out"],
-    )
-
-
-def _keep_trajectory(source: Source, wish: bytes, trajectory: mps.AriaTrajectory) -> None:
-    """Keep what was read from a file."""
-    numbers = np.column_stack([trajectory.position, trajectory.rotation, trajectory.quality])
-    facts = {
-        "up": trajectory.up.tolist(),
-        "graph_uids": list(trajectory.graph_uids),
-        "left_out": trajectory.left_out,
-    }
-    columns = {name: numbers[:, index] for index, name in enumerate(_KEPT_NUMBERS)}
-    table = pa.table({"time_us": trajectory.time_us, **columns})
-    keep_parsed(source, _WISH + wish, table.replace_schema_metadata({_FACTS: json.dumps(facts)}))
-
-
+_WISH = b"aria trajectory 2 "
+"""Begins the key of what is kept of a file; raise the number when other rows or columns are kept."""
 _NUMBERS = (*mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS, *mps.GRAVITY_COLUMNS, mps.QUALITY_COLUMN)
 COLUMNS: dict[str, Column] = {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dict.fromkeys(_NUMBERS, float)}
 """Columns that are read; the velocities are unreliable and stay unread."""
-
-
-def read_trajectory(source: Source, *, near_us: Int[np.ndarray, " m"] | None = None) -> mps.AriaTrajectory:
-    """Read ``closed_loop_trajectory.csv`` or ADT's ``aria_trajectory.csv``.
-
-    Rows without pose (``UNDEFINED_ROW``) and rows of another world frame than the most frequent one are left out.
-
-    Args:
-        source: The file, plain or in an archive.
-        near_us: Keep the rows on both sides of these times only
-            (:func:`prbench.readers.aria_mps.format.rows_around`); all rows if None.
-
-    Raises:
-        InputFileError: if the file is missing or empty, a column is missing, a pose is no pose, or time runs backwards.
-    """
-    return _read_whole(source) if near_us is None else read_near(source, NearTimes(near_us))
-
-
-def read_near(source: Source, wanted: Wanted) -> mps.AriaTrajectory:
-    """Read only the rows around wanted times, as ``rows_around`` would choose them from all rows.
-
-    The rows are searched for, not read through: what stands between them is not noticed, be it a repeated row, a
-    number that is none, or a world of its own shorter than the wanted steps. Rows without a world or of another one
-    are left out after the choice, so that at the edge of such a stretch poses may be missing for one step of the grid;
-    they are counted among the rows that were looked at. :func:`prbench.readers.aria_mps.check_trajectory` looks at
-    every row. What was read is kept for the next time (:mod:`prbench.readers.parse_cache`).
-
-    Raises:
-        InputFileError: as :func:`read_trajectory`, for what was looked at.
-    """
-    kept = _load_trajectory(source, wanted.key())
-    if kept is not None:
-        return kept
-    try:
-        table = search_rows(source, COLUMNS, mps.TIME_COLUMN, wanted)
-        require_increasing(source, table[mps.TIME_COLUMN].to_numpy(), unit="us")
-        trajectory = _trajectory_of(source, table)
-    except (NotSearchable, pa.ArrowInvalid, InputFileError):
-        trajectory = _read_whole(source, wanted)  # it names the line of what is wrong
-    _keep_trajectory(source, wanted.key(), trajectory)
-    return trajectory
-
-
-def _read_whole(source: Source, wanted: Wanted | None = None) -> mps.AriaTrajectory:
-    table = read_columns(source, COLUMNS)
-    time_us = table[mps.TIME_COLUMN].to_numpy()
-    require_increasing(source, time_us, unit="us")
-    if wanted is None or len(table) == 0:
-        return _trajectory_of(source, table)
-    rotation, position = (column_vectors(table, names) for names in (mps.ROTATION_COLUMNS, mps.POSITION_COLUMNS))
-    rows = wanted.rows(time_us)
-    require_poses(source, position, rotation, used=np.isin(np.arange(len(table)), rows) & _has_world(table))
-    return _trajectory_of(source, table.take(rows))
-
-
-def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
-    """The poses of one world in a table of :data:`COLUMNS`.
-
-    Raises:
-        InputFileError: if there is none, or a pose is no pose.
-    """
-    rotation = column_vectors(table, mps.ROTATION_COLUMNS)
-    graphs, kept = _one_world(table)
-    require_poses(source, column_vectors(table, mps.POSITION_COLUMNS), rotation, used=kept)
-    if not kept.any():
-        raise InputFileError(
-            shown(source),
-            "",
-            expected="at least one pose of the glasses",
-            found="none",
-            remedy="The recording has no ground truth; download it again.",
-        )
-    gravity = column_vectors(table, mps.GRAVITY_COLUMNS)[kept][0]
-    return mps.AriaTrajectory(
-        time_us=table[mps.TIME_COLUMN].to_numpy()[kept],
-        position=column_vectors(table, mps.POSITION_COLUMNS)[kept],
-        rotation=rotation[kept],
-        quality=table[mps.QUALITY_COLUMN].to_numpy()[kept],
-        up=-gravity / np.linalg.norm(gravity),
-        graph_uids=graphs,
-        left_out=int((~kept).sum()),
-    )
-
-
-def _has_world(table: pa.Table) -> Bool[np.ndarray, " n"]:
-    """Rows that hold a pose at all."""
-    undefined = pc.call_function("equal", [table[mps.GRAPH_COLUMN], pa.scalar(mps.UNDEFINED_GRAPH)])
-    return ~undefined.to_numpy(zero_copy_only=False)
-
-
-def _one_world(table: pa.Table) -> tuple[tuple[str, ...], np.ndarray]:
-    """World frames of a trajectory, most frequent first, and the rows of the first."""
-    encoded = table[mps.GRAPH_COLUMN].combine_chunks().dictionary_encode()
-    names = encoded.dictionary.to_pylist()
-    codes = encoded.indices.to_numpy(zero_copy_only=False)
-    counts = {name: int((codes == code).sum()) for code, name in enumerate(names) if name != mps.UNDEFINED_GRAPH}
-    ranked = tuple(sorted(counts, key=lambda name: -counts[name]))
-    kept = codes == names.index(ranked[0]) if ranked else np.zeros(len(codes), dtype=bool)
-    return ranked, kept
-
-
 _BLOCK = 2**20  # bytes
 
 
@@ -195,6 +58,111 @@ class TrajectoryCheck:
     """Rows of each world frame; rows without a world are under ``UNDEFINED_ROW``."""
 
 
+def read_trajectory(source: Source) -> mps.AriaTrajectory:
+    """Read ``closed_loop_trajectory.csv`` or ADT's ``aria_trajectory.csv``.
+
+    Rows without pose (``UNDEFINED_ROW``) and rows of another world frame than the most frequent one are left out.
+
+    Args:
+        source: The file, plain or in an archive.
+
+    Raises:
+        InputFileError: if the file is missing or empty, a column is missing, a pose is no pose, or time runs backwards.
+    """
+    return _trajectory_of(source, _read_whole(source))
+
+
+def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
+    """The poses of one world in a table of :data:`COLUMNS`.
+
+    Raises:
+        InputFileError: if there is none, or a pose is no pose.
+    """
+    rotation = column_vectors(table, mps.ROTATION_COLUMNS)
+    graphs, kept = _one_world(table)
+    require_poses(source, column_vectors(table, mps.POSITION_COLUMNS), rotation, used=kept)
+    if not kept.any():
+        raise InputFileError(
+            shown(source),
+            "",
+            expected="at least one pose of the glasses",
+            found="none",
+            remedy="The recording has no ground truth; download it again.",
+        )
+    # Gravity is a constant of a world, so that the first row of the kept one tells it.
+    gravity = column_vectors(table, mps.GRAVITY_COLUMNS)[kept][0]
+    return mps.AriaTrajectory(
+        time_us=table[mps.TIME_COLUMN].to_numpy()[kept],
+        position=column_vectors(table, mps.POSITION_COLUMNS)[kept],
+        rotation=rotation[kept],
+        quality=table[mps.QUALITY_COLUMN].to_numpy()[kept],
+        up=-gravity / np.linalg.norm(gravity),
+        graph_uids=graphs,
+        left_out=int((~kept).sum()),
+    )
+
+
+def _one_world(table: pa.Table) -> tuple[tuple[str, ...], np.ndarray]:
+    """World frames of a trajectory, most frequent first, and the rows of the first."""
+    encoded = table[mps.GRAPH_COLUMN].combine_chunks().dictionary_encode()
+    names = encoded.dictionary.to_pylist()
+    codes = encoded.indices.to_numpy(zero_copy_only=False)
+    counts = {name: int((codes == code).sum()) for code, name in enumerate(names) if name != mps.UNDEFINED_GRAPH}
+    # sorted() is stable: of two equally frequent worlds the one that comes first in the file.
+    ranked = tuple(sorted(counts, key=lambda name: -counts[name]))
+    kept = codes == names.index(ranked[0]) if ranked else np.zeros(len(codes), dtype=bool)
+    return ranked, kept
+
+
+def _read_whole(source: Source) -> pa.Table:
+    table = read_columns(source, COLUMNS)
+    require_increasing(source, table[mps.TIME_COLUMN].to_numpy(), unit="us")
+    return table
+
+
+def read_near(source: Source, wanted: NearGaze) -> mps.AriaTrajectory:
+    """Read only the rows around wanted times, as ``format.rows_around`` would choose them from all rows.
+
+    The rows are searched for, not read through: what stands between them is not noticed, be it a repeated row, a
+    number that is none, or a world of its own shorter than the wanted steps. Rows without a world or of another one
+    are left out after the choice, so that at the edge of such a stretch poses may be missing for one step of the grid;
+    they are counted among the rows that were looked at. :func:`check_trajectory` looks at
+    every row. What was read is kept for the next time (:mod:`prbench.readers.parse_cache`).
+
+    Raises:
+        InputFileError: as :func:`read_trajectory`, for what was looked at.
+    """
+    wish = _WISH + wanted.key()
+    kept = load_parsed(source, wish)
+    if kept is not None:
+        return _trajectory_of(source, kept)
+    try:
+        table = search_rows(source, COLUMNS, mps.TIME_COLUMN, wanted)
+        require_increasing(source, table[mps.TIME_COLUMN].to_numpy(), unit="us")
+        trajectory = _trajectory_of(source, table)
+    except (NotSearchable, pa.ArrowInvalid, InputFileError):
+        table = _wanted_rows(source, _read_whole(source), wanted)  # it names the line of what is wrong
+        trajectory = _trajectory_of(source, table)
+    keep_parsed(source, wish, table)
+    return trajectory
+
+
+def _wanted_rows(source: Source, table: pa.Table, wanted: NearGaze) -> pa.Table:
+    if len(table) == 0:
+        return table
+    rotation, position = (column_vectors(table, names) for names in (mps.ROTATION_COLUMNS, mps.POSITION_COLUMNS))
+    rows = wanted.rows(table[mps.TIME_COLUMN].to_numpy())
+    # Looked at before the choice, so that a bad pose is named by its line in the file.
+    require_poses(source, position, rotation, used=np.isin(np.arange(len(table)), rows) & _has_world(table))
+    return table.take(rows)
+
+
+def _has_world(table: pa.Table) -> Bool[np.ndarray, " n"]:
+    """Rows that hold a pose at all."""
+    undefined = pc.call_function("equal", [table[mps.GRAPH_COLUMN], pa.scalar(mps.UNDEFINED_GRAPH)])
+    return ~undefined.to_numpy(zero_copy_only=False)
+
+
 @foreign_input()
 def check_trajectory(source: Source) -> TrajectoryCheck:
     """Look at every row: what a searching read cannot notice shows here.
@@ -210,6 +178,7 @@ def check_trajectory(source: Source) -> TrajectoryCheck:
         stream = RememberingTail(file)
         for table in _tables(source, stream):
             time_us = table[mps.TIME_COLUMN].to_numpy()
+            # The last time of the block before joins in: the step between two blocks counts, too.
             known = time_us if last_us is None else np.append(last_us, time_us)
             require_increasing(source, known, unit="us", first=rows + 2 - (last_us is not None))
             _require_poses(source, table, first=rows + 2)

@@ -13,11 +13,11 @@ from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.joints import read_window
 from prbench.readers.egoallo.outputs import JointsOnly, read_output
 from prbench.readers.egoallo.places import MODEL_ROLE, OUTPUT_ROLE
-from prbench.readers.egoallo.to_recording import NO_OUTPUTS, joined_windows
+from prbench.readers.egoallo.to_recording import joined_windows
 from prbench.readers.found import RecordingFiles
 from prbench.recording.streams import PoseStream
 from prbench.skeleton import Joint
-from prbench.timelines import covered, interpolate
+from prbench.timelines import covered
 
 _MARGIN = 1.0  # seconds
 _REMEDY = "Move it to the recording it was made from, or delete it and run `prbench poses egoallo` again."
@@ -71,8 +71,7 @@ def _require_belongs(
             found=f"{times[0]:.3f} … {times[-1]:.3f} s: the output belongs to another recording",
             remedy=_REMEDY,
         )
-    usable = cpf.valid if cpf.valid.any() else np.ones_like(cpf.valid)
-    expected = interpolate(cpf.times[usable], cpf.position[usable], times[posed])
+    expected, _ = cpf.pose_at(times[posed])
     limit = ego.LARGEST_CPF_ERROR if exact else ego.LARGEST_HEAD_ERROR
     distance = float(np.median(np.linalg.norm(points[posed] - expected, axis=1)))
     if not distance <= limit:
@@ -90,9 +89,6 @@ def _around(cpf: PoseStream, times: Float[np.ndarray, " t"]) -> PoseStream:
     first, last = np.searchsorted(cpf.times, [times[0] - _MARGIN, times[-1] + _MARGIN])
     rows = slice(max(int(first) - 1, 0), int(last) + 1)
     return PoseStream(cpf.times[rows], cpf.position[rows], cpf.rotation[rows], cpf.valid[rows])
-
-
-__all__ = ["NO_OUTPUTS", "read_bodies"]
 
 
 def read_bodies(found: RecordingFiles, *, cpf: PoseStream) -> ego.EgoAlloBody | None:

@@ -129,6 +129,7 @@ def forward_kinematics(
     world = [Rotation.from_quat(root_rotation, scalar_first=True)]
     joints = np.empty((len(root_position), N_JOINTS, 3))
     joints[:, 0] = root_position
+    # PARENTS has parents before children, so that the rotation of a parent is known here.
     for child in range(1, N_JOINTS):
         parent = PARENTS[child]
         joints[:, child] = joints[:, parent] + world[parent].apply(rest[child] - rest[parent])

@@ -46,6 +46,18 @@ class EgoalloInputs:
         return f"EgoAllo needs {' and '.join(missing)}" if missing else ""
 
 
+class GlassesWithMps:
+    """A reader of recordings with files of the Machine Perception Services (:class:`prbench.readers.AriaGlasses`)."""
+
+    def egoallo_inputs(self, root: Path, found: RecordingFiles) -> EgoalloInputs:
+        """See :class:`prbench.readers.AriaGlasses`."""
+        return aria_inputs(root, found)
+
+    def point_cloud(self, found: RecordingFiles) -> Source | None:
+        """See :class:`prbench.readers.AriaGlasses`."""
+        return points_beside(found)
+
+
 def aria_inputs(root: Path, found: RecordingFiles) -> EgoalloInputs:
     """Look for the inputs of a recording that has files of the Machine Perception Services.
 

@@ -37,77 +37,6 @@ _CONVERT = (
     " for k in ('J_regressor', 'v_template', 'shapedirs')})\""
 )
 _KEYS = (ego.REGRESSOR, ego.TEMPLATE, ego.SHAPES)
-
-
-@foreign_input()
-def read_smplh_rest(path: Path) -> ego.SmplhRest:
-    """Rest joints of the model, linear in the shape; of its 52 joints the first 22.
-
-    Raises:
-        InputFileError: if the file is missing, damaged, lacks a key, or holds arrays of other shapes or objects.
-    """
-    path = path.expanduser()
-    try:
-        state = path.stat()
-    except OSError as error:
-        raise InputFileError(
-            path, "", expected="the SMPL-H body model", found="no such file", remedy=HOW_TO_GET
-        ) from error
-    return _read((path, state.st_size, state.st_mtime_ns))
-
-
-def _model_digest(path: Path) -> str:
-    """SHA-256 of the rest joints' template and directions, which tells two models apart.
-
-    Raises:
-        InputFileError: see :func:`read_smplh_rest`.
-    """
-    rest = read_smplh_rest(path)
-    return bytes_digest(np.ascontiguousarray(rest.template).tobytes() + np.ascontiguousarray(rest.directions).tobytes())
-
-
-@lru_cache(maxsize=4)
-def _read(state: tuple[Path, int, int]) -> ego.SmplhRest:
-    """Read once a process; size and time of change make a changed file another one."""
-    path = state[0]
-    arrays = _load(path)
-    for key, axes in zip(_KEYS, (2, 2, 3), strict=True):
-        if arrays[key].ndim != axes or arrays[key].dtype.kind not in "fiu":
-            found = f"shape {arrays[key].shape} of {arrays[key].dtype}"
-            raise InputFileError(path, key, expected=f"numbers with {axes} axes", found=found, remedy=HOW_TO_GET)
-    regressor, template, shapes = (arrays[key].astype(np.float64) for key in _KEYS)
-    points = regressor.shape[1]
-    for key, array, shape in (
-        (ego.REGRESSOR, regressor, (ego.N_MODEL_JOINTS, points)),
-        (ego.TEMPLATE, template, (points, 3)),
-        (ego.SHAPES, shapes[..., : ego.N_BETAS], (points, 3, ego.N_BETAS)),
-    ):
-        if array.shape != shape or not np.isfinite(array).all():
-            raise InputFileError(
-                path,
-                key,
-                expected="52 joints, as many points everywhere, at least 16 shapes, finite numbers (SMPL-H, extended)",
-                found=f"the shape {arrays[key].shape}",
-                remedy=HOW_TO_GET,
-            )
-    body = regressor[:22]
-    return ego.SmplhRest(body @ template, np.einsum("jv,vkb->jkb", body, shapes[:, :, : ego.N_BETAS]))
-
-
-def _load(path: Path) -> dict[str, np.ndarray]:
-    archive = Archive(path, remedy=f"Copy or download it again. {_CONVERT}")
-    missing = [key for key in _KEYS if key not in archive.members]
-    if missing:
-        raise InputFileError(
-            path,
-            "",
-            expected=f"an array '{missing[0]}'",
-            found=", ".join(archive.members) or "nothing",
-            remedy=f"This is no SMPL-H model. {HOW_TO_GET}",
-        )
-    return archive.load(_KEYS)
-
-
 _GUIDANCE = re.compile(r"^guidance_mode:[ ]*['\"]?(\w+)['\"]?[ ]*$", re.MULTILINE)
 _OPTIONS_BYTES = 65536
 _VERSION = 1  # of what is kept; raise it when the arithmetic changes
@@ -148,6 +77,15 @@ def read_window(path: Path, model: Path | None) -> tuple[ego.BodyWindow, Float[n
     return ego.BodyWindow(path.name, output.time_ns, joints, samples, guidance), head
 
 
+def _content(path: Path) -> bytes:
+    try:
+        return read_whole(path)
+    except FileNotFoundError as error:
+        raise InputFileError(
+            path, "", expected="an output of EgoAllo", found="no such file", remedy="Run `prbench poses egoallo`."
+        ) from error
+
+
 def _read_guidance(path: Path) -> str:
     """``guidance_mode`` of an output, from the options beside it; empty where they are missing or say nothing.
 
@@ -163,13 +101,74 @@ def _read_guidance(path: Path) -> str:
     return found[1] if found else ""
 
 
-def _content(path: Path) -> bytes:
+def _model_digest(path: Path) -> str:
+    """SHA-256 of the rest joints' template and directions, which tells two models apart.
+
+    Raises:
+        InputFileError: see :func:`read_smplh_rest`.
+    """
+    rest = read_smplh_rest(path)
+    return bytes_digest(np.ascontiguousarray(rest.template).tobytes() + np.ascontiguousarray(rest.directions).tobytes())
+
+
+@foreign_input()
+def read_smplh_rest(path: Path) -> ego.SmplhRest:
+    """Rest joints of the model, linear in the shape; of its 52 joints the first 22.
+
+    Raises:
+        InputFileError: if the file is missing, damaged, lacks a key, or holds arrays of other shapes or objects.
+    """
+    path = path.expanduser()
     try:
-        return read_whole(path)
-    except FileNotFoundError as error:
+        state = path.stat()
+    except OSError as error:
         raise InputFileError(
-            path, "", expected="an output of EgoAllo", found="no such file", remedy="Run `prbench poses egoallo`."
+            path, "", expected="the SMPL-H body model", found="no such file", remedy=HOW_TO_GET
         ) from error
+    return _read((path, state.st_size, state.st_mtime_ns))
+
+
+@lru_cache(maxsize=4)
+def _read(state: tuple[Path, int, int]) -> ego.SmplhRest:
+    """Read once a process; size and time of change make a changed file another one."""
+    path = state[0]
+    arrays = _load(path)
+    for key, axes in zip(_KEYS, (2, 2, 3), strict=True):
+        if arrays[key].ndim != axes or arrays[key].dtype.kind not in "fiu":
+            found = f"shape {arrays[key].shape} of {arrays[key].dtype}"
+            raise InputFileError(path, key, expected=f"numbers with {axes} axes", found=found, remedy=HOW_TO_GET)
+    regressor, template, shapes = (arrays[key].astype(np.float64) for key in _KEYS)
+    points = regressor.shape[1]
+    for key, array, shape in (
+        (ego.REGRESSOR, regressor, (ego.N_MODEL_JOINTS, points)),
+        (ego.TEMPLATE, template, (points, 3)),
+        (ego.SHAPES, shapes[..., : ego.N_BETAS], (points, 3, ego.N_BETAS)),
+    ):
+        if array.shape != shape or not np.isfinite(array).all():
+            raise InputFileError(
+                path,
+                key,
+                expected="52 joints, as many points everywhere, at least 16 shapes, finite numbers (SMPL-H, extended)",
+                found=f"the shape {arrays[key].shape}",
+                remedy=HOW_TO_GET,
+            )
+    # The first 22 of the 52 joints are those of the body; the others are fingers.
+    body = regressor[:22]
+    return ego.SmplhRest(body @ template, np.einsum("jv,vkb->jkb", body, shapes[:, :, : ego.N_BETAS]))
+
+
+def _load(path: Path) -> dict[str, np.ndarray]:
+    archive = Archive(path, remedy=f"Copy or download it again. {_CONVERT}")
+    missing = [key for key in _KEYS if key not in archive.members]
+    if missing:
+        raise InputFileError(
+            path,
+            "",
+            expected=f"an array '{missing[0]}'",
+            found=", ".join(archive.members) or "nothing",
+            remedy=f"This is no SMPL-H model. {HOW_TO_GET}",
+        )
+    return archive.load(_KEYS)
 
 
 def _kept_joints(kept: Path, wanted: str | None, *, frames: int) -> np.ndarray | None:

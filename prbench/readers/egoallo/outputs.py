@@ -17,6 +17,7 @@ from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.numpy_files import Archive
 from prbench.readers.egoallo import format as ego
+from prbench.readers.files import require_increasing
 
 _AGAIN = "Delete it and run `prbench poses egoallo` again."
 _SHAPES = {
@@ -91,16 +92,7 @@ def _times(path: Path, arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, " t"
         raise InputFileError(path, ego.TIMES, expected="integers (T,), nanoseconds", found=found, remedy=_AGAIN)
     if len(times) == 0:
         raise InputFileError(path, ego.TIMES, expected="at least one frame", found="T = 0", remedy=_AGAIN)
-    backwards = np.flatnonzero(np.diff(times) <= 0)
-    if backwards.size:
-        frame = int(backwards[0]) + 1
-        raise InputFileError(
-            path,
-            f"{ego.TIMES}, frame {frame}",
-            expected=f"a time after {times[frame - 1]} ns",
-            found=f"{times[frame]} ns",
-            remedy=_AGAIN,
-        )
+    require_increasing(path, times, unit="ns", place=f"{ego.TIMES}, frame", first=0, remedy=_AGAIN)
     return times.astype(np.int64)
 
 

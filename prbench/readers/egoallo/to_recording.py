@@ -103,6 +103,7 @@ def _distance_to(kept: np.ndarray, query: np.ndarray) -> np.ndarray:
     """Nanoseconds from each query time to the nearest kept one, in integers; for ever where none is kept."""
     if len(kept) == 0:
         return np.full(len(query), np.iinfo(np.int64).max)
+    # In integers: a float does not hold nanoseconds of a device clock exactly.
     right = np.clip(np.searchsorted(kept, query), 0, len(kept) - 1)
     left = np.clip(right - 1, 0, None)
     return np.minimum(np.abs(kept[left] - query), np.abs(kept[right] - query))

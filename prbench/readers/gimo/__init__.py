@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.boundary import foreign_input
-from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
 from prbench.readers import AnnotationLine
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.options import GimoOptions
 from prbench.readers.gimo.readings import read_readings
-from prbench.readers.gimo.segments import extents, find_segments, row_of
+from prbench.readers.gimo.segments import GimoOptions, extents, find_segments, row_of
 from prbench.readers.gimo.to_recording import recording_from_gimo
 from prbench.recording import Recording
 
@@ -37,9 +35,7 @@ class GimoReader:
     def read(self, found: RecordingFiles) -> Recording:
         """Read one segment; also one that a build leaves out because no event is known."""
         manifest = load_manifest("gimo")
-        reason = manifest.why_bad(found.recording_id)
-        if reason:
-            raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
+        found.require_usable(manifest.why_bad(found.recording_id))
         return recording_from_gimo(
             read_readings(found, manifest, self.options),
             manifest,

@@ -40,6 +40,26 @@ class SmplxModel:
         return self.regressor @ self.template
 
 
+@dataclass(frozen=True)
+class PoseDecoder:
+    """The decoding half of VPoser v1: three dense layers and rotations from two columns."""
+
+    weights: tuple[Float[np.ndarray, "out1 in1"], Float[np.ndarray, "out2 in2"], Float[np.ndarray, "out3 in3"]]
+    biases: tuple[Float[np.ndarray, " out1"], Float[np.ndarray, " out2"], Float[np.ndarray, " out3"]]
+
+    def rotations(self, latent: Float[np.ndarray, "n 32"]) -> Float[np.ndarray, "n 21 3 3"]:
+        """Rotations of the joints 1 to 21 in their parents."""
+        values = latent.astype(np.float64)
+        for layer in (0, 1):
+            values = values @ self.weights[layer].T + self.biases[layer]
+            values = np.where(values >= 0, values, _SLOPE * values)
+        values = values @ self.weights[2].T + self.biases[2]
+        return _from_two_columns(values.reshape(len(latent), _N_BODY_ROTATIONS, 3, 2))
+
+
+_LAYERS = ("bodyprior_dec_fc1", "bodyprior_dec_fc2", "bodyprior_dec_out")
+
+
 def read_smplx_model(path: Path) -> SmplxModel:
     """Read ``SMPLX_NEUTRAL.npz``; arrays that hold Python objects stay unread.
 
@@ -71,34 +91,6 @@ def _arrays(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     )
     archive.require(names)
     return archive.load(names)
-
-
-@dataclass(frozen=True)
-class PoseDecoder:
-    """The decoding half of VPoser v1: three dense layers and rotations from two columns."""
-
-    weights: tuple[Float[np.ndarray, "out1 in1"], Float[np.ndarray, "out2 in2"], Float[np.ndarray, "out3 in3"]]
-    biases: tuple[Float[np.ndarray, " out1"], Float[np.ndarray, " out2"], Float[np.ndarray, " out3"]]
-
-    def rotations(self, latent: Float[np.ndarray, "n 32"]) -> Float[np.ndarray, "n 21 3 3"]:
-        """Rotations of the joints 1 to 21 in their parents."""
-        values = latent.astype(np.float64)
-        for layer in (0, 1):
-            values = values @ self.weights[layer].T + self.biases[layer]
-            values = np.where(values >= 0, values, _SLOPE * values)
-        values = values @ self.weights[2].T + self.biases[2]
-        return _from_two_columns(values.reshape(len(latent), _N_BODY_ROTATIONS, 3, 2))
-
-
-def _from_two_columns(values: Float[np.ndarray, "n 21 3 2"]) -> Float[np.ndarray, "n 21 3 3"]:
-    """Rotation matrices whose first two columns span the given ones (Gram-Schmidt)."""
-    first = values[..., 0] / np.maximum(np.linalg.norm(values[..., 0], axis=-1, keepdims=True), 1e-12)
-    second = values[..., 1] - (first * values[..., 1]).sum(axis=-1, keepdims=True) * first
-    second = second / np.maximum(np.linalg.norm(second, axis=-1, keepdims=True), 1e-12)
-    return np.stack([first, second, np.cross(first, second)], axis=-1)
-
-
-_LAYERS = ("bodyprior_dec_fc1", "bodyprior_dec_fc2", "bodyprior_dec_out")
 
 
 def read_pose_decoder(path: Path) -> PoseDecoder:
@@ -147,6 +139,7 @@ def _state(path: Path) -> Mapping[str, Any]:
             found=str(error).splitlines()[0][:200],
             remedy=f"Take snapshots/TR00_E096.pt of VPoser v1: {VPOSER_PAGE}.",
         ) from error
+    # Snapshots of a whole training hold the weights one level deeper.
     for wrapper in ("state_dict", "model_state_dict"):
         state = state[wrapper] if isinstance(state, Mapping) and wrapper in state else state
     if not isinstance(state, Mapping):
@@ -166,3 +159,11 @@ def _tensor(path: Path, state: Mapping[str, Any], name: str) -> np.ndarray:
             remedy=f"GIMO was fitted with VPoser v1, not v2: {VPOSER_PAGE}.",
         )
     return state[name].detach().cpu().numpy().astype(np.float64)
+
+
+def _from_two_columns(values: Float[np.ndarray, "n 21 3 2"]) -> Float[np.ndarray, "n 21 3 3"]:
+    """Rotation matrices whose first two columns span the given ones (Gram-Schmidt)."""
+    first = values[..., 0] / np.maximum(np.linalg.norm(values[..., 0], axis=-1, keepdims=True), 1e-12)
+    second = values[..., 1] - (first * values[..., 1]).sum(axis=-1, keepdims=True) * first
+    second = second / np.maximum(np.linalg.norm(second, axis=-1, keepdims=True), 1e-12)
+    return np.stack([first, second, np.cross(first, second)], axis=-1)

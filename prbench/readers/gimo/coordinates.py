@@ -14,7 +14,7 @@ from jaxtyping import Float
 from prbench.bounded import read_text
 from prbench.errors import InputFileError
 from prbench.limits import HARMLESS_SIZE
-from prbench.readers.files import decode_json, missing_file
+from prbench.readers.files import decode_json, must_exist
 from prbench.readers.gimo import format as gimo
 
 _ROTATION_TOLERANCE = 1e-3
@@ -55,10 +55,9 @@ def read_matrix(path: Path) -> Float[np.ndarray, "4 4"]:
         rows = next(iter(decode_json(path, _MATRIX).values()), [])
         return _rigid(path, "", np.array(rows, dtype=object))
     try:
-        words = read_text(path, largest=HARMLESS_SIZE).replace(",", " ").split()
+        with must_exist(path):
+            words = read_text(path, largest=HARMLESS_SIZE).replace(",", " ").split()
         numbers = np.array([float(word) for word in words])
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
     except ValueError as error:
         raise InputFileError(path, "", expected="a 4x4 matrix of numbers", found=str(error)) from error
     return _rigid(path, "", numbers)

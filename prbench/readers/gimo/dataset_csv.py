@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,10 +48,9 @@ def read_segments(path: Path) -> tuple[Row, ...]:
             different splits or transformations.
     """
     header, lines = _read(path)
-    columns = {name: _column(path, header, name) for name in gimo.TABLE_COLUMNS}
     rows: dict[tuple[str, str, int, int], Row] = {}
     for line, cells in lines:
-        segment = _segment(path, line, header, columns, cells)
+        segment = _segment(path, line, header, cells)
         first = rows.get(segment.key)
         if first is None:
             rows[segment.key] = Row(line, segment)
@@ -105,23 +105,22 @@ def _read(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     lines = list(read_lines(path))
     if not lines:
         raise InputFileError(path, "", expected="a header and segments", found="nothing")
-    return lines[0][1], lines[1:]
-
-
-def _column(path: Path, header: list[str], name: str) -> int:
-    if name not in header:
+    header = lines[0][1]
+    missing = [name for name in gimo.TABLE_COLUMNS if name not in header]
+    if missing:
         raise InputFileError(
             path,
             "header",
-            expected=f"a column '{name}'",
+            expected=f"a column '{missing[0]}'",
             found=f"the columns {', '.join(cell or '(unnamed)' for cell in header)}",
             remedy="This is another file, or another version of the table.",
         )
-    return header.index(name)
+    return header, lines[1:]
 
 
-def _segment(path: Path, line: int, header: list[str], columns: dict[str, int], cells: list[str]) -> gimo.Segment:
-    values = {name: cells[index] if index < len(cells) else "" for name, index in columns.items()}
+def _segment(path: Path, line: int, header: list[str], cells: list[str]) -> gimo.Segment:
+    # Of two columns of one name the first counts, so the cells are looked up from the last to the first.
+    values = dict(reversed(list(itertools.zip_longest(header, cells[: len(header)], fillvalue=""))))
     start, end, training = (
         _number(path, line, name, values[name]) for name in ("start_frame", "end_frame", "training")
     )
@@ -144,7 +143,6 @@ def _segment(path: Path, line: int, header: list[str], columns: dict[str, int], 
             found=str(training),
             remedy="Correct the line, or remove it.",
         )
-    activity = cells[header.index(gimo.ACTIVITY_COLUMN)] if _has(header, cells) else ""
     return gimo.Segment(
         scene=values["scene"],
         sequence=values["sequence_path"],
@@ -152,13 +150,9 @@ def _segment(path: Path, line: int, header: list[str], columns: dict[str, int], 
         end_frame=end,
         transformation=values["transformation"],
         training=training,
-        activity=activity,
+        activity=values.get(gimo.ACTIVITY_COLUMN, ""),
         hint=_hint(header, cells, start, end),
     )
-
-
-def _has(header: list[str], cells: list[str]) -> bool:
-    return gimo.ACTIVITY_COLUMN in header and header.index(gimo.ACTIVITY_COLUMN) < len(cells)
 
 
 def _number(path: Path, line: int, name: str, text: str) -> int:

@@ -13,6 +13,7 @@ from typing import cast
 from prbench.errors import InputFileError
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.dataset_csv import Row, read_lines
+from prbench.recording.streams import Side
 
 _SegmentKey = tuple[str, str, int, int]
 
@@ -33,7 +34,7 @@ class EventRow:
     event_frame: int | None
     """None on a line that says no to a proposal without a frame."""
     action: str
-    hand: gimo.Hand | None
+    hand: Side | None
     confirmed: bool
     """True where a person confirmed the line; lines that nobody confirmed are no events."""
 
@@ -85,7 +86,7 @@ def events_of(row: Row, table: Sequence[EventRow], *, hints: bool) -> _SegmentEv
         waiting = sum(not event.confirmed for event in mine)
         reason = f"none of its {waiting} proposed events is confirmed" if waiting else "only puts are annotated for it"
         return _SegmentEvents((), remarks, reason)
-    frames: dict[int, gimo.Hand | None] = {cast(int, event.event_frame): event.hand for event in picks}
+    frames: dict[int, Side | None] = {cast(int, event.event_frame): event.hand for event in picks}
     return _SegmentEvents(tuple(gimo.EventFrame(frame, hand) for frame, hand in sorted(frames.items())), remarks)
 
 
@@ -162,7 +163,7 @@ def _row(path: Path, line: int, cells: Mapping[str, str]) -> EventRow:
         segment=(cells.get("scene", ""), cells.get("sequence_path", ""), start, end),
         event_frame=frame,
         action=action,
-        hand=cast(gimo.Hand, hand) if hand else None,
+        hand=cast(Side, hand) if hand else None,
         confirmed=confirmed,
     )
 

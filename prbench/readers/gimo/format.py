@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from prbench.readers.gimo.bvh import BvhMotion
+from prbench.recording.streams import Side
 
 TABLE_FILE = "dataset.csv"
 EVENTS_FILE = "prbench_events.csv"
@@ -45,8 +46,6 @@ NO_POINT = 1e-8
 """A gaze point whose coordinates sum to less is none."""
 OBJECT_ID = "target"
 """The dataset knows no objects; every event has this one."""
-
-Hand = Literal["left", "right"]
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ class EventFrame:
     """One pick that somebody annotated."""
 
     frame: int
-    hand: Hand | None = None
+    hand: Side | None = None
     source: Literal["annotated", "hint"] = "annotated"
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from prbench.bounded import open_regular, read_whole
 from prbench.errors import InputFileError
-from prbench.readers.files import missing_file
+from prbench.readers.files import must_exist
 from prbench.readers.gimo import format as gimo
 
 _TYPES = {
@@ -37,13 +37,43 @@ class _PlyHeader:
     """Bytes up to the first vertex."""
 
 
+def read_gaze(cones: Mapping[int, Path], centres: Mapping[int, Path]) -> tuple[gimo.GazePoints, tuple[str, ...]]:
+    """The gaze point of every frame that has one: the first vertex of ``<frame>_center.ply``.
+
+    A frame has none when one of its two files is missing, damaged or without vertices, or when the point is the origin.
+
+    Args:
+        cones: ``<frame>.ply`` by frame: scene points inside the cone of the gaze; only counted.
+        centres: ``<frame>_center.ply`` by frame.
+
+    Returns:
+        The points, and remarks about damaged files.
+    """
+    frames = []
+    points = []
+    damaged: list[InputFileError] = []
+    for frame in sorted(cones.keys() & centres.keys()):
+        try:
+            vertices = read_vertices(centres[frame])
+            seen = len(vertices) > 0 and count_vertices(cones[frame]) > 0
+        except InputFileError as error:
+            damaged.append(error)
+            continue
+        if seen and np.isfinite(vertices[0]).all() and np.abs(vertices[0]).sum() >= gimo.NO_POINT:
+            frames.append(frame)
+            points.append(vertices[0])
+    found = gimo.GazePoints(np.array(frames, dtype=np.int64), np.array(points, dtype=np.float64).reshape(-1, 3))
+    return found, _remarks(damaged)
+
+
 def read_vertices(path: Path) -> Float[np.ndarray, "v 3"]:
     """Positions of all vertices, in the unit of the file.
 
     Raises:
         InputFileError: if the file is missing, no PLY, shorter than its header says, or its vertices have no x, y, z.
     """
-    content = _content(path)
+    with must_exist(path):
+        content = read_whole(path)
     header = parse_header(path, content)
     names = [name for name, _ in header.properties]
     if header.n_vertices == 0:
@@ -58,16 +88,6 @@ def read_vertices(path: Path) -> Float[np.ndarray, "v 3"]:
         raise _cut(path, header)
     rows = np.frombuffer(content, kind, header.n_vertices, header.size)
     return np.column_stack([rows[axis].astype(np.float64) for axis in "xyz"])
-
-
-def count_vertices(path: Path) -> int:
-    """Return the number of vertices that the header promises; the rest is not read.
-
-    Raises:
-        InputFileError: see :func:`read_vertices`.
-    """
-    with open_regular(path) as file:
-        return parse_header(path, file.read(_LONGEST_HEADER)).n_vertices
 
 
 def parse_header(path: Path, content: bytes) -> _PlyHeader:
@@ -114,13 +134,6 @@ def _count(path: Path, word: str) -> int:
     return int(word)
 
 
-def _content(path: Path) -> bytes:
-    try:
-        return read_whole(path)
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
-
-
 def _ascii_vertices(path: Path, body: bytes, header: _PlyHeader, names: list[str]) -> Float[np.ndarray, "v 3"]:
     lines = body.splitlines()[: header.n_vertices]
     try:
@@ -142,33 +155,14 @@ def _cut(path: Path, header: _PlyHeader) -> InputFileError:
     )
 
 
-def read_gaze(cones: Mapping[int, Path], centres: Mapping[int, Path]) -> tuple[gimo.GazePoints, tuple[str, ...]]:
-    """The gaze point of every frame that has one: the first vertex of ``<frame>_center.ply``.
+def count_vertices(path: Path) -> int:
+    """Return the number of vertices that the header promises; the rest is not read.
 
-    A frame has none when one of its two files is missing, damaged or without vertices, or when the point is the origin.
-
-    Args:
-        cones: ``<frame>.ply`` by frame: scene points inside the cone of the gaze; only counted.
-        centres: ``<frame>_center.ply`` by frame.
-
-    Returns:
-        The points, and remarks about damaged files.
+    Raises:
+        InputFileError: see :func:`read_vertices`.
     """
-    frames = []
-    points = []
-    damaged: list[InputFileError] = []
-    for frame in sorted(cones.keys() & centres.keys()):
-        try:
-            vertices = read_vertices(centres[frame])
-            seen = len(vertices) > 0 and count_vertices(cones[frame]) > 0
-        except InputFileError as error:
-            damaged.append(error)
-            continue
-        if seen and np.isfinite(vertices[0]).all() and np.abs(vertices[0]).sum() >= gimo.NO_POINT:
-            frames.append(frame)
-            points.append(vertices[0])
-    found = gimo.GazePoints(np.array(frames, dtype=np.int64), np.array(points, dtype=np.float64).reshape(-1, 3))
-    return found, _remarks(damaged)
+    with open_regular(path) as file:
+        return parse_header(path, file.read(_LONGEST_HEADER)).n_vertices
 
 
 def _remarks(damaged: list[InputFileError]) -> tuple[str, ...]:

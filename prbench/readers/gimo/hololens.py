@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.bounded import read_text, require_size
 from prbench.errors import InputFileError
-from prbench.readers.files import missing_file, require_increasing
+from prbench.readers.files import must_exist, require_increasing
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.coordinates import read_matrix
 from prbench.recording.streams import PoseStream
@@ -28,6 +28,22 @@ _GAZE_ORIGIN = 852
 _GAZE_DIRECTION = 856
 _VIDEO_WIDTH = 18
 _VIDEO_POSE = 2
+_CPF_FROM_HOLOLENS = np.diag([-1.0, 1.0, -1.0])  # x right, y up, z back → x left, y up, z forward
+_CAMERA_FROM_HOLOLENS = np.diag([1.0, -1.0, -1.0])  # → x right, y down, z forward
+_TICKS_A_SECOND = 1e7
+_LONGEST_STEP = 0.1  # seconds between two rows; the recorder runs at about 60 Hz
+_IDENTITY = np.array([[1.0, 0.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class GlassesStreams:
+    """Streams of the glasses in the room; empty where there are no files, or none that fit."""
+
+    head: PoseStream
+    camera: PoseStream
+    eye: PoseStream | None = None
+    """Between the eyes; None without HoloLens files."""
+    messages: tuple[str, ...] = ()
 
 
 def read_hololens(stream: Path, video: Path, transform: Path) -> gimo.HoloLens:
@@ -62,15 +78,14 @@ def _read_stream(path: Path) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "
     wanted = [*range(_HEAD, _HEAD + 16), *range(_GAZE_VALID, _WIDTH)]
     names = [str(column) for column in range(_WIDTH)]
     types = {names[column]: pa.float64() for column in wanted} | {names[_TICK]: pa.int64()}
-    try:
+    with must_exist(path):
         require_size(path)
+    try:
         table = pyarrow.csv.read_csv(
             path,
             read_options=pyarrow.csv.ReadOptions(column_names=names),
             convert_options=pyarrow.csv.ConvertOptions(include_columns=list(types), column_types=types),
         )
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
     except pa.ArrowInvalid as error:
         raise InputFileError(
             path,
@@ -88,35 +103,16 @@ def _read_stream(path: Path) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "
 def _read_video(path: Path) -> tuple[Int[np.ndarray, " f"], Float[np.ndarray, "f 18"]]:
     """Lines after the first (which holds the principal point and the size): ticks, then focal lengths and pose."""
     try:
-        lines = [line.split(",") for line in read_text(path).splitlines()[1:] if line.strip()]
+        with must_exist(path):
+            lines = [line.split(",") for line in read_text(path).splitlines()[1:] if line.strip()]
         ticks = np.array([int(line[0]) for line in lines], dtype=np.int64)
         rows = np.array([[float(word) for word in line[1:]] for line in lines])
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
     except ValueError as error:
         raise InputFileError(path, "", expected="rows of equally many numbers", found=str(error)) from error
     if rows.ndim != 2 or rows.shape[1] != _VIDEO_WIDTH:
         width = rows.shape[1] + 1 if rows.ndim == 2 else 0
         raise InputFileError(path, "", expected=f"rows of {_VIDEO_WIDTH + 1} numbers", found=f"{width}")
     return ticks, rows
-
-
-_CPF_FROM_HOLOLENS = np.diag([-1.0, 1.0, -1.0])  # x right, y up, z back → x left, y up, z forward
-_CAMERA_FROM_HOLOLENS = np.diag([1.0, -1.0, -1.0])  # → x right, y down, z forward
-_TICKS_A_SECOND = 1e7
-_LONGEST_STEP = 0.1  # seconds between two rows; the recorder runs at about 60 Hz
-_IDENTITY = np.array([[1.0, 0.0, 0.0, 0.0]])
-
-
-@dataclass(frozen=True)
-class GlassesStreams:
-    """Streams of the glasses in the room; empty where there are no files, or none that fit."""
-
-    head: PoseStream
-    camera: PoseStream
-    eye: PoseStream | None = None
-    """Between the eyes; None without HoloLens files."""
-    messages: tuple[str, ...] = ()
 
 
 def glasses_streams(
@@ -175,6 +171,7 @@ class _Glasses:
         frames = np.rint(times * gimo.FRAME_RATE).astype(np.int64)
         known = frames < len(hololens.video_ticks)
         self._frames = np.minimum(frames, len(hololens.video_ticks) - 1)
+        # Counted from the first tick: a float does not hold ticks since an epoch exactly.
         first = int(hololens.ticks[0])
         self._rows = (hololens.ticks - first) / _TICKS_A_SECOND
         self._query = (hololens.video_ticks[self._frames] - first) / _TICKS_A_SECOND
@@ -234,6 +231,7 @@ class _Glasses:
         valid: Bool[np.ndarray, " n"],
     ) -> PoseStream:
         """Poses in the room with the axes of prbench; the shrinking of the scan turns nothing."""
+        # The cube root of the determinant is the scale by which the transform shrinks.
         room_rotation = room_from_glasses[:3, :3] / np.cbrt(np.linalg.det(room_from_glasses[:3, :3]))
         turned = Rotation.from_matrix(room_rotation) * rotation * Rotation.from_matrix(part_from_own)
         return PoseStream(

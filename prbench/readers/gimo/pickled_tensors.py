@@ -23,7 +23,7 @@ import numpy as np
 from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.limits import LARGEST_PICKLE
-from prbench.readers.files import missing_file
+from prbench.readers.files import must_exist
 from prbench.readers.gimo.pickle_machine import Name, PickleMachine, PickleRefused, Unfinished
 
 _EXPECTED = "a pickled dictionary of torch tensors"
@@ -56,6 +56,51 @@ _ITEM_TYPES = {
 """Both forms of ``torch.save`` hold numbers with their least significant byte first."""
 
 
+@dataclass
+class _Storage:
+    """The numbers behind tensors; in the files of ``torch.save`` they lie behind the pickle."""
+
+    item_type: np.dtype
+    size: int
+    numbers: np.ndarray | None = None
+
+    def take(self, content: bytes, position: int) -> int:
+        """Take the numbers from the bytes at a position; return the position behind them."""
+        end = position + self.size * self.item_type.itemsize
+        if end > len(content):
+            raise PickleRefused(f"{max(len(content) - position, 0)} bytes for {self.size} numbers", position)
+        self.numbers = np.frombuffer(content, self.item_type, self.size, position)
+        return end
+
+    def take_counted(self, content: bytes, position: int) -> int:
+        """The same where the number of numbers stands before them."""
+        size = int.from_bytes(content[position : position + 8], "little")
+        if size != self.size:
+            raise PickleRefused(f"{size} numbers in a storage of {self.size}", position)
+        return self.take(content, position + 8)
+
+
+@dataclass
+class _Tensor:
+    """A view of a storage, made once the storage has its numbers."""
+
+    storage: _Storage
+    offset: int
+    shape: tuple[int, ...]
+    strides: tuple[int, ...]
+    """In numbers, not in bytes."""
+
+    def array(self) -> np.ndarray:
+        """The tensor's numbers, which the storage holds by now."""
+        assert self.storage.numbers is not None, "every way that makes tensors fills their storages or raises"
+        item = self.storage.item_type.itemsize
+        strides = tuple(stride * item for stride in self.strides)
+        return np.ndarray(self.shape, self.storage.item_type, self.storage.numbers, self.offset * item, strides)
+
+
+_LOAD_STORAGE = "torch.storage _load_from_bytes"
+
+
 def load_tensors(path: Path) -> dict[str, np.ndarray]:
     """Read the named tensors of a pickled dictionary.
 
@@ -66,10 +111,8 @@ def load_tensors(path: Path) -> dict[str, np.ndarray]:
         InputFileError: if the file is missing, too large or damaged, holds an opcode or a name that tensors do not need
             (nothing of it is imported or run), or holds anything but a dictionary of tensors.
     """
-    try:
+    with must_exist(path):
         content = read_whole(path, largest=LARGEST_PICKLE)
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
     try:
         loaded = _loaded(content, _NAMES | {_LOAD_STORAGE: Name("torch.storage._load_from_bytes", _StorageLoader())})
     except PickleRefused as error:
@@ -78,17 +121,6 @@ def load_tensors(path: Path) -> dict[str, np.ndarray]:
     if not isinstance(loaded, dict):
         raise _refused(path, "", f"a {type(loaded).__name__}", "")
     return {str(name): _array(path, str(name), value) for name, value in loaded.items()}
-
-
-def _refused(path: Path, where: str, found: str, remedy: str) -> InputFileError:
-    return InputFileError(path, where, expected=_EXPECTED, found=found, remedy=remedy)
-
-
-def _array(path: Path, name: str, value: Any) -> np.ndarray:
-    array = value.array() if isinstance(value, _Tensor | _NumpyArray) else None
-    if array is None:
-        raise _refused(path, name, f"a {type(value).__name__}", "")
-    return array
 
 
 def _loaded(content: bytes, names: Mapping[str, Name]) -> Any:
@@ -103,31 +135,6 @@ def _loaded(content: bytes, names: Mapping[str, Name]) -> Any:
         raise PickleRefused("another version of torch's files", machine.position)
     machine.run(machine.position)  # sizes of types on the machine that wrote the file, which torch does not use either
     return _loaded_from_stream(content, machine.position, names)
-
-
-def _loaded_from_stream(content: bytes, position: int, names: Mapping[str, Name]) -> Any:
-    """Read what follows the start of the older form: the pickle, the keys of its storages, and their numbers."""
-    storages = _Storages()
-    machine = PickleMachine(content, names, persistent=storages)
-    loaded = machine.run(position)
-    keys = machine.run(machine.position)
-    position = machine.position
-    named = {key for key in keys if isinstance(key, str)} if isinstance(keys, list) else set()
-    if named != storages.by_key.keys() or len(keys) != len(named):
-        raise PickleRefused("other storages than those that the tensors name", position)
-    for key in keys:
-        position = storages.by_key[key].take_counted(content, position)
-    return loaded
-
-
-def _usual_storage(content: bytes) -> _Storage | None:
-    """The storage in some bytes that hold it in the usual form; None for all others."""
-    usual = _USUAL_STORAGE.match(content)
-    if usual is None or usual["length"][0] != len(usual["key"]) or usual["kind"] not in _ITEM_TYPES:
-        return None
-    storage = _Storage(_ITEM_TYPES[usual["kind"]], int.from_bytes(usual["size"] or usual["longer"], "little"))
-    storage.take_counted(content, usual.end())
-    return storage
 
 
 def _loaded_from_zip(content: bytes, names: Mapping[str, Name]) -> Any:
@@ -155,30 +162,6 @@ def _stored_files(archive: zipfile.ZipFile, most: int) -> dict[str, bytes]:
     return {entry.filename.partition("/")[2]: archive.read(entry) for entry in entries}
 
 
-@dataclass
-class _Storage:
-    """The numbers behind tensors; in the files of ``torch.save`` they lie behind the pickle."""
-
-    item_type: np.dtype
-    size: int
-    numbers: np.ndarray | None = None
-
-    def take(self, content: bytes, position: int) -> int:
-        """Take the numbers from the bytes at a position; return the position behind them."""
-        end = position + self.size * self.item_type.itemsize
-        if end > len(content):
-            raise PickleRefused(f"{max(len(content) - position, 0)} bytes for {self.size} numbers", position)
-        self.numbers = np.frombuffer(content, self.item_type, self.size, position)
-        return end
-
-    def take_counted(self, content: bytes, position: int) -> int:
-        """The same where the number of numbers stands before them."""
-        size = int.from_bytes(content[position : position + 8], "little")
-        if size != self.size:
-            raise PickleRefused(f"{size} numbers in a storage of {self.size}", position)
-        return self.take(content, position + 8)
-
-
 class _Storages:
     """All storages of one file by key: what its persistent ids stand for."""
 
@@ -200,22 +183,19 @@ class _Storages:
         return self.by_key.setdefault(key, _Storage(item_type, size))
 
 
-@dataclass
-class _Tensor:
-    """A view of a storage, made once the storage has its numbers."""
-
-    storage: _Storage
-    offset: int
-    shape: tuple[int, ...]
-    strides: tuple[int, ...]
-    """In numbers, not in bytes."""
-
-    def array(self) -> np.ndarray:
-        """The tensor's numbers, which the storage holds by now."""
-        assert self.storage.numbers is not None, "every way that makes tensors fills their storages or raises"
-        item = self.storage.item_type.itemsize
-        strides = tuple(stride * item for stride in self.strides)
-        return np.ndarray(self.shape, self.storage.item_type, self.storage.numbers, self.offset * item, strides)
+def _loaded_from_stream(content: bytes, position: int, names: Mapping[str, Name]) -> Any:
+    """Read what follows the start of the older form: the pickle, the keys of its storages, and their numbers."""
+    storages = _Storages()
+    machine = PickleMachine(content, names, persistent=storages)
+    loaded = machine.run(position)
+    keys = machine.run(machine.position)
+    position = machine.position
+    named = {key for key in keys if isinstance(key, str)} if isinstance(keys, list) else set()
+    if named != storages.by_key.keys() or len(keys) != len(named):
+        raise PickleRefused("other storages than those that the tensors name", position)
+    for key in keys:
+        position = storages.by_key[key].take_counted(content, position)
+    return loaded
 
 
 def _rebuild_tensor(storage: Any, offset: Any, shape: Any, strides: Any, *_: Any) -> _Tensor:
@@ -247,6 +227,20 @@ def _rebuild_parameter(tensor: Any, *_: Any) -> _Tensor:
     if not isinstance(tensor, _Tensor):
         raise PickleRefused(f"a parameter of a {type(tensor).__name__}", foreign=True)
     return tensor
+
+
+def _ordered_dict(*items: Any) -> dict:
+    """``collections.OrderedDict``, whose items come afterwards."""
+    if items:
+        raise PickleRefused("the name 'collections.OrderedDict' with other things than items", foreign=True)
+    return {}
+
+
+def _latin_bytes(text: Any, encoding: Any = "latin1") -> bytes:
+    """``_codecs.encode``: how old protocols hold bytes; no other codec is looked up."""
+    if encoding not in ("latin1", "latin-1") or not isinstance(text, str):
+        raise PickleRefused(f"the name '_codecs.encode' with '{encoding}'", foreign=True)
+    return text.encode("latin-1")
 
 
 class _NumpyType(Unfinished):
@@ -287,20 +281,6 @@ class _NumpyArray(Unfinished):
         return self._array
 
 
-def _latin_bytes(text: Any, encoding: Any = "latin1") -> bytes:
-    """``_codecs.encode``: how old protocols hold bytes; no other codec is looked up."""
-    if encoding not in ("latin1", "latin-1") or not isinstance(text, str):
-        raise PickleRefused(f"the name '_codecs.encode' with '{encoding}'", foreign=True)
-    return text.encode("latin-1")
-
-
-def _ordered_dict(*items: Any) -> dict:
-    """``collections.OrderedDict``, whose items come afterwards."""
-    if items:
-        raise PickleRefused("the name 'collections.OrderedDict' with other things than items", foreign=True)
-    return {}
-
-
 _NAMES = {
     "torch._utils _rebuild_tensor_v2": Name("torch._utils._rebuild_tensor_v2", _rebuild_tensor),
     "torch._utils _rebuild_parameter": Name("torch._utils._rebuild_parameter", _rebuild_parameter),
@@ -312,9 +292,6 @@ _NAMES = {
     "numpy._core.multiarray _reconstruct": Name("numpy._core.multiarray._reconstruct", _NumpyArray),
     **{f"torch {kind.decode()}": Name(kind.decode()) for kind in _ITEM_TYPES},
 }
-
-
-_LOAD_STORAGE = "torch.storage _load_from_bytes"
 
 
 class _StorageLoader:
@@ -338,3 +315,24 @@ class _StorageLoader:
         if not isinstance(storage, _Storage):
             raise PickleRefused(f"a {type(storage).__name__} in the place of a storage", foreign=True)
         return storage
+
+
+def _usual_storage(content: bytes) -> _Storage | None:
+    """The storage in some bytes that hold it in the usual form; None for all others."""
+    usual = _USUAL_STORAGE.match(content)
+    if usual is None or usual["length"][0] != len(usual["key"]) or usual["kind"] not in _ITEM_TYPES:
+        return None
+    storage = _Storage(_ITEM_TYPES[usual["kind"]], int.from_bytes(usual["size"] or usual["longer"], "little"))
+    storage.take_counted(content, usual.end())
+    return storage
+
+
+def _refused(path: Path, where: str, found: str, remedy: str) -> InputFileError:
+    return InputFileError(path, where, expected=_EXPECTED, found=found, remedy=remedy)
+
+
+def _array(path: Path, name: str, value: Any) -> np.ndarray:
+    array = value.array() if isinstance(value, _Tensor | _NumpyArray) else None
+    if array is None:
+        raise _refused(path, name, f"a {type(value).__name__}", "")
+    return array

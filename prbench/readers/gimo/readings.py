@@ -18,8 +18,8 @@ from prbench.readers.gimo.dataset_csv import Row, overlapping
 from prbench.readers.gimo.events import events_of, read_events
 from prbench.readers.gimo.gaze import read_gaze
 from prbench.readers.gimo.hololens import read_hololens
-from prbench.readers.gimo.options import GimoOptions, Route
 from prbench.readers.gimo.routes import joints_from_meshes, joints_from_parameters, read_poses
+from prbench.readers.gimo.segments import GimoOptions, Route
 
 
 def read_readings(found: RecordingFiles, manifest: Manifest, options: GimoOptions) -> gimo.GimoReadings:
@@ -58,18 +58,6 @@ def _require_folder(found: RecordingFiles, row: Row) -> None:
             found="no such folder",
             remedy="Unpack or download this sequence.",
         )
-
-
-def _overlaps(row: Row, rows: tuple[Row, ...]) -> tuple[str, ...]:
-    return tuple(f"shares frames with the segment {other.name}" for other in overlapping(rows, row))
-
-
-def _unnumbered(found: RecordingFiles) -> tuple[str, ...]:
-    names = [
-        name for folder in (gimo.POSE_FOLDER, gimo.GAZE_FOLDER) for name in segments.unnumbered(found.folder / folder)
-    ]
-    shown = ", ".join(names[:3]) + (" …" if len(names) > 3 else "")
-    return (f"{len(names)} files without frame number left out: {shown}",) if names else ()
 
 
 def _body(found: RecordingFiles, manifest: Manifest, options: GimoOptions) -> gimo.LocalJoints | gimo.LocalSkeleton:
@@ -117,6 +105,11 @@ def _lacking(route: Route, options: GimoOptions, *, has_poses: bool, has_meshes:
     return " and ".join(missing)
 
 
+def _given(path: Path | None) -> Path:
+    assert path is not None, "the way was found to be open"
+    return path
+
+
 def _all_lacking(found: RecordingFiles, options: GimoOptions, known: dict[Route, str]) -> dict[Route, str]:
     """The same for the ways that the options leave out, so that the message tells about all three."""
     routes: tuple[Route, ...] = ("smplx", "mesh", "bvh") if options.body == "auto" else (options.body,)
@@ -127,11 +120,6 @@ def _all_lacking(found: RecordingFiles, options: GimoOptions, known: dict[Route,
         or _lacking(route, options, has_poses=has_poses, has_meshes=has_meshes, skeleton=found.path(segments.SKELETON))
         for route in routes
     }
-
-
-def _given(path: Path | None) -> Path:
-    assert path is not None, "the way was found to be open"
-    return path
 
 
 def _hololens(found: RecordingFiles) -> gimo.HoloLens | None:
@@ -163,3 +151,15 @@ def _meshes(found: RecordingFiles) -> tuple[gimo.SceneMesh, ...]:
             path, "", expected="triangles", found="points only", remedy=f"Download {gimo.SCENE_MESHES[0]} as well."
         )
     return (gimo.SceneMesh(path.name, np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)),)
+
+
+def _overlaps(row: Row, rows: tuple[Row, ...]) -> tuple[str, ...]:
+    return tuple(f"shares frames with the segment {other.name}" for other in overlapping(rows, row))
+
+
+def _unnumbered(found: RecordingFiles) -> tuple[str, ...]:
+    names = [
+        name for folder in (gimo.POSE_FOLDER, gimo.GAZE_FOLDER) for name in segments.unnumbered(found.folder / folder)
+    ]
+    shown = ", ".join(names[:3]) + (" …" if len(names) > 3 else "")
+    return (f"{len(names)} files without frame number left out: {shown}",) if names else ()

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from prbench.bounded import read_whole
 from prbench.errors import InputFileError
 from prbench.readers.egoallo.format import forward_kinematics
-from prbench.readers.files import missing_file
+from prbench.readers.files import must_exist
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.body_model import PoseDecoder, SmplxModel
 from prbench.readers.gimo.pickled_tensors import load_tensors
@@ -126,6 +126,7 @@ def _canonical_vertices(
             )
     if faces.min(initial=0) < 0 or faces.max(initial=0) >= len(vertices):
         raise InputFileError(path, "faces", expected=f"vertices from 1 to {len(vertices)}", found=f"{faces.max() + 1}")
+    # Both list the same faces in the same order, so that a corner tells its vertex of the model.
     corners = vertices[faces.ravel()]
     canonical = np.full_like(model.template, np.nan)
     canonical[model.faces.ravel()] = corners
@@ -150,10 +151,8 @@ def read_obj(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3
     Raises:
         InputFileError: if the file is missing, or a line is cut.
     """
-    try:
+    with must_exist(path):
         lines = read_whole(path).splitlines()
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
     places = [line.split()[1:4] for line in lines if line.startswith(b"v ")]
     corners = [[word.partition(b"/")[0] for word in line.split()[1:]] for line in lines if line.startswith(b"f ")]
     try:

@@ -12,7 +12,15 @@ from typing import Literal
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent
-from prbench.readers.found import FilesOnDemand, InputFile, RecordingFiles, input_file, is_present, names_in
+from prbench.readers.found import (
+    FilesOnDemand,
+    InputFile,
+    RecordingFiles,
+    existing_folder,
+    input_file,
+    is_present,
+    names_in,
+)
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.dataset_csv import Row, read_segments
 from prbench.readers.gimo.events import (
@@ -23,10 +31,45 @@ from prbench.readers.gimo.events import (
     require_known_segments,
     require_one_split,
 )
-from prbench.readers.gimo.options import GimoOptions
+from prbench.readers.gimo.to_recording import GazeOrigin, Target
+from prbench.readers.options import ReaderOptions
 from prbench.readers.synthetic_tree import SyntheticTree, read_synthetic_tree
 from prbench.recording import Recording
 from prbench.storage import inside
+
+Route = Literal["smplx", "mesh", "bvh"]
+
+
+class GimoOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Options of the GIMO reader."""
+
+    events: Path | None = None
+    """Table of pick events (``docs/gimo-events.md``); ``prbench_events.csv`` at the root if None."""
+    hints: bool = True
+    """Take the hint of ``dataset.csv`` as event frame where the table of events does not name a segment."""
+    training_2: Literal["train", "drop"] = "train"
+    """Use of the segments that the official loader never uses: train on them, or leave them out."""
+    body: Literal["auto", "smplx", "mesh", "bvh"] = "auto"
+    """Source of joints: fitted parameters, posed meshes, or the suit's skeleton; auto = the first that can be."""
+    vposer_model: Path | None = None
+    """Snapshot of VPoser v1 (``TR00_E096.pt``), for body smplx."""
+    smplx_model: Path | None = None
+    """``SMPLX_NEUTRAL.npz``, for bodies smplx and mesh."""
+    target: Target = "point"
+    """Box of an event: the wrist alone, or a cube of 10 cm around it."""
+    gaze_origin: GazeOrigin = "head"
+    """Origin of rays: the head joint, or the eyes as HoloLens 2 saw them."""
+    meshes: bool = False
+    """Load the scanned room, for priming that walls can hide."""
+
+    def routes(self) -> tuple[Route, ...]:
+        """Ways to the joints that these options allow, best first."""
+        if self.body != "auto":
+            return (self.body,)
+        smplx: tuple[Route, ...] = ("smplx",) if self.vposer_model and self.smplx_model else ()
+        mesh: tuple[Route, ...] = ("mesh",) if self.smplx_model else ()
+        return (*smplx, *mesh, "bvh")
+
 
 TABLE = "table"
 EVENTS = "events"
@@ -42,8 +85,22 @@ STREAM = "hololens stream"
 VIDEO = "hololens video"
 HOLOLENS_TRANSFORM = "hololens transform"
 SCENE_MESH = "scene mesh"
-
 Split = Literal["train", "test"]
+
+
+@dataclass(frozen=True)
+class _Folder:
+    """The files of one sequence, listed once for all its segments."""
+
+    path: Path
+
+    @cached_property
+    def poses(self) -> dict[str, dict[int, Path]]:
+        return _by_frame(self.path / gimo.POSE_FOLDER)
+
+    @cached_property
+    def gaze(self) -> dict[str, dict[int, Path]]:
+        return _by_frame(self.path / gimo.GAZE_FOLDER)
 
 
 def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFiles, ...]:
@@ -53,9 +110,7 @@ def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFile
         InputFileError: if there is no readable ``dataset.csv``, none of its sequences is there (listing them), or the
             table of events is damaged or has an event in both splits.
     """
-    root = Path(root).expanduser().resolve()
-    if not root.is_dir():
-        raise InputFileError(root, "", expected="a folder of GIMO", found="no such folder")
+    root = existing_folder(root, "a folder of GIMO")
     if not (root / gimo.TABLE_FILE).is_file():
         raise InputFileError(
             root / gimo.TABLE_FILE,
@@ -97,77 +152,6 @@ def _events(root: Path, options: GimoOptions) -> tuple[tuple[EventRow, ...], Pat
             remedy="Correct the option, or make the table: `prbench candidates gimo` proposes one.",
         )
     return read_events(path), path
-
-
-def row_of(found: RecordingFiles) -> tuple[Row, tuple[Row, ...]]:
-    """The row of ``dataset.csv`` that a recording stands for, and all rows.
-
-    Raises:
-        InputFileError: if the table has changed since the search.
-    """
-    path = found.require(TABLE, gimo.TABLE_FILE)
-    rows = read_segments(path)
-    row = next((row for row in rows if found.recording_id in _names(row)), None)
-    if row is None:
-        raise InputFileError(path, "", expected=f"the segment {found.recording_id}", found="a table without it")
-    return row, rows
-
-
-def _names(row: Row) -> tuple[str, str]:
-    """Ids under which a row can be known: its own, and in synthetic trees the name of its sequence."""
-    return row.segment.name, row.segment.sequence
-
-
-@dataclass(frozen=True)
-class _Folder:
-    """The files of one sequence, listed once for all its segments."""
-
-    path: Path
-
-    @cached_property
-    def poses(self) -> dict[str, dict[int, Path]]:
-        return _by_frame(self.path / gimo.POSE_FOLDER)
-
-    @cached_property
-    def gaze(self) -> dict[str, dict[int, Path]]:
-        return _by_frame(self.path / gimo.GAZE_FOLDER)
-
-
-def _by_frame(folder: Path) -> dict[str, dict[int, Path]]:
-    """Files by ending (``.pkl``, ``_center.ply``) and frame; others, without a whole number as name, are left out."""
-    found: dict[str, dict[int, Path]] = {}
-    for name in names_of(folder):
-        stem = _frame_of(name)
-        if _is_number(stem):
-            files = found.setdefault(name.removeprefix(stem), {})
-            frame = int(stem)
-            # Of "7.pkl" and "07.pkl" always the same one, in whatever order the disk lists them.
-            if frame not in files or name > files[frame].name:
-                files[frame] = folder / name
-    return found
-
-
-def names_of(folder: Path) -> list[str]:
-    """Names of all that lies in a folder, in no order; none if there is no such folder."""
-    if not folder.is_dir():
-        return []
-    with os.scandir(folder) as entries:
-        return [entry.name for entry in entries]
-
-
-def unnumbered(folder: Path) -> list[str]:
-    """Names of files that have no frame number and so are left out."""
-    return sorted(name for name in names_of(folder) if not _is_number(_frame_of(name)))
-
-
-def _is_number(stem: str) -> bool:
-    return stem.isascii() and stem.isdigit()
-
-
-def _frame_of(name: str) -> str:
-    """Return what stands in the place of the frame number in a file's name."""
-    stem, dot, _ = name.rpartition(".")
-    return (stem if dot else name).removesuffix(gimo.GAZE_CENTRE_SUFFIX)
 
 
 class _Search:
@@ -242,15 +226,15 @@ class _Search:
         return [input_file(role, path) for role, path in paths.items() if is_present(path)]
 
 
-def _per_frame(role: str, files: dict[int, Path], segment: gimo.Segment) -> dict[str, Path]:
-    wanted = sorted(frame for frame in files if segment.start_frame <= frame <= segment.end_frame)
-    return {f"{role}{frame}": files[frame] for frame in wanted}
-
-
 def _transform_file(folder: Path, name: str) -> Path:
     """The file that a row names; some copies of the table leave out the ending."""
     path = inside(folder, name)
     return path if path.suffix == ".json" else path.with_name(f"{path.name}.json")
+
+
+def _per_frame(role: str, files: dict[int, Path], segment: gimo.Segment) -> dict[str, Path]:
+    wanted = sorted(frame for frame in files if segment.start_frame <= frame <= segment.end_frame)
+    return {f"{role}{frame}": files[frame] for frame in wanted}
 
 
 def _hololens_files(folder: Path) -> dict[str, Path]:
@@ -265,9 +249,27 @@ def _hololens_files(folder: Path) -> dict[str, Path]:
     return {role: paths[0] for role, paths in found.items() if paths}
 
 
-def frames_of(found: RecordingFiles, role: str) -> dict[int, Path]:
-    """Files of one kind by frame."""
-    return {int(file.role.removeprefix(role)): file.path for file in found.files if file.role.startswith(role)}
+def unnumbered(folder: Path) -> list[str]:
+    """Names of files that have no frame number and so are left out."""
+    return sorted(name for name in names_of(folder) if not _is_number(_frame_of(name)))
+
+
+def names_of(folder: Path) -> list[str]:
+    """Names of all that lies in a folder, in no order; none if there is no such folder."""
+    if not folder.is_dir():
+        return []
+    with os.scandir(folder) as entries:
+        return [entry.name for entry in entries]
+
+
+def _is_number(stem: str) -> bool:
+    return stem.isascii() and stem.isdigit()
+
+
+def _frame_of(name: str) -> str:
+    """Return what stands in the place of the frame number in a file's name."""
+    stem, dot, _ = name.rpartition(".")
+    return (stem if dot else name).removesuffix(gimo.GAZE_CENTRE_SUFFIX)
 
 
 def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
@@ -283,3 +285,41 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
             slack = SEVERAL_SENSORS if role == CENTRE else ONE_SYSTEM  # eyes are lost now and then
             streams.append(Extent(stream, files[max(files)].name, *ends, tells_span=False, slack=slack))
     return tuple(streams)
+
+
+def row_of(found: RecordingFiles) -> tuple[Row, tuple[Row, ...]]:
+    """The row of ``dataset.csv`` that a recording stands for, and all rows.
+
+    Raises:
+        InputFileError: if the table has changed since the search.
+    """
+    path = found.require(TABLE, gimo.TABLE_FILE)
+    rows = read_segments(path)
+    row = next((row for row in rows if found.recording_id in _names(row)), None)
+    if row is None:
+        raise InputFileError(path, "", expected=f"the segment {found.recording_id}", found="a table without it")
+    return row, rows
+
+
+def _names(row: Row) -> tuple[str, str]:
+    """Ids under which a row can be known: its own, and in synthetic trees the name of its sequence."""
+    return row.segment.name, row.segment.sequence
+
+
+def frames_of(found: RecordingFiles, role: str) -> dict[int, Path]:
+    """Files of one kind by frame."""
+    return {int(file.role.removeprefix(role)): file.path for file in found.files if file.role.startswith(role)}
+
+
+def _by_frame(folder: Path) -> dict[str, dict[int, Path]]:
+    """Files by ending (``.pkl``, ``_center.ply``) and frame; others, without a whole number as name, are left out."""
+    found: dict[str, dict[int, Path]] = {}
+    for name in names_of(folder):
+        stem = _frame_of(name)
+        if _is_number(stem):
+            files = found.setdefault(name.removeprefix(stem), {})
+            frame = int(stem)
+            # Of "7.pkl" and "07.pkl" always the same one, in whatever order the disk lists them.
+            if frame not in files or name > files[frame].name:
+                files[frame] = folder / name
+    return found

@@ -83,6 +83,7 @@ def place_skeleton(
             " (options vposer_model and smplx_model).",
         )
     laid = interpolate(times, joints, start + since)
+    # The limbs are the suit's, the place is that of the fitted pelvis, frame by frame.
     laid = laid + (pelvis - laid[:, Joint.PELVIS])[:, None]
     far = float(np.linalg.norm(pelvis - pelvis[0], axis=1).max())
     return PlacedSkeleton(laid, start, error, far >= _STANDS_STILL)
@@ -129,6 +130,7 @@ def _best_start(
 
     def spread(start: float) -> float:
         apart = interpolate(times, hips, start + since) - pelvis
+        # Both frames may lie a constant offset apart, which tells nothing about time.
         return float(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean())
 
     tried = np.arange(int(latest / _STEP) + 1) * _STEP

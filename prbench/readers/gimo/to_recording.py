@@ -18,6 +18,7 @@ from prbench.readers.gimo.hololens import GlassesStreams, glasses_streams
 from prbench.readers.gimo.suit_skeleton import place_skeleton
 from prbench.recording.body_quality import hold_neighbours
 from prbench.recording.streams import (
+    SIDES,
     AnnotatedEvent,
     BodyStream,
     GazeStream,
@@ -28,12 +29,11 @@ from prbench.recording.streams import (
     Side,
 )
 from prbench.skeleton import WRISTS, Joint, transform_points
-from prbench.timelines import interpolate
+from prbench.timelines import covered, interpolate
 
 Target = Literal["point", "cube"]
 GazeOrigin = Literal["head", "hololens"]
 
-_SIDES: tuple[Side, Side] = ("left", "right")
 _UNKNOWN = "unknown"
 _SHORTEST_LOOK = 0.01  # metres; nearer to the eyes a point gives no direction
 
@@ -81,7 +81,7 @@ def recording_from_gimo(
         body=body,
         hands=tuple(
             HandStream(side, "wrist", body.times, body.joints[:, wrist, None], body.valid)
-            for side, wrist in zip(_SIDES, WRISTS, strict=True)
+            for side, wrist in zip(SIDES, WRISTS, strict=True)
         ),
         objects=(),
         annotated_events=events,
@@ -143,18 +143,12 @@ def _filled(
     longest: int,
 ) -> tuple[Float[np.ndarray, "m 22 3"], Bool[np.ndarray, " m"]]:
     """Joints on the wanted frames: interpolated across at most ``longest`` missing ones, else held and invalid."""
-    valid = _between(frames, wanted, longest + 1)
-    values = interpolate(frames.astype(np.float64), joints, wanted.astype(np.float64))
+    # Between two frames that are n + 1 apart n are missing.
+    known = frames.astype(np.float64)
+    asked = wanted.astype(np.float64)
+    valid = covered(known, np.ones(len(known), dtype=bool), asked, max_gap=longest + 1.0)
+    values = interpolate(known, joints, asked)
     return hold_neighbours(values, valid), valid
-
-
-def _between(frames: Int[np.ndarray, " n"], wanted: Int[np.ndarray, " m"], longest_step: int) -> Bool[np.ndarray, " m"]:
-    """Frames that exist, or lie between two existing ones at most ``longest_step`` apart."""
-    right = np.searchsorted(frames, wanted)
-    exists = (right < len(frames)) & (frames[np.minimum(right, len(frames) - 1)] == wanted)
-    inner = (right > 0) & (right < len(frames))
-    step = frames[np.minimum(right, len(frames) - 1)] - frames[np.maximum(right - 1, 0)]
-    return exists | (inner & (step <= longest_step))
 
 
 def _gaze(
@@ -174,6 +168,7 @@ def _gaze(
     apart = np.where(seen[:, None], points - origin, 0.0)
     distance = np.linalg.norm(apart, axis=1)
     valid = seen & posed & (distance > _SHORTEST_LOOK)
+    # Some unit vector stands where nothing was measured; the mask says so.
     direction = np.where(valid[:, None], apart / np.where(valid, distance, 1.0)[:, None], [0.0, 0.0, 1.0])
     measured = len(readings.gaze.frames)
     total = len(body.times)
@@ -190,8 +185,12 @@ def _gaze_points(
     if len(gaze.frames) == 0:
         return np.zeros((len(wanted), 3)), np.zeros(len(wanted), dtype=bool)
     points = transform_points(readings.transform.room_from_scan(), gaze.points)
-    seen = _between(gaze.frames, wanted, int(longest_gap * gimo.FRAME_RATE + 1e-9))
-    return interpolate(gaze.frames.astype(np.float64), points, wanted.astype(np.float64)), seen
+    # 0.1 s at 30 frames a second is 3 frames, also where the product is 2.9999.
+    longest = float(int(longest_gap * gimo.FRAME_RATE + 1e-9))
+    known = gaze.frames.astype(np.float64)
+    asked = wanted.astype(np.float64)
+    seen = covered(known, np.ones(len(known), dtype=bool), asked, max_gap=longest)
+    return interpolate(known, points, asked), seen
 
 
 def _events(
@@ -207,7 +206,7 @@ def _events(
     for event in readings.events:
         row = event.frame - readings.segment.start_frame
         hand = event.hand or _moving_hand(body, row, manifest.thresholds["hand_window"])
-        place = body.joints[row, WRISTS[_SIDES.index(hand)]] if body.valid[row] else None
+        place = body.joints[row, WRISTS[SIDES.index(hand)]] if body.valid[row] else None
         if place is None:
             remarks.append(f"no pose on frame {event.frame}, so its event has no place")
         if event.hand is None:
@@ -236,7 +235,7 @@ def _moving_hand(body: BodyStream, row: int, window: float) -> Side:
     first = max(row - round(window * gimo.FRAME_RATE), 0)
     wrists = body.joints[first : row + 1][:, WRISTS]
     paths = np.linalg.norm(np.diff(wrists, axis=0), axis=2).sum(axis=0)
-    return _SIDES[int(paths.argmax())]
+    return SIDES[int(paths.argmax())]
 
 
 def _no_rotation(n: int) -> Float[np.ndarray, "n 4"]:

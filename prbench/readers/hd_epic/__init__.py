@@ -6,22 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.boundary import foreign_input
-from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
-from prbench.readers.egoallo.inputs import EgoalloInputs, aria_inputs, points_beside
+from prbench.readers.egoallo.inputs import GlassesWithMps
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hd_epic.places import HdEpicOptions, extents, find_recordings
 from prbench.readers.hd_epic.readings import read_readings
 from prbench.readers.hd_epic.to_recording import recording_from_hd_epic
-from prbench.readers.zipped import Source
 from prbench.recording import Recording
 
 __all__ = ["READER", "HdEpicOptions", "HdEpicReader", "find_recordings", "read_readings"]
 
 
 @dataclass(frozen=True)
-class HdEpicReader:
+class HdEpicReader(GlassesWithMps):
     """See :class:`prbench.readers.Reader`."""
 
     dataset: str = "hd-epic"
@@ -36,23 +34,13 @@ class HdEpicReader:
     def read(self, found: RecordingFiles) -> Recording:
         """See :class:`prbench.readers.Reader`."""
         manifest = load_manifest(self.dataset)
-        reason = found.skip_reason or manifest.why_bad(found.recording_id)
-        if reason:
-            raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
+        found.require_usable(found.skip_reason or manifest.why_bad(found.recording_id))
         readings = read_readings(found, self.options)
         return recording_from_hd_epic(readings, manifest, dataset=found.dataset, boxes=self.options.boxes)
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """See :class:`prbench.readers.KnowsEnds`."""
         return extents(found, recording)
-
-    def egoallo_inputs(self, root: Path, found: RecordingFiles) -> EgoalloInputs:
-        """See :class:`prbench.readers.AriaGlasses`."""
-        return aria_inputs(root, found)
-
-    def point_cloud(self, found: RecordingFiles) -> Source | None:
-        """See :class:`prbench.readers.AriaGlasses`."""
-        return points_beside(found)
 
 
 READER = HdEpicReader()

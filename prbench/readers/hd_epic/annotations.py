@@ -98,29 +98,32 @@ def read_tracks(associations: Path, masks: Path, video: str) -> tuple[tuple[hd_e
         for key, association in objects.items()
         for track in association.tracks
     ]
+    # Names decide between equal times, so that the order of the file leaves no trace.
     tracks.sort(key=lambda track: (track.start, track.end, track.object_id, track.track_id))
     return tuple(tracks), _remarks(objects, known, masks)
 
 
-def read_priming(path: Path, video: str) -> tuple[hd_epic.PublishedSide, ...]:
-    """Read the dataset's own priming results of one video; none for a video that the file does not know.
+def _entry(path: Path, video: str) -> msgspec.Raw | None:
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise missing_file(path) from error
+    return _videos(path, status.st_size, status.st_mtime_ns).get(video)
 
-    Raises:
-        InputFileError: if the file is missing or damaged.
-    """
-    entry = _entry(path, video)
-    if entry is None:
-        return ()
-    sides = [
-        (f"{key}/{name}", name == "start", side)
-        for key, primed in _decoded(_PRIMING, entry, path, video).items()
-        for name, side in (("start", primed.start), ("end", primed.end))
-        if side is not None
-    ]
-    return tuple(
-        hd_epic.PublishedSide(key, is_start, side.frame, _numbers(side.location, 3), side.prime_stats.frame_primed)
-        for key, is_start, side in sides
-    )
+
+@lru_cache(maxsize=8)
+def _videos(path: Path, _size: int, _changed_ns: int) -> dict[str, msgspec.Raw]:
+    """The file cut into its videos, none of them parsed; opened anew when it has changed."""
+    return decode_json(path, _VIDEOS)
+
+
+def _decoded(decoder: msgspec.json.Decoder, entry: msgspec.Raw, path: Path, video: str):
+    try:
+        return decoder.decode(entry)
+    except msgspec.DecodeError as error:
+        raise InputFileError(
+            path, video, expected="the keys of this format", found=str(error), remedy="Download the file again."
+        ) from error
 
 
 def _video_masks(path: Path, video: str) -> dict[str, hd_epic.ObjectMask]:
@@ -161,24 +164,22 @@ def _remarks(
     return (f"{missing} of {len(named)} masks of the tracks are not in {masks.name}",) if missing else ()
 
 
-def _decoded(decoder: msgspec.json.Decoder, entry: msgspec.Raw, path: Path, video: str):
-    try:
-        return decoder.decode(entry)
-    except msgspec.DecodeError as error:
-        raise InputFileError(
-            path, video, expected="the keys of this format", found=str(error), remedy="Download the file again."
-        ) from error
+def read_priming(path: Path, video: str) -> tuple[hd_epic.PublishedSide, ...]:
+    """Read the dataset's own priming results of one video; none for a video that the file does not know.
 
-
-def _entry(path: Path, video: str) -> msgspec.Raw | None:
-    try:
-        status = path.stat()
-    except OSError as error:
-        raise missing_file(path) from error
-    return _videos(path, status.st_size, status.st_mtime_ns).get(video)
-
-
-@lru_cache(maxsize=8)
-def _videos(path: Path, _size: int, _changed_ns: int) -> dict[str, msgspec.Raw]:
-    """The file cut into its videos, none of them parsed; opened anew when it has changed."""
-    return decode_json(path, _VIDEOS)
+    Raises:
+        InputFileError: if the file is missing or damaged.
+    """
+    entry = _entry(path, video)
+    if entry is None:
+        return ()
+    sides = [
+        (f"{key}/{name}", name == "start", side)
+        for key, primed in _decoded(_PRIMING, entry, path, video).items()
+        for name, side in (("start", primed.start), ("end", primed.end))
+        if side is not None
+    ]
+    return tuple(
+        hd_epic.PublishedSide(key, is_start, side.frame, _numbers(side.location, 3), side.prime_stats.frame_primed)
+        for key, is_start, side in sides
+    )

@@ -22,7 +22,6 @@ from prbench.readers.hd_epic.priming import MaskedEvent, published_priming
 from prbench.recording.reaching_hand import reaching_hand, wrists_at
 from prbench.recording.streams import AnnotatedEvent, BodyStream, PublishedPriming
 from prbench.skeleton import transform_points
-from prbench.timelines import interpolate
 
 BoxKind = Literal["point", "cube"]
 
@@ -94,6 +93,7 @@ def masks_of_sides(
     if len(track.masks) == 1:
         mask = track.masks[0]
         return (mask, None) if abs(mask.frame - start) <= abs(mask.frame - end) else (None, mask)
+    # By pairs, since the mask nearest to the start may be nearest to the end, too.
     return min(
         itertools.permutations(track.masks, 2),
         key=lambda pair: (abs(pair[0].frame - start) + abs(pair[1].frame - end), pair[0].frame),
@@ -173,12 +173,13 @@ def _cube_edge(
     if side.mask is None or side.mask.box_px is None or not camera.valid.any():
         return None
     time = readings.clock.device_seconds(np.array([side.mask.frame], dtype=np.float64))
-    eye = interpolate(camera.times[camera.valid], camera.position[camera.valid], time)[0]
+    eye = camera.pose_at(time)[0][0]
     low_x, low_y, high_x, high_y = side.mask.box_px
     mean_side = (abs(high_x - low_x) + abs(high_y - low_y)) / 2
     focal = hd_epic.FOCAL_LENGTH
     if isinstance(readings.glasses, hd_epic.FrameReadings) and readings.glasses.rgb_focal_length is not None:
         focal = readings.glasses.rgb_focal_length
+    # Pinhole camera: metres = pixels * distance / focal length.
     return float(mean_side * np.linalg.norm(location - eye) / focal)
 
 

@@ -11,10 +11,9 @@ import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.bounded import open_regular, whole_lines
 from prbench.errors import InputFileError
 from prbench.readers.aria_mps.format import GlassesSize
-from prbench.readers.files import Nanoseconds, decode_json, missing_file
+from prbench.readers.files import Nanoseconds, decode_json, text_lines
 from prbench.readers.hd_epic import format as hd_epic
 
 _NO_TIME = -1
@@ -75,23 +74,17 @@ def read_frames(path: Path, calibration: Path | None) -> hd_epic.FrameReadings:
 
 def _decoded_lines(path: Path) -> list[_Frame]:
     frames: list[_Frame] = []
-    try:
-        with open_regular(path) as file:
-            for number, line in enumerate(whole_lines(file, path), start=1):
-                if not line.strip():
-                    continue
-                try:
-                    frames.append(_FRAME.decode(line))
-                except (msgspec.DecodeError, UnicodeDecodeError) as error:
-                    raise InputFileError(
-                        path,
-                        f"line {number}",
-                        expected="one video frame as JSON",
-                        found=str(error),
-                        remedy="The file may be truncated; copy or download it again.",
-                    ) from error
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
+    for number, line in text_lines(path):
+        try:
+            frames.append(_FRAME.decode(line))
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise InputFileError(
+                path,
+                f"line {number}",
+                expected="one video frame as JSON",
+                found=str(error),
+                remedy="The file may be truncated; copy or download it again.",
+            ) from error
     if not frames:
         raise InputFileError(path, "", expected="one line a video frame", found="no line")
     return frames

@@ -9,12 +9,11 @@ from typing import Literal
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
-from prbench.readers.aria_mps import UNREADABLE, find_mps_files
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.egoallo import find_outputs
-from prbench.readers.egoallo.places import body_extent
+from prbench.readers.aria_mps.find import UNREADABLE, find_mps_files
+from prbench.readers.egoallo.places import body_extent, find_outputs
 from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent, json_extent
-from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
+from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.video_clock import slam_number
 from prbench.readers.options import ReaderOptions
@@ -77,9 +76,7 @@ def find_recordings(root: Path | str, options: HdEpicOptions) -> tuple[Recording
     Raises:
         InputFileError: if there is none, saying what was looked for and what was found.
     """
-    root = Path(root).expanduser().resolve()
-    if not root.is_dir():
-        raise InputFileError(root, "", expected="the folder of HD-EPIC", found="no such folder")
+    root = existing_folder(root, "the folder of HD-EPIC")
     copy = _copy_at(root, options)
     dataset = f"{SYNTHETIC_PREFIX}hd-epic" if read_synthetic_tree(root) is not None else "hd-epic"
     videos = _videos(copy)

@@ -66,6 +66,7 @@ def _partners(
     at_frame: dict[int, list[int]] = {}
     for index, entry in enumerate(entries):
         at_frame.setdefault(entry.frame, []).append(index)
+    # Nearest first: by frames, among equals by metres.
     candidates = sorted(
         (distance, number, index)
         for number, event in enumerate(events)

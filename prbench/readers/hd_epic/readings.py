@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.readers.aria_mps import UNREADABLE, find_mps_files, read_mps
 from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.find import UNREADABLE, find_mps_files
 from prbench.readers.aria_mps.format import MpsReadings
-from prbench.readers.egoallo import NO_OUTPUTS, read_bodies
+from prbench.readers.aria_mps.readings import read_mps
+from prbench.readers.egoallo.bodies import read_bodies
+from prbench.readers.egoallo.to_recording import NO_OUTPUTS
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic import places

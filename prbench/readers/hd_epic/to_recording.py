@@ -15,13 +15,19 @@ from scipy.spatial.transform import Rotation
 from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.errors import InputFileError
 from prbench.manifests import Manifest
-from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, MpsReadings, cpf_from_rgb, device_from_cpf
-from prbench.readers.aria_mps.to_recording import ASSUMED_SIZE, MpsStreams, mps_streams, part_poses
+from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, MpsReadings
+from prbench.readers.aria_mps.to_recording import (
+    ASSUMED_SIZE,
+    MpsStreams,
+    head_and_camera,
+    mps_streams,
+    size_remark,
+)
 from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.events import BoxKind, annotated_events
 from prbench.recording.streams import GazeStream, PoseStream, Recording
-from prbench.timelines import covered, interpolate, require_overlap, slerp
+from prbench.timelines import covered, interpolate, require_overlap, slerp, stream_ranges
 
 
 def recording_from_hd_epic(
@@ -45,11 +51,8 @@ def recording_from_hd_epic(
     thresholds = hd_epic.Thresholds(**manifest.thresholds)
     streams = glasses_streams(readings.glasses, thresholds, world_from_source=world)
     body = None if readings.body is None else body_stream(readings.body, world_from_source=world)
-    ranges = {"video": readings.clock.span, "glasses": _range(streams.device.times)}
-    if len(streams.gaze.times):
-        ranges["gaze"] = _range(streams.gaze.times)
-    if body is not None:
-        ranges["body"] = _range(body.times)
+    times = {"glasses": streams.device.times, "gaze": streams.gaze.times, "body": None if body is None else body.times}
+    ranges = {"video": readings.clock.span} | stream_ranges(times)
     require_overlap(ranges, recording=readings.video)
     events, remarks = annotated_events(readings, streams, body, thresholds, boxes=boxes)
     return Recording(
@@ -102,26 +105,21 @@ def source_head(glasses: MpsReadings | hd_epic.FrameReadings) -> PoseStream:
     """
     if isinstance(glasses, MpsReadings):
         return mps_streams(dataclasses.replace(glasses, wrists=None), world_from_source=np.eye(4)).head
-    device_cpf = device_from_cpf(glasses.glasses_size or ASSUMED_SIZE)
-    return part_poses(_frame_poses(glasses, np.eye(4)), device_cpf)
+    return head_and_camera(_frame_poses(glasses, np.eye(4)), glasses.glasses_size or ASSUMED_SIZE, None)[0]
 
 
 def _frame_streams(
     frames: hd_epic.FrameReadings, thresholds: hd_epic.Thresholds, world_from_source: Float[np.ndarray, "4 4"]
 ) -> MpsStreams:
     device = _frame_poses(frames, world_from_source)
-    size = frames.glasses_size or ASSUMED_SIZE
-    device_cpf = device_from_cpf(size)
-    device_rgb = device_cpf @ cpf_from_rgb() if frames.device_from_rgb is None else frames.device_from_rgb
-    head = part_poses(device, device_cpf)
+    head, camera = head_and_camera(device, frames.glasses_size or ASSUMED_SIZE, frames.device_from_rgb)
     remarks = ["camera and gaze are those of the intermediate data: gaze at 5 to 10 Hz, no hands"]
-    if frames.glasses_size is None:
-        remarks.append(f"size of the glasses unknown, {ASSUMED_SIZE} assumed: gaze origins may be off by 2.4 mm")
+    remarks += size_remark(frames.glasses_size, ASSUMED_SIZE)
     lost = int((~np.isfinite(frames.world_from_device).all(axis=(1, 2))).sum())
     if lost:
         remarks.append(f"{lost} of {len(frames.tracking_ns)} video frames have no pose of the glasses")
     gaze = _frame_gaze(frames, device, head, thresholds.stale_gaze_s, world_from_source)
-    return MpsStreams(device, head, part_poses(device, device_rgb), gaze, (), tuple(remarks))
+    return MpsStreams(device, head, camera, gaze, (), tuple(remarks))
 
 
 def _frame_poses(frames: hd_epic.FrameReadings, world_from_source: Float[np.ndarray, "4 4"]) -> PoseStream:
@@ -156,6 +154,7 @@ def _frame_gaze(
     """
     looking = np.flatnonzero((frames.gaze_ns >= 0) & (frames.slam_ns >= 0) & _finite(frames))
     away = np.abs(frames.gaze_ns - frames.slam_ns)[looking]
+    # lexsort sorts by its last key first: by gaze time, and within one time by nearness.
     nearest_first = looking[np.lexsort((away, frames.gaze_ns[looking]))]
     gaze_ns, first = np.unique(frames.gaze_ns[nearest_first], return_index=True)
     rows = nearest_first[first]
@@ -183,7 +182,3 @@ def _finite(frames: hd_epic.FrameReadings) -> np.ndarray:
 def _during(gaze: GazeStream, span: tuple[float, float]) -> GazeStream:
     inside = (gaze.times >= span[0]) & (gaze.times <= span[1] + 1 / hd_epic.FPS)
     return dataclasses.replace(gaze, valid=gaze.valid & inside)
-
-
-def _range(times: np.ndarray) -> tuple[float, float]:
-    return float(times[0]), float(times[-1])

@@ -19,6 +19,7 @@ class _Log(msgspec.Struct):
 
 
 _LOG = msgspec.json.Decoder(_Log)
+_MAP = msgspec.json.Decoder(dict[str, str | int])
 
 
 def read_video_clock(path: Path, log: Path | None) -> tuple[hd_epic.VideoClock, tuple[str, ...]]:
@@ -67,9 +68,6 @@ def _device_times(path: Path) -> Int[np.ndarray, " n"]:
         if not np.isfinite(times).all():
             raise error
         return np.rint(times).astype(np.int64)
-
-
-_MAP = msgspec.json.Decoder(dict[str, str | int])
 
 
 def slam_number(path: Path) -> dict[str, str]:

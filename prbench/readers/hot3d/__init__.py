@@ -6,22 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.boundary import foreign_input
-from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
-from prbench.readers.egoallo.inputs import EgoalloInputs, aria_inputs, points_beside
+from prbench.readers.egoallo.inputs import GlassesWithMps
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d.layout import Hot3dOptions, extents, find_recordings
 from prbench.readers.hot3d.readings import read_readings
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
-from prbench.readers.zipped import Source
 from prbench.recording import Recording
 
 __all__ = ["READER", "Hot3dOptions", "Hot3dReader", "find_recordings", "read_readings"]
 
 
 @dataclass(frozen=True)
-class Hot3dReader:
+class Hot3dReader(GlassesWithMps):
     """See :class:`prbench.readers.Reader`."""
 
     dataset: str = "hot3d"
@@ -36,23 +34,13 @@ class Hot3dReader:
     def read(self, found: RecordingFiles) -> Recording:
         """See :class:`prbench.readers.Reader`."""
         manifest = load_manifest("hot3d")
-        reason = manifest.why_bad(found.recording_id) or found.skip_reason
-        if reason:
-            raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
+        found.require_usable(manifest.why_bad(found.recording_id) or found.skip_reason)
         readings = read_readings(found, self.options)
         return recording_from_hot3d(readings, manifest, dataset=found.dataset, meshes=self.options.meshes)
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """See :class:`prbench.readers.KnowsEnds`."""
         return extents(found, recording)
-
-    def egoallo_inputs(self, root: Path, found: RecordingFiles) -> EgoalloInputs:
-        """See :class:`prbench.readers.AriaGlasses`."""
-        return aria_inputs(root, found)
-
-    def point_cloud(self, found: RecordingFiles) -> Source | None:
-        """See :class:`prbench.readers.AriaGlasses`."""
-        return points_beside(found)
 
 
 READER = Hot3dReader()

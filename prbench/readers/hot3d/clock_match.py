@@ -51,6 +51,7 @@ class ClockMatch:
         since = device_ns - shift
         if self.drift == 0.0:
             return since + self.origin_ns
+        # The equation above, solved for truth: since = (1 + drift) * (truth - origin).
         return since + self.origin_ns - np.rint(since * (self.drift / (1 + self.drift))).astype(np.int64)
 
     @property
@@ -101,6 +102,7 @@ def match_clocks(
             f" {_FEWEST_ROWS} are needed to align the clocks. Download both files again."
         )
     low, high = _offset_bounds(truth_ns[found], device_ns, row)
+    # Relative to one offset the bounds are small enough for floats to hold them exactly.
     reference = int(np.median(low + high) / 2)
     agreeing = np.abs((low + high) / 2 - reference) <= _STRAY_NS
     if agreeing.mean() < _SMALLEST_AGREEING:

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.readers.aria_mps.format import MpsReadings
 from prbench.readers.egoallo.format import EgoAlloBody, EgoAlloOutput
+from prbench.recording.streams import Side
 
 METADATA_FILE = "metadata.json"
 OBJECTS_FILE = "dynamic_objects.csv"
@@ -38,7 +39,7 @@ STREAM = "stream_id"
 MASK = "mask"
 RGB_STREAM = "214-1"
 SLAM_STREAMS = ("1201-1", "1201-2")
-HAND_KEYS: dict[Literal["left", "right"], str] = {"left": "0", "right": "1"}
+HAND_KEYS: dict[Side, str] = {"left": "0", "right": "1"}
 
 MaskName = Literal["qa_pass", "headset_pose_available", "object_pose_available", "hand_pose_available"]
 MASK_NAMES: tuple[MaskName, ...] = (
@@ -92,7 +93,7 @@ class Hot3dObject:
 class HandRows:
     """One hand over time, UmeTrack or MANO: rows where it is tracked."""
 
-    side: Literal["left", "right"]
+    side: Side
     time_ns: Int[np.ndarray, " n"]
     position: Float[np.ndarray, "n 3"]
     """UmeTrack: the wrist. MANO: the model's translation, which is not the wrist."""
@@ -108,7 +109,7 @@ class HandRows:
 class HandPoints:
     """One hand over time: wrist and mesh, world."""
 
-    side: Literal["left", "right"]
+    side: Side
     time_ns: Int[np.ndarray, " n"]
     wrist: Float[np.ndarray, "n 3"]
     vertices: Float[np.ndarray, "n v 3"]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 import numpy as np
@@ -18,8 +17,9 @@ from prbench.errors import InputFileError
 from prbench.numpy_files import Archive
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d.hands_umetrack import hand_rows, read_lines
+from prbench.readers.hot3d.hands_umetrack import Wrist, hand_rows, read_lines
 from prbench.readers.hot3d.layout import MANO, MANO_MODEL_PREFIX
+from prbench.recording.streams import Side
 
 N_VERTICES = 778
 N_JOINTS = 16
@@ -55,62 +55,6 @@ class ManoModel:
     """Rotation vectors of the 15 finger joints."""
 
 
-def without_left_hand_bug(left: ManoModel, right: ManoModel) -> ManoModel:
-    """The left hand with its shape directions mirrored in x, where the file holds those of the right hand.
-
-    The model's first release has this mistake (smplx issue 48); HOT3D's hands were fitted without it.
-    """
-    if np.abs(left.shape_directions[:, 0] - right.shape_directions[:, 0]).sum() >= 1:
-        return left
-    return replace(left, shape_directions=left.shape_directions * np.array([-1.0, 1.0, 1.0])[:, None])
-
-
-def pose_hand(
-    model: ManoModel,
-    betas: Float[np.ndarray, "10"],
-    coefficients: Float[np.ndarray, "n 15"],
-    rotation: Float[np.ndarray, "n 4"],
-    translation: Float[np.ndarray, "n 3"],
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n v 3"]]:
-    """Wrist and vertices in the world.
-
-    Args:
-        model: The hand.
-        betas: Shape.
-        coefficients: Of the principal poses, added to the mean pose.
-        rotation: Of the root joint, w x y z.
-        translation: Added to everything, metres.
-    """
-    shaped = model.template + model.shape_directions @ betas
-    joints = model.regressor @ shaped
-    n = len(rotation)
-    fingers = (model.mean_pose + coefficients @ model.components).reshape(-1, 3)
-    local = np.empty((n, N_JOINTS, 3, 3))
-    local[:, 0] = Rotation.from_quat(rotation, scalar_first=True).as_matrix().reshape(n, 3, 3)
-    local[:, 1:] = Rotation.from_rotvec(fingers).as_matrix().reshape(n, N_JOINTS - 1, 3, 3)
-    bend = (local[:, 1:] - np.eye(3)).reshape(n, -1)
-    posed = shaped + np.einsum("vci,ni->nvc", model.pose_directions, bend, optimize=True)
-    turn, shift = _joint_transforms(model.parents, joints, local)
-    blended_turn = np.einsum("vj,njab->nvab", model.weights, turn, optimize=True)
-    vertices = np.einsum("nvab,nvb->nva", blended_turn, posed) + model.weights @ shift
-    return joints[0] + translation, vertices + translation[:, None]
-
-
-def _joint_transforms(
-    parents: Int[np.ndarray, "16"], joints: Float[np.ndarray, "16 3"], local: Float[np.ndarray, "n 16 3 3"]
-) -> tuple[Float[np.ndarray, "n 16 3 3"], Float[np.ndarray, "n 16 3"]]:
-    """Rotation and shift of every joint against its rest: ``x -> turn x + shift``."""
-    turn = np.empty_like(local)
-    place = np.empty(local.shape[:3])
-    turn[:, 0] = local[:, 0]
-    place[:, 0] = joints[0]
-    for joint in range(1, N_JOINTS):
-        parent = parents[joint]
-        turn[:, joint] = turn[:, parent] @ local[:, joint]
-        place[:, joint] = place[:, parent] + turn[:, parent] @ (joints[joint] - joints[parent])
-    return turn, place - np.einsum("njab,jb->nja", turn, joints)
-
-
 _CONVERT = (
     "prbench opens no pickles. Convert each MANO_*.pkl once, in an environment that you trust with it: "
     "`python -c \"import pickle, numpy as np; m = pickle.load(open('MANO_LEFT.pkl', 'rb'), encoding='latin1'); "
@@ -129,13 +73,8 @@ _SHAPES: dict[str, tuple[int, ...]] = {
 }
 
 
-class _Wrist(msgspec.Struct):
-    t_xyz: tuple[float, float, float]
-    q_wxyz: tuple[float, float, float, float]
-
-
 class _ManoHand(msgspec.Struct):
-    wrist_xform: _Wrist
+    wrist_xform: Wrist
     pose: list[float]
     betas: list[float]
 
@@ -189,13 +128,13 @@ def read_mano_rows(path: Path) -> tuple[tuple[hot3d.HandRows, ...], tuple[str, .
     return tuple(hands), remarks
 
 
-def _read_models(found: RecordingFiles, folder: Path | None) -> dict[Literal["left", "right"], ManoModel]:
+def _read_models(found: RecordingFiles, folder: Path | None) -> dict[Side, ManoModel]:
     """Both hands of the licensed model.
 
     Raises:
         InputFileError: if one is missing (saying how to convert it) or damaged.
     """
-    models: dict[Literal["left", "right"], ManoModel] = {}
+    models: dict[Side, ManoModel] = {}
     for side in hot3d.HAND_KEYS:
         path = found.path(f"{MANO_MODEL_PREFIX}{side}")
         name = f"MANO_{side.upper()}.npz"
@@ -235,3 +174,61 @@ def _read_model(path: Path) -> ManoModel:
         components=wide["hands_components"][:N_COEFFICIENTS],
         mean_pose=wide["hands_mean"],
     )
+
+
+def without_left_hand_bug(left: ManoModel, right: ManoModel) -> ManoModel:
+    """The left hand with its shape directions mirrored in x, where the file holds those of the right hand.
+
+    The model's first release has this mistake (smplx issue 48); HOT3D's hands were fitted without it.
+    """
+    if np.abs(left.shape_directions[:, 0] - right.shape_directions[:, 0]).sum() >= 1:
+        return left
+    return replace(left, shape_directions=left.shape_directions * np.array([-1.0, 1.0, 1.0])[:, None])
+
+
+def pose_hand(
+    model: ManoModel,
+    betas: Float[np.ndarray, "10"],
+    coefficients: Float[np.ndarray, "n 15"],
+    rotation: Float[np.ndarray, "n 4"],
+    translation: Float[np.ndarray, "n 3"],
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n v 3"]]:
+    """Wrist and vertices in the world.
+
+    Args:
+        model: The hand.
+        betas: Shape.
+        coefficients: Of the principal poses, added to the mean pose.
+        rotation: Of the root joint, w x y z.
+        translation: Added to everything, metres.
+    """
+    shaped = model.template + model.shape_directions @ betas
+    joints = model.regressor @ shaped
+    n = len(rotation)
+    fingers = (model.mean_pose + coefficients @ model.components).reshape(-1, 3)
+    local = np.empty((n, N_JOINTS, 3, 3))
+    local[:, 0] = Rotation.from_quat(rotation, scalar_first=True).as_matrix().reshape(n, 3, 3)
+    local[:, 1:] = Rotation.from_rotvec(fingers).as_matrix().reshape(n, N_JOINTS - 1, 3, 3)
+    # Corrections of the shape are linear in the rotations minus the identity; the root has none.
+    bend = (local[:, 1:] - np.eye(3)).reshape(n, -1)
+    posed = shaped + np.einsum("vci,ni->nvc", model.pose_directions, bend, optimize=True)
+    turn, shift = _joint_transforms(model.parents, joints, local)
+    blended_turn = np.einsum("vj,njab->nvab", model.weights, turn, optimize=True)
+    vertices = np.einsum("nvab,nvb->nva", blended_turn, posed) + model.weights @ shift
+    return joints[0] + translation, vertices + translation[:, None]
+
+
+def _joint_transforms(
+    parents: Int[np.ndarray, "16"], joints: Float[np.ndarray, "16 3"], local: Float[np.ndarray, "n 16 3 3"]
+) -> tuple[Float[np.ndarray, "n 16 3 3"], Float[np.ndarray, "n 16 3"]]:
+    """Rotation and shift of every joint against its rest: ``x -> turn x + shift``."""
+    turn = np.empty_like(local)
+    place = np.empty(local.shape[:3])
+    turn[:, 0] = local[:, 0]
+    place[:, 0] = joints[0]
+    for joint in range(1, N_JOINTS):
+        parent = parents[joint]
+        turn[:, joint] = turn[:, parent] @ local[:, joint]
+        place[:, joint] = place[:, parent] + turn[:, parent] @ (joints[joint] - joints[parent])
+    # x -> turn (x - joint) + place, so that the shift is place - turn joint.
+    return turn, place - np.einsum("njab,jb->nja", turn, joints)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from prbench.bounded import open_regular, whole_lines
 from prbench.errors import InputFileError
-from prbench.readers.files import Nanoseconds, decode_json, missing_file, require_increasing
+from prbench.readers.files import Nanoseconds, decode_json, require_increasing, text_lines
 from prbench.readers.hot3d import format as hot3d
 
 N_JOINTS = 22
@@ -28,6 +26,46 @@ N_LANDMARKS = 21
 WRIST_LANDMARK = 5
 PALM_LANDMARK = 20
 METRES_A_UNIT = 1e-3
+_QUATERNION_TOLERANCE = 1e-3
+_FARTHEST = 1.0  # metres from the wrist, many times as long as a hand
+
+
+class Wrist(msgspec.Struct):
+    """Pose of a wrist in either kind of file."""
+
+    t_xyz: tuple[float, float, float]
+    q_wxyz: tuple[float, float, float, float]
+
+
+class _UmeTrackHand(msgspec.Struct):
+    wrist_xform: Wrist
+    joint_angles: tuple[float, ...]
+
+
+class _UmeTrackLine(msgspec.Struct):
+    timestamp_ns: Nanoseconds
+    hand_poses: dict[str, _UmeTrackHand]
+
+
+_DECODER = msgspec.json.Decoder(_UmeTrackLine)
+
+
+class _Model(msgspec.Struct):
+    mesh_vertices: list[tuple[float, float, float]]
+    mesh_triangles: list[tuple[float, float, float]]
+    dense_bone_weights: list[list[float]]
+    joint_rest_positions: list[tuple[float, float, float]]
+    joint_rotation_axes: list[tuple[float, float, float]]
+    landmark_rest_positions: list[tuple[float, float, float]]
+    landmark_rest_bone_indices: list[tuple[int, int, int]]
+    landmark_rest_bone_weights: list[tuple[float, float, float]]
+
+
+class _Profile(msgspec.Struct):
+    hand_model: _Model
+
+
+_PROFILE = msgspec.json.Decoder(_Profile, strict=False)
 
 
 def bone_transforms(model: hot3d.HandModel, angles: Float[np.ndarray, "n 22"]) -> Float[np.ndarray, "n 17 4 4"]:
@@ -40,14 +78,26 @@ def bone_transforms(model: hot3d.HandModel, angles: Float[np.ndarray, "n 22"]) -
     turned = [
         _about(model.joint_axes[joint], model.joint_positions[joint], angles[:, joint]) for joint in range(N_ANGLES)
     ]
+    # Root and wrist: neither moves in the frame of the wrist.
     bones = [np.broadcast_to(np.eye(4), (len(angles), 4, 4))] * 2
     for finger in range(_N_FINGERS):
         first = finger * JOINTS_A_FINGER
+        # A finger has four joints and three bones: its first two joints turn the first bone.
         bone = turned[first]
         for joint in range(first + 1, first + JOINTS_A_FINGER):
             bone = bone @ turned[joint]
             bones.append(bone)
     return np.stack(bones, axis=1)
+
+
+def _about(
+    axis: Float[np.ndarray, "3"], point: Float[np.ndarray, "3"], angles: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 4 4"]:
+    """Rotations about an axis through a point."""
+    transform = np.tile(np.eye(4), (len(angles), 1, 1))
+    transform[:, :3, :3] = Rotation.from_rotvec(angles[:, None] * axis).as_matrix()
+    transform[:, :3, 3] = point - transform[:, :3, :3] @ point
+    return transform
 
 
 def pose_points(
@@ -74,41 +124,10 @@ def pose_points(
     carried = (weights[:, :, None] * homogeneous[:, None, :]).reshape(len(points), -1)
     flat = bones[:, :, :3].transpose(0, 1, 3, 2).reshape(len(bones), -1, 3)
     matrix = Rotation.from_quat(wrist_rotation, scalar_first=True).as_matrix()
+    # The model is a left hand; the file's rotation of a right one refers to its mirror image.
     if mirrored:
         matrix = matrix * np.array([-1.0, 1.0, 1.0])
     return carried @ (flat @ matrix.transpose(0, 2, 1)) + wrist_position[:, None]
-
-
-def _about(
-    axis: Float[np.ndarray, "3"], point: Float[np.ndarray, "3"], angles: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "n 4 4"]:
-    """Rotations about an axis through a point."""
-    transform = np.tile(np.eye(4), (len(angles), 1, 1))
-    transform[:, :3, :3] = Rotation.from_rotvec(angles[:, None] * axis).as_matrix()
-    transform[:, :3, 3] = point - transform[:, :3, :3] @ point
-    return transform
-
-
-_QUATERNION_TOLERANCE = 1e-3
-_FARTHEST = 1.0  # metres from the wrist, many times as long as a hand
-
-
-class _Wrist(msgspec.Struct):
-    t_xyz: tuple[float, float, float]
-    q_wxyz: tuple[float, float, float, float]
-
-
-class _UmeTrackHand(msgspec.Struct):
-    wrist_xform: _Wrist
-    joint_angles: tuple[float, ...]
-
-
-class _UmeTrackLine(msgspec.Struct):
-    timestamp_ns: Nanoseconds
-    hand_poses: dict[str, _UmeTrackHand]
-
-
-_DECODER = msgspec.json.Decoder(_UmeTrackLine)
 
 
 def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], tuple[str, ...]]:
@@ -143,7 +162,7 @@ def read_lines(path: Path, decoder: msgspec.json.Decoder[Any]) -> tuple[list[Any
     """
     records = []
     bad = 0
-    for line in _text_lines(path):
+    for _, line in text_lines(path):
         try:
             records.append(decoder.decode(line))
         except (msgspec.DecodeError, UnicodeDecodeError):
@@ -185,24 +204,6 @@ def hand_rows(
             remedy="Remove the line, or download the file again.",
         )
     return hot3d.HandRows(side, time_ns, position, rotation, angles, betas)
-
-
-class _Model(msgspec.Struct):
-    mesh_vertices: list[tuple[float, float, float]]
-    mesh_triangles: list[tuple[float, float, float]]
-    dense_bone_weights: list[list[float]]
-    joint_rest_positions: list[tuple[float, float, float]]
-    joint_rotation_axes: list[tuple[float, float, float]]
-    landmark_rest_positions: list[tuple[float, float, float]]
-    landmark_rest_bone_indices: list[tuple[int, int, int]]
-    landmark_rest_bone_weights: list[tuple[float, float, float]]
-
-
-class _Profile(msgspec.Struct):
-    hand_model: _Model
-
-
-_PROFILE = msgspec.json.Decoder(_Profile, strict=False)
 
 
 def read_profile(path: Path) -> hot3d.HandModel:
@@ -274,11 +275,3 @@ def _dense(bones: list[tuple[int, int, int]], weights: list[tuple[float, float, 
     rows = np.repeat(np.arange(len(bones)), 3)
     np.add.at(dense, (rows, np.array(bones).ravel()), np.array(weights, dtype=np.float64).ravel())
     return dense
-
-
-def _text_lines(path: Path) -> Iterator[bytes]:
-    try:
-        with open_regular(path) as file:
-            yield from (line for line in whole_lines(file, path) if line.strip())
-    except FileNotFoundError as error:
-        raise missing_file(path) from error

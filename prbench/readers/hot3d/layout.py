@@ -14,13 +14,12 @@ import msgspec
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
-from prbench.readers.aria_mps import find_mps_files
+from prbench.readers.aria_mps.find import find_mps_files
 from prbench.readers.aria_mps.format import GAZE, TIME_COLUMN, TRAJECTORY
-from prbench.readers.egoallo import find_outputs
-from prbench.readers.egoallo.places import body_extent
+from prbench.readers.egoallo.places import body_extent, find_outputs
 from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent, json_extent
 from prbench.readers.files import decode_json, read_columns
-from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
+from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.options import ReaderOptions
 from prbench.readers.synthetic_tree import synthetic_tree_around
@@ -55,7 +54,6 @@ MASK_PREFIX = "mask:"
 MODEL_PREFIX = "model:"
 MANO_MODEL_PREFIX = "mano model:"
 """Roles of masks, object models and hand models are this and their name, uid or side."""
-
 _FILES = {
     OBJECTS: hot3d.OBJECTS_FILE,
     HEADSET: hot3d.HEADSET_FILE,
@@ -86,21 +84,6 @@ class Metadata(msgspec.Struct):
 METADATA_DECODER = msgspec.json.Decoder(Metadata)
 
 
-def why_unusable(metadata: Metadata) -> str | None:
-    """Say why a recording cannot be primed, or None: it needs Aria glasses and poses of objects and hands."""
-    if metadata.headset != hot3d.ARIA:
-        return f"recorded with {metadata.headset}, which has no gaze; only Aria recordings can be primed"
-    status = metadata.gt_available_status
-    missing = [
-        what
-        for what, there in (("objects", status.object_pose_gt), ("hands", status.umetrack_hand_pose_gt))
-        if not there
-    ]
-    if missing:
-        return f"the dataset withholds the ground truth of {' and '.join(missing)} (a test participant)"
-    return None
-
-
 def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingFiles, ...]:
     """List the recordings of a HOT3D folder: the dataset's (recordings in it or one level deeper), or one recording.
 
@@ -110,9 +93,7 @@ def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingF
         InputFileError: if ``root`` holds none, saying what was looked for and what was found. Damaged metadata is
             reported when its recording is read, not here.
     """
-    root = Path(root).expanduser().resolve()
-    if not root.is_dir():
-        raise InputFileError(root, "", expected="a folder of HOT3D recordings", found="no such folder")
+    root = existing_folder(root, "a folder of HOT3D recordings")
     found = [
         _recording(root, path.parent, options)
         for pattern in ("", "*/", "*/*/")
@@ -142,24 +123,6 @@ def _recording(root: Path, folder: Path, options: Hot3dOptions) -> RecordingFile
     split = splits.get(folder.name)
     skip = _skip_reason(folder)
     return RecordingFiles(dataset, folder.name, folder, tuple(files), split=split, skip_reason=skip)
-
-
-def _is_hot3d(folder: Path) -> bool:
-    """Return True for a recording of this dataset: other datasets call their metadata the same."""
-    if any((folder / name).is_file() for name in (hot3d.HEADSET_FILE, hot3d.OBJECTS_FILE, hot3d.UMETRACK_FILE)):
-        return True
-    try:
-        decode_json(folder / hot3d.METADATA_FILE, METADATA_DECODER)
-    except InputFileError:
-        return False
-    return True
-
-
-def _skip_reason(folder: Path) -> str | None:
-    try:
-        return why_unusable(decode_json(folder / hot3d.METADATA_FILE, METADATA_DECODER))
-    except InputFileError:
-        return None  # reported when the recording is read
 
 
 def _library_files(root: Path, folder: Path) -> list[InputFile]:
@@ -193,6 +156,39 @@ def _mano_models(options: Hot3dOptions) -> list[InputFile]:
     return [input_file(f"{MANO_MODEL_PREFIX}{side}", path) for side, path in paths.items() if path.is_file()]
 
 
+def _skip_reason(folder: Path) -> str | None:
+    try:
+        return why_unusable(decode_json(folder / hot3d.METADATA_FILE, METADATA_DECODER))
+    except InputFileError:
+        return None  # reported when the recording is read
+
+
+def why_unusable(metadata: Metadata) -> str | None:
+    """Say why a recording cannot be primed, or None: it needs Aria glasses and poses of objects and hands."""
+    if metadata.headset != hot3d.ARIA:
+        return f"recorded with {metadata.headset}, which has no gaze; only Aria recordings can be primed"
+    status = metadata.gt_available_status
+    missing = [
+        what
+        for what, there in (("objects", status.object_pose_gt), ("hands", status.umetrack_hand_pose_gt))
+        if not there
+    ]
+    if missing:
+        return f"the dataset withholds the ground truth of {' and '.join(missing)} (a test participant)"
+    return None
+
+
+def _is_hot3d(folder: Path) -> bool:
+    """Return True for a recording of this dataset: other datasets call their metadata the same."""
+    if any((folder / name).is_file() for name in (hot3d.HEADSET_FILE, hot3d.OBJECTS_FILE, hot3d.UMETRACK_FILE)):
+        return True
+    try:
+        decode_json(folder / hot3d.METADATA_FILE, METADATA_DECODER)
+    except InputFileError:
+        return False
+    return True
+
+
 def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
     """The streams of one recording, each clock from its own start.
 
@@ -208,17 +204,17 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
     return (*_from_start([*truth, *masks]), *_from_start(device if body is None else [*device, body]))
 
 
+def _device_stream(file: InputFile) -> Extent:
+    stream = "glasses" if file.role == TRAJECTORY else "gaze"
+    return replace(csv_extent(stream, file, TIME_COLUMN, 1e-6), tells_span=False, slack=SEVERAL_SENSORS)
+
+
 def _truth_stream(file: InputFile) -> Extent:
     """Hands have no row where none was seen, as at the start of many recordings."""
     if file.role in (UMETRACK, MANO):
         return replace(json_extent("hands", file), may_start_late=True)
     stream = {HEADSET: "glasses' ground truth", OBJECTS: "objects"}.get(file.role, "mask")
     return csv_extent(stream, file, hot3d.TIME, 1e-9)
-
-
-def _device_stream(file: InputFile) -> Extent:
-    stream = "glasses" if file.role == TRAJECTORY else "gaze"
-    return replace(csv_extent(stream, file, TIME_COLUMN, 1e-6), tells_span=False, slack=SEVERAL_SENSORS)
 
 
 def _from_start(streams: Sequence[Extent]) -> tuple[Extent, ...]:

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.errors import InputFileError, RecordingUnusable
-from prbench.readers.aria_mps import read_mps
+from prbench.errors import InputFileError
+from prbench.readers.aria_mps.readings import read_mps
 from prbench.readers.aria_mps.to_recording import mps_streams
-from prbench.readers.egoallo import NO_OUTPUTS, read_bodies
+from prbench.readers.egoallo.bodies import read_bodies
+from prbench.readers.egoallo.to_recording import NO_OUTPUTS
 from prbench.readers.files import decode_json, read_columns
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d import format as hot3d
@@ -20,40 +21,6 @@ from prbench.readers.hot3d.layout import MASK_PREFIX, Hot3dOptions
 from prbench.readers.hot3d.objects import read_headset, read_objects
 
 _TRUTH = {"True": True, "False": False, "true": True, "false": False, "1": True, "0": False}
-
-
-def _read_masks(found: RecordingFiles) -> dict[hot3d.MaskName, hot3d.MaskRows]:
-    """Those masks that curation honours and the recording has.
-
-    Raises:
-        InputFileError: for a damaged file.
-    """
-    masks: dict[hot3d.MaskName, hot3d.MaskRows] = {}
-    for name in hot3d.MASK_NAMES:
-        path = found.path(f"{MASK_PREFIX}{name}")
-        if path is not None:
-            masks[name] = read_mask(path)
-    return masks
-
-
-def read_mask(path: Path) -> hot3d.MaskRows:
-    """One mask of the RGB stream, in the order of time.
-
-    Raises:
-        InputFileError: if the file or a column is missing, or a value is neither True nor False.
-    """
-    table = read_columns(path, {hot3d.TIME: int, hot3d.STREAM: str, hot3d.MASK: str})
-    values = table[hot3d.MASK].to_numpy()
-    streams = table[hot3d.STREAM].to_numpy()
-    unknown = np.flatnonzero(~np.isin(values, list(_TRUTH)))
-    if len(unknown):
-        row = int(unknown[0])
-        raise InputFileError(path, f"line {row + 2}", expected="True or False", found=f"'{values[row]}'")
-    rgb = streams == hot3d.RGB_STREAM
-    time_ns, first = np.unique(table[hot3d.TIME].to_numpy()[rgb], return_index=True)
-    return hot3d.MaskRows(time_ns, np.isin(values[rgb], [text for text, good in _TRUTH.items() if good])[first])
-
-
 _DEFAULTS = Hot3dOptions()
 
 
@@ -93,10 +60,40 @@ def _read_identity(found: RecordingFiles) -> str:
     """The participant, if the recording can be used."""
     path = found.require(layout.METADATA, hot3d.METADATA_FILE)
     metadata = decode_json(path, layout.METADATA_DECODER)
-    reason = layout.why_unusable(metadata)
-    if reason:
-        raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
+    found.require_usable(layout.why_unusable(metadata))
     return metadata.participant_id
+
+
+def _read_masks(found: RecordingFiles) -> dict[hot3d.MaskName, hot3d.MaskRows]:
+    """Those masks that curation honours and the recording has.
+
+    Raises:
+        InputFileError: for a damaged file.
+    """
+    masks: dict[hot3d.MaskName, hot3d.MaskRows] = {}
+    for name in hot3d.MASK_NAMES:
+        path = found.path(f"{MASK_PREFIX}{name}")
+        if path is not None:
+            masks[name] = read_mask(path)
+    return masks
+
+
+def read_mask(path: Path) -> hot3d.MaskRows:
+    """One mask of the RGB stream, in the order of time.
+
+    Raises:
+        InputFileError: if the file or a column is missing, or a value is neither True nor False.
+    """
+    table = read_columns(path, {hot3d.TIME: int, hot3d.STREAM: str, hot3d.MASK: str})
+    values = table[hot3d.MASK].to_numpy()
+    streams = table[hot3d.STREAM].to_numpy()
+    unknown = np.flatnonzero(~np.isin(values, list(_TRUTH)))
+    if len(unknown):
+        row = int(unknown[0])
+        raise InputFileError(path, f"line {row + 2}", expected="True or False", found=f"'{values[row]}'")
+    rgb = streams == hot3d.RGB_STREAM
+    time_ns, first = np.unique(table[hot3d.TIME].to_numpy()[rgb], return_index=True)
+    return hot3d.MaskRows(time_ns, np.isin(values[rgb], [text for text, good in _TRUTH.items() if good])[first])
 
 
 def _require_z_up(found: RecordingFiles, up: np.ndarray) -> None:

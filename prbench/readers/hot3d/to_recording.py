@@ -22,62 +22,7 @@ from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands_umetrack as umetrack
 from prbench.readers.hot3d.clock_match import ClockMatch, match_clocks
 from prbench.recording.streams import HandStream, ObjectTrack, Occluder, Recording
-from prbench.timelines import nearest_index, require_overlap
-
-
-def hand_streams(
-    readings: hot3d.Hot3dReadings, good: Callable[[Int[np.ndarray, " n"]], Bool[np.ndarray, " n"]]
-) -> tuple[tuple[HandStream, ...], tuple[str, ...]]:
-    """Wrists and vertices of both hands at the instants where they are tracked, and remarks.
-
-    Vertices are kept as float32 (a tenth of a micrometre within the room): they are the bulk of a recording.
-
-    Args:
-        readings: The recording.
-        good: Tells which times can be used.
-    """
-    if readings.mano_hands is not None:
-        posed = [_instants(hand) for hand in readings.mano_hands]
-    else:
-        posed = [umetrack_points(rows, readings.hand_model) for rows in readings.hands]
-    streams = []
-    for hand in posed:
-        if len(hand.time_ns) == 0:
-            continue
-        times = hand.time_ns / 1e9
-        valid = good(hand.time_ns)
-        streams.append(HandStream(hand.side, "wrist", times, y_up(hand.wrist)[:, None], valid))
-        if hand.vertices.shape[1]:
-            points = y_up(hand.vertices).astype(np.float32)
-            streams.append(HandStream(hand.side, "hand_vertex", times, points, valid))
-    return tuple(streams), _hand_remarks(posed)
-
-
-def umetrack_points(rows: hot3d.HandRows, model: hot3d.HandModel | None) -> hot3d.HandPoints:
-    """One hand, one row an instant; without a model no vertices. Source world, metres."""
-    kept = hot3d.first_of_pairs(rows.time_ns)
-    position = rows.position[kept]
-    rotation = rows.rotation[kept]
-    if model is None or not kept.any():
-        vertices = np.empty((int(kept.sum()), 0, 3))
-    else:
-        bones = umetrack.bone_transforms(model, rows.angles[kept])
-        vertices = umetrack.pose_points(
-            model.vertices, model.weights, bones, position, rotation, mirrored=rows.side == "right"
-        )
-    return hot3d.HandPoints(rows.side, rows.time_ns[kept], position, vertices)
-
-
-def _instants(hand: hot3d.HandPoints) -> hot3d.HandPoints:
-    kept = hot3d.first_of_pairs(hand.time_ns)
-    return hot3d.HandPoints(hand.side, hand.time_ns[kept], hand.wrist[kept], hand.vertices[kept])
-
-
-def _hand_remarks(posed: Sequence[hot3d.HandPoints]) -> tuple[str, ...]:
-    remarks = [f"the {hand.side} hand is never tracked" for hand in posed if len(hand.time_ns) == 0]
-    if any(len(hand.time_ns) and hand.vertices.shape[1] == 0 for hand in posed):
-        remarks.append(f"no {hot3d.PROFILE_FILE}: hands are wrists only; the in-hand rule `wrist` needs no more")
-    return tuple(remarks)
+from prbench.timelines import nearest_index, require_overlap, stream_ranges
 
 
 def recording_from_hot3d(
@@ -96,6 +41,7 @@ def recording_from_hot3d(
         StreamsDoNotOverlap: if ground truth, glasses and gaze share no instant.
     """
     clock = _align(readings)
+    # All poses were needed to align the clocks; from here on those around the gaze times suffice.
     mps = _on_truth_clock(thinned(readings.mps), clock)
     streams = mps_streams(mps, world_from_source=Y_UP_FROM_Z_UP)
     frames = GoodFrames(readings, skipped_start=manifest.thresholds["skipped_start_without_qa"])
@@ -139,63 +85,6 @@ def recording_from_hot3d(
     )
 
 
-def object_track(
-    entry: hot3d.Hot3dObject, good: Bool[np.ndarray, " n"], longest_gap: float, *, meshes: bool = False
-) -> ObjectTrack:
-    """The track of one object: one row an instant, gaps longer than ``longest_gap`` seconds marked as such.
-
-    Rows are missing in real recordings, and a missing row is a gap: nothing is held. Short ones are interpolated by
-    whoever asks for a pose. Without a model the box is the object's origin.
-    """
-    kept = hot3d.first_of_pairs(entry.rows.time_ns)
-    times = entry.rows.time_ns[kept] / 1e9
-    position = y_up(entry.rows.position[kept])
-    turned = Rotation.from_matrix(Y_UP_FROM_Z_UP[:3, :3])
-    rotation = (turned * Rotation.from_quat(entry.rows.rotation[kept], scalar_first=True)).as_quat(scalar_first=True)
-    valid = good[kept]
-    gaps = np.flatnonzero(np.diff(times) > longest_gap)
-    vertices = np.zeros((1, 3)) if entry.mesh is None else entry.mesh.vertices
-    return ObjectTrack(
-        object_id=entry.object_id,
-        name=entry.name,
-        category=entry.name,
-        times=np.insert(times, gaps + 1, (times[gaps] + times[gaps + 1]) / 2 if len(gaps) else []),
-        position=np.insert(position, gaps + 1, position[gaps], axis=0),
-        rotation=np.insert(rotation, gaps + 1, rotation[gaps], axis=0),
-        valid=np.insert(valid, gaps + 1, False),
-        box_min=vertices.min(axis=0),
-        box_max=vertices.max(axis=0),
-        movable=True,
-        surface=_occluder(entry) if meshes else None,
-    )
-
-
-class GoodFrames:
-    """Instants of the ground truth that can be used: the recording's masks, each absent one taken as all true."""
-
-    def __init__(self, readings: hot3d.Hot3dReadings, *, skipped_start: float) -> None:
-        self._masks = readings.masks
-        self.has_qa = "qa_pass" in readings.masks and len(readings.masks["qa_pass"].good) > 0
-        self.skipped_start = 0.0 if self.has_qa else skipped_start
-        """Seconds without use at the start, where no mask tells that the hands are right from the first frame."""
-        self._first_ns = int(readings.headset.time_ns[0]) + round(self.skipped_start * 1e9)
-
-    def good(self, time_ns: Int[np.ndarray, " n"], mask: hot3d.MaskName) -> Bool[np.ndarray, " n"]:
-        """Return True where a stream of ground truth can be used at given times."""
-        return self._flag(time_ns, mask) & self._flag(time_ns, "qa_pass") & (time_ns >= self._first_ns)
-
-    def glasses_good(self, times: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Return True where the glasses' poses can be used at given times, seconds; hands do not matter to them."""
-        return self._flag(np.rint(times * 1e9).astype(np.int64), "headset_pose_available")
-
-    def _flag(self, time_ns: Int[np.ndarray, " n"], mask: hot3d.MaskName) -> Bool[np.ndarray, " n"]:
-        rows = self._masks.get(mask)
-        if rows is None or len(rows.time_ns) == 0:
-            return np.ones(len(time_ns), dtype=bool)
-        start = rows.time_ns[0]  # from there on floats hold nanoseconds exactly
-        return rows.good[nearest_index((rows.time_ns - start).astype(np.float64), (time_ns - start).astype(np.float64))]
-
-
 def _align(readings: hot3d.Hot3dReadings) -> ClockMatch:
     headset = readings.headset
     device = readings.mps.trajectory
@@ -226,19 +115,130 @@ def _on_truth_clock(mps: MpsReadings, clock: ClockMatch) -> MpsReadings:
     )
 
 
-def _check_overlap(readings: hot3d.Hot3dReadings, span: tuple[float, float], streams: MpsStreams) -> None:
-    ranges = {"ground truth": span, "glasses": (float(streams.head.times[0]), float(streams.head.times[-1]))}
-    if len(streams.gaze.times):
-        ranges["gaze"] = float(streams.gaze.times[0]), float(streams.gaze.times[-1])
-    starts, ends = zip(*((entry.rows.time_ns[0], entry.rows.time_ns[-1]) for entry in readings.objects), strict=True)
-    ranges["objects"] = float(min(starts) / 1e9), float(max(ends) / 1e9)
-    require_overlap(ranges, recording=readings.recording_id)
+class GoodFrames:
+    """Instants of the ground truth that can be used: the recording's masks, each absent one taken as all true."""
+
+    def __init__(self, readings: hot3d.Hot3dReadings, *, skipped_start: float) -> None:
+        self._masks = readings.masks
+        self.has_qa = "qa_pass" in readings.masks and len(readings.masks["qa_pass"].good) > 0
+        self.skipped_start = 0.0 if self.has_qa else skipped_start
+        """Seconds without use at the start, where no mask tells that the hands are right from the first frame."""
+        self._first_ns = int(readings.headset.time_ns[0]) + round(self.skipped_start * 1e9)
+
+    def good(self, time_ns: Int[np.ndarray, " n"], mask: hot3d.MaskName) -> Bool[np.ndarray, " n"]:
+        """Return True where a stream of ground truth can be used at given times."""
+        return self._flag(time_ns, mask) & self._flag(time_ns, "qa_pass") & (time_ns >= self._first_ns)
+
+    def glasses_good(self, times: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+        """Return True where the glasses' poses can be used at given times, seconds; hands do not matter to them."""
+        return self._flag(np.rint(times * 1e9).astype(np.int64), "headset_pose_available")
+
+    def _flag(self, time_ns: Int[np.ndarray, " n"], mask: hot3d.MaskName) -> Bool[np.ndarray, " n"]:
+        rows = self._masks.get(mask)
+        if rows is None or len(rows.time_ns) == 0:
+            return np.ones(len(time_ns), dtype=bool)
+        start = rows.time_ns[0]  # from there on floats hold nanoseconds exactly
+        return rows.good[nearest_index((rows.time_ns - start).astype(np.float64), (time_ns - start).astype(np.float64))]
+
+
+def hand_streams(
+    readings: hot3d.Hot3dReadings, good: Callable[[Int[np.ndarray, " n"]], Bool[np.ndarray, " n"]]
+) -> tuple[tuple[HandStream, ...], tuple[str, ...]]:
+    """Wrists and vertices of both hands at the instants where they are tracked, and remarks.
+
+    Vertices are kept as float32 (a tenth of a micrometre within the room): they are the bulk of a recording.
+
+    Args:
+        readings: The recording.
+        good: Tells which times can be used.
+    """
+    if readings.mano_hands is not None:
+        posed = [_instants(hand) for hand in readings.mano_hands]
+    else:
+        posed = [umetrack_points(rows, readings.hand_model) for rows in readings.hands]
+    streams = []
+    for hand in posed:
+        if len(hand.time_ns) == 0:
+            continue
+        times = hand.time_ns / 1e9
+        valid = good(hand.time_ns)
+        streams.append(HandStream(hand.side, "wrist", times, y_up(hand.wrist)[:, None], valid))
+        if hand.vertices.shape[1]:
+            points = y_up(hand.vertices).astype(np.float32)
+            streams.append(HandStream(hand.side, "hand_vertex", times, points, valid))
+    return tuple(streams), _hand_remarks(posed)
+
+
+def _instants(hand: hot3d.HandPoints) -> hot3d.HandPoints:
+    kept = hot3d.first_of_pairs(hand.time_ns)
+    return hot3d.HandPoints(hand.side, hand.time_ns[kept], hand.wrist[kept], hand.vertices[kept])
+
+
+def umetrack_points(rows: hot3d.HandRows, model: hot3d.HandModel | None) -> hot3d.HandPoints:
+    """One hand, one row an instant; without a model no vertices. Source world, metres."""
+    kept = hot3d.first_of_pairs(rows.time_ns)
+    position = rows.position[kept]
+    rotation = rows.rotation[kept]
+    if model is None or not kept.any():
+        vertices = np.empty((int(kept.sum()), 0, 3))
+    else:
+        bones = umetrack.bone_transforms(model, rows.angles[kept])
+        vertices = umetrack.pose_points(
+            model.vertices, model.weights, bones, position, rotation, mirrored=rows.side == "right"
+        )
+    return hot3d.HandPoints(rows.side, rows.time_ns[kept], position, vertices)
+
+
+def _hand_remarks(posed: Sequence[hot3d.HandPoints]) -> tuple[str, ...]:
+    remarks = [f"the {hand.side} hand is never tracked" for hand in posed if len(hand.time_ns) == 0]
+    if any(len(hand.time_ns) and hand.vertices.shape[1] == 0 for hand in posed):
+        remarks.append(f"no {hot3d.PROFILE_FILE}: hands are wrists only; the in-hand rule `wrist` needs no more")
+    return tuple(remarks)
+
+
+def object_track(
+    entry: hot3d.Hot3dObject, good: Bool[np.ndarray, " n"], longest_gap: float, *, meshes: bool = False
+) -> ObjectTrack:
+    """The track of one object: one row an instant, gaps longer than ``longest_gap`` seconds marked as such.
+
+    Rows are missing in real recordings, and a missing row is a gap: nothing is held. Short ones are interpolated by
+    whoever asks for a pose. Without a model the box is the object's origin.
+    """
+    kept = hot3d.first_of_pairs(entry.rows.time_ns)
+    times = entry.rows.time_ns[kept] / 1e9
+    position = y_up(entry.rows.position[kept])
+    turned = Rotation.from_matrix(Y_UP_FROM_Z_UP[:3, :3])
+    rotation = (turned * Rotation.from_quat(entry.rows.rotation[kept], scalar_first=True)).as_quat(scalar_first=True)
+    valid = good[kept]
+    # An invalid sample in the middle of a gap keeps everybody from interpolating across it.
+    gaps = np.flatnonzero(np.diff(times) > longest_gap)
+    vertices = np.zeros((1, 3)) if entry.mesh is None else entry.mesh.vertices
+    return ObjectTrack(
+        object_id=entry.object_id,
+        name=entry.name,
+        category=entry.name,
+        times=np.insert(times, gaps + 1, (times[gaps] + times[gaps + 1]) / 2 if len(gaps) else []),
+        position=np.insert(position, gaps + 1, position[gaps], axis=0),
+        rotation=np.insert(rotation, gaps + 1, rotation[gaps], axis=0),
+        valid=np.insert(valid, gaps + 1, False),
+        box_min=vertices.min(axis=0),
+        box_max=vertices.max(axis=0),
+        movable=True,
+        surface=_occluder(entry) if meshes else None,
+    )
 
 
 def _occluder(entry: hot3d.Hot3dObject) -> Occluder | None:
     if entry.mesh is None:
         return None
     return Occluder(entry.name, entry.mesh.vertices, entry.mesh.faces, entry.object_id)
+
+
+def _check_overlap(readings: hot3d.Hot3dReadings, span: tuple[float, float], streams: MpsStreams) -> None:
+    ranges = {"ground truth": span} | stream_ranges({"glasses": streams.head.times, "gaze": streams.gaze.times})
+    starts, ends = zip(*((entry.rows.time_ns[0], entry.rows.time_ns[-1]) for entry in readings.objects), strict=True)
+    ranges["objects"] = float(min(starts) / 1e9), float(max(ends) / 1e9)
+    require_overlap(ranges, recording=readings.recording_id)
 
 
 def _remarks(readings: hot3d.Hot3dReadings, frames: GoodFrames) -> tuple[str, ...]:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.boundary import foreign_input
-from prbench.errors import RecordingUnusable
 from prbench.manifests import load_manifest
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
@@ -48,9 +47,7 @@ class MogazeReader:
     def read(self, found: RecordingFiles) -> Recording:
         """See :class:`prbench.readers.Reader`."""
         manifest = load_manifest("mogaze")
-        reason = manifest.why_bad(found.recording_id)
-        if reason:
-            raise RecordingUnusable(f"{found.recording_id} is skipped: {reason}.")
+        found.require_usable(manifest.why_bad(found.recording_id))
         readings = read_readings(found, manifest, meshes=self.options.meshes)
         return recording_from_mogaze(
             readings,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -12,15 +11,6 @@ from scipy.spatial.transform import Rotation
 from prbench.readers.mogaze.format import NULL_LABEL, RATE, Segment
 from prbench.recording.reaching_hand import reaching_hand, wrists_at
 from prbench.recording.streams import Action, AnnotatedEvent, BodyStream, ObjectTrack
-
-
-@dataclass(frozen=True)
-class Carry:
-    """One object moves from frame ``start`` to frame ``end``."""
-
-    start: int
-    end: int
-    label: str
 
 
 def annotated_events(
@@ -60,7 +50,7 @@ def annotated_events(
 
 def _carries_of(
     segments: Sequence[Segment], labels: dict[str, ObjectTrack], n_frames: int
-) -> tuple[list[Carry], tuple[str, ...]]:
+) -> tuple[list[Segment], tuple[str, ...]]:
     """The movements of objects: in order, equal neighbours merged, impossible segments left out with a remark."""
     remarks = []
     if not segments:
@@ -68,7 +58,7 @@ def _carries_of(
     ordered = sorted(segments, key=lambda segment: segment.start)
     if ordered != list(segments):
         remarks.append("the segments are not in the order of time and are sorted")
-    kept: list[Carry] = []
+    kept: list[Segment] = []
     previous = ""
     merged = 0
     for segment in ordered:
@@ -78,9 +68,9 @@ def _carries_of(
         elif segment.label == previous:
             merged += 1
             if segment.label != NULL_LABEL:
-                kept[-1] = Carry(kept[-1].start, max(kept[-1].end, segment.end), segment.label)
+                kept[-1] = Segment(kept[-1].start, max(kept[-1].end, segment.end), segment.label)
         elif segment.label != NULL_LABEL:
-            kept.append(Carry(segment.start, segment.end, segment.label))
+            kept.append(segment)
         if segment.end > segment.start:  # an empty one separates nothing
             previous = segment.label if not reason else ""
     if merged:

@@ -18,6 +18,7 @@ from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.events import annotated_events
 from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
 from prbench.recording.streams import (
+    SIDES,
     BodyStream,
     GazeStream,
     HandStream,
@@ -25,14 +26,11 @@ from prbench.recording.streams import (
     Occluder,
     PoseStream,
     Recording,
-    Side,
 )
 from prbench.skeleton import WRISTS, transform_points
 
 JointMapping = Literal["anatomical", "named"]
 """``anatomical``: the manifest's default; or one of its other mappings."""
-
-_SIDES: tuple[Side, Side] = ("left", "right")
 _UNIT_TOLERANCE = 0.1
 _TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
 _MILLIMETRES = 1000.0
@@ -57,18 +55,11 @@ def recording_from_mogaze(
         legacy_gaze: See :func:`prbench.readers.mogaze.format.gaze_directions`.
     """
     times = np.arange(len(readings.state)) / mogaze.RATE
-    links, turned = mogaze_body.forward_kinematics(readings.state, mogaze_body.link_offsets(readings.fixed))
-    named = manifest.body.joint_mapping if joint_mapping == "anatomical" else manifest.body.other_mappings["named"]
-    native_joints = mogaze_body.body_joints(links, named)
-    plausible = plausible_body_frames(times, native_joints)
-    world_from_source = _world_from_source(links[plausible], manifest)
-    body = BodyStream(times, hold_neighbours(transform_points(world_from_source, native_joints), plausible), plausible)
+    body, world_from_source, head_link = _body(times, readings, manifest, joint_mapping)
     goggles = next(each for each in readings.bodies if each.name == mogaze.GOGGLES)
-    tracked = seen(goggles.position, goggles.rotation)
-    eyes = hold_neighbours(transform_points(world_from_source, goggles.position), tracked)
-    head = _head(times, eyes, tracked, turned[:, mogaze_body.LINKS.index("head")])
+    head = _head(times, goggles, world_from_source, head_link)
     directions, usable, in_metres = _gaze(readings, goggles, manifest, legacy=legacy_gaze)
-    gaze = GazeStream(times, eyes, directions, usable)
+    gaze = GazeStream(times, head.position, directions, usable)
     bodies = [each for each in readings.bodies if each is not goggles]
     tracks = tuple(_track(times, each, world_from_source) for each in bodies)
     events, skipped = annotated_events(readings.segments, tracks, body, int(manifest.thresholds["rest_window"]))
@@ -84,8 +75,8 @@ def recording_from_mogaze(
         head=head,
         body=body,
         hands=tuple(
-            HandStream(side, "wrist", times, body.joints[:, [wrist]], plausible)
-            for side, wrist in zip(_SIDES, WRISTS, strict=True)
+            HandStream(side, "wrist", times, body.joints[:, [wrist]], body.valid)
+            for side, wrist in zip(SIDES, WRISTS, strict=True)
         ),
         objects=tracks,
         annotated_events=events,
@@ -96,25 +87,31 @@ def recording_from_mogaze(
             if each.vertices is not None and each.faces is not None
         ),
         world_from_source=world_from_source,
-        messages=readings.messages
-        + _remarks(world_from_source, body, head, gaze, tracks, in_metres=in_metres)
-        + skipped
-        + ((f"joint mapping '{joint_mapping}' instead of 'anatomical'",) if joint_mapping != "anatomical" else ())
-        + (("gaze by the formula of the dataset's player",) if legacy_gaze else ()),
+        messages=(
+            *readings.messages,
+            *_remarks(world_from_source, body, head, gaze, tracks, in_metres=in_metres),
+            *skipped,
+            *_choice_remarks(joint_mapping, legacy_gaze=legacy_gaze),
+        ),
     )
 
 
-def seen(position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, " n"]:
-    """Frames in which a body was tracked: finite, with a quaternion of about unit length."""
-    length = np.linalg.norm(rotation, axis=1)
-    return np.isfinite(position).all(axis=1) & (np.abs(length - 1) < _UNIT_TOLERANCE)
-
-
-def held_index(valid: Bool[np.ndarray, " n"], longest: int) -> tuple[np.ndarray, Bool[np.ndarray, " n"]]:
-    """Return the last valid frame before each frame, and whether it is at most ``longest`` frames ago."""
-    frames = np.arange(len(valid))
-    last = np.maximum.accumulate(np.where(valid, frames, -1))
-    return np.maximum(last, 0), (last >= 0) & (frames - last <= longest)
+def _body(
+    times: Float[np.ndarray, " n"],
+    readings: mogaze.MogazeReadings,
+    manifest: Manifest,
+    joint_mapping: JointMapping,
+) -> tuple[BodyStream, Float[np.ndarray, "4 4"], Float[np.ndarray, "n 3 3"]]:
+    """The wearer's body, the world that it stands in, and the rotations of its head link."""
+    links, turned = mogaze_body.forward_kinematics(readings.state, mogaze_body.link_offsets(readings.fixed))
+    named = manifest.body.joint_mapping if joint_mapping == "anatomical" else manifest.body.other_mappings["named"]
+    native_joints = mogaze_body.body_joints(links, named)
+    plausible = plausible_body_frames(times, native_joints)
+    # Toes of implausible frames would tell a floor that is not there.
+    world_from_source = _world_from_source(links[plausible], manifest)
+    joints = hold_neighbours(transform_points(world_from_source, native_joints), plausible)
+    head_link = turned[:, mogaze_body.LINKS.index("head")]
+    return BodyStream(times, joints, plausible), world_from_source, head_link
 
 
 def _world_from_source(links: Float[np.ndarray, "n 21 3"], manifest: Manifest) -> Float[np.ndarray, "4 4"]:
@@ -131,16 +128,24 @@ def _world_from_source(links: Float[np.ndarray, "n 21 3"], manifest: Manifest) -
 
 def _head(
     times: Float[np.ndarray, " n"],
-    position: Float[np.ndarray, "n 3"],
-    tracked: Bool[np.ndarray, " n"],
+    goggles: mogaze.MogazeBody,
+    world_from_source: Float[np.ndarray, "4 4"],
     head_link: Float[np.ndarray, "n 3 3"],
 ) -> PoseStream:
     """Return the goggles' poses, turned as the head is: the goggles' own axes mean nothing."""
+    tracked = seen(goggles.position, goggles.rotation)
+    position = hold_neighbours(transform_points(world_from_source, goggles.position), tracked)
     known = np.isfinite(head_link).all(axis=(1, 2))
     face = np.array(mogaze_body.HEAD_FROM_CPF)
     turned = np.where(np.reshape(known, (-1, 1, 1)), head_link, _TO_WORLD.T @ face.T)
     rotation = Rotation.from_matrix(_TO_WORLD @ turned @ face)
     return PoseStream(times, position, rotation.as_quat(canonical=True, scalar_first=True), tracked & known)
+
+
+def seen(position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, " n"]:
+    """Frames in which a body was tracked: finite, with a quaternion of about unit length."""
+    length = np.linalg.norm(rotation, axis=1)
+    return np.isfinite(position).all(axis=1) & (np.abs(length - 1) < _UNIT_TOLERANCE)
 
 
 def _gaze(
@@ -151,9 +156,11 @@ def _gaze(
     confident = readings.gaze_confidence >= manifest.thresholds["gaze_confidence"]
     points = readings.gaze_points
     known = points[confident & np.isfinite(points).all(axis=1)]
+    # No file tells the unit of the gaze points.
     in_metres = len(known) > 0 and np.median(np.linalg.norm(known, axis=1)) < manifest.thresholds["metre_scale"]
     native = np.full(points.shape, np.nan)
     if tracked.any():
+        # The files hold quaternions as x y z w, which is SciPy's own order.
         native[tracked] = mogaze.gaze_directions(
             goggles.position[tracked],
             Rotation.from_quat(goggles.rotation[tracked]).as_matrix(),
@@ -168,10 +175,18 @@ def _gaze(
     return np.where(usable[:, None], held, (0.0, 0.0, 1.0)), recent & tracked, bool(in_metres)
 
 
+def held_index(valid: Bool[np.ndarray, " n"], longest: int) -> tuple[np.ndarray, Bool[np.ndarray, " n"]]:
+    """Return the last valid frame before each frame, and whether it is at most ``longest`` frames ago."""
+    frames = np.arange(len(valid))
+    last = np.maximum.accumulate(np.where(valid, frames, -1))
+    return np.maximum(last, 0), (last >= 0) & (frames - last <= longest)
+
+
 def _track(
     times: Float[np.ndarray, " n"], body: mogaze.MogazeBody, world_from_source: Float[np.ndarray, "4 4"]
 ) -> ObjectTrack:
     valid = seen(body.position, body.rotation)
+    # x y z w, as in the files; unseen rows, which hold no rotation, become the identity.
     native = Rotation.from_quat(np.where(valid[:, None], body.rotation, (0.0, 0.0, 0.0, 1.0)))
     rotation = (Rotation.from_matrix(_TO_WORLD) * native).as_quat(canonical=True, scalar_first=True)
     return ObjectTrack(
@@ -213,3 +228,9 @@ def _remarks(
     if unknown:
         remarks.append(f"no mesh and no known size, so a point instead of a box: {', '.join(unknown)}")
     return tuple(remarks)
+
+
+def _choice_remarks(joint_mapping: JointMapping, *, legacy_gaze: bool) -> tuple[str, ...]:
+    """Tell the user about options that change what the recording means."""
+    mapping = (f"joint mapping '{joint_mapping}' instead of 'anatomical'",) if joint_mapping != "anatomical" else ()
+    return (*mapping, "gaze by the formula of the dataset's player") if legacy_gaze else mapping

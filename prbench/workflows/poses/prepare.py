@@ -17,12 +17,14 @@ from jaxtyping import Float
 
 from prbench.errors import InputFileError
 from prbench.limits import LARGEST_FILE
-from prbench.readers.aria_mps import AriaTrajectory, Source, read_first_calibration, read_trajectory
 from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.format import AriaTrajectory
+from prbench.readers.aria_mps.readings import read_first_calibration
 from prbench.readers.aria_mps.to_recording import part_poses
+from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.inputs import POINT_FILES, EgoalloInputs
-from prbench.readers.zipped import opened
+from prbench.readers.zipped import Source, opened
 from prbench.recording import PoseStream
 from prbench.storage import atomic_path
 

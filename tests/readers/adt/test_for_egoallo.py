@@ -15,7 +15,7 @@ from prbench.readers import reader_for
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.for_egoallo import glasses_z_up, prepared_trajectory
 from prbench.readers.adt.to_recording import recording_from_adt
-from prbench.readers.egoallo import poses_folder
+from prbench.readers.egoallo.places import poses_folder
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.recording import Recording
 from prbench.skeleton import Joint

@@ -12,18 +12,17 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.readers.aria_mps import (
-    UNREADABLE,
-    ZippedFile,
-    find_mps_files,
+from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.find import UNREADABLE, find_mps_files
+from prbench.readers.aria_mps.readings import (
     read_first_calibration,
     read_gaze_angles,
     read_hand_tracking,
     read_mps,
     read_wrists,
 )
-from prbench.readers.aria_mps import format as mps
 from prbench.readers.found import RecordingFiles
+from prbench.readers.zipped import ZippedFile
 from prbench.synthetic.layouts.aria_mps import write_mps
 from prbench.synthetic.people import perform
 from prbench.synthetic.sensors.aria_mps import sense_mps

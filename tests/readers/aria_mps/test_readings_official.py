@@ -8,18 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.readers.aria_mps import (
-    find_mps_files,
-    read_first_calibration,
-    read_gaze_angles,
-    read_hand_tracking,
-    read_trajectory,
-    read_wrists,
-)
 from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.find import find_mps_files
+from prbench.readers.aria_mps.readings import read_first_calibration, read_gaze_angles, read_hand_tracking, read_wrists
+from prbench.readers.aria_mps.sparse_rows import NearGaze
 from prbench.readers.aria_mps.to_recording import mps_streams
-from prbench.readers.aria_mps.trajectory import read_near
-from prbench.readers.aria_mps.wanted import NearGaze
+from prbench.readers.aria_mps.trajectory import read_near, read_trajectory
 
 official = pytest.importorskip(
     "projectaria_tools.core.mps",

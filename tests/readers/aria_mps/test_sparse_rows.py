@@ -12,14 +12,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from prbench.errors import InputFileError
-from prbench.readers.aria_mps import Source, check_trajectory, read_trajectory
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.line_search import NotSearchable
-from prbench.readers.aria_mps.sparse_rows import search_rows
-from prbench.readers.aria_mps.trajectory import COLUMNS, read_near
-from prbench.readers.aria_mps.wanted import NearGaze, NearTimes, Wanted
+from prbench.readers.aria_mps.sparse_rows import NearGaze, search_rows
+from prbench.readers.aria_mps.trajectory import COLUMNS, check_trajectory, read_near
 from prbench.readers.files import read_columns
-from tests.readers.mps_files import OTHER_WORLD, WORLD, trajectory_lines, write_lines, zipped
+from prbench.readers.zipped import Source
+from tests.readers.mps_files import OTHER_WORLD, WORLD, NearTimes, trajectory_lines, write_lines, zipped
 
 START = 5_000_000_000
 
@@ -28,11 +27,11 @@ def steady(n: int = 3000, step: int = 1000) -> np.ndarray:
     return START + np.arange(n, dtype=np.int64) * step
 
 
-def search(source: Source, wanted: Wanted, block: int = 2**14) -> pa.Table:
+def search(source: Source, wanted: NearGaze, block: int = 2**14) -> pa.Table:
     return search_rows(source, COLUMNS, mps.TIME_COLUMN, wanted, block=block)
 
 
-def chosen(source: Source, wanted: Wanted) -> pa.Table:
+def chosen(source: Source, wanted: NearGaze) -> pa.Table:
     """The independent way: read everything, then choose."""
     table = read_columns(source, COLUMNS)
     return table.take(wanted.rows(table[mps.TIME_COLUMN].to_numpy()))
@@ -83,9 +82,9 @@ def test_uneven_steps_gaps_and_lengths_in_a_longer_file(folder, archived) -> Non
 
 def test_rows_on_both_sides_by_hand(folder) -> None:
     path = write_lines(folder / "hand.csv", trajectory_lines(np.array([10, 20, 30, 40, 50, 60])))
-    assert read_trajectory(path, near_us=np.array([34, 41])).time_us.tolist() == [30, 40, 50]
-    assert read_trajectory(path, near_us=np.array([20])).time_us.tolist() == [10, 20]
-    assert read_trajectory(path, near_us=np.array([-7, 99])).time_us.tolist() == [10, 60]
+    assert read_near(path, NearTimes(np.array([34, 41]))).time_us.tolist() == [30, 40, 50]
+    assert read_near(path, NearTimes(np.array([20]))).time_us.tolist() == [10, 20]
+    assert read_near(path, NearTimes(np.array([-7, 99]))).time_us.tolist() == [10, 60]
     assert mps.rows_around(np.array([10, 20, 30]), np.array([34, 20, -7])).tolist() == [0, 1, 2]
 
 
@@ -100,7 +99,7 @@ def test_a_repeated_row_between_two_wanted_times_is_refused_with_its_line(folder
     lines.insert(1501, lines[1500])  # line 1502 of the file repeats line 1501
     path = write_lines(folder / "repeated.csv", lines)
     with pytest.raises(InputFileError, match=r"line 1502: expected a time after 5001499000 us"):
-        read_trajectory(path, near_us=np.array([START + 1_498_500, START + 1_499_500]))
+        read_near(path, NearTimes(np.array([START + 1_498_500, START + 1_499_500])))
 
 
 @pytest.mark.parametrize(
@@ -110,7 +109,7 @@ def test_a_repeated_row_between_two_wanted_times_is_refused_with_its_line(folder
 def test_a_damaged_row_that_is_looked_at_is_refused_with_its_line(folder, column, value, message) -> None:
     path = write_lines(folder / "damaged.csv", _with_cell(2000, column, value))
     with pytest.raises(InputFileError, match=rf"line 2001.*{message}"):
-        read_trajectory(path, near_us=np.array([START + 1_999_000]))
+        read_near(path, NearTimes(np.array([START + 1_999_000])))
 
 
 @pytest.mark.parametrize(
@@ -124,7 +123,7 @@ def test_a_damaged_row_that_is_looked_at_is_refused_with_its_line(folder, column
 )
 def test_damage_between_wanted_rows_is_noticed_by_the_thorough_check_only(folder, lines, message) -> None:
     path = write_lines(folder / "between.csv", lines())
-    thin = read_trajectory(path, near_us=np.array([START + 100_000, START + 2_900_000]))
+    thin = read_near(path, NearTimes(np.array([START + 100_000, START + 2_900_000])))
     assert len(thin.time_us) == 4
     with pytest.raises(InputFileError, match=message):
         check_trajectory(path)

@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 
 from prbench.axes import Y_UP_FROM_Z_UP
-from prbench.readers.aria_mps import (
-    find_mps_files,
-    read_first_calibration,
-    read_gaze_angles,
-    read_trajectory,
-    read_wrists,
-)
 from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.find import find_mps_files
+from prbench.readers.aria_mps.readings import read_first_calibration, read_gaze_angles, read_wrists
 from prbench.readers.aria_mps.to_recording import MpsStreams, mps_streams
+from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.synthetic.people import perform
 from prbench.synthetic.sensors.aria_mps import sense_mps, with_slam_gaps
 from prbench.timelines import interpolate

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.readers.egoallo import NO_OUTPUTS, find_outputs, poses_folder, read_bodies
+from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.format import EgoAlloBody
+from prbench.readers.egoallo.places import find_outputs, poses_folder
+from prbench.readers.egoallo.to_recording import NO_OUTPUTS
 from prbench.readers.found import RecordingFiles
 from prbench.recording import PoseStream
 from tests.readers.egoallo_files import model, output, rewrite, times_ns, walk, write

@@ -15,7 +15,7 @@ from prbench.curation.contact import contact_distance
 from prbench.manifests import load_manifest
 from prbench.rays import slab_test
 from prbench.readers import reader_for
-from prbench.readers.aria_mps import read_gaze_angles
+from prbench.readers.aria_mps.readings import read_gaze_angles
 from prbench.readers.hot3d import Hot3dOptions, find_recordings, read_readings
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands_umetrack as umetrack
