@@ -46,7 +46,7 @@ _LINKS = re.compile(
 )
 _ROLE = re.compile(r":(?:attr|class|data|exc|func|meth|mod):(?=<code>)")
 _EXTERNAL = re.compile(r"[a-z]+:|#")
-_COMMAND_LINE = re.compile(r"^[\s│|]*([a-z][a-z0-9]*(?:-[a-z0-9]+)*)(?:\s{2,}|\s*[│|]?$)", re.MULTILINE)
+_COMMAND_LINE = re.compile(r"^[ │|]*([a-z][a-z0-9]*(?:-[a-z0-9]+)*)(?: {2,}| *[│|]?$)", re.MULTILINE)
 
 
 def on_config(config: Any) -> Any:
