@@ -35,6 +35,7 @@ BOOSTS = {
     "changelog.md": 0.2,
     "reliability.md": 0.5,
     "api-": 0.5,
+    "json.md": 0.5,
     "specification/": 0.5,
 }
 """How far up a page comes in the search, by the beginning of its path; first what explains to newcomers."""
