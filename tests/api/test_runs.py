@@ -261,8 +261,6 @@ def test_pictures_of_a_run(table, runs, tmp_path):
         runs[1].plot("elsewhere")
 
 
-_EARLIER_NAMES = {"max-recordings": "limit", "count": "recordings"}
-"""New names of options, and what commands call them that have not moved to click."""
 _COMMANDS = [
     (("build-dataset",), prbench.build_dataset),
     (("synthesize",), prbench.synthesize),
@@ -287,5 +285,4 @@ def test_arguments_are_options_of_the_command(command, function, capsys, monkeyp
         if argument.kind is inspect.Parameter.KEYWORD_ONLY
     }
     assert keywords
-    options |= {new for new, old in _EARLIER_NAMES.items() if old in options}
     assert keywords - options == set()
