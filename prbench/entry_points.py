@@ -14,6 +14,8 @@ from importlib.metadata import Distribution, distributions
 
 from prbench.shown import quoted
 
+ADAPTERS = "prbench.adapters"
+"""The group of methods; a third party finds it as :data:`prbench.contract.ENTRY_POINT_GROUP`."""
 _OURS = "prbench"  # the distribution whose plug-ins are built in
 _UNKNOWN = "unknown"
 _TARGET = re.compile(r"[A-Za-z_][\w.]*\s*:\s*[A-Za-z_][\w.]*\s*(\[.*\])?")

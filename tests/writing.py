@@ -42,7 +42,7 @@ class Inputs:
         if heavy:
             _make_for_heavy(made)
         fake_dataset(made.table, 6)
-        synthesised = ("synthesize", "adt", "--recordings", 1, "--events", 2, "--no-verify", "--out", made.adt)
+        synthesised = ("synthesize", "adt", "--count", 1, "--events", 2, "--no-verify", "--out", made.adt)
         run(made.folder, *synthesised)
         gimo_sample.write_root(made.gimo, gimo_sample.readings())
         for name in ("run", "run-of-conditions"):
@@ -54,8 +54,8 @@ class Inputs:
 
 
 def _make_for_heavy(made: Inputs) -> None:
-    run(made.folder, "synthesize", "hd-epic", "--recordings", 1, "--events", 4, "--no-verify", "--out", made.hdepic)
-    run(made.folder, "build-corpus", "synthetic", "--recordings", 4, "--out", made.corpus)
+    run(made.folder, "synthesize", "hd-epic", "--count", 1, "--events", 4, "--no-verify", "--out", made.hdepic)
+    run(made.folder, "build-corpus", "synthetic", "--count", 4, "--out", made.corpus)
     configured = ("--config", "smoke", "--set", "training.steps=2")
     run(made.folder, "train", "--method", "t2m-evaluator", *configured, "--data", made.corpus, "--out", made.evaluator)
 
@@ -166,7 +166,7 @@ _HEAVY = {
     "stats --draw",
     "explain --draw",
     "synthesize nymeria --out",
-    "adapters check --json",
+    "adapters check --out",
     "validate --out",
     "evaluate-text --out",
 }
@@ -191,20 +191,20 @@ WRITING = (
         lambda given, out: ("build-dataset", "all", "--root", given.adt, "--out", out),
         held="result/synthetic-adt",
     ),
-    Writing("build-corpus --out", lambda _, out: ("build-corpus", "synthetic", "--recordings", 1, "--out", out)),
+    Writing("build-corpus --out", lambda _, out: ("build-corpus", "synthetic", "--count", 1, "--out", out)),
     Writing(
         "synthesize --out",
-        lambda _, out: ("synthesize", "adt", "--recordings", 1, "--events", 2, "--no-verify", "--out", out),
+        lambda _, out: ("synthesize", "adt", "--count", 1, "--events", 2, "--no-verify", "--out", out),
     ),
     Writing(
         "synthesize --table",
-        lambda _, out: ("synthesize", "adt", "--table", "--recordings", 1, "--events", 2, "--out", out),
+        lambda _, out: ("synthesize", "adt", "--table", "--count", 1, "--events", 2, "--out", out),
     ),
-    Writing("synthesize nymeria --out", lambda _, out: ("synthesize", "nymeria", "--recordings", 1, "--out", out)),
+    Writing("synthesize nymeria --out", lambda _, out: ("synthesize", "nymeria", "--count", 1, "--out", out)),
     Writing("synthesize --gallery", lambda _, out: ("synthesize", "adt", "--gallery", out), "g.png"),
     Writing(
         "synthesize --histograms",
-        lambda _, out: ("synthesize", "adt", "--recordings", 1, "--histograms", out),
+        lambda _, out: ("synthesize", "adt", "--count", 1, "--histograms", out),
         "h.png",
     ),
     Writing("run --out", lambda given, out: (*_RUN, "--data", given.table, "--out", out), varies=("cost.json",)),
@@ -247,6 +247,11 @@ WRITING = (
     ),
     Writing("leaderboard export --out", lambda given, out: ("leaderboard", "export", given.run, "--out", out), "l.md"),
     Writing(
+        "leaderboard compare --out",
+        lambda given, out: ("leaderboard", "compare", given.run, given.run, "--out", out),
+        "c.json",
+    ),
+    Writing(
         "view --out png",
         lambda given, out: ("view", given.run, "--data", given.table, "--limit", 1, "--out", out),
         "v.png",
@@ -267,6 +272,13 @@ WRITING = (
         lambda given, out: ("explain", "--data", given.table, first_event(given.table), "--draw", out),
         "e.png",
     ),
+    Writing("stats --out", lambda given, out: ("stats", given.table, "--out", out), "s.json"),
+    Writing(
+        "explain --out",
+        lambda given, out: ("explain", "--data", given.table, first_event(given.table), "--out", out),
+        "e.json",
+    ),
+    Writing("diff --out", lambda given, out: ("diff", given.table, given.table, "--out", out), "d.json"),
     Writing("diff --csv", lambda given, out: ("diff", given.table, given.table, "--csv", out), "d.csv"),
     Writing(
         "candidates --out",
@@ -295,24 +307,32 @@ WRITING = (
         lambda given, out: ("poses", "egoallo", "--root", given.bodiless, "--prepare", "--poses-root", out),
         held=f"result/{_RECORDING}",
     ),
+    Writing(
+        "poses --out",
+        lambda given, out: ("poses", "egoallo", "--root", given.bodiless, "--dry-run", "--out", out),
+        "p.json",
+    ),
+    Writing("datasets --out", lambda _, out: ("datasets", "--out", out), "d.json"),
+    Writing("inspect --out", lambda given, out: ("inspect", given.adt, "--out", out), "i.json"),
     Writing("adapters new --out", lambda _, out: ("adapters", "new", "glide", "--out", out), refuses=True),
     Writing(
         "adapters converters --out", lambda _, out: ("adapters", "converters", "--out", out), "prbench_converters.py"
     ),
     Writing(
-        "adapters check --json",
-        lambda _, out: ("adapters", "check", "static", "--json", out),
+        "adapters check --out",
+        lambda _, out: ("adapters", "check", "static", "--out", out),
         "a.json",
         varies=("a.json",),
     ),
+    Writing("adapters list --out", lambda _, out: ("adapters", "list", "static", "--out", out), "m.json"),
     Writing(
-        "doctor --json",
-        lambda given, out: ("doctor", given.run / "predictions", "--data", given.table, "--json", out),
+        "doctor --out",
+        lambda given, out: ("doctor", given.run / "predictions", "--data", given.table, "--out", out),
         "d.json",
     ),
     Writing(
         "validate --out",
-        lambda given, out: ("validate", "hd-epic", "--root", given.hdepic, "--limit", 1, "--out", out),
+        lambda given, out: ("validate", "hd-epic", "--root", given.hdepic, "--max-recordings", 1, "--out", out),
         "v.json",
     ),
     Writing(

@@ -2,168 +2,275 @@
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli import adapters_check
-from prbench.cli.arguments import CONDITIONS, command, positive
+import click
+import msgspec
+
+from prbench.cli.commands import Answer, Group, command, note
+from prbench.cli.options import CONDITIONS, SECONDS, out_file_option, out_folder_option
 from prbench.cli.terminal import print_columns
 
 if TYPE_CHECKING:
     from prbench.methods.describe import Description
     from prbench.methods.installed import InstalledAdapter
 
-_EXAMPLE = "prbench adapters list"
-_DEFAULT = Path("prbench_converters.py")
+_CONVERTERS = Path("prbench_converters.py")
+
+adapters = Group(
+    "adapters",
+    sections={
+        "commands": {
+            "list": "prbench.cli.adapters:list_methods",
+            "new": "prbench.cli.adapters:new",
+            "check": "prbench.cli.adapters_check:check",
+            "converters": "prbench.cli.adapters:converters",
+        }
+    },
+    example="prbench adapters list",
+    help="List the installed methods, start a new one, check one.",
+)
 
 
-def add_parser(commands: argparse._SubParsersAction) -> None:
-    """Register the command group."""
-    summary = "list the installed methods, start a new one, check one"
-    parser = command(commands, "adapters", summary=summary, example=_EXAMPLE, execute=_list)
-    parser.set_defaults(details=False, as_json=False, names=[])
-    group = parser.add_subparsers(metavar="COMMAND")
-    _add_list(group)
-    _add_new(group)
-    adapters_check.add_parser(group)
-    _add_converters(group)
+class MethodDetails(msgspec.Struct, frozen=True, kw_only=True):
+    """What a method declares, found by importing it in a process of its own.
+
+    Attributes:
+        conditions: Conditions that it can be given, of ``none``, ``text``, ``goal-pose`` and ``goal-loc``.
+        trains: ``prbench train``, ``by the run`` or ``no``: where its network is trained.
+        max_frames: Longest motion that it generates, in frames; null if there is no limit.
+        native_fps: Rate of its motions in frames per second; null if it takes any.
+        motionless: Whether its motions stand still.
+        weights: Files or folders of weights that it brings.
+        import_seconds: Seconds that importing its module took; null if it was not imported.
+        load_seconds: Seconds that ``load()`` took after that; null if it was not loaded.
+        printed_bytes: Bytes that it wrote to standard output and error meanwhile.
+        error: Why it cannot be used, in one line; empty if it can.
+    """
+
+    conditions: list[str]
+    trains: str
+    max_frames: int | None
+    native_fps: float | None
+    motionless: bool
+    weights: list[str]
+    import_seconds: float | None
+    load_seconds: float | None
+    printed_bytes: int
+    error: str
 
 
-def _add_list(group: argparse._SubParsersAction) -> None:
-    parser = command(
-        group,
-        "list",
-        summary="list the installed methods with their packages, without importing any of them",
-        example="prbench adapters list --details",
-        execute=_list,
-    )
-    parser.add_argument("names", nargs="*", metavar="NAME", help="only these methods (default: all)")
-    parser.add_argument(
-        "--details",
-        action="store_true",
-        help="import each in a process of its own and show its conditions, whether it trains, its limits and weights,"
-        " or its error",
-    )
-    parser.add_argument(
-        "--time-limit", type=positive, default=30, metavar="SECONDS", help="for each import (default 30)"
-    )
-    parser.add_argument("--json", dest="as_json", action="store_true", help="print JSON")
+class InstalledMethod(msgspec.Struct, frozen=True, kw_only=True):
+    """One installed method.
+
+    Attributes:
+        name: What ``--method`` is given.
+        package: Package that offers it.
+        version: Version of the package.
+        target: Where its ``load`` stands: ``module:callable``.
+        problem: What keeps it from being used, as far as the package's metadata tell; empty if nothing does.
+        details: What it declares, with ``--details``; else null.
+    """
+
+    name: str
+    package: str
+    version: str
+    target: str
+    problem: str
+    details: MethodDetails | None
 
 
-def _add_new(group: argparse._SubParsersAction) -> None:
-    """Register the command under ``prbench adapters``."""
-    parser = command(
-        group,
-        "new",
-        summary="write a complete package with a new method that works at once, for you to change",
-        example="prbench adapters new glide --condition goal-loc",
-        execute=_new,
-    )
-    parser.add_argument("name", metavar="NAME", help="of the method, such as glide: what --method will be given")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="new folder (default: ./prbench-NAME, or ./NAME)")
-    parser.add_argument(
-        "--condition",
-        choices=CONDITIONS,
-        action="append",
-        default=[],
-        help="what the method is given (default goal-loc); repeatable",
-    )
-    parser.add_argument("--trainable", action="store_true", help="with fit(): a method that learns from a table")
-    parser.add_argument(
-        "--program",
-        action="store_true",
-        help="a program of its own instead of a package: one plain Python file and a TOML file",
-    )
+class ControlMethod(msgspec.Struct, frozen=True, kw_only=True):
+    """One control: motions that tell what a score is worth.
+
+    Attributes:
+        use: The option that asks for it: ``--method`` or ``--control``.
+        name: The value of that option.
+        summary: What it does.
+    """
+
+    use: str
+    name: str
+    summary: str
 
 
-def _add_converters(group: argparse._SubParsersAction) -> None:
-    """Register the command under ``prbench adapters``."""
-    parser = command(
-        group,
-        "converters",
-        summary="write the converters as one file for a program: NumPy only, Python 3.8 or later",
-        example="prbench adapters converters --out glide/prbench_converters.py",
-        execute=_converters,
-    )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=_DEFAULT,
-        metavar="FILE",
-        help=f"the file, beside the program (default ./{_DEFAULT})",
-    )
+class MethodsReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The installed methods.
+
+    Attributes:
+        methods: One entry for each, by name.
+        controls: Controls, which are part of prbench, with ``--details`` of all methods; else empty.
+    """
+
+    methods: list[InstalledMethod]
+    controls: list[ControlMethod]
 
 
-def _list(arguments: argparse.Namespace) -> int:
+class NewMethodReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The files of a new method.
+
+    Attributes:
+        folder: The new folder.
+        files: The files in it, relative to the folder, sorted.
+        next_steps: Commands to try, in order.
+    """
+
+    folder: Path
+    files: list[Path]
+    next_steps: list[str]
+
+
+class ConvertersReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The converters as one file.
+
+    Attributes:
+        out: The file.
+        imports: The line by which a program imports from it.
+    """
+
+    out: Path
+    imports: str
+
+
+@command("list", example="prbench adapters list --details", report=MethodsReport, writes_report=True)
+@click.argument("names", nargs=-1, metavar="[NAME...]")
+@click.option(
+    "--details",
+    is_flag=True,
+    help="Import each in a process of its own and show its conditions, whether it trains, its limits and weights, or"
+    " its error.",
+)
+@click.option("--timeout", type=SECONDS, default=30, metavar="SECONDS", help="Time limit of each import (default 30).")
+def list_methods(names: tuple[str, ...], details: bool, timeout: float) -> Answer:
+    """List the installed methods with their packages, without importing any of them.
+
+    With NAME only these methods are listed.
+    """
     from prbench.methods.installed import list_adapters, no_such_method
 
     found = list_adapters()
     known = {adapter.name for adapter in found}
-    unknown = [name for name in arguments.names if name not in known]
+    unknown = [name for name in names if name not in known]
     if unknown:
         raise no_such_method(unknown[0], known)
-    if arguments.details:
-        _print_details(arguments.names, time_limit=float(arguments.time_limit), as_json=arguments.as_json)
-        return 0
-    shown = [adapter for adapter in found if not arguments.names or adapter.name in arguments.names]
-    if arguments.as_json:
-        print(json.dumps([_plain(adapter, found) for adapter in shown], indent=2))
-        return 0
-    rows = [("name", "package", "version", "target", "")]
-    rows += [(a.name, a.package, a.version, a.target, _remark(a, found)) for a in shown]
-    print_columns(rows)
-    return 0
+    if details:
+        return _detailed(names, found, time_limit=timeout)
+    shown = [_installed(adapter, found) for adapter in found if not names or adapter.name in names]
+    return Answer(MethodsReport(methods=shown, controls=[]), lambda: _print_methods(shown))
 
 
-def _remark(adapter: InstalledAdapter, found: Sequence[InstalledAdapter]) -> str:
+@command("new", example="prbench adapters new glide --condition goal-loc", report=NewMethodReport)
+@click.argument("name")
+@out_folder_option("New folder (default: ./prbench-NAME, or ./NAME for a program).")
+@click.option(
+    "--condition",
+    "conditions",
+    type=click.Choice(CONDITIONS),
+    multiple=True,
+    help="What the method is given (default goal-loc); repeatable.",
+)
+@click.option("--trainable", is_flag=True, help="Write fit(), too: a method that learns from a table.")
+@click.option(
+    "--program",
+    is_flag=True,
+    help="Write a program of its own instead of a package: one plain Python file and a TOML file.",
+)
+def new(name: str, out: Path | None, conditions: tuple[str, ...], trainable: bool, program: bool) -> Answer:
+    """Write a complete package with a new method that works at once, for you to change.
+
+    NAME is that of the method, such as glide: what --method will be given.
+    """
+    from prbench.workflows.scaffold import ScaffoldRequest, new_adapter
+
+    request = ScaffoldRequest(
+        name=name,
+        conditions=conditions or ("goal-loc",),
+        out=out,
+        trainable=trainable,
+        program=program,
+    )
+    made = new_adapter(request)
+    for warning in made.warnings:
+        note(f"prbench: {warning}")
+    report = NewMethodReport(folder=made.folder, files=list(made.files), next_steps=list(made.next_steps))
+    return Answer(report, lambda: _print_new(report))
+
+
+@command("converters", example="prbench adapters converters --out glide/prbench_converters.py", report=ConvertersReport)
+@out_file_option(f"The file, beside the program (default ./{_CONVERTERS}).")
+def converters(out: Path | None) -> Answer:
+    """Write the converters as one file for a program: NumPy only, Python 3.8 or later."""
+    from prbench.workflows.scaffold.one_file import write_converters
+
+    path = out or _CONVERTERS
+    write_converters(path)
+    report = ConvertersReport(out=path, imports=f"from {path.stem} import motions_from_features, placed_on")
+    return Answer(report, lambda: print(f"{report.out}: {report.imports}"))
+
+
+def _installed(
+    adapter: InstalledAdapter, found: Sequence[InstalledAdapter], details: MethodDetails | None = None
+) -> InstalledMethod:
+    return InstalledMethod(
+        name=adapter.name,
+        package=adapter.package,
+        version=adapter.version,
+        target=adapter.target,
+        problem=_problem(adapter, found),
+        details=details,
+    )
+
+
+def _problem(adapter: InstalledAdapter, found: Sequence[InstalledAdapter]) -> str:
     """Say what keeps a method from being used, as far as metadata tell."""
     from prbench.methods.installed import offered_twice
 
     if adapter.problem:
-        return f"! {adapter.problem}"
-    return "! offered more than once: uninstall all but one" if adapter.name in offered_twice(found) else ""
+        return adapter.problem
+    return "offered more than once: uninstall all but one" if adapter.name in offered_twice(found) else ""
 
 
-def _plain(adapter: InstalledAdapter, found: Sequence[InstalledAdapter]) -> dict[str, str]:
-    return {
-        "name": adapter.name,
-        "package": adapter.package,
-        "version": adapter.version,
-        "target": adapter.target,
-        "problem": _remark(adapter, found).removeprefix("! "),
-    }
+def _print_methods(methods: Sequence[InstalledMethod]) -> None:
+    rows = []
+    for method in methods:
+        remark = f"! {method.problem}" if method.problem else ""
+        rows.append((method.name, method.package, method.version, method.target, remark))
+    print_columns(("name", "package", "version", "target", ""), rows)
 
 
-def _print_details(names: Sequence[str], *, time_limit: float, as_json: bool) -> None:
-    """Import the methods, each in a process of its own, and print what they declare or why they cannot be used.
+def _detailed(names: Sequence[str], found: Sequence[InstalledAdapter], *, time_limit: float) -> Answer:
+    """Import the methods, each in a process of its own, and answer with what they declare or why they cannot be used.
 
     Args:
-        names: Of methods; empty for all, and then the controls are shown, too.
+        names: Of methods; empty for all, and then the controls are listed, too.
+        found: All installed methods.
         time_limit: Seconds for each.
-        as_json: Print JSON instead of a table.
     """
-    from prbench.evaluation.controls import CONTROLS
     from prbench.methods.describe import describe_adapters
     from prbench.training.installed import list_tasks
 
-    described = describe_adapters(names or None, time_limit=time_limit)
     tasks = list_tasks()
-    if as_json:
-        print(json.dumps([_plain_details(one, tasks) for one in described], indent=2))
-        return
-    rows = [("name", "package", "conditions", "trains", "frames", "rate", "weights", "import + load")]
-    rows += [_details_row(one, tasks) for one in described if not one.error]
-    print_columns(rows)
-    for one in described:
-        if one.error:
-            print(f"! {one.method.name} ({one.method.package} {one.method.version}): {one.error}")
-    if not names:
-        print("\ncontrols, part of prbench:")
-        print_columns([(f"{control.use} {control.name}", control.summary) for control in CONTROLS])
+    described = describe_adapters(names or None, time_limit=time_limit)
+    methods = [_installed(one.method, found, _details(one, tasks)) for one in described]
+    report = MethodsReport(methods=methods, controls=[] if names else _controls())
+    return Answer(report, lambda: _print_details(report))
+
+
+def _details(one: Description, tasks: Sequence[str]) -> MethodDetails:
+    return MethodDetails(
+        conditions=list(one.conditions),
+        trains=_trains(one, tasks),
+        max_frames=one.max_frames,
+        native_fps=one.native_fps,
+        motionless=one.motionless,
+        weights=list(one.weights),
+        import_seconds=one.import_seconds,
+        load_seconds=one.load_seconds,
+        printed_bytes=one.printed,
+        error=one.error,
+    )
 
 
 def _trains(description: Description, tasks: Sequence[str]) -> str:
@@ -172,60 +279,43 @@ def _trains(description: Description, tasks: Sequence[str]) -> str:
     return "by the run" if description.fitted else "no"
 
 
-def _details_row(one: Description, tasks: Sequence[str]) -> tuple[str, ...]:
+def _controls() -> list[ControlMethod]:
+    from prbench.evaluation.controls import CONTROLS
+
+    return [ControlMethod(use=control.use, name=control.name, summary=control.summary) for control in CONTROLS]
+
+
+def _print_details(report: MethodsReport) -> None:
+    rows = []
+    problems = []
+    for method in report.methods:
+        assert method.details is not None
+        if method.details.error:
+            problems.append(f"! {method.name} ({method.package} {method.version}): {method.details.error}")
+        else:
+            rows.append(_details_row(method, method.details))
+    print_columns(("name", "package", "conditions", "trains", "frames", "rate", "weights", "import + load"), rows)
+    for problem in problems:
+        print(problem)
+    if report.controls:
+        print("\ncontrols, part of prbench:")
+        print_columns(("", ""), [(f"{control.use} {control.name}", control.summary) for control in report.controls])
+
+
+def _details_row(method: InstalledMethod, details: MethodDetails) -> tuple[str, ...]:
     return (
-        one.method.name,
-        f"{one.method.package} {one.method.version}",
-        ", ".join(one.conditions),
-        _trains(one, tasks),
-        f"<= {one.max_frames}" if one.max_frames else "any",
-        f"{one.native_fps:g}/s" if one.native_fps else "any",
-        ", ".join(one.weights) or "none",
-        f"{one.import_seconds or 0:.1f} + {one.load_seconds or 0:.1f} s",
+        method.name,
+        f"{method.package} {method.version}",
+        ", ".join(details.conditions),
+        details.trains,
+        f"<= {details.max_frames}" if details.max_frames else "any",
+        f"{details.native_fps:g}/s" if details.native_fps else "any",
+        ", ".join(details.weights) or "none",
+        f"{details.import_seconds or 0:.1f} + {details.load_seconds or 0:.1f} s",
     )
 
 
-def _plain_details(one: Description, tasks: Sequence[str]) -> dict[str, object]:
-    return {
-        "name": one.method.name,
-        "package": one.method.package,
-        "version": one.method.version,
-        "target": one.method.target,
-        "conditions": list(one.conditions),
-        "trains": _trains(one, tasks),
-        "max_frames": one.max_frames,
-        "native_fps": one.native_fps,
-        "motionless": one.motionless,
-        "weights": list(one.weights),
-        "import_seconds": one.import_seconds,
-        "load_seconds": one.load_seconds,
-        "printed_bytes": one.printed,
-        "error": one.error,
-    }
-
-
-def _new(arguments: argparse.Namespace) -> int:
-    from prbench.workflows.scaffold import ScaffoldRequest, new_adapter
-
-    request = ScaffoldRequest(
-        name=arguments.name,
-        conditions=tuple(arguments.condition) or ("goal-loc",),
-        out=arguments.out,
-        trainable=arguments.trainable,
-        program=arguments.program,
-    )
-    report = new_adapter(request)
-    for warning in report.warnings:
-        print(f"prbench: {warning}", file=sys.stderr)
+def _print_new(report: NewMethodReport) -> None:
     print(f"{report.folder}: {len(report.files)} files. Next:")
     for step in report.next_steps:
         print(f"  {step}")
-    return 0
-
-
-def _converters(arguments: argparse.Namespace) -> int:
-    from prbench.workflows.scaffold.one_file import write_converters
-
-    write_converters(arguments.out)
-    print(f"{arguments.out}: from {arguments.out.stem} import motions_from_features, placed_on")
-    return 0

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import add_method_settings, command, positive
+import click
+import msgspec
+
+from prbench.cli.commands import Answer, command
+from prbench.cli.options import PATH, SECONDS, method_settings
 from prbench.cli.progress import progress
 from prbench.shown import clean
 
@@ -18,60 +21,96 @@ _COLOURS = {"passed": "green", "warning": "yellow", "failed": "bold red", "skipp
 _FAILED = 5  # as for every other breach of the adapter contract
 
 
-def add_parser(group: argparse._SubParsersAction) -> None:
-    """Register the command under ``prbench adapters``."""
-    parser = command(
-        group,
-        "check",
-        summary="check that a method keeps the contract, and say what to change where it does not",
-        example="prbench adapters check static",
-        execute=_check,
-    )
-    parser.add_argument("method", metavar="METHOD", help="an installed method, cmd:'python glide.py', or a .toml file")
-    parser.add_argument(
-        "--data",
-        type=Path,
-        metavar="DIR",
-        help="ask about 12 test sequences of this dataset (default: invented people)",
-    )
-    add_method_settings(parser)
-    parser.add_argument(
-        "--time-limit", type=positive, default=600, metavar="SECONDS", help="for each call of the method (default 600)"
-    )
-    parser.add_argument(
-        "--start-limit",
-        type=positive,
-        default=120,
-        metavar="SECONDS",
-        help="for importing an installed method, and for loading it (default 120)",
-    )
-    parser.add_argument("--isolate", action="store_true", help="run an installed method in a process of its own")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the findings there, too")
+class CheckFinding(msgspec.Struct, frozen=True, kw_only=True):
+    """One sentence about a method, and what its author can do about it.
+
+    Attributes:
+        check: Name of the check (docs/conformance.md lists them); one check may find several things.
+        outcome: ``passed``, ``skipped``, ``warning`` or ``failed``.
+        said: The observation with its numbers; for a skipped check, the reason.
+        remedy: The change to make; empty where there is none.
+        numbers: Maps names that end in their unit to measured numbers.
+    """
+
+    check: str
+    outcome: str
+    said: str
+    remedy: str
+    numbers: dict[str, float | None]
 
 
-def _check(arguments: argparse.Namespace) -> int:
-    from prbench.checking.conformance import CheckRequest, check
-    from prbench.locks import sole_writer
-    from prbench.storage import write_json
+class CheckReport(msgspec.Struct, frozen=True, kw_only=True):
+    """All findings about one method.
 
-    request = CheckRequest(
-        arguments.method,
-        weights=arguments.weights,
-        options=dict(arguments.option),
-        device=arguments.device,
-        threads=arguments.threads,
-        isolate=arguments.isolate,
-        data=arguments.data,
-        time_limit=float(arguments.time_limit),
-        start_limit=float(arguments.start_limit),
+    Attributes:
+        method: What was checked, as it was named.
+        seconds: How long the checks took.
+        counts: Number of findings of each outcome.
+        findings: The findings in the order of the checks. The exit code is 5 if one failed.
+    """
+
+    method: str
+    seconds: float
+    counts: dict[str, int]
+    findings: list[CheckFinding]
+
+
+@command("check", example="prbench adapters check static", report=CheckReport, writes_report=True)
+@click.argument("method")
+@click.option(
+    "--data",
+    type=PATH,
+    metavar="DIR",
+    help="Ask about 12 test sequences of this dataset (default: synthetic people).",
+)
+@method_settings
+@click.option(
+    "--timeout",
+    type=SECONDS,
+    default=600,
+    metavar="SECONDS",
+    help="Time limit of each call of the method (default 600).",
+)
+@click.option(
+    "--start-timeout",
+    type=SECONDS,
+    default=120,
+    metavar="SECONDS",
+    help="Time limit of importing an installed method, and of loading it (default 120).",
+)
+@click.option("--isolate", is_flag=True, help="Run an installed method in a process of its own.")
+def check(
+    method: str,
+    data: Path | None,
+    weights: Path | None,
+    options: tuple[tuple[str, str], ...],
+    device: str,
+    threads: int,
+    timeout: float,
+    start_timeout: float,
+    isolate: bool,
+) -> Answer:
+    """Check that a method keeps the contract, and say what to change where it does not.
+
+    METHOD is an installed method, cmd:'python glide.py', or a .toml file that describes a program.
+    """
+    from prbench.checking import conformance
+
+    request = conformance.CheckRequest(
+        method,
+        weights=weights,
+        options=dict(options),
+        device=device,
+        threads=threads,
+        isolate=isolate,
+        data=data,
+        time_limit=timeout,
+        start_limit=start_timeout,
     )
-    with progress(f"checking {arguments.method}") as show:
-        report = check(request, lambda name, place, total: show(place, total, name))
-    if arguments.json is not None:
-        with sole_writer(arguments.json):
-            write_json(arguments.json, report.as_json())
-    print_report(report)
-    return _FAILED if report.failed else 0
+    with progress(f"checking {method}") as show:
+        found = conformance.check(request, lambda name, place, total: show(place, total, name))
+    report = msgspec.convert(found.as_json(), CheckReport)
+    return Answer(report, lambda: print_report(found), _FAILED if found.failed else 0)
 
 
 def print_report(report: Report) -> None:

@@ -2,125 +2,168 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from prbench.cli.arguments import add_workers, command, positive
+import click
+
 from prbench.cli.builds import (
     NOT_EVERYTHING,
-    add_on_error,
-    add_reader_options,
-    add_recordings,
-    add_replace,
+    BuildsReport,
+    BuiltTable,
+    Stage,
+    built_table,
+    note_unread,
+    planned,
     print_plan,
-    print_unread,
+    print_stages,
+)
+from prbench.cli.commands import Answer, command
+from prbench.cli.options import (
+    POSITIVE,
+    count_option,
+    on_error_option,
+    out_folder_option,
+    reader_options,
+    recordings_options,
+    replace_option,
+    root_option,
+    seed_option,
+    workers_option,
 )
 from prbench.cli.progress import progress
-from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.corpora import CorpusOptions, CorpusReport
 
-
-def add_parser(commands: argparse._SubParsersAction) -> None:
-    """Register the command."""
-    parser = command(
-        commands,
-        "build-corpus",
-        summary="turn text-motion data into a corpus for pre-training",
-        example="prbench build-corpus nymeria --root /data/Nymeria --out corpora/nymeria --workers 4",
-        execute=_build,
-        resumes=True,
-    )
-    parser.add_argument("corpus", help="nymeria, humanml3d or synthetic")
-    parser.add_argument("--root", type=Path, metavar="DIR", help="your copy of the dataset (not for synthetic)")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="folder of the corpus; an earlier one is replaced once the new one is ready, if that lacks nothing",
-    )
-    add_replace(parser, what="corpus")
-    parser.add_argument(
-        "--recordings", default="*", metavar="GLOB|N", help="only recordings whose name matches; of synthetic: how many"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of a synthetic corpus (default 0)")
-    add_recordings(parser)
-    parser.add_argument("--fps", type=float, metavar="N", help="frames a second of the clips (default 20)")
-    parser.add_argument("--max-frames", type=positive, metavar="N", help="cut longer clips (default: 12 s)")
-    parser.add_argument("--dry-run", action="store_true", help="say what would be read, and write nothing")
-    add_on_error(parser)
-    add_reader_options(parser, whose="corpus'")
-    add_workers(parser)
+_SYNTHETIC = "synthetic"
+"""Corpus that is generated on the spot."""
 
 
-def _build(arguments: argparse.Namespace) -> int:
-    from prbench.corpora import build_corpus, plan_corpus
-    from prbench.engine import engine_for
-    from prbench.errors import UsageError
+@command(
+    "build-corpus",
+    example="prbench build-corpus nymeria --root /data/Nymeria --out corpora/nymeria --workers 4",
+    resumes=True,
+    report=BuildsReport,
+)
+@click.argument("corpus")
+@root_option("Your copy of the dataset (not for synthetic).", required=False)
+@out_folder_option("Folder of the corpus; an earlier one is replaced once the new one is ready, if that lacks nothing.")
+@replace_option("corpus")
+@recordings_options
+@count_option("Number of synthetic recordings to make (only for synthetic; default 40).")
+@seed_option("of a synthetic corpus")
+@click.option("--fps", type=float, metavar="N", help="Frames a second of the clips (default 20).")
+@click.option("--max-frames", type=POSITIVE, metavar="N", help="Cut clips that have more frames (default: 12 s).")
+@click.option("--dry-run", is_flag=True, help="Say what would be read, and write nothing.")
+@on_error_option()
+@reader_options("corpus'")
+@workers_option()
+def build_corpus(
+    *,
+    corpus: str,
+    root: Path | None,
+    out: Path | None,
+    replace: bool,
+    recordings: str,
+    max_recordings: int | None,
+    count: int | None,
+    seed: int,
+    fps: float | None,
+    max_frames: int | None,
+    dry_run: bool,
+    on_error: Literal["skip", "fail"],
+    options: tuple[tuple[str, str], ...],
+    workers: int,
+) -> Answer:
+    """Turn text-motion data into a corpus for pre-training.
 
-    options = _options(arguments)
-    if arguments.dry_run:
-        print_plan(plan_corpus(arguments.corpus, arguments.root, options), arguments.workers, unfit="unfit")
-        return 0
-    if arguments.out is None:
-        raise UsageError("--out DIR is needed: the folder of the corpus. (--dry-run does without.)")
-    with progress(f"building {arguments.corpus}") as show:
-        report = build_corpus(
-            arguments.corpus,
-            arguments.root,
-            arguments.out,
-            options=options,
-            engine=engine_for(arguments.workers),
-            progress=show,
-        )
-    return _print_report(report)
-
-
-def _options(arguments: argparse.Namespace) -> CorpusOptions:
+    CORPUS is nymeria, humanml3d or synthetic.
+    """
     from prbench.corpora import CorpusOptions
 
-    source = dict(arguments.option)
-    recordings = arguments.recordings
-    if arguments.corpus == "synthetic":
-        source = {"seed": str(arguments.seed), **source}
-        if recordings.isdecimal():
-            source = {"recordings": recordings, **source}
-            recordings = "*"
-    return CorpusOptions(
-        fps=arguments.fps,
-        max_frames=arguments.max_frames,
+    chosen = CorpusOptions(
+        fps=fps,
+        max_frames=max_frames,
         recordings=recordings,
-        limit=arguments.limit,
-        source=tuple(sorted(source.items())),
-        on_error=arguments.on_error,
-        replace=arguments.replace,
+        limit=max_recordings,
+        source=_source_options(corpus, dict(options), count=count, seed=seed),
+        on_error=on_error,
+        replace=replace,
+    )
+    if dry_run:
+        return _plan(corpus, root, chosen, workers)
+    if out is None:
+        from prbench.errors import UsageError
+
+        raise UsageError("--out DIR is needed: the folder of the corpus. (--dry-run does without.)")
+    return _build(corpus, root, out, chosen, workers)
+
+
+def _source_options(corpus: str, given: dict[str, str], *, count: int | None, seed: int) -> tuple[tuple[str, str], ...]:
+    """Return the reader's options; number and seed of synthetic recordings are options of their reader.
+
+    Raises:
+        UsageError: for ``--count`` with a corpus that is read from files.
+    """
+    if corpus == _SYNTHETIC:
+        given = {"seed": str(seed), **given}
+        if count is not None:
+            given = {"recordings": str(count), **given}
+    elif count is not None:
+        from prbench.errors import UsageError
+
+        raise UsageError("--count: belongs to the corpus 'synthetic'; --max-recordings N takes the first N that exist.")
+    return tuple(sorted(given.items()))
+
+
+def _plan(corpus: str, root: Path | None, options: CorpusOptions, workers: int) -> Answer:
+    from prbench.corpora import plan_corpus
+
+    plan = planned(plan_corpus(corpus, root, options), workers, dataset=corpus, root=root)
+    return Answer(BuildsReport(built=[], not_built=[], planned=[plan]), lambda: print_plan(plan, unfit="unfit"))
+
+
+def _build(corpus: str, root: Path | None, out: Path, options: CorpusOptions, workers: int) -> Answer:
+    from prbench.corpora import build_corpus as build
+    from prbench.engine import engine_for
+
+    with progress(f"building {corpus}") as tell:
+        report = build(corpus, root, out, options=options, engine=engine_for(workers), progress=tell)
+    note_unread(report.records, reused=report.reused)
+    table = built_table(report, _stages(report))
+    return Answer(
+        BuildsReport(built=[table], not_built=[], planned=[]),
+        lambda: _print_corpus(table),
+        NOT_EVERYTHING if report.info.counts.recordings_failed else 0,
     )
 
 
-def _print_report(report: CorpusReport) -> int:
+def _stages(report: CorpusReport) -> list[Stage]:
+    """Count what is left from files to captions."""
     counts = report.info.counts
-    info = report.info
     left_out = counts.recordings_failed + counts.recordings_skipped
     why = f"{counts.recordings_failed} failed, {counts.recordings_skipped} skipped" if left_out else ""
-    rows = [
-        ("recordings found", str(counts.recordings_found), "", ""),
-        ("recordings read", str(counts.recordings_read), str(left_out or ""), why),
-        ("texts", str(counts.annotations), "", ""),
+    stages = [
+        Stage(stage="recordings found", kept=counts.recordings_found, dropped=0, why=""),
+        Stage(stage="recordings read", kept=counts.recordings_read, dropped=left_out, why=why),
+        Stage(stage="texts", kept=counts.annotations, dropped=0, why=""),
     ]
     kept = counts.annotations
-    for outcome, number in info.outcomes.items():
+    for outcome, number in report.info.outcomes.items():
         if number and outcome != "clip":
             kept -= number
-            rows.append((f"without {outcome}", str(kept), str(number), _REASONS[outcome]))
-    rows.append(("captions", str(counts.captions), "", f"of {counts.clips} clips, {counts.frames} frames"))
-    print_table(f"{info.title}: from files to clips", ("stage", "kept", "dropped", "why"), rows, numbers=(1, 2))
-    if counts.approximate_clips:
-        print(f"{counts.approximate_clips} clips are marked approximate: their texts were placed by aligning starts")
-    print_unread(report.records, reused=report.reused)
-    print(f"corpus: {report.folder}")
-    return NOT_EVERYTHING if counts.recordings_failed else 0
+            stages.append(Stage(stage=f"without {outcome}", kept=kept, dropped=number, why=_REASONS[outcome]))
+    size = f"of {counts.clips} clips, {counts.frames} frames"
+    return [*stages, Stage(stage="captions", kept=counts.captions, dropped=0, why=size)]
+
+
+def _print_corpus(table: BuiltTable) -> None:
+    print_stages(f"{table.title}: from files to clips", table.stages)
+    approximate = table.counts["approximate_clips"]
+    if approximate:
+        print(f"{approximate} clips are marked approximate: their texts were placed by aligning starts")
+    print(f"corpus: {table.folder}")
 
 
 _REASONS = {

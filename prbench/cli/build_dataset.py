@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from prbench.cli.arguments import add_workers, command
+import click
+
 from prbench.cli.builds import (
     NOT_EVERYTHING,
-    add_on_error,
-    add_reader_options,
-    add_recordings,
-    add_replace,
-    print_cut_short,
-    print_fruitless,
+    BuildsReport,
+    BuiltTable,
+    NotBuilt,
+    Stage,
+    built_table,
+    note_cut_short,
+    note_fruitless,
+    note_unread,
+    planned,
     print_plan,
-    print_unread,
+    print_stages,
+)
+from prbench.cli.commands import Answer, command
+from prbench.cli.options import (
+    on_error_option,
+    out_folder_option,
+    reader_options,
+    recordings_options,
+    replace_option,
+    root_option,
+    workers_option,
 )
 from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
@@ -29,108 +42,186 @@ EVERYTHING = "all"
 """Stands in place of a dataset's name for whatever is found."""
 
 
-def add_parser(commands: argparse._SubParsersAction) -> None:
-    """Register the command."""
-    parser = command(
-        commands,
-        "build-dataset",
-        summary="turn a dataset's recordings into a table of prime-and-reach sequences",
-        example="prbench build-dataset adt --root /data/ADT --out tables/adt --workers 4",
-        execute=_build,
-        resumes=True,
+@command(
+    "build-dataset",
+    example="prbench build-dataset adt --root /data/ADT --out tables/adt --workers 4",
+    resumes=True,
+    report=BuildsReport,
+)
+@click.argument("dataset")
+@root_option()
+@out_folder_option("Folder of the table; an earlier one is replaced once the new one is ready, if that lacks nothing.")
+@replace_option()
+@recordings_options
+@click.option("--dry-run", is_flag=True, help="Say what would be read, and write nothing.")
+@click.option("--in-hand", metavar="RULE", help="Another in-hand rule of the manifest, for example wrist.")
+@click.option("--ray-origin", type=click.Choice(["eye", "camera"]), help="Where gaze rays start (default: eye).")
+@click.option(
+    "--priming",
+    type=click.Choice(["rule", "published"]),
+    default="rule",
+    help="Prime times by the equations (default), or taken over from the dataset where it publishes them (hd-epic).",
+)
+@click.option(
+    "--occlusion",
+    type=click.Choice(["off", "mark", "require"]),
+    default="off",
+    help="Where a dataset has meshes: mark events primed through one, or let unobstructed looks alone prime"
+    " (needs the extra open3d).",
+)
+@click.option(
+    "--minimum-movement",
+    default="wrist_to_goal",
+    metavar="MEASURE",
+    help="What must be at least 20 cm: wrist_to_goal (default), pelvis or object displacement.",
+)
+@on_error_option()
+@click.option(
+    "--poses",
+    metavar="SOURCE",
+    help="Where bodies come from, for example egoallo in place of ADT's suit; short for --option poses=SOURCE.",
+)
+@reader_options()
+@workers_option()
+def build_dataset(
+    *,
+    dataset: str,
+    root: Path,
+    out: Path | None,
+    replace: bool,
+    recordings: str,
+    max_recordings: int | None,
+    dry_run: bool,
+    in_hand: str | None,
+    ray_origin: str | None,
+    priming: Literal["rule", "published"],
+    occlusion: Literal["off", "mark", "require"],
+    minimum_movement: str,
+    on_error: Literal["skip", "fail"],
+    poses: str | None,
+    options: tuple[tuple[str, str], ...],
+    workers: int,
+) -> Answer:
+    """Turn a dataset's recordings into a table of prime-and-reach sequences.
+
+    DATASET is its name, for example adt (`prbench datasets` lists them), or 'all' for whatever lies below --root.
+    """
+    from prbench.curation.options import BuildOptions, CurationOptions
+
+    source = _meshes(dataset, in_hand=in_hand, occlusion=occlusion) | dict(options)
+    if poses is not None:
+        source["poses"] = poses
+    chosen = BuildOptions(
+        curation=CurationOptions(
+            in_hand=in_hand,
+            ray_origin=ray_origin,
+            minimum_movement=minimum_movement,
+            priming=priming,
+            occlusion=occlusion,
+        ),
+        recordings=recordings,
+        limit=max_recordings,
+        reader=tuple(sorted(source.items())),
+        on_error=on_error,
+        replace=replace,
     )
-    parser.add_argument("dataset", help="name of the dataset, for example adt; 'all' for whatever lies below --root")
-    parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="your copy of the dataset")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="folder of the table; an earlier one is replaced once the new one is ready, if that lacks nothing",
-    )
-    add_replace(parser)
-    parser.add_argument("--recordings", default="*", metavar="GLOB", help="only recordings whose name matches")
-    add_recordings(parser)
-    parser.add_argument("--dry-run", action="store_true", help="say what would be read, and write nothing")
-    parser.add_argument("--in-hand", metavar="RULE", help="another in-hand rule of the manifest, for example wrist")
-    parser.add_argument("--ray-origin", choices=["eye", "camera"], help="where gaze rays start (default: eye)")
-    parser.add_argument(
-        "--priming",
-        choices=["rule", "published"],
-        default="rule",
-        help="prime times by the equations (default), or taken over from the dataset where it publishes them (hd-epic)",
-    )
-    parser.add_argument(
-        "--occlusion",
-        choices=["off", "mark", "require"],
-        default="off",
-        help="where a dataset has meshes: mark events primed through one, or let unobstructed looks alone prime"
-        " (needs the extra open3d)",
-    )
-    parser.add_argument(
-        "--minimum-movement",
-        default="wrist_to_goal",
-        metavar="MEASURE",
-        help="what must be at least 20 cm: wrist_to_goal (default), pelvis or object displacement",
-    )
-    add_on_error(parser)
-    parser.add_argument(
-        "--poses",
-        metavar="SOURCE",
-        help="where bodies come from, for example egoallo in place of ADT's suit; short for --option poses=SOURCE",
-    )
-    add_reader_options(parser)
-    add_workers(parser)
+    if dry_run:
+        return _plan(dataset, root, chosen, workers)
+    if out is None:
+        from prbench.errors import UsageError
+
+        raise UsageError("--out DIR is needed: the folder of the table. (--dry-run does without.)")
+    if dataset == EVERYTHING:
+        return _build_all(root, out, chosen, workers)
+    return _build_one(dataset, root, out, chosen, workers)
 
 
-def _build(arguments: argparse.Namespace) -> int:
-    from prbench.curation import build_dataset, plan_build
+def _meshes(dataset: str, *, in_hand: str | None, occlusion: str) -> dict[str, str]:
+    """Ask the reader for meshes where an option needs them; readers load none otherwise."""
+    from prbench.errors import UsageError
+    from prbench.readers import reader_for
+
+    if in_hand == "surface":
+        return {"meshes": "true"}
+    if occlusion == "off":
+        return {}
+    if dataset != EVERYTHING and "meshes" not in reader_for(dataset).options.names():
+        raise UsageError(f"--occlusion needs meshes, and {dataset} has none; leave the option out.")
+    return {"meshes": "true"}
+
+
+def _plan(dataset: str, root: Path, options: BuildOptions, workers: int) -> Answer:
+    """Say what would be read, of one dataset or of all that are found."""
+    if dataset == EVERYTHING:
+        from prbench.workflows.build_all import plan_all
+
+        plans = [planned(plan, workers, dataset=name, root=place) for name, place, plan in plan_all(root, options)]
+    else:
+        from prbench.curation import plan_build
+
+        plans = [planned(plan_build(dataset, root, options), workers, dataset=dataset, root=root)]
+
+    def show() -> None:
+        for plan in plans:
+            if dataset == EVERYTHING:
+                print(f"{plan.dataset} in {plan.root}:")
+            print_plan(plan, unfit="bad")
+
+    return Answer(BuildsReport(built=[], not_built=[], planned=plans), show)
+
+
+def _build_one(dataset: str, root: Path, out: Path, options: BuildOptions, workers: int) -> Answer:
+    from prbench.curation import build_dataset as build
     from prbench.engine import engine_for
 
-    options = _options(arguments)
-    if arguments.dataset == EVERYTHING:
-        return _build_all(arguments, options)
-    if arguments.dry_run:
-        print_plan(plan_build(arguments.dataset, arguments.root, options), arguments.workers, unfit="bad")
-        return 0
-    _require_out(arguments)
-    with progress(f"building {arguments.dataset}") as show:
-        report = build_dataset(
-            arguments.dataset,
-            arguments.root,
-            arguments.out,
+    with progress(f"building {dataset}") as tell:
+        report = build(
+            dataset,
+            root,
+            out,
             options=options,
-            engine=engine_for(arguments.workers),
-            progress=lambda step: show(step.done, step.total, step.record.recording_id),
+            engine=engine_for(workers),
+            progress=lambda step: tell(step.done, step.total, step.record.recording_id),
         )
-    return _print_report(report)
+    table = _built(report)
+    counts = report.info.counts
+    complete = not counts.recordings_failed and not counts.recordings_cut_short
+    return Answer(
+        BuildsReport(built=[table], not_built=[], planned=[]),
+        lambda: _print_table(table),
+        0 if complete else NOT_EVERYTHING,
+    )
 
 
-def _build_all(arguments: argparse.Namespace, options: BuildOptions) -> int:
+def _build_all(root: Path, out: Path, options: BuildOptions, workers: int) -> Answer:
     from prbench.engine import engine_for
-    from prbench.workflows.build_all import build_all, plan_all
+    from prbench.workflows.build_all import build_all
 
-    if arguments.dry_run:
-        for name, root, plan in plan_all(arguments.root, options):
-            print(f"{name} in {root}:")
-            print_plan(plan, arguments.workers, unfit="bad")
-        return 0
-    _require_out(arguments)
-    with progress("building") as show:
+    with progress("building") as tell:
         outcomes = build_all(
-            arguments.root,
-            arguments.out,
+            root,
+            out,
             options=options,
-            engine=engine_for(arguments.workers),
-            progress=lambda name, step: show(step.done, step.total, f"{name} {step.record.recording_id}"),
+            engine=engine_for(workers),
+            progress=lambda name, step: tell(step.done, step.total, f"{name} {step.record.recording_id}"),
         )
-    for outcome in outcomes:
-        if outcome.report is not None:
-            _print_report(outcome.report)
+    built = [_built(outcome.report) for outcome in outcomes if outcome.report is not None]
+    not_built = [
+        NotBuilt(dataset=outcome.dataset, root=outcome.root, message=outcome.message)
+        for outcome in outcomes
+        if outcome.report is None
+    ]
     rows = [
         (each.dataset, *(_sizes(each.report) if each.report else ("–", "–", "–")), each.message) for each in outcomes
     ]
-    print_table("datasets", ("dataset", "recordings", "not read", "sequences", "problem"), rows, numbers=(1, 2, 3))
-    return 0 if all(outcome.complete for outcome in outcomes) else NOT_EVERYTHING
+
+    def show() -> None:
+        for table in built:
+            _print_table(table)
+        print_table("datasets", ("dataset", "recordings", "not read", "sequences", "problem"), rows, numbers=(1, 2, 3))
+
+    complete = all(outcome.complete for outcome in outcomes)
+    return Answer(BuildsReport(built=built, not_built=not_built, planned=[]), show, 0 if complete else NOT_EVERYTHING)
 
 
 def _sizes(report: BuildReport) -> tuple[str, str, str]:
@@ -138,60 +229,18 @@ def _sizes(report: BuildReport) -> tuple[str, str, str]:
     return str(counts.recordings_read), str(counts.recordings_failed + counts.recordings_skipped), str(counts.sequences)
 
 
-def _require_out(arguments: argparse.Namespace) -> None:
-    from prbench.errors import UsageError
-
-    if arguments.out is None:
-        raise UsageError("--out DIR is needed: the folder of the table. (--dry-run does without.)")
-
-
-def _options(arguments: argparse.Namespace) -> BuildOptions:
-    from prbench.curation.options import BuildOptions, CurationOptions
-
-    return BuildOptions(
-        curation=CurationOptions(
-            in_hand=arguments.in_hand,
-            ray_origin=arguments.ray_origin,
-            minimum_movement=arguments.minimum_movement,
-            priming=arguments.priming,
-            occlusion=arguments.occlusion,
-        ),
-        recordings=arguments.recordings,
-        limit=arguments.limit,
-        reader=tuple(sorted((_meshes(arguments) | dict(arguments.option) | _poses(arguments)).items())),
-        on_error=arguments.on_error,
-        replace=arguments.replace,
-    )
-
-
-def _meshes(arguments: argparse.Namespace) -> dict[str, str]:
-    """Ask the reader for meshes where an option needs them; readers load none otherwise."""
-    from prbench.errors import UsageError
-    from prbench.readers import reader_for
-
-    if arguments.in_hand == "surface":
-        return {"meshes": "true"}
-    if arguments.occlusion == "off":
-        return {}
-    if arguments.dataset != EVERYTHING and "meshes" not in reader_for(arguments.dataset).options.names():
-        raise UsageError(f"--occlusion needs meshes, and {arguments.dataset} has none; leave the option out.")
-    return {"meshes": "true"}
-
-
-def _poses(arguments: argparse.Namespace) -> dict[str, str]:
-    return {} if arguments.poses is None else {"poses": arguments.poses}
-
-
-def _print_report(report: BuildReport) -> int:
+def _built(report: BuildReport) -> BuiltTable:
+    """Report one table, and note what of its recordings is missing from it."""
     from prbench.curation.provenance import funnel_rows
 
-    rows = [(row.stage, str(row.kept), str(row.dropped or ""), row.reason) for row in funnel_rows(report.info)]
-    print_table(
-        f"{report.info.title}: from files to sequences", ("stage", "kept", "dropped", "why"), rows, numbers=(1, 2)
-    )
-    print_unread(report.records, reused=report.reused)
-    print_cut_short(report.records)
-    print_fruitless(report.records)
-    print(f"table: {report.folder}")
-    counts = report.info.counts
-    return NOT_EVERYTHING if counts.recordings_failed or counts.recordings_cut_short else 0
+    note_unread(report.records, reused=report.reused)
+    note_cut_short(report.records)
+    note_fruitless(report.records)
+    rows = funnel_rows(report.info)
+    stages = [Stage(stage=row.stage, kept=row.kept, dropped=row.dropped, why=row.reason) for row in rows]
+    return built_table(report, stages)
+
+
+def _print_table(table: BuiltTable) -> None:
+    print_stages(f"{table.title}: from files to sequences", table.stages)
+    print(f"table: {table.folder}")

@@ -1,97 +1,226 @@
-"""Options of the commands that read recordings, their plan, and what they say of recordings left out."""
+"""What the commands that build tables report, their plan, and what they say of recordings left out."""
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import key_value, positive
+import msgspec
+
+from prbench.cli.commands import note
+from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
-    from prbench.corpora import CorpusPlan
-    from prbench.curation import BuildPlan
+    from prbench.corpora import CorpusPlan, CorpusReport
+    from prbench.curation import BuildPlan, BuildReport
     from prbench.sequences import RecordingRecord
     from prbench.sequences.corpus import CorpusRecord
 
 NOT_EVERYTHING = 3
 """Exit code of a command that finished, but had to leave out something that could not be read."""
+_SKIPPED_SHOWN = 10
+"""Known-bad recordings that a printed plan names."""
 
 
-def add_on_error(parser: argparse.ArgumentParser, *, what: str = "a recording", them: str = "it") -> None:
-    """Add ``--on-error skip|fail``."""
-    parser.add_argument(
-        "--on-error",
-        choices=["skip", "fail"],
-        default="skip",
-        help=f"go on without {what} that cannot be read and name {them} (default), or fail at once",
+class Stage(msgspec.Struct, frozen=True, kw_only=True):
+    """One stage between the files and the table.
+
+    Attributes:
+        stage: Name of the stage, such as ``located``.
+        kept: How many recordings, events or texts passed it.
+        dropped: How many of those that came to it did not pass.
+        why: Reasons for what was dropped, with counts; empty if nothing was.
+    """
+
+    stage: str
+    kept: int
+    dropped: int
+    why: str
+
+
+class BuiltRecording(msgspec.Struct, frozen=True, kw_only=True):
+    """One recording of a built table.
+
+    Attributes:
+        recording: Its id.
+        status: ``read``, ``failed`` or ``skipped``.
+        message: What the reader said about it; empty if there is nothing to say.
+        outcomes: Number of its events (in a corpus: of its texts) by what became of them.
+        cut_short: One message for each of its streams that ends early, so that events may be missing.
+    """
+
+    recording: str
+    status: str
+    message: str
+    outcomes: dict[str, int]
+    cut_short: list[str]
+
+
+class BuiltTable(msgspec.Struct, frozen=True, kw_only=True):
+    """One table that was written.
+
+    Attributes:
+        dataset: Name of the dataset; ``synthetic-`` stands before that of synthetic people.
+        title: Its title.
+        folder: The table.
+        counts: How much of everything it holds, as in its ``dataset.json`` or ``corpus.json``.
+        stages: From files to sequences, or to clips.
+        recordings: Every recording that was found, also those that could not be read.
+        taken_over: Number of recordings that an interrupted build had already finished.
+    """
+
+    dataset: str
+    title: str
+    folder: Path
+    counts: dict[str, int]
+    stages: list[Stage]
+    recordings: list[BuiltRecording]
+    taken_over: int
+
+
+class NotBuilt(msgspec.Struct, frozen=True, kw_only=True):
+    """One dataset that was found and gave no table.
+
+    Attributes:
+        dataset: Name of the dataset.
+        root: The folder in which it was found.
+        message: What is wrong.
+    """
+
+    dataset: str
+    root: Path
+    message: str
+
+
+class Plan(msgspec.Struct, frozen=True, kw_only=True):
+    """What a build would read, from ``--dry-run``.
+
+    Attributes:
+        dataset: Name of the dataset.
+        root: The folder that would be read; null for a synthetic corpus.
+        recordings: Names of the recordings.
+        skipped: Those among them that are known to be bad and would be skipped.
+        input_bytes: Size of the files to read, in bytes.
+        workers: Processes for which the time is estimated.
+        estimated_seconds: Time that the build would take, in seconds.
+        estimated_disk_bytes: Space that the build would need, in bytes.
+    """
+
+    dataset: str
+    root: Path | None
+    recordings: list[str]
+    skipped: list[str]
+    input_bytes: int
+    workers: int
+    estimated_seconds: float
+    estimated_disk_bytes: int
+
+
+class BuildsReport(msgspec.Struct, frozen=True, kw_only=True):
+    """What a command that builds tables did, or would do.
+
+    Attributes:
+        built: One entry for each table that was written.
+        not_built: Datasets that were found and gave no table; only of ``build-dataset all``.
+        planned: One entry for each table that would be written, with ``--dry-run``.
+    """
+
+    built: list[BuiltTable]
+    not_built: list[NotBuilt]
+    planned: list[Plan]
+
+
+def planned(plan: BuildPlan | CorpusPlan, workers: int, *, dataset: str, root: Path | None) -> Plan:
+    """Put the plan of one dataset into its documented shape.
+
+    Args:
+        plan: What would be read.
+        workers: Processes to use.
+        dataset: Name of the dataset.
+        root: Its folder.
+    """
+    return Plan(
+        dataset=dataset,
+        root=root,
+        recordings=list(plan.recordings),
+        skipped=list(plan.skipped),
+        input_bytes=plan.input_bytes,
+        workers=workers,
+        estimated_seconds=plan.estimated_seconds / workers,
+        estimated_disk_bytes=plan.estimated_disk_bytes,
     )
 
 
-def add_replace(parser: argparse.ArgumentParser, *, what: str = "table") -> None:
-    """Add ``--replace``, which loses what an earlier result holds."""
-    parser.add_argument(
-        "--replace",
-        action="store_true",
-        help=f"replace an earlier {what} even where the new one lacks recordings that it holds (refused by default)",
-    )
-
-
-def add_recordings(parser: argparse.ArgumentParser) -> None:
-    """Add ``--limit N`` recordings; where sequences are counted, see :func:`prbench.cli.arguments.add_limit`."""
-    parser.add_argument("--limit", type=positive, metavar="N", help="at most N recordings: the first by name")
-
-
-def add_reader_options(
-    parser: argparse.ArgumentParser, *, whose: str = "dataset's", remark: str = "a wrong name lists them"
-) -> None:
-    """Add ``--option NAME=VALUE``, repeatable."""
-    parser.add_argument(
-        "--option",
-        type=key_value,
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help=f"an option of the {whose} reader; repeatable ({remark})",
-    )
-
-
-def print_plan(plan: BuildPlan | CorpusPlan, workers: int, *, unfit: str) -> None:
+def print_plan(plan: Plan, *, unfit: str) -> None:
     """Say what would be read, what is known to be ``unfit``, and about what it takes."""
     print(f"{len(plan.recordings)} recordings, {plan.input_bytes / 1e6:,.1f} MB to read")
     if plan.skipped:
-        shown = ", ".join(plan.skipped[:10]) + (" …" if len(plan.skipped) > 10 else "")
+        shown = ", ".join(plan.skipped[:_SKIPPED_SHOWN]) + (" …" if len(plan.skipped) > _SKIPPED_SHOWN else "")
         print(f"{len(plan.skipped)} of them are known to be {unfit} and would be skipped: {shown}")
-    seconds = plan.estimated_seconds / workers
+    seconds = plan.estimated_seconds
     duration = f"{seconds:,.0f} s" if seconds < 120 else f"{seconds / 60:,.0f} minutes"
     print(
-        f"estimated: {duration} with {workers} worker{'s' if workers > 1 else ''},"
+        f"estimated: {duration} with {plan.workers} worker{'s' if plan.workers > 1 else ''},"
         f" {plan.estimated_disk_bytes / 1e6:,.1f} MB on disk"
     )
 
 
-def print_unread(records: Iterable[RecordingRecord | CorpusRecord], *, reused: int) -> None:
+def built_table(report: BuildReport | CorpusReport, stages: Iterable[Stage]) -> BuiltTable:
+    """Put the report of one build into its documented shape.
+
+    Args:
+        report: Of the build.
+        stages: From its files to its rows.
+    """
+    return BuiltTable(
+        dataset=report.info.dataset,
+        title=report.info.title,
+        folder=report.folder,
+        counts=msgspec.to_builtins(report.info.counts),
+        stages=list(stages),
+        recordings=[_built_recording(record) for record in report.records],
+        taken_over=report.reused,
+    )
+
+
+def _built_recording(record: RecordingRecord | CorpusRecord) -> BuiltRecording:
+    return BuiltRecording(
+        recording=record.recording_id,
+        status=record.status,
+        message=record.message,
+        outcomes=dict(record.outcomes),
+        cut_short=list(getattr(record, "shortfalls", ())),
+    )
+
+
+def print_stages(title: str, stages: Iterable[Stage]) -> None:
+    """Print how much of the files each stage left."""
+    rows = [(each.stage, str(each.kept), str(each.dropped or ""), each.why) for each in stages]
+    print_table(title, ("stage", "kept", "dropped", "why"), rows, numbers=(1, 2))
+
+
+def note_unread(records: Iterable[RecordingRecord | CorpusRecord], *, reused: int) -> None:
     """Name the recordings that are not in the result, and why."""
     if reused:
-        print(f"{reused} recordings were taken over from an interrupted build.", file=sys.stderr)
+        note(f"{reused} recordings were taken over from an interrupted build.")
     for record in records:
         if record.status != "read":
-            print(f"{record.status}: {record.recording_id}: {record.message}", file=sys.stderr)
+            note(f"{record.status}: {record.recording_id}: {record.message}")
 
 
-def print_cut_short(records: Iterable[RecordingRecord]) -> None:
+def note_cut_short(records: Iterable[RecordingRecord]) -> None:
     """Name the recordings of which a stream ends early: events may be missing, and nothing else would tell."""
     for record in records:
         for shortfall in record.shortfalls:
-            print(f"cut short: {record.recording_id}: {shortfall}", file=sys.stderr)
+            note(f"cut short: {record.recording_id}: {shortfall}")
 
 
-def print_fruitless(records: Iterable[RecordingRecord]) -> None:
+def note_fruitless(records: Iterable[RecordingRecord]) -> None:
     """Name the recordings that were read and gave no sequence, and why; what a reader remarks is seldom the cause."""
     for record in records:
         if record.status == "read" and not record.outcomes.get("sequence"):
-            print(f"no sequence: {record.recording_id}: {_why_fruitless(record)}", file=sys.stderr)
+            note(f"no sequence: {record.recording_id}: {_why_fruitless(record)}")
 
 
 def _why_fruitless(record: RecordingRecord) -> str:

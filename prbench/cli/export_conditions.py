@@ -2,97 +2,152 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import shlex
-import sys
+from collections.abc import Sequence
 from pathlib import Path
 
-from prbench.cli.arguments import (
+import click
+import msgspec
+
+from prbench.cli.commands import Answer, command, note
+from prbench.cli.options import (
     CONDITIONS,
     FIRST_RUN_SEQUENCES,
-    add_data,
-    add_limit,
-    add_permission,
-    add_split,
-    command,
-    positive,
+    POSITIVE,
+    control_option,
+    data_option,
+    limit_option,
+    out_file_option,
+    permission_option,
+    seed_option,
+    split_option,
 )
 
 
-def add_parser(commands: argparse._SubParsersAction) -> None:
-    """Register the command."""
-    parser = command(
-        commands,
-        "export-conditions",
-        summary="write exactly what a method may see, for one that runs elsewhere; `prbench score` takes what it makes",
-        example="prbench export-conditions --data tables/adt --condition goal-loc --seed 0 --out conditions.npz",
-        execute=_export,
-    )
-    add_data(parser, required=True)
-    parser.add_argument("--condition", choices=CONDITIONS, required=True, help="what the method is given")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help=".parquet, or .npz for NumPy alone")
-    parser.add_argument("--seed", type=int, default=0, help="behind opaque ids and noise seeds (default 0)")
-    parser.add_argument("--samples", type=positive, default=1, metavar="K", help="motions a sequence (default 1)")
-    add_split(parser)
-    add_limit(parser)
-    parser.add_argument(
-        "--max-frames",
-        type=positive,
-        metavar="N",
-        help="leave out longer sequences; scoring counts them as unsupported",
-    )
-    parser.add_argument(
-        "--native-fps",
-        type=float,
-        metavar="F",
-        help="ask for motions at F frames per second; scoring resamples them to the table's rate",
-    )
-    parser.add_argument(
-        "--control", choices=["shuffled-goal"], help="give every sequence another one's goal; the file does not tell"
-    )
-    add_permission(parser)
+class ExportedDataset(msgspec.Struct, frozen=True, kw_only=True):
+    """The part of one dataset in a conditions file.
+
+    Attributes:
+        dataset: Name of the dataset.
+        sequences: Number of sequences whose conditions were written.
+        left_out: Number of sequences that were left out because they are longer than ``--max-frames``.
+    """
+
+    dataset: str
+    sequences: int
+    left_out: int
 
 
-def _export(arguments: argparse.Namespace) -> int:
+class ConditionsReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The conditions that were written.
+
+    Attributes:
+        out: The conditions file.
+        motions: Number of motions that a method has to generate from it.
+        datasets: Its parts.
+        notices: Sentences that the datasets' terms ask for; they stand in a file beside ``out``, too.
+    """
+
+    out: Path
+    motions: int
+    datasets: list[ExportedDataset]
+    notices: list[str]
+
+
+@command(
+    "export-conditions",
+    example="prbench export-conditions --data tables/adt --condition goal-loc --seed 0 --out conditions.npz",
+    report=ConditionsReport,
+)
+@data_option(required=True)
+@click.option("--condition", type=click.Choice(CONDITIONS), required=True, help="What the method is given.")
+@out_file_option(".parquet, or .npz for NumPy alone.", required=True)
+@seed_option("behind opaque ids and noise seeds")
+@click.option("--samples", type=POSITIVE, default=1, metavar="K", help="Motions of each sequence (default 1).")
+@split_option()
+@limit_option()
+@click.option(
+    "--max-frames",
+    type=POSITIVE,
+    metavar="N",
+    help="Leave out sequences of more than N frames; scoring counts them as unsupported.",
+)
+@click.option(
+    "--native-fps",
+    type=float,
+    metavar="F",
+    help="Ask for motions at F frames per second; scoring resamples them to the table's rate.",
+)
+@control_option("Give every sequence another one's goal; the file does not tell.")
+@permission_option
+def export_conditions(
+    data: tuple[Path, ...],
+    condition: str,
+    out: Path,
+    seed: int,
+    samples: int,
+    split: str,
+    limit: int | None,
+    max_frames: int | None,
+    native_fps: float | None,
+    control: str | None,
+    permission: tuple[str, ...],
+) -> Answer:
+    """Write exactly what a method may see, for one that runs elsewhere.
+
+    `prbench score` takes the motions that the method makes from it.
+    """
     from prbench.contract import Condition
-    from prbench.submitted.offline import ExportRequest, export_conditions
+    from prbench.submitted.offline import ExportRequest
+    from prbench.submitted.offline import export_conditions as export
 
-    report = export_conditions(
+    exported = export(
         ExportRequest(
-            data=tuple(arguments.data),
-            condition=Condition(arguments.condition),
-            out=arguments.out,
-            seed=arguments.seed,
-            samples=arguments.samples,
-            split=arguments.split,
-            limit=arguments.limit,
-            max_frames=arguments.max_frames,
-            native_fps=arguments.native_fps,
-            control=arguments.control,
-            permitted=tuple(arguments.permission),
+            data=data,
+            condition=Condition(condition),
+            out=out,
+            seed=seed,
+            samples=samples,
+            split=split,
+            limit=limit,
+            max_frames=max_frames,
+            native_fps=native_fps,
+            control=control,
+            permitted=permission,
         )
     )
-    for dataset, sequences in report.sequences.items():
-        left_out = report.left_out.get(dataset, 0)
-        more = f" ({left_out} longer ones left out)" if left_out else ""
-        print(f"{dataset}: {sequences} sequences{more}")
-    for line in report.notices:
-        print(f"notice: {line}")
-    print(f"{report.rows} motions to generate: {report.out}")
-    _tell_first_run(arguments)
-    print(f"then: prbench score PREDICTIONS --conditions {shlex.quote(str(report.out))} --data …", file=sys.stderr)
-    return 0
+    if limit is None:
+        _tell_first_run(data)
+    note(f"then: prbench score PREDICTIONS --conditions {shlex.quote(str(exported.out))} --data …")
+    report = ConditionsReport(
+        out=exported.out,
+        motions=exported.rows,
+        datasets=[
+            ExportedDataset(dataset=name, sequences=sequences, left_out=exported.left_out.get(name, 0))
+            for name, sequences in exported.sequences.items()
+        ],
+        notices=list(exported.notices),
+    )
+    return Answer(report, lambda: _print(report))
 
 
-def _tell_first_run(arguments: argparse.Namespace) -> None:
+def _tell_first_run(data: Sequence[Path]) -> None:
     """Tell that runs without ``--data`` take a part of the embedded dataset, and this command all of it by default."""
     from prbench.workflows.first_run import default_table_folder
 
     embedded = os.path.realpath(default_table_folder())
-    if arguments.limit is None and any(os.path.realpath(folder) == embedded for folder in arguments.data):
-        print(
+    if any(os.path.realpath(folder) == embedded for folder in data):
+        note(
             f"this is the embedded dataset, of which `prbench run` without --data takes {FIRST_RUN_SEQUENCES}"
-            f" sequences: --limit {FIRST_RUN_SEQUENCES} exports the same ones.",
-            file=sys.stderr,
+            f" sequences: --limit {FIRST_RUN_SEQUENCES} exports the same ones."
         )
+
+
+def _print(report: ConditionsReport) -> None:
+    for each in report.datasets:
+        more = f" ({each.left_out} longer ones left out)" if each.left_out else ""
+        print(f"{each.dataset}: {each.sequences} sequences{more}")
+    for line in report.notices:
+        print(f"notice: {line}")
+    print(f"{report.motions} motions to generate: {report.out}")

@@ -1,139 +1,427 @@
-"""``prbench leaderboard export``: finished runs side by side."""
+"""``prbench leaderboard``: finished runs side by side."""
 
 from __future__ import annotations
 
-import argparse
-import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import add_workers, command
+import click
+import msgspec
+
+from prbench.cli.commands import Answer, Group, command, note
+from prbench.cli.options import PATH, data_option, out_file_option, workers_option
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
+    from prbench.leaderboard.comparison import ComparedMetric
     from prbench.submitted.verification import RunChecker
 
 _EXAMPLE = "prbench leaderboard export runs/static runs/ground-truth --format md --out leaderboard.md"
 
-
-def add_parser(commands: argparse._SubParsersAction) -> None:
-    """Register the command group."""
-    parser = command(
-        commands,
-        "leaderboard",
-        summary="put finished runs side by side",
-        example=_EXAMPLE,
-        execute=lambda _: (parser.print_help(), 2)[1],
-    )
-    group = parser.add_subparsers(metavar="COMMAND")
-    export = command(
-        group,
-        "export",
-        summary="write a leaderboard of finished runs",
-        example=_EXAMPLE,
-        execute=_export,
-    )
-    export.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run folders, or folders that hold some")
-    export.add_argument("--format", choices=["md", "csv", "json"], default="md", help="default: md")
-    export.add_argument("--out", type=Path, metavar="FILE", help="write it there instead of printing it")
-    _add_tables(export)
-    comparison = command(
-        group,
-        "compare",
-        summary="say where two runs on the same sequences differ, and whether the data support it",
-        example="prbench leaderboard compare runs/static runs/scripted",
-        execute=_compare,
-    )
-    comparison.add_argument("first", type=Path, metavar="RUN", help="a finished run folder")
-    comparison.add_argument("second", type=Path, metavar="RUN", help="another one, of the same sequences")
-    _add_tables(comparison)
+leaderboard = Group(
+    "leaderboard",
+    sections={
+        "commands": {
+            "export": "prbench.cli.leaderboard:export",
+            "compare": "prbench.cli.leaderboard:compare",
+        }
+    },
+    example=_EXAMPLE,
+    help="Put finished runs side by side.",
+)
 
 
-def _add_tables(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--data",
-        type=Path,
-        nargs="+",
-        default=(),
-        metavar="DIR",
-        help="the tables of the runs: scores are held against the motions on them, and called unverified without;"
-        " the embedded tables need not be named",
-    )
-    add_workers(parser)
+class BoardMetric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One metric of one row of a leaderboard.
+
+    Attributes:
+        metric: Id of the metric, such as ``prime_success``.
+        title: Its name in tables.
+        unit: ``rate`` (from 0 to 1), ``ratio``, or a unit such as ``m``.
+        mean: Mean over sequences.
+        low: Lower bound of the interval of the mean; null where the data support none.
+        high: Upper bound of the interval.
+        level: Confidence level of the interval, such as 0.95.
+        interval: Name of the estimator of the interval.
+        sequences: Number of sequences behind the mean.
+        recordings: Number of recordings that they come from.
+        marks: What a reader of the interval needs to know: ``few_recordings``, ``one_recording``, ``all_equal``.
+        flags: Number of motions that carry each remark.
+    """
+
+    metric: str
+    title: str
+    unit: str
+    mean: float | None
+    low: float | None
+    high: float | None
+    level: float
+    interval: str
+    sequences: int
+    recordings: int
+    marks: list[str]
+    flags: dict[str, int]
 
 
-def _compare(arguments: argparse.Namespace) -> int:
+class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One run in the table of a dataset.
+
+    Attributes:
+        run: Name of the run folder.
+        method: Name of the method.
+        kind: ``built-in``, ``package``, ``program``, ``file``, ``control`` or ``unknown``: how it was reached.
+        package: Package that the method was installed from, the program's command, or the name of the motions' file.
+        isolation: How the method was kept apart (``process``, ``bubblewrap`` or ``container``); null if it was not.
+        mark: A remark about its motions that readers must know; empty if there is none.
+        version: Version of the package.
+        weights_digest: Digest of its weights; null without weights.
+        condition: What the method was given.
+        control: ``shuffled-goal`` if it was given other sequences' goals; null if not.
+        variant: Control, weights, options and the like, by which rows of one method differ.
+        seed: Seed of the run.
+        samples: Number of motions of each sequence.
+        scored: Number of sequences behind the numbers.
+        verified: Whether the scores were held against the motions.
+        why_unverified: The reason why not; empty if they were.
+        unsupported: Number of sequences that are longer than the method can generate.
+        ranks: Maps ids of metrics to ranks, from 1; empty where nothing is ranked.
+        metrics: The scores.
+        says_nothing: Ids of metrics that say nothing about this method, because it stands still.
+    """
+
+    run: str
+    method: str
+    kind: str
+    package: str
+    isolation: str | None
+    mark: str
+    version: str
+    weights_digest: str | None
+    condition: str
+    control: str | None
+    variant: str
+    seed: int
+    samples: int
+    scored: int
+    verified: bool
+    why_unverified: str
+    unsupported: int
+    ranks: dict[str, int]
+    metrics: list[BoardMetric]
+    says_nothing: list[str]
+
+
+class BoardTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Runs on one dataset that compare: protocol, table, split and sequences agree.
+
+    Attributes:
+        dataset: Name of the dataset.
+        title: The same for readers; holds the word "synthetic" where the data are.
+        synthetic: Whether the data are synthetic.
+        redistribution: Whether the licence lets recorded motion be passed on.
+        protocol_digest: Digest of the rules by which the rows were scored.
+        identity_digest: Digest of the table's sequences and their ids.
+        content_digest: Digest of the table's content.
+        split: Split of the table.
+        selection_digest: Digest of the chosen sequences.
+        sequences: Number of sequences.
+        recordings: Number of recordings that they come from.
+        rows: The runs, sorted by condition, controls last.
+    """
+
+    dataset: str
+    title: str
+    synthetic: bool
+    redistribution: str
+    protocol_digest: str
+    identity_digest: str
+    content_digest: str
+    split: str
+    selection_digest: str
+    sequences: int
+    recordings: int
+    rows: list[BoardRow]
+
+
+class MacroMean(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Means of one method over several datasets, each dataset counting alike.
+
+    Attributes:
+        method: Name of the method.
+        kind: Whose method it is, in words.
+        mark: A remark about its motions that readers must know; empty if there is none.
+        condition: What the method was given.
+        variant: Control, weights, options and the like, by which rows of one method differ.
+        means: Maps ids of metrics to means; empty if the method lacks a dataset.
+        ranks: Maps ids of metrics to ranks, from 1; empty where nothing is ranked.
+        verified: Whether the scores on all datasets were held against the motions.
+        missing: Datasets that the method lacks.
+    """
+
+    method: str
+    kind: str
+    mark: str
+    condition: str
+    variant: str
+    means: dict[str, float | None]
+    ranks: dict[str, int]
+    verified: bool
+    missing: list[str]
+
+
+class MacroMeans(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Methods over all datasets of one protocol.
+
+    Attributes:
+        datasets: Names of the datasets.
+        synthetic: Whether one of them is synthetic.
+        rows: The methods.
+    """
+
+    datasets: list[str]
+    synthetic: bool
+    rows: list[MacroMean]
+
+
+class Board(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A leaderboard; ``--format json`` writes the same.
+
+    Attributes:
+        schema_version: Version of this shape.
+        tables: One table for each dataset and way of scoring it.
+        macro_means: Means over datasets, for each protocol with two datasets or more.
+        notes: What was left out, and which tables must not be compared.
+    """
+
+    schema_version: int
+    tables: list[BoardTable]
+    macro_means: list[MacroMeans]
+    notes: list[str]
+
+
+class BoardReport(msgspec.Struct, frozen=True, kw_only=True):
+    """An exported leaderboard.
+
+    Attributes:
+        format: ``md``, ``csv`` or ``json``: what ``out`` is written in.
+        out: The file; null if the leaderboard was printed.
+        board: The leaderboard.
+    """
+
+    format: str
+    out: Path | None
+    board: Board
+
+
+class ComparedRun(msgspec.Struct, frozen=True, kw_only=True):
+    """One of two runs.
+
+    Attributes:
+        path: Its folder.
+        method: Name of the method.
+        origin: Whose method it is, in words.
+        marks: Maps datasets to remarks about the motions that readers must know.
+    """
+
+    path: Path
+    method: str
+    origin: str
+    marks: dict[str, str]
+
+
+class MetricDifference(msgspec.Struct, frozen=True, kw_only=True):
+    """The difference of two runs in one metric on one dataset: first minus second, over the same sequences.
+
+    Attributes:
+        dataset: Name of the dataset.
+        metric: Id of the metric, such as ``prime_success``.
+        title: Its name in tables.
+        unit: ``rate`` (differences from -1 to 1), ``ratio``, or a unit such as ``m``.
+        difference: Mean difference over sequences.
+        low: Lower bound of its 95 % interval; null where the data support none.
+        high: Upper bound of its 95 % interval.
+        interval: Name of the estimator of the interval.
+        sequences: Number of sequences.
+        recordings: Number of recordings that they come from.
+        marks: What a reader of the interval needs to know: ``few_recordings``, ``one_recording``, ``all_equal``.
+        p_value: Two-sided, by flipping signs of whole recordings; null below six recordings.
+        adjusted_p_value: The same after Holm's correction for everything compared here.
+        conclusion: ``higher``, ``lower`` or ``not supported by the data``: of the first run.
+    """
+
+    dataset: str
+    metric: str
+    title: str
+    unit: str
+    difference: float | None
+    low: float | None
+    high: float | None
+    interval: str
+    sequences: int
+    recordings: int
+    marks: list[str]
+    p_value: float | None
+    adjusted_p_value: float | None
+    conclusion: str
+
+
+class CompareReport(msgspec.Struct, frozen=True, kw_only=True):
+    """Two runs, compared sequence by sequence.
+
+    Attributes:
+        first: The first run.
+        second: The second run.
+        differences: One entry for each metric and dataset.
+        unverified: A sentence for each run and dataset whose scores could not be held against the motions.
+    """
+
+    first: ComparedRun
+    second: ComparedRun
+    differences: list[MetricDifference]
+    unverified: list[str]
+
+
+def _tables_option(function: Callable) -> Callable:
+    return data_option(
+        required=False,
+        help="The tables of the runs: scores are held against the motions on them, and called unverified without; the"
+        " embedded tables need not be named.",
+    )(function)
+
+
+@command("export", example=_EXAMPLE, report=BoardReport)
+@click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")
+@click.option(
+    "--format",
+    type=click.Choice(["md", "csv", "json"]),
+    default="md",
+    help="Markdown (default), CSV or JSON.",
+)
+@out_file_option("Write the leaderboard to this file instead of printing it.")
+@_tables_option
+@workers_option()
+def export(runs: tuple[Path, ...], format: str, out: Path | None, data: tuple[Path, ...], workers: int) -> Answer:
+    """Write a leaderboard of finished runs.
+
+    RUN are run folders, or folders that hold some.
+    """
+    from prbench import leaderboard as boards
+    from prbench.locks import sole_writer
+    from prbench.storage import write_text
+
+    collected = boards.collect_runs(runs, check=_checker(data, workers).check)
+    for reason in collected.left_out:
+        note(f"left out: {reason}")
+    for row in collected.rows:
+        if row.unverified:
+            note(f"unverified: {row.run}: {row.unverified}")
+    board = boards.make_leaderboard(collected)
+    text = boards.export(board, format)
+    if out is not None:
+        with sole_writer(out):
+            write_text(out, text)
+    exported = msgspec.json.decode(boards.export(board, "json"), type=Board)
+    report = BoardReport(format=format, out=out, board=exported)
+    return Answer(report, lambda: print(text, end="") if out is None else print(f"leaderboard: {out}"))
+
+
+@command(
+    "compare",
+    example="prbench leaderboard compare runs/static runs/scripted",
+    report=CompareReport,
+    writes_report=True,
+)
+@click.argument("first", type=PATH, metavar="RUN")
+@click.argument("second", type=PATH, metavar="RUN")
+@_tables_option
+@workers_option()
+def compare(first: Path, second: Path, data: tuple[Path, ...], workers: int) -> Answer:
+    """Say where two runs on the same sequences differ, and whether the data support it."""
     from prbench.leaderboard import compare_runs
-    from prbench.metrics import printed_unit
 
-    rows = []
-    compared = compare_runs(arguments.first, arguments.second, checker=_checker(arguments))
-    for row in compared.metrics:
-        difference = row.comparison.difference
-        p = row.comparison.adjusted_p_value
-        scale = row.info.scale
-        unit = " points" if row.info.unit == "rate" else printed_unit(row.info.unit)
-        if "all_equal" in difference.marks:
-            bounds = "all equal"  # a bootstrap of equal differences would claim certainty
-        elif difference.low is None or difference.high is None:
-            bounds = "–"
-        else:
-            bounds = f"[{difference.low * scale:+.2f}, {difference.high * scale:+.2f}]"
-        conclusion = row.comparison.conclusion
-        said = conclusion if conclusion.startswith("not") else f"{arguments.first.name} is {conclusion}"
-        change = f"{difference.mean * scale:+.2f}{unit}"
-        rows.append((row.dataset, row.info.title, change, bounds, "–" if p is None else f"{p:.4f}", said))
-    print_table(
-        f"{arguments.first.name} against {arguments.second.name}, sequence by sequence",
-        ("dataset", "metric", "difference", "95 % interval", "p (Holm)", ""),
-        rows,
-        numbers=(2, 3, 4),
+    compared = compare_runs(first, second, checker=_checker(data, workers))
+    datasets = sorted({row.dataset for row in compared.metrics})
+    report = CompareReport(
+        first=_compared_run(first, datasets),
+        second=_compared_run(second, datasets),
+        differences=[_metric_difference(row) for row in compared.metrics],
+        unverified=list(compared.unverified),
     )
-    for path in (arguments.first, arguments.second):
-        print("\n".join(_described(path, sorted({row.dataset for row in compared.metrics}))))
-    for reason in compared.unverified:
-        print(f"unverified: {reason}")
-    return 0
+    return Answer(report, lambda: _print_comparison(report))
 
 
-def _described(path: Path, datasets: list[str]) -> list[str]:
-    """Name the method of a run and its origin, and the datasets for which it handed in recorded motions."""
-    from prbench.runs import DatasetSummary, RunFolder
-
-    run = RunFolder.open(path)
-    lines = [f"{path.name}: {run.record.method.name}, {run.record.method.origin}"]
-    for name in datasets:
-        mark = DatasetSummary.read(run.dataset(name).path).recorded_motion_mark
-        if mark:
-            lines.append(f"{path.name}, {name}: {mark}.")
-    return lines
-
-
-def _checker(arguments: argparse.Namespace) -> RunChecker:
+def _checker(data: Sequence[Path], workers: int) -> RunChecker:
     """Make what scores again on the named tables and the embedded ones."""
     from prbench.engine import engine_for
     from prbench.submitted.verification import RunChecker
     from prbench.workflows.first_run import table_finder
 
-    return RunChecker(table_finder(arguments.data), engine_for(arguments.workers))
+    return RunChecker(table_finder(data), engine_for(workers))
 
 
-def _export(arguments: argparse.Namespace) -> int:
-    from prbench.leaderboard import collect_runs, export, make_leaderboard
-    from prbench.locks import sole_writer
-    from prbench.storage import write_text
+def _compared_run(path: Path, datasets: list[str]) -> ComparedRun:
+    """Name the method of a run and its origin, and the datasets for which it handed in recorded motions."""
+    from prbench.runs import DatasetSummary, RunFolder
 
-    collected = collect_runs(arguments.runs, check=_checker(arguments).check)
-    for reason in collected.left_out:
-        print(f"left out: {reason}", file=sys.stderr)
-    for row in collected.rows:
-        if row.unverified:
-            print(f"unverified: {row.run}: {row.unverified}", file=sys.stderr)
-    text = export(make_leaderboard(collected), arguments.format)
-    if arguments.out is None:
-        print(text, end="")
-        return 0
-    with sole_writer(arguments.out):
-        write_text(arguments.out, text)
-    print(f"leaderboard: {arguments.out}")
-    return 0
+    run = RunFolder.open(path)
+    marks = {name: DatasetSummary.read(run.dataset(name).path).recorded_motion_mark for name in datasets}
+    return ComparedRun(
+        path=path,
+        method=run.record.method.name,
+        origin=run.record.method.origin,
+        marks={name: mark for name, mark in marks.items() if mark},
+    )
+
+
+def _metric_difference(row: ComparedMetric) -> MetricDifference:
+    difference = row.comparison.difference
+    return MetricDifference(
+        dataset=row.dataset,
+        metric=row.info.id,
+        title=row.info.title,
+        unit=row.info.unit,
+        difference=difference.mean,
+        low=difference.low,
+        high=difference.high,
+        interval=difference.method,
+        sequences=difference.n_sequences,
+        recordings=difference.n_recordings,
+        marks=list(difference.marks),
+        p_value=row.comparison.p_value,
+        adjusted_p_value=row.comparison.adjusted_p_value,
+        conclusion=row.comparison.conclusion,
+    )
+
+
+def _print_comparison(report: CompareReport) -> None:
+    first = report.first.path.name
+    print_table(
+        f"{first} against {report.second.path.name}, sequence by sequence",
+        ("dataset", "metric", "difference", "95 % interval", "p (Holm)", ""),
+        [_difference_row(first, row) for row in report.differences],
+        numbers=(2, 3, 4),
+    )
+    for run in (report.first, report.second):
+        print(f"{run.path.name}: {run.method}, {run.origin}")
+        for dataset, mark in run.marks.items():
+            print(f"{run.path.name}, {dataset}: {mark}.")
+    for reason in report.unverified:
+        print(f"unverified: {reason}")
+
+
+def _difference_row(first: str, row: MetricDifference) -> tuple[str, ...]:
+    from prbench.metrics import printed_scale, printed_unit
+
+    scale = printed_scale(row.unit)
+    unit = " points" if row.unit == "rate" else printed_unit(row.unit)
+    if "all_equal" in row.marks:
+        bounds = "all equal"  # a bootstrap of equal differences would claim certainty
+    elif row.low is None or row.high is None:
+        bounds = "–"
+    else:
+        bounds = f"[{row.low * scale:+.2f}, {row.high * scale:+.2f}]"
+    said = row.conclusion if row.conclusion.startswith("not") else f"{first} is {row.conclusion}"
+    change = "–" if row.difference is None else f"{row.difference * scale:+.2f}{unit}"
+    p_value = "–" if row.adjusted_p_value is None else f"{row.adjusted_p_value:.4f}"
+    return (row.dataset, row.title, change, bounds, p_value, said)

@@ -1,185 +1,185 @@
-"""``prbench``: find the command, run it, and turn a user's error into one message and an exit code."""
+"""``prbench``: find the command, run it, show its answer, and turn an error into one message and an exit code."""
 
 from __future__ import annotations
 
-import argparse
 import io
-import multiprocessing
-import signal
+import os
 import sys
-from collections.abc import Callable, Sequence
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
-from types import FrameType
+import time
+import traceback
+from collections.abc import Sequence
 from typing import Any
 
-import prbench
-from prbench.cli import (
-    adapters,
-    build_corpus,
-    build_dataset,
-    candidates,
-    datasets,
-    diff,
-    doctor,
-    evaluate_text,
-    explain,
-    export_conditions,
-    inspect,
-    leaderboard,
-    poses,
-    release,
-    run,
-    score,
-    stats,
-    synthesize,
-    train,
-    validate,
-    view,
-)
-from prbench.cli.terminal import clean_output
-from prbench.engine import end_with_parent
-from prbench.errors import AdapterError, PrbenchError
-from prbench.methods.remote.faults import exit_story
+import click
 
-_Command = Callable[[Sequence[str]], int]
-_COMMANDS = (
-    run,
-    view,
-    inspect,
-    build_dataset,
-    build_corpus,
-    candidates,
-    poses,
-    datasets,
-    stats,
-    diff,
-    explain,
-    synthesize,
-    export_conditions,
-    score,
-    evaluate_text,
-    train,
-    leaderboard,
-    release,
-    adapters,
-    doctor,
-    validate,
-)
+import prbench
+from prbench.cli.commands import Answer, Group, Session
+from prbench.cli.terminal import clean_output
+from prbench.errors import PrbenchError, UsageError
+
 _EXAMPLES = """\
 examples:
-  prbench run --method static --condition none              score a method on embedded synthetic data
-  prbench build-dataset adt --root ADT --out tables/adt     turn licensed recordings into a table
-  prbench run --method static --condition none --data tables/adt --out runs/static
+  prbench run --method static --condition none
+      score a method on embedded synthetic data
+  prbench build-dataset adt --root ADT --out tables/adt
+      turn licensed recordings into a table
+  prbench run --method static --data tables/adt --out runs/static
   prbench leaderboard export runs/* --format md
+
+`prbench help COMMAND` explains a command, `prbench help exit-codes` the exit codes.
 """
+_COMMANDS = {
+    "data: from recordings to tables": {
+        "datasets": "prbench.cli.datasets:datasets",
+        "cite": "prbench.cli.datasets:cite",
+        "inspect": "prbench.cli.inspect:inspect",
+        "poses": "prbench.cli.poses:poses",
+        "candidates": "prbench.cli.candidates:candidates",
+        "build-dataset": "prbench.cli.build_dataset:build_dataset",
+        "build-corpus": "prbench.cli.build_corpus:build_corpus",
+        "validate": "prbench.cli.validate:validate",
+        "import-release": "prbench.cli.release:import_release",
+        "export-release": "prbench.cli.release:export_release",
+        "synthesize": "prbench.cli.synthesize:synthesize",
+    },
+    "run: methods over tables": {
+        "run": "prbench.cli.run:run",
+        "export-conditions": "prbench.cli.export_conditions:export_conditions",
+        "score": "prbench.cli.score:score",
+        "evaluate-text": "prbench.cli.evaluate_text:evaluate_text",
+    },
+    "train: networks": {
+        "train": "prbench.cli.train:train",
+    },
+    "board: runs side by side": {
+        "leaderboard": "prbench.cli.leaderboard:leaderboard",
+    },
+    "look: at tables, events and motions": {
+        "stats": "prbench.cli.stats:stats",
+        "explain": "prbench.cli.explain:explain",
+        "diff": "prbench.cli.diff:diff",
+        "view": "prbench.cli.view:view",
+    },
+    "develop: methods of your own": {
+        "adapters": "prbench.cli.adapters:adapters",
+        "doctor": "prbench.cli.doctor:doctor",
+        "help": "prbench.cli.help:help",
+        "completion": "prbench.cli.help:completion",
+    },
+}
+
+
+class _Program(Group):
+    """The whole command line."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        formatter.write(f"\n{_EXAMPLES}")
+
+
+program = _Program(
+    "prbench",
+    sections=_COMMANDS,
+    help="Prime-and-reach motion benchmark: curate sequences, run motion generators, score them.",
+    context_settings={"max_content_width": 100},
+)
+click.version_option(prbench.__version__, message="prbench %(version)s")(program)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command.
 
+    Args:
+        arguments: Words of the command line; by default those that the shell gave.
+
     Returns:
-        0 on success; the ``exit_code`` of a :class:`PrbenchError`; 2 for wrong arguments; 130 after Ctrl-C.
+        0 on success; else one of the exit codes that ``prbench help exit-codes`` lists.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a console that lacks a character shows a substitute, not a traceback
             stream.reconfigure(errors="replace")
+    if "_PRBENCH_COMPLETE" in os.environ:  # set by the shell's completion, which reads what is printed here
+        program.main(prog_name="prbench")
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    now = Session(from_shell=arguments is None)
     with clean_output():
-        return _execute(arguments)
+        return _execute(words, now)
 
 
-def _execute(arguments: Sequence[str] | None) -> int:
-    parser = _parser()
-    chosen = parser.parse_args(arguments)
-    if not hasattr(chosen, "execute"):
-        parser.print_help()
-        return 2
+def _execute(words: list[str], now: Session) -> int:
+    started = time.monotonic()
     try:
-        if arguments is None and calls_foreign_code(chosen):  # from a shell, whose user sees nothing but the exit code
-            return supervised(main, sys.argv[1:], method=chosen.method)
-        return chosen.execute(chosen)
+        with program.make_context("prbench", words, obj=now) as context:
+            code = _present(program.invoke(context), now)
+    except click.exceptions.Exit as end:  # --help and --version
+        return end.exit_code
+    except click.exceptions.NoArgsIsHelpError as missing:
+        print(missing.format_message())
+        return UsageError.exit_code
+    except click.ClickException as error:
+        code = _refuse(UsageError(_usage_problem(error)), now, words)
     except PrbenchError as error:
-        print(f"prbench: {error}", file=sys.stderr)
-        return error.exit_code
-    except KeyboardInterrupt:
-        kept = "; finished parts are kept, the same command resumes" if chosen.resumes else ""
+        code = _refuse(error, now, words)
+    except (KeyboardInterrupt, click.Abort):
+        kept = "; finished parts are kept, the same command resumes" if now.resumes else ""
         print(f"prbench: interrupted{kept}.", file=sys.stderr)
         return 130
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output went away, as `| head` does
         return 0
+    if now.verbose:
+        _tell_cost(time.monotonic() - started)
+    return code
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="prbench",
-        description="Prime-and-reach motion benchmark: curate sequences, run motion generators, score them.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+def _present(answer: Any, now: Session) -> int:
+    """Print what a command returned, and return its exit code."""
+    if not isinstance(answer, Answer):
+        return int(answer or 0)
+    if now.as_json or now.report_file is not None:
+        from prbench.cli.documents import answer_document, print_document, write_document
+
+        document = answer_document(answer, now)
+        if now.report_file is not None:  # saved first, then printed: a report that could not be written is a failure
+            write_document(document, now.report_file)
+        if now.as_json:
+            print_document(document)
+    if not now.as_json:
+        answer.show()
+        if now.report_file is not None:
+            print(f"report: {now.report_file}")
+    return answer.exit_code
+
+
+def _refuse(error: PrbenchError, now: Session, words: list[str]) -> int:
+    """Print an error: one message on standard error and, where JSON was asked for, a document."""
+    if now.verbose:
+        traceback.print_exception(error)
+    print(f"prbench: {error}", file=sys.stderr)
+    if now.as_json or "--json" in words:  # the option itself may stand behind the word that was refused
+        from prbench.cli.documents import error_document, print_document
+
+        print_document(error_document(error, now))
+    return error.exit_code
+
+
+def _usage_problem(error: click.ClickException) -> str:
+    """Say what the parser refused, and where the options are explained."""
+    context = getattr(error, "ctx", None)
+    message = error.format_message()
+    where = f" `{context.command_path} --help` lists what there is." if context is not None else ""
+    return f"{message}{where}"
+
+
+def _tell_cost(seconds: float) -> None:
+    """Print time and memory of the command."""
+    import psutil
+
+    process = psutil.Process()
+    times = process.cpu_times()
+    spent = times.user + times.system + times.children_user + times.children_system
+    memory = process.memory_info().rss / 1e6
+    print(
+        f"{seconds:.1f} s, {spent:.1f} s of processor time, {memory:,.0f} MB of memory at the end;"
+        f" prbench {prbench.__version__}, Python {sys.version.split()[0]}",
+        file=sys.stderr,
     )
-    parser.add_argument("--version", action="version", version=f"prbench {prbench.__version__}")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    for command in _COMMANDS:
-        command.add_parser(commands)
-    return parser
-
-
-def calls_foreign_code(chosen: argparse.Namespace) -> bool:
-    """Return True for a command that calls an installed method of another package in this process."""
-    if not getattr(chosen, "runs_a_method", False) or chosen.isolate:
-        return False
-    from prbench.methods.installed import list_adapters
-
-    claims = (adapter for adapter in list_adapters() if adapter.name == chosen.method)
-    return any(not adapter.built_in and not adapter.problem for adapter in claims)
-
-
-def supervised(command: _Command, arguments: Sequence[str], *, method: str) -> int:
-    """Run a command in a child process and return its exit code.
-
-    Args:
-        command: Importable; called in the child with the arguments.
-        arguments: Of the command line.
-        method: Whose code runs there, for the message.
-
-    Raises:
-        AdapterError: if the child ends without having returned from the command.
-    """
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=_report, args=(command, list(arguments), sender))
-    child.start()
-    previous = _answered_by(child)
-    child.join()  # not the end of the pipe: what the method has started may hold that open
-    for number, handler in previous.items():
-        signal.signal(number, handler)
-    if receiver.poll():
-        return int(receiver.recv_bytes())
-    status = child.exitcode or 0
-    if -status in (signal.SIGINT, signal.SIGTERM):
-        return 128 - status
-    raise AdapterError(
-        f"method '{method}': the process that it ran in {exit_story(status)}, so there are no scores. A method must"
-        " not call os._exit() or leave the process from C; it raises an exception instead. Finished batches are kept;"
-        " --isolate runs it in a process of its own and shows what it wrote last."
-    )
-
-
-def _report(command: _Command, arguments: list[str], sender: Connection) -> None:
-    """Run the command in the child, and say how it ended."""
-    end_with_parent()
-    code = 1  # of a traceback
-    try:
-        code = command(arguments)
-    finally:
-        sender.send_bytes(str(code).encode())
-
-
-def _answered_by(child: BaseProcess) -> dict[int, Any]:
-    """Leave Ctrl-C and requests to stop to the child; returns the handlers until now."""
-
-    def pass_on(number: int, _: FrameType | None) -> None:
-        if number == signal.SIGTERM:  # Ctrl-C reaches the child without us
-            child.terminate()
-
-    return {number: signal.signal(number, pass_on) for number in (signal.SIGINT, signal.SIGTERM)}

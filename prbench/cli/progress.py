@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
+from prbench.cli.commands import session
 from prbench.shown import clean
 
 if TYPE_CHECKING:
@@ -20,12 +21,17 @@ _SECONDS_BETWEEN_LINES = 5.0
 
 @contextlib.contextmanager
 def progress(description: str) -> Iterator[ProgressCallback]:
-    """Show the progress of one piece of work while the block runs."""
-    if sys.stderr.isatty():
+    """Show the progress of one piece of work while the block runs: each item as a line with ``--verbose``."""
+    now = session()
+    if now.quiet:
+        yield lambda *_: None
+    elif now.verbose:
+        yield _lines(description, seconds_between=0.0)
+    elif sys.stderr.isatty():
         with _bar(description) as callback:
             yield callback
     else:
-        yield _lines(description)
+        yield _lines(description, seconds_between=_SECONDS_BETWEEN_LINES)
 
 
 @contextlib.contextmanager
@@ -46,13 +52,13 @@ def _bar(description: str) -> Iterator[ProgressCallback]:
         yield lambda done, total, last: bar.update(task, completed=done, total=total, last=clean(last))
 
 
-def _lines(description: str) -> ProgressCallback:
+def _lines(description: str, *, seconds_between: float) -> ProgressCallback:
     last_line = 0.0
 
     def callback(done: int, total: int, last: str) -> None:
         nonlocal last_line
         now = time.monotonic()
-        if done == total or now - last_line >= _SECONDS_BETWEEN_LINES:
+        if done == total or now - last_line >= seconds_between:
             last_line = now
             print(f"{description}: {done}/{total} {clean(last)}".rstrip(), file=sys.stderr, flush=True)
 
@@ -62,7 +68,10 @@ def _lines(description: str) -> ProgressCallback:
 @contextlib.contextmanager
 def show_training(description: str) -> Iterator[Callable[[Progress], None]]:
     """Show a training on standard error while the block runs."""
-    if sys.stderr.isatty():
+    now = session()
+    if now.quiet:
+        yield lambda _: None
+    elif sys.stderr.isatty() and not now.verbose:
         with _training_bar(description) as callback:
             yield callback
     else:

@@ -1,144 +1,321 @@
-"""``prbench run``: a method over tables, scored."""
+"""``prbench run``: methods over tables, scored."""
 
 from __future__ import annotations
 
-import argparse
 import sys
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from prbench.cli.arguments import (
+import click
+import msgspec
+
+from prbench.cli.commands import Answer, command, note, session
+from prbench.cli.embedded import embedded_table
+from prbench.cli.options import (
     CONDITIONS,
     FIRST_RUN_SEQUENCES,
-    add_data,
-    add_limit,
-    add_method_settings,
-    add_permission,
-    add_split,
-    add_workers,
-    command,
-    positive,
+    PATH,
+    POSITIVE,
+    SECONDS,
+    complete_method,
+    control_option,
+    data_option,
+    limit_option,
+    method_settings,
+    out_folder_option,
+    permission_option,
+    seed_option,
+    sequence_option,
+    split_option,
+    workers_option,
 )
 from prbench.cli.progress import progress
-from prbench.cli.summaries import print_sequence_scores, print_side_by_side, print_summary
-from prbench.cli.table_two import run_and_print, wants_table
+from prbench.cli.summaries import (
+    DatasetScores,
+    dataset_scores,
+    print_sequence_scores,
+    print_side_by_side,
+    print_summary,
+)
+from prbench.cli.table_two import ALL, TableTwoAnswer, run_table_two
+from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.engine import Engine
     from prbench.evaluation.request import RunRequest
     from prbench.evaluation.run import RunReport
+    from prbench.runs import RunFolder
+    from prbench.workflows.experiment import Experiment
 
 _FIRST_RUN_WORKERS = 2
-_TABLE_WORKERS = 2
+_OF_AN_EXPERIMENT = ("method", "condition", "options", "control", "sequences", "minutes")
+"""Options whose place is in the file, where there is one."""
 
 
-def add_parser(commands: argparse._SubParsersAction) -> None:
-    """Register the command."""
-    parser = command(
-        commands,
-        "run",
-        summary="run a method over tables and score what it generates",
-        example="prbench run --method static --condition none --data tables/adt --out runs/static",
-        execute=_run,
-        resumes=True,
-    )
-    parser.add_argument(
-        "--method",
-        required=True,
-        metavar="NAME|cmd:…|FILE",
-        help="an installed method; a program: 'cmd:python glide.py', or a .toml file that describes one; or a control:"
-        " ground-truth, ground-truth-resampled, scripted; all: the rows of the study's Table 2",
-    )
-    parser.add_argument(
-        "--condition",
-        choices=[*CONDITIONS, "all"],
-        help="what the method is given (default: none; all for --method all); all: every row that Table 2 has of it",
-    )
-    add_data(parser, required=False, help="built dataset folder(s); without it a synthetic one is built and used")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="run folder (default: one under ./runs); resumes")
-    add_split(parser)
-    add_limit(parser, default=f"all; {FIRST_RUN_SEQUENCES} without --data; with all: what fits into --minutes")
-    parser.add_argument(
-        "--minutes",
-        type=positive,
-        metavar="N",
-        help="with all: run as many sequences of each dataset as fit into this time (default 30), unless --limit says",
-    )
-    parser.add_argument(
-        "--sequence",
-        action="append",
-        default=[],
-        metavar="ID",
-        help="run this one only; the id, or a beginning, end or part that fits one only; repeatable",
-    )
-    parser.add_argument("--view", type=Path, metavar="FILE", help="show the motions as .png, .mp4 or .html")
-    add_permission(parser)
-    add_method_settings(parser)
-    parser.add_argument("--control", choices=["shuffled-goal"], help="give every sequence another one's goal")
-    parser.add_argument("--seed", type=int, default=0, help="of the run (default 0)")
-    parser.add_argument("--samples", type=positive, default=1, metavar="N", help="motions a sequence (default 1)")
-    parser.add_argument(
-        "--batch-size",
-        type=positive,
-        metavar="N",
-        help="sequences a batch (default 64; with all: up to 16, so that two workers have as many)",
-    )
-    parser.add_argument(
-        "--isolate",
-        action="store_true",
-        help="run the method in a process that is given neither paths, objects nor environment; with bubblewrap (Linux)"
-        " the file system is withheld too",
-    )
-    parser.add_argument(
-        "--timeout",
-        type=float,
-        metavar="SECONDS",
-        help="for each batch, of a program or with --isolate (default 600); a program that is late is stopped",
-    )
-    add_workers(parser)
-    parser.set_defaults(workers=None, runs_a_method=True)
+class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
+    """One finished run.
+
+    Attributes:
+        folder: The run folder.
+        method: Name of the method.
+        origin: Where the method comes from, in words.
+        condition: What it was given.
+        seed: Seed of the run.
+        batches_found: Number of batches that an earlier call had left.
+        datasets: Scores of each dataset.
+    """
+
+    folder: Path
+    method: str
+    origin: str
+    condition: str
+    seed: int
+    batches_found: int
+    datasets: list[DatasetScores]
 
 
-def _run(arguments: argparse.Namespace) -> int:
+class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
+    """What was run.
+
+    Attributes:
+        runs: The runs asked for, in their order.
+        companions: Runs of other methods that a first run is shown beside.
+        view: The picture, film or page, if one was asked for.
+        table_two: What ``--method all`` made; null for other methods.
+    """
+
+    runs: list[MadeRun]
+    companions: list[MadeRun]
+    view: Path | None
+    table_two: TableTwoAnswer | None
+
+
+@command(
+    "run",
+    example="prbench run --method static --condition none --data tables/adt --out runs/static",
+    report=RunAnswer,
+    resumes=True,
+)
+@click.option(
+    "--method",
+    metavar="NAME|cmd:…|FILE",
+    shell_complete=complete_method,
+    help="An installed method; a program: 'cmd:python glide.py', or a .toml file that describes one; or a control:"
+    " ground-truth, ground-truth-resampled, scripted; all: the rows of the study's Table 2.",
+)
+@click.option(
+    "--condition",
+    type=click.Choice([*CONDITIONS, ALL]),
+    help="What the method is given (default: the only condition that it takes); all: every row that Table 2 has of it.",
+)
+@click.option(
+    "--config",
+    type=PATH,
+    metavar="FILE|RUN",
+    help="An experiment's TOML file (docs/experiments.md), or a run folder or run.json to repeat; --data, --out,"
+    " --weights and the like replace what it says.",
+)
+@click.option("--show-config", is_flag=True, help="Print the experiment that the command line means, and stop.")
+@data_option(required=False, help="Built dataset folder(s); without it a synthetic one is built and used.")
+@out_folder_option("Run folder (default: one under ./runs); resumes. Several runs: the folder of their folders.")
+@split_option()
+@limit_option(f"all; {FIRST_RUN_SEQUENCES} without --data; with all: what fits into --minutes")
+@click.option(
+    "--minutes",
+    type=POSITIVE,
+    metavar="N",
+    help="With all: run as many sequences of each dataset as fit into this time (default 30), unless --limit says.",
+)
+@sequence_option("Run this one only")
+@click.option("--view", type=PATH, metavar="FILE", help="Show the motions as .png, .mp4 or .html.")
+@permission_option
+@method_settings
+@control_option("Give every sequence another one's goal.")
+@seed_option("of the run")
+@click.option("--samples", type=POSITIVE, default=1, metavar="N", help="Motions a sequence (default 1).")
+@click.option(
+    "--batch-size",
+    type=POSITIVE,
+    metavar="N",
+    help="Sequences a batch (default 64; with all: up to 16, so that two workers have as many).",
+)
+@click.option(
+    "--isolate",
+    is_flag=True,
+    help="Run the method in a process that is given neither paths, objects nor environment; with bubblewrap (Linux)"
+    " the file system is withheld too.",
+)
+@click.option(
+    "--timeout",
+    type=SECONDS,
+    metavar="SECONDS",
+    help="For each batch, of a program or with --isolate (default 600); a program that is late is stopped.",
+)
+@workers_option(None, help="Processes to use (default 1; without --data and with all: 2); changes no result.")
+def run(
+    config: Path | None,
+    show_config: bool,
+    view: Path | None,
+    permission: tuple[str, ...],
+    workers: int | None,
+    minutes: int | None,
+    **given: Any,
+) -> Answer | int:
+    """Run a method over tables and score what it generates.
+
+    Without --data, an embedded synthetic dataset is used. The same command goes on with an interrupted run.
+    """
+    if ALL in (given["method"], given["condition"]):
+        _refuse_with_all(config=config, show_config=show_config, view=view, permission=permission)
+        made = run_table_two(given, minutes=minutes, workers=workers)
+        return replace(made, report=RunAnswer(runs=[], companions=[], view=None, table_two=made.report))
+    if minutes is not None:
+        raise UsageError("--minutes: belongs to --method all or --condition all; --limit N chooses N sequences.")
+    if config is None and given["method"] is None:
+        raise UsageError("--method NAME is needed, or --config FILE. `prbench adapters list` shows the methods.")
+    repeated, experiment = _experiment(config, given)
+    if show_config:
+        print(experiment.as_toml(), end="")
+        return 0
+    if session().from_shell:
+        from prbench.cli.supervision import calls_foreign_code, supervised
+
+        for method in experiment.methods:
+            if calls_foreign_code(method.name, isolate=experiment.isolate):
+                from prbench.cli.main import main
+
+                return supervised(main, sys.argv[1:], method=method.name)
+    return _run_all(experiment, repeated, view=view, permission=permission, workers=workers)
+
+
+def _refuse_with_all(**given: object) -> None:
+    for name, value in given.items():
+        if value:
+            option = name.replace("_", "-")
+            raise UsageError(f"--{option}: belongs to a run of one method under one condition; leave it out.")
+
+
+def _experiment(config: Path | None, given: Mapping[str, Any]) -> tuple[RunFolder | None, Experiment]:
+    """Turn the command line into an experiment; also return the run that it repeats, if it repeats one.
+
+    Raises:
+        UsageError: for an option whose place is in the file that was named.
+    """
+    from prbench.workflows.experiment import Experiment, ExperimentMethod, experiment_of_run, read_experiment, run_of
+
+    own = _said_on_the_command_line(given)
+    if config is None:
+        method = ExperimentMethod(
+            name=given["method"],
+            conditions=(given["condition"],) if given["condition"] else (),
+            weights=str(given["weights"]) if given["weights"] else None,
+            options=dict(given["options"]),
+            control=given["control"],
+        )
+        return None, msgspec.convert(
+            {"methods": [msgspec.to_builtins(method)], "sequences": given["sequences"], **own}, Experiment
+        )
+    for name in _OF_AN_EXPERIMENT:
+        if given.get(name):
+            option = name.removesuffix("s") if name in ("options", "sequences") else name
+            raise UsageError(f"--{option}: {config} says that already; write it there, or leave --config out.")
+    repeated = run_of(config)
+    if repeated is None:
+        experiment = read_experiment(config)
+        if given["weights"]:
+            raise UsageError(f"--weights: write them into {config}, beside the method that they belong to.")
+    else:
+        experiment = experiment_of_run(repeated, data=given["data"], weights=given["weights"])
+        own.pop("data", None)  # found by digest among the named ones
+    return repeated, msgspec.structs.replace(experiment, **own)
+
+
+_SHARED = ("data", "out", "split", "limit", "samples", "batch_size", "device", "threads", "isolate", "timeout", "seed")
+"""Options that all runs of an experiment share; their names are its keys, but for ``seeds``."""
+
+
+def _said_on_the_command_line(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of an experiment that the command line sets; defaults do not replace what a file says."""
+    context = click.get_current_context()
+    said = {
+        name: given[name]
+        for name in _SHARED
+        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+    }
+    if "data" in said:
+        said["data"] = tuple(str(folder) for folder in said["data"])
+    if "out" in said:
+        said["out"] = str(said["out"])
+    if "seed" in said:
+        said["seeds"] = (said.pop("seed"),)
+    return said
+
+
+def _run_all(
+    experiment: Experiment,
+    repeated: RunFolder | None,
+    *,
+    view: Path | None,
+    permission: tuple[str, ...],
+    workers: int | None,
+) -> Answer:
     from prbench.engine import engine_for
 
-    if wants_table(arguments):
-        engine = engine_for(arguments.workers or _TABLE_WORKERS)
-        return run_and_print(arguments, tuple(arguments.data or ()) or (_embedded_table(engine),), engine)
-    _require_no_minutes(arguments)
-    _tell_claims(arguments.method)
-    if arguments.view is not None:
+    if view is not None:
         from prbench.viewing.replay.write import file_kind
 
-        file_kind(arguments.view)  # what would fail after the run fails before it
-    first_run = not arguments.data
-    engine = engine_for(arguments.workers or (_FIRST_RUN_WORKERS if first_run else 1))
-    data = (_embedded_table(engine),) if first_run else tuple(arguments.data)
-    request = _request(arguments, data)
-    report = _generated(request, engine)
-    if arguments.sequence:
-        print_sequence_scores(report.folder)
-    else:
-        for summary in report.summaries:
-            method = report.folder.record.method
-            print_summary(summary, origin=method.origin, motionless=method.motionless)
+        file_kind(view)  # what would fail after the run fails before it
+    for method in experiment.methods:
+        _tell_claims(method.name)
+    first_run = not experiment.data
+    engine = engine_for(workers or (_FIRST_RUN_WORKERS if first_run else 1))
     if first_run:
-        _in_company(request, report, engine)
-        if request.limit is not None:
-            _tell_limit(request)
-    print(f"run folder: {report.folder.path}")
-    if arguments.view is not None:
-        _view(arguments, report.folder.path, data)
-    elif first_run:
-        print(f"look at it: prbench view {report.folder.path} --out motions.png   (or .mp4, .html)")
-    return 0
+        experiment = _on_embedded_table(experiment, engine)
+    requests = [replace(request, repeats=repeated and repeated.record) for request in experiment.requests()]
+    if view is not None and len(requests) > 1:
+        raise UsageError("--view: belongs to one run; `prbench view RUN RUN … --out FILE` shows several.")
+    reports = [_generated(request, engine) for request in requests]
+    if repeated is not None:
+        _tell_repetition(repeated, reports[0].folder)
+    companions = _in_company(requests[0], reports[0], engine) if first_run and len(requests) == 1 else []
+    notices = _view(view, reports[0].folder.path, requests[0], permission) if view is not None else ()
+    if first_run and not experiment.sequences:
+        _tell_limit(requests[0])
+    answer = RunAnswer(
+        runs=[_made(report) for report in reports],
+        companions=[_made(report) for report in companions],
+        view=view,
+        table_two=None,
+    )
+
+    def show() -> None:
+        for report in reports:
+            _print_run(report, single=bool(experiment.sequences))
+        if companions:
+            _print_company([reports[0], *companions])
+        for report in reports:
+            print(f"run folder: {report.folder.path}")
+        for line in notices:
+            print(line)
+        if view is not None:
+            print(f"view: {view}")
+        elif first_run:
+            print(f"look at it: prbench view {reports[0].folder.path} --out motions.png   (or .mp4, .html)")
+
+    return Answer(answer, show)
 
 
-def _require_no_minutes(arguments: argparse.Namespace) -> None:
-    from prbench.errors import UsageError
+def _on_embedded_table(experiment: Experiment, engine: Engine) -> Experiment:
+    """Run on the embedded dataset, by default on a part of it, in batches that two workers can share."""
+    from prbench.workflows import first_run
 
-    if arguments.minutes is not None:
-        raise UsageError("--minutes: belongs to --method all or --condition all; --limit N chooses N sequences.")
+    changes: dict[str, Any] = {"data": (str(embedded_table(engine)),)}
+    if not experiment.sequences:
+        changes["limit"] = experiment.limit or first_run.SEQUENCES
+        changes["batch_size"] = experiment.batch_size or first_run.BATCH_SIZE
+    return msgspec.structs.replace(experiment, **changes)
 
 
 def _tell_claims(method: str) -> None:
@@ -147,7 +324,7 @@ def _tell_claims(method: str) -> None:
 
     for adapter in list_adapters():
         if adapter.name == method and adapter.problem:
-            print(f"note: {adapter.package} {adapter.version} is not used: {adapter.problem}.", file=sys.stderr)
+            note(f"note: {adapter.package} {adapter.version} is not used: {adapter.problem}.")
 
 
 def _generated(request: RunRequest, engine: Engine) -> RunReport:
@@ -162,7 +339,7 @@ def _generated(request: RunRequest, engine: Engine) -> RunReport:
             progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
         )
     if report.batches_found:
-        print(f"{report.batches_found} batches were taken over from an earlier run.", file=sys.stderr)
+        note(f"{report.batches_found} batches were taken over from an earlier run.")
     _tell_crashes(report)
     return report
 
@@ -176,7 +353,7 @@ def _tell_crashes(report: RunReport) -> None:
         crashes = sum(RunCost.read(cost).restarts.values())
         if crashes:
             times = "once" if crashes == 1 else f"{crashes} times"
-            print(f"its program crashed {times} and was started again: {cost}, restarts.", file=sys.stderr)
+            note(f"its program crashed {times} and was started again: {cost}, restarts.")
 
 
 def _tell_isolation(method: str) -> None:
@@ -184,91 +361,74 @@ def _tell_isolation(method: str) -> None:
     from prbench.methods.programs import runs_in_container
 
     in_container = "isolated in its container, which shows what its TOML file mounts; tables in there are covered."
-    print(in_container if runs_in_container(method) else available_fence().notice, file=sys.stderr)
+    note(in_container if runs_in_container(method) else available_fence().notice)
 
 
-def _in_company(request: RunRequest, report: RunReport, engine: Engine) -> None:
-    """Show a first run beside the methods that tell what its scores are worth."""
+def _tell_repetition(earlier: RunFolder, later: RunFolder) -> None:
+    from prbench.workflows.experiment import same_scores
+
+    if later.path.resolve() == earlier.path.resolve():
+        note(f"this is the run itself; --out DIR makes it anew beside {earlier.path}.")
+    elif same_scores(earlier, later):
+        note(f"repeats {earlier.path}: every score is the same.")
+    else:
+        note(
+            f"repeats {earlier.path}: scores differ. `prbench leaderboard compare {earlier.path} {later.path}` says"
+            " where; other versions of packages, processors or numbers of threads can be the cause."
+        )
+
+
+def _in_company(request: RunRequest, report: RunReport, engine: Engine) -> list[RunReport]:
+    """Run the methods that tell what the scores of a first run are worth."""
+    from prbench.contract import Condition
     from prbench.workflows.first_run import companions
 
-    reports = [report, *(_generated(companion, engine) for companion in companions(request))]
-    if len(reports) > 1:
-        still = {shown.folder.record.method.name for shown in reports if shown.folder.record.method.motionless}
-        print_side_by_side(
-            [shown.summaries[0] for shown in reports],
-            origins=[shown.folder.record.method.origin for shown in reports],
-            motionless=frozenset(still),
-        )
+    request = replace(request, condition=Condition(report.folder.record.condition))
+    return [_generated(companion, engine) for companion in companions(request)]
 
 
-def _view(arguments: argparse.Namespace, run: Path, data: tuple[Path, ...]) -> None:
+def _view(out: Path, folder: Path, request: RunRequest, permission: tuple[str, ...]) -> tuple[str, ...]:
     from prbench.workflows.view import ViewRequest, view
 
-    request = ViewRequest(
-        out=arguments.view,
-        runs=(run,),
-        data=data,
-        sequences=tuple(arguments.sequence),
-        permitted=tuple(arguments.permission),
-    )
-    with progress(f"drawing {arguments.view.name}") as show:
-        report = view(request, show)
-    for notice in report.notices:
-        print(notice)
-    print(f"view: {report.out}")
+    wanted = ViewRequest(out=out, runs=(folder,), data=request.data, sequences=request.sequences, permitted=permission)
+    with progress(f"drawing {out.name}") as show:
+        return tuple(view(wanted, show).notices)
 
 
-def _request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> RunRequest:
-    from prbench.contract import Condition
-    from prbench.evaluation.request import DEFAULT_BATCH_SIZE, RunRequest
-    from prbench.workflows import first_run
-
-    limit = arguments.limit
-    batch_size = arguments.batch_size or DEFAULT_BATCH_SIZE
-    if not arguments.data and not arguments.sequence:
-        limit = limit or first_run.SEQUENCES
-        batch_size = arguments.batch_size or first_run.BATCH_SIZE
-    return RunRequest(
-        method=arguments.method,
-        data=data,
-        condition=Condition(arguments.condition or Condition.NONE),
-        weights=arguments.weights,
-        options=dict(arguments.option),
-        split=arguments.split,
-        limit=limit,
-        sequences=tuple(arguments.sequence),
-        seed=arguments.seed,
-        samples=arguments.samples,
-        batch_size=batch_size,
-        device=arguments.device,
-        threads=arguments.threads,
-        control=arguments.control,
-        out=arguments.out,
-        isolate=arguments.isolate,
-        timeout=arguments.timeout,
+def _made(report: RunReport) -> MadeRun:
+    record = report.folder.record
+    return MadeRun(
+        folder=report.folder.path,
+        method=record.method.name,
+        origin=record.method.origin,
+        condition=record.condition,
+        seed=record.seed,
+        batches_found=report.batches_found,
+        datasets=[dataset_scores(summary, motionless=record.method.motionless) for summary in report.summaries],
     )
 
 
-def _embedded_table(engine: Engine) -> Path:
-    """Return the folder of the embedded synthetic dataset, which is built on the first call."""
-    from prbench.workflows.first_run import RECORDINGS, default_table, default_table_folder
+def _print_run(report: RunReport, *, single: bool) -> None:
+    if single:
+        print_sequence_scores(report.folder)
+        return
+    method = report.folder.record.method
+    for summary in report.summaries:
+        print_summary(summary, origin=method.origin, motionless=method.motionless)
 
-    folder = default_table_folder()
-    if (folder / "dataset.json").is_file():
-        print(f"no --data given: using the embedded synthetic dataset in {folder}", file=sys.stderr)
-    else:
-        print(
-            f"no --data given: building a synthetic dataset of {RECORDINGS} recordings in {folder} (once)",
-            file=sys.stderr,
-        )
-    with progress("building synthetic data") as show:
-        return default_table(engine, show, tell=lambda line: print(line, file=sys.stderr)).folder
+
+def _print_company(reports: list[RunReport]) -> None:
+    still = {shown.folder.record.method.name for shown in reports if shown.folder.record.method.motionless}
+    print_side_by_side(
+        [shown.summaries[0] for shown in reports],
+        origins=[shown.folder.record.method.origin for shown in reports],
+        motionless=frozenset(still),
+    )
 
 
 def _tell_limit(request: RunRequest) -> None:
     """Tell which of the embedded sequences were run, and how a method that runs elsewhere gets the same ones."""
-    print(
+    note(
         f"these are {request.limit} of its sequences (--limit N takes another number); for the same ones elsewhere:"
-        f" prbench export-conditions --data {request.data[0]} --limit {request.limit} …",
-        file=sys.stderr,
+        f" prbench export-conditions --data {request.data[0]} --limit {request.limit} …"
     )

@@ -2,81 +2,145 @@
 
 from __future__ import annotations
 
-import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import CONDITIONS, add_data, add_limit, add_workers, command, positive
+import click
+import msgspec
+
+from prbench.cli.commands import Answer, command
+from prbench.cli.options import (
+    CONDITIONS,
+    PATH,
+    POSITIVE,
+    control_option,
+    data_option,
+    limit_option,
+    out_folder_option,
+    seed_option,
+    split_option,
+    workers_option,
+)
 from prbench.cli.progress import progress
-from prbench.cli.summaries import print_summary
+from prbench.cli.summaries import DatasetScores, dataset_scores, print_summary
+
+if TYPE_CHECKING:
+    from prbench.submitted.score_predictions import ScoreReport as Scored
 
 
-def add_parser(commands: argparse._SubParsersAction) -> None:
-    """Register the command."""
-    parser = command(
-        commands,
-        "score",
-        summary="score finished motions (Parquet, .npz, motions/*.npy), or a run folder again",
-        example="prbench score predictions.npz --conditions conditions.npz --data tables/adt --out scores/mine",
-        execute=_score,
-    )
-    parser.add_argument(
-        "predictions",
-        type=Path,
-        help="a run folder; Parquet or .npz with opaque_id (or sequence_id), sample (0 if absent), joints and, in .npz,"
-        " n_frames; or a folder of motions/0000000000.npy, numbered by the rows of --conditions",
-    )
-    add_data(parser, required=True)
-    parser.add_argument(
-        "--conditions",
-        type=Path,
-        metavar="FILE",
-        help="of `prbench export-conditions`; says seed, split, limit, samples and condition, and is checked",
-    )
-    parser.add_argument("--name", help="of the method, for summaries and leaderboards (default: that of the file)")
-    parser.add_argument("--split", choices=["train", "validation", "test"], help="default: that of the run, else test")
-    add_limit(parser, default="those of the run or the conditions")
-    parser.add_argument("--seed", type=int, help="behind the opaque ids, if the predictions have those (default 0)")
-    parser.add_argument("--condition", choices=CONDITIONS, help="what the method was given; leaderboards need it")
-    parser.add_argument("--control", choices=["shuffled-goal"], help="the method was given other sequences' goals")
-    parser.add_argument("--max-frames", type=positive, metavar="N", help="longer sequences count as unsupported")
-    parser.add_argument("--native-fps", type=float, metavar="F", help="rate of the motions, if not the table's")
-    parser.add_argument(
-        "--allow-length-mismatch", action="store_true", help="score motions of another length than the recorded one"
-    )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write scores.parquet, summary.json … there")
-    add_workers(parser)
+class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
+    """The finished motions of one dataset.
+
+    Attributes:
+        origin: Where the motions come from, in words.
+        scores: Their scores.
+    """
+
+    origin: str
+    scores: DatasetScores
 
 
-def _score(arguments: argparse.Namespace) -> int:
+class ScoreReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The scores of finished motions.
+
+    Attributes:
+        datasets: One entry a dataset.
+        out: Folder that the scores were written to; null if nothing was written.
+    """
+
+    datasets: list[ScoredMotions]
+    out: Path | None
+
+
+@command(
+    "score",
+    example="prbench score predictions.npz --conditions conditions.npz --data tables/adt --out scores/mine",
+    report=ScoreReport,
+)
+@click.argument("predictions", type=PATH)
+@data_option(required=True)
+@click.option(
+    "--conditions",
+    type=PATH,
+    metavar="FILE",
+    help="The file of `prbench export-conditions` that the motions were made from; says seed, split, limit, samples and"
+    " condition, and is checked.",
+)
+@click.option("--name", help="Name of the method, for summaries and leaderboards (default: that of the file).")
+@split_option(None, help="Split of the table (default: that of the run, else test).")
+@limit_option("those of the run or the conditions")
+@seed_option("behind the opaque ids, if the predictions have those", default=None)
+@click.option("--condition", type=click.Choice(CONDITIONS), help="What the method was given; leaderboards need it.")
+@control_option("The method was given other sequences' goals.")
+@click.option("--max-frames", type=POSITIVE, metavar="N", help="Longer sequences count as unsupported.")
+@click.option(
+    "--native-fps", type=float, metavar="F", help="Rate of the motions in frames per second, if not the table's."
+)
+@click.option(
+    "--allow-length-mismatch", is_flag=True, help="Score motions of another length than the recorded one, too."
+)
+@out_folder_option("Write scores.parquet, summary.json … into this folder.")
+@workers_option()
+def score(
+    predictions: Path,
+    data: tuple[Path, ...],
+    conditions: Path | None,
+    name: str | None,
+    split: str | None,
+    limit: int | None,
+    seed: int | None,
+    condition: str | None,
+    control: str | None,
+    max_frames: int | None,
+    native_fps: float | None,
+    allow_length_mismatch: bool,
+    out: Path | None,
+    workers: int,
+) -> Answer:
+    """Score finished motions (Parquet, .npz, motions/*.npy), or a run folder again.
+
+    PREDICTIONS is a run folder; Parquet or .npz with opaque_id (or sequence_id), sample (0 if absent), joints and, in
+    .npz, n_frames; or a folder of motions/0000000000.npy, numbered by the rows of --conditions.
+    """
     from prbench.contract import Condition
     from prbench.engine import engine_for
-    from prbench.submitted.score_predictions import UNSTATED, ScoreRequest, score_predictions
+    from prbench.submitted.score_predictions import ScoreRequest, score_predictions
 
     request = ScoreRequest(
-        predictions=arguments.predictions,
-        data=tuple(arguments.data),
-        conditions=arguments.conditions,
-        split=arguments.split,
-        limit=arguments.limit,
-        seed=arguments.seed,
-        condition=Condition(arguments.condition) if arguments.condition else None,
-        control=arguments.control,
-        max_frames=arguments.max_frames,
-        native_fps=arguments.native_fps,
-        name=arguments.name,
-        allow_length_mismatch=arguments.allow_length_mismatch,
-        out=arguments.out,
+        predictions=predictions,
+        data=data,
+        conditions=conditions,
+        split=split,
+        limit=limit,
+        seed=seed,
+        condition=Condition(condition) if condition else None,
+        control=control,
+        max_frames=max_frames,
+        native_fps=native_fps,
+        name=name,
+        allow_length_mismatch=allow_length_mismatch,
+        out=out,
     )
     with progress("scoring") as show:
-        reports = score_predictions(
+        scored = score_predictions(
             request,
-            engine=engine_for(arguments.workers),
+            engine=engine_for(workers),
             progress=lambda step: show(step.done, step.total, step.dataset),
         )
-    for report in reports:
-        print_summary(report.summary, origin=report.origin, motionless=report.motionless)
-    if arguments.out is not None:
-        print(f"scores: {arguments.out}")
-        if any(report.summary.condition == UNSTATED for report in reports):
+    datasets = [
+        ScoredMotions(origin=each.origin, scores=dataset_scores(each.summary, motionless=each.motionless))
+        for each in scored
+    ]
+    return Answer(ScoreReport(datasets=datasets, out=out), lambda: _print(scored, out))
+
+
+def _print(scored: Sequence[Scored], out: Path | None) -> None:
+    from prbench.submitted.score_predictions import UNSTATED
+
+    for each in scored:
+        print_summary(each.summary, origin=each.origin, motionless=each.motionless)
+    if out is not None:
+        print(f"scores: {out}")
+        if any(each.summary.condition == UNSTATED for each in scored):
             print("the condition is not stated (--condition or --conditions): a leaderboard will not rank these scores")
-    return 0

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
@@ -19,6 +21,120 @@ _MARKS = {
 }
 
 
+class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
+    """One metric of one method on one dataset.
+
+    Attributes:
+        metric: Id of the metric, such as ``prime_success``.
+        title: Its name as printed.
+        unit: ``rate`` (from 0 to 1), ``m``, or the metric's other unit.
+        mean: Mean over sequences; null without any.
+        low: Lower bound of the interval; null where too few recordings allow none.
+        high: Upper bound of the interval; null likewise.
+        level: Confidence level of the interval, such as 0.95.
+        sequences: Number of sequences that it was computed on.
+        recordings: Number of recordings that they come from.
+        marks: What a reader of the interval has to know: ``few_recordings``, ``one_recording``, ``all_equal``.
+        flags: Number of motions that carry each remark.
+        means_nothing: The method stands still, so that this metric says nothing about it.
+    """
+
+    metric: str
+    title: str
+    unit: str
+    mean: float | None
+    low: float | None
+    high: float | None
+    level: float
+    sequences: int
+    recordings: int
+    marks: list[str]
+    flags: dict[str, int]
+    means_nothing: bool
+
+
+class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
+    """Scores of one method on one dataset.
+
+    Attributes:
+        dataset: Name of the dataset.
+        title: Its name as printed; carries the word "synthetic" where the data are.
+        synthetic: The people are synthetic: never compare these scores with published ones.
+        method: Name of the method.
+        condition: What it was given.
+        control: ``shuffled-goal`` or null.
+        split: Split of the table.
+        sequences: Number of chosen sequences.
+        unsupported: Number of them that are longer than the method can generate, and were not scored.
+        recordings: Number of recordings that they come from.
+        samples: Motions a sequence.
+        remark: That recorded motions were handed in; empty if there are none.
+        metrics: One entry a metric.
+    """
+
+    dataset: str
+    title: str
+    synthetic: bool
+    method: str
+    condition: str
+    control: str | None
+    split: str
+    sequences: int
+    unsupported: int
+    recordings: int
+    samples: int
+    remark: str
+    metrics: list[MetricScore]
+
+
+def dataset_scores(summary: DatasetSummary, *, motionless: bool = False) -> DatasetScores:
+    """Turn a summary into the shape that ``--json`` prints.
+
+    Args:
+        summary: Scores of a method on a dataset.
+        motionless: The method's motions stand still.
+    """
+    metrics = [
+        MetricScore(
+            metric=metric.metric,
+            title=metric.title,
+            unit=metric.unit,
+            mean=metric.mean,
+            low=metric.low,
+            high=metric.high,
+            level=metric.level,
+            sequences=metric.sequences,
+            recordings=metric.recordings,
+            marks=list(metric.marks),
+            flags=metric.flags,
+            means_nothing=metric.metric in _irrelevant(motionless),
+        )
+        for metric in summary.metrics
+    ]
+    return DatasetScores(
+        dataset=summary.dataset,
+        title=summary.title,
+        synthetic=summary.synthetic,
+        method=summary.method,
+        condition=summary.condition,
+        control=summary.control,
+        split=summary.split,
+        sequences=summary.sequences,
+        unsupported=summary.unsupported,
+        recordings=summary.recordings,
+        samples=summary.samples,
+        remark=summary.recorded_motion_mark,
+        metrics=metrics,
+    )
+
+
+def _irrelevant(motionless: bool) -> frozenset[str]:
+    """Return the ids of metrics that say nothing about motions that stand still."""
+    from prbench.metrics import METRICS
+
+    return frozenset(info.id for info in METRICS if motionless and info.irrelevant_if_motionless)
+
+
 def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = False) -> None:
     """Print the scores of one method on one dataset.
 
@@ -27,9 +143,7 @@ def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = Fa
         origin: Whose method it is, in words.
         motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
     """
-    from prbench.metrics import METRICS
-
-    irrelevant = {info.id for info in METRICS if motionless and info.irrelevant_if_motionless}
+    irrelevant = _irrelevant(motionless)
     control = f", {summary.control}" if summary.control else ""
     title = (
         f"{summary.title}: {summary.method} ({origin}), condition {summary.condition}{control};"

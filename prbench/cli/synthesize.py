@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
-import argparse
 import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from prbench.cli.arguments import add_workers, command, positive
-from prbench.cli.builds import add_replace
+import click
+import msgspec
+
+from prbench.cli.builds import BuiltTable, Stage, built_table
+from prbench.cli.commands import Answer, command
+from prbench.cli.options import (
+    PATH,
+    POSITIVE,
+    count_option,
+    out_folder_option,
+    replace_option,
+    seed_option,
+    workers_option,
+)
 from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.engine import Engine
+    from prbench.synthetic.write_tree import WrittenTree
     from prbench.workflows.matching import Verification
 
 _FEWEST_VERIFIED = 4
@@ -22,201 +36,438 @@ _SCENES_OF_ONE_PRESET = 12
 _RECORDINGS_OF_A_HISTOGRAM = 10
 
 
-def add_parser(commands: argparse._SubParsersAction) -> None:
-    """Register the command."""
-    parser = command(
-        commands,
-        "synthesize",
-        summary="write synthetic recordings in a dataset's native layout, with the truth beside them",
-        example="prbench synthesize adt --recordings 4 --seed 1 --out synthetic/adt",
-        execute=_synthesize,
-    )
-    parser.add_argument(
-        "layout",
-        nargs="?",
-        help="native layout to write (any dataset of `prbench datasets`); for --gallery alone any preset",
-    )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder of the recordings")
-    parser.add_argument(
-        "--table",
-        action="store_true",
-        help="write the finished table of sequences instead of native files (the only way for size large)",
-    )
-    add_replace(parser)
-    parser.add_argument("--recordings", type=positive, metavar="N", help="how many (default: the size's number)")
-    parser.add_argument("--seed", type=int, default=0, help="of everything (default 0)")
-    parser.add_argument("--size", choices=["tiny", "default", "large"], default="tiny", help="how much (default tiny)")
-    parser.add_argument("--events", type=positive, metavar="N", help="picks and puts a recording")
-    parser.add_argument("--bystander-objects", type=int, metavar="N", help="objects that never move")
-    parser.add_argument(
-        "--defect",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="damage the first recording as real copies are; repeatable (a wrong name lists them)",
-    )
-    parser.add_argument(
-        "--egoallo",
-        action="store_true",
-        help="also write bodies as EgoAllo would estimate them (adt; hd-epic and hot3d have no others)",
-    )
-    parser.add_argument(
-        "--no-verify", action="store_true", help="do not compare what curation finds in the files with the truth"
-    )
-    parser.add_argument(
-        "--gallery", type=Path, metavar="FILE", help="draw sequences of LAYOUT, or of all presets without one, as PNG"
-    )
-    parser.add_argument(
-        "--histograms", type=Path, metavar="FILE", help="draw durations, gaps and movements beside the study's, as PNG"
-    )
-    add_workers(parser)
+class SyntheticRecording(msgspec.Struct, frozen=True, kw_only=True):
+    """One recording that was written.
+
+    Attributes:
+        recording: Its id.
+        split: ``train``, ``validation`` or ``test``.
+        duration: Its length, in seconds.
+        events: Number of picks and puts; in a text-motion layout the number of texts.
+        objects: Number of objects; null in a text-motion layout, which has none.
+    """
+
+    recording: str
+    split: str
+    duration: float
+    events: int
+    objects: int | None
 
 
-def _synthesize(arguments: argparse.Namespace) -> int:
+class FoundHands(msgspec.Struct, frozen=True, kw_only=True):
+    """Which hand curation names for the events that have a place.
+
+    Attributes:
+        right: Number of events with the hand that acted.
+        wrong: Number of events with the other hand.
+        unknown: Number of events without a hand.
+    """
+
+    right: int
+    wrong: int
+    unknown: int
+
+
+class SensorCheck(msgspec.Struct, frozen=True, kw_only=True):
+    """What curation finds with sensors of one kind, against what was acted out.
+
+    Events within the sensors' resolution of a threshold and lost tracks are not counted. Numbers without a sample are
+    null.
+
+    Attributes:
+        sensors: ``these files``, or a level of noise.
+        recordings: Number of recordings.
+        events: Number of true events.
+        recall: Share of the true events that were found.
+        precision: Share of the found events that are true.
+        timing_bias: Mean of found minus true event time, in seconds.
+        timing_median: Median size of that difference, in seconds.
+        timing_p95: 95th percentile of its size, in seconds.
+        priming_recall: Share of the primed events that were found primed.
+        unprimed: Number of events without a true prime.
+        false_primes: Share of those that were found primed all the same.
+        prime_median: Median size of found minus true prime time, in seconds.
+        prime_p5: 5th percentile of found minus true prime time, in seconds.
+        prime_p95: 95th percentile of found minus true prime time, in seconds.
+        hands: Hands of all events that have a place.
+        expected_sequences: Number of sequences that were acted out.
+        missed_sequences: Number of those that were not found.
+    """
+
+    sensors: str
+    recordings: int
+    events: int
+    recall: float | None
+    precision: float | None
+    timing_bias: float | None
+    timing_median: float | None
+    timing_p95: float | None
+    priming_recall: float | None
+    unprimed: int
+    false_primes: float | None
+    prime_median: float | None
+    prime_p5: float | None
+    prime_p95: float | None
+    hands: FoundHands
+    expected_sequences: int
+    missed_sequences: int
+
+
+class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
+    """What was written and drawn.
+
+    Attributes:
+        folder: The native files; null if none were asked for.
+        recordings: The recordings in them.
+        checks: What curation finds in these files and at each level of noise; empty with ``--no-verify``,
+            ``--defect`` and text-motion layouts.
+        missed: Sequences that were acted out in these files and not found, and why.
+        table: The table, with ``--table``.
+        gallery: The picture of sequences, if one was asked for.
+        histograms: The picture of durations, gaps and movements, if one was asked for.
+    """
+
+    folder: Path | None
+    recordings: list[SyntheticRecording]
+    checks: list[SensorCheck]
+    missed: list[str]
+    table: BuiltTable | None
+    gallery: Path | None
+    histograms: Path | None
+
+
+@dataclass(frozen=True)
+class _Request:
+    """What is to be written."""
+
+    layout: str
+    out: Path | None
+    count: int | None
+    seed: int
+    size: Literal["tiny", "default", "large"]
+    events: int | None
+    bystander_objects: int | None
+    defects: tuple[str, ...]
+    egoallo: bool
+    verify: bool
+    replace: bool
+    workers: int
+
+
+@dataclass(frozen=True)
+class _Written:
+    """What was written, and how it is printed."""
+
+    show: Callable[[], None]
+    folder: Path | None = None
+    recordings: tuple[SyntheticRecording, ...] = ()
+    checks: tuple[SensorCheck, ...] = ()
+    missed: tuple[str, ...] = ()
+    table: BuiltTable | None = None
+
+
+_NOTHING = _Written(lambda: None)
+
+
+@command(
+    "synthesize",
+    example="prbench synthesize adt --count 4 --seed 1 --out synthetic/adt",
+    report=SynthesizeReport,
+)
+@click.argument("layout", required=False)
+@out_folder_option("Folder of the recordings.")
+@click.option(
+    "--table",
+    is_flag=True,
+    help="Write the finished table of sequences instead of native files (the only way for size large).",
+)
+@replace_option()
+@count_option("Number of recordings to make (default: the size's number).")
+@seed_option("of everything")
+@click.option(
+    "--size", type=click.Choice(["tiny", "default", "large"]), default="tiny", help="How much (default tiny)."
+)
+@click.option("--events", type=POSITIVE, metavar="N", help="Picks and puts of each recording.")
+@click.option("--bystander-objects", type=int, metavar="N", help="Objects that never move.")
+@click.option(
+    "--defect",
+    "defects",
+    multiple=True,
+    metavar="NAME",
+    help="Damage the first recording as real copies are; repeatable (a wrong name lists them).",
+)
+@click.option(
+    "--egoallo",
+    is_flag=True,
+    help="Also write bodies as EgoAllo would estimate them (adt; hd-epic and hot3d have no others).",
+)
+@click.option("--no-verify", is_flag=True, help="Do not compare what curation finds in the files with the truth.")
+@click.option(
+    "--gallery", type=PATH, metavar="FILE", help="Draw sequences of LAYOUT, or of all presets without one, as PNG."
+)
+@click.option(
+    "--histograms", type=PATH, metavar="FILE", help="Draw durations, gaps and movements beside the study's, as PNG."
+)
+@workers_option()
+def synthesize(
+    *,
+    layout: str | None,
+    out: Path | None,
+    table: bool,
+    replace: bool,
+    count: int | None,
+    seed: int,
+    size: Literal["tiny", "default", "large"],
+    events: int | None,
+    bystander_objects: int | None,
+    defects: tuple[str, ...],
+    egoallo: bool,
+    no_verify: bool,
+    gallery: Path | None,
+    histograms: Path | None,
+    workers: int,
+) -> Answer:
+    """Write synthetic recordings in a dataset's native layout, with the truth beside them.
+
+    LAYOUT is the native layout to write: any dataset of `prbench datasets`. For --gallery alone it is any preset.
+    """
     from prbench.errors import UsageError
 
-    draws = arguments.gallery is not None or arguments.histograms is not None
-    if not draws and arguments.layout is None:
-        raise UsageError("name a layout to write (for example: prbench synthesize adt --out DIR), or --gallery FILE.")
-    if arguments.layout is not None and (arguments.out is not None or not draws):
-        if arguments.table:
-            _write_table(arguments)
-        else:
-            _write_tree(arguments)
-    if arguments.gallery is not None:
-        _draw_gallery(arguments)
-    if arguments.histograms is not None:
-        _draw_histograms(arguments)
-    return 0
+    draws = gallery is not None or histograms is not None
+    written = _NOTHING
+    if layout is None:
+        if not draws:
+            raise UsageError(
+                "name a layout to write (for example: prbench synthesize adt --out DIR), or --gallery FILE."
+            )
+    elif out is not None or not draws:
+        request = _Request(
+            layout=layout,
+            out=out,
+            count=count,
+            seed=seed,
+            size=size,
+            events=events,
+            bystander_objects=bystander_objects,
+            defects=defects,
+            egoallo=egoallo,
+            verify=not no_verify,
+            replace=replace,
+            workers=workers,
+        )
+        written = _write_table(request) if table else _write_tree(request)
+    if gallery is not None:
+        _draw_gallery(gallery, layout=layout, seed=seed)
+    if histograms is not None:
+        _draw_histograms(histograms, layout=layout, seed=seed, count=count)
+    report = SynthesizeReport(
+        folder=written.folder,
+        recordings=list(written.recordings),
+        checks=list(written.checks),
+        missed=list(written.missed),
+        table=written.table,
+        gallery=gallery,
+        histograms=histograms,
+    )
+
+    def show() -> None:
+        written.show()
+        if gallery is not None:
+            print(f"gallery: {gallery}")
+        if histograms is not None:
+            print(f"histograms: {histograms}")
+
+    return Answer(report, show)
 
 
-def _write_tree(arguments: argparse.Namespace) -> None:
+def _write_tree(request: _Request) -> _Written:
     from prbench.engine import engine_for
     from prbench.errors import UsageError
     from prbench.synthetic.corpus import CORPUS_LAYOUTS
     from prbench.synthetic.write_tree import planned_recordings, synthesize_tree
 
-    if arguments.out is None:
+    if request.out is None:
         raise UsageError("--out DIR is needed: the folder of the recordings.")
-    if arguments.layout in CORPUS_LAYOUTS:
-        _write_corpus_tree(arguments)
-        return
+    if request.layout in CORPUS_LAYOUTS:
+        return _write_corpus_tree(request, request.out)
     done = itertools.count(1)
-    planned = planned_recordings(arguments.size, arguments.recordings)
-    with progress(f"writing {arguments.layout}") as show:
+    planned = planned_recordings(request.size, request.count)
+    with progress(f"writing {request.layout}") as tell:
         tree = synthesize_tree(
-            arguments.layout,
-            arguments.out,
-            recordings=arguments.recordings,
-            seed=arguments.seed,
-            size=arguments.size,
-            workers=arguments.workers,
-            n_events=arguments.events,
-            bystander_objects=arguments.bystander_objects,
-            defects=arguments.defect,
-            estimates=arguments.egoallo,
-            on_written=lambda written: show(next(done), planned, written.recording_id),
+            request.layout,
+            request.out,
+            recordings=request.count,
+            seed=request.seed,
+            size=request.size,
+            workers=request.workers,
+            n_events=request.events,
+            bystander_objects=request.bystander_objects,
+            defects=request.defects,
+            estimates=request.egoallo,
+            on_written=lambda written: tell(next(done), planned, written.recording_id),
         )
-    print_table(
-        "synthetic recordings",
-        ("recording", "split", "seconds", "events", "objects"),
-        [(r.recording_id, r.split, f"{r.duration:.1f}", str(r.n_events), str(r.n_objects)) for r in tree.recordings],
-        numbers=(2, 3, 4),
+    checked: list[tuple[str, Verification]] = []
+    if request.verify and not request.defects:
+        checked = _verify(request, tree.root, len(tree.recordings), engine_for(request.workers))
+    missed = tuple(miss.text for miss in checked[0][1].missed_sequences) if checked else ()
+
+    def show() -> None:
+        print_table(
+            "synthetic recordings",
+            ("recording", "split", "seconds", "events", "objects"),
+            [
+                (r.recording_id, r.split, f"{r.duration:.1f}", str(r.n_events), str(r.n_objects))
+                for r in tree.recordings
+            ],
+            numbers=(2, 3, 4),
+        )
+        if checked:
+            _print_checks(checked, missed)
+        print(f"recordings: {tree.root} (the truth is in {tree.root / 'truth'}; readers never open it)")
+
+    return _Written(
+        show,
+        folder=tree.root,
+        recordings=_recordings(tree, with_objects=True),
+        checks=tuple(_check(name, result) for name, result in checked),
+        missed=missed,
     )
-    if not arguments.no_verify and not arguments.defect:
-        _verify(arguments, len(tree.recordings), engine_for(arguments.workers))
-    print(f"recordings: {tree.root} (the truth is in {tree.root / 'truth'}; readers never open it)")
 
 
-def _write_table(arguments: argparse.Namespace) -> None:
+def _recordings(tree: WrittenTree, *, with_objects: bool) -> tuple[SyntheticRecording, ...]:
+    return tuple(
+        SyntheticRecording(
+            recording=each.recording_id,
+            split=each.split,
+            duration=float(each.duration),
+            events=each.n_events,
+            objects=each.n_objects if with_objects else None,
+        )
+        for each in tree.recordings
+    )
+
+
+def _write_table(request: _Request) -> _Written:
     """Act out, sense and curate recordings in memory: training data without native files."""
     from prbench.curation import BuildOptions
+    from prbench.curation.provenance import funnel_rows
     from prbench.engine import engine_for
     from prbench.errors import UsageError
     from prbench.synthetic.write_tree import planned_recordings
-    from prbench.workflows.synthetic_table import LARGE_RECORDINGS, build_synthetic_table
+    from prbench.workflows.synthetic_table import LARGE_RECORDINGS, Staging, build_synthetic_table
 
-    if arguments.out is None:
+    if request.out is None:
         raise UsageError("--out DIR is needed: the folder of the table.")
-    if arguments.defect or arguments.egoallo or arguments.bystander_objects is not None:
+    if request.defects or request.egoallo or request.bystander_objects is not None:
         raise UsageError("--table writes no native files; leave --defect, --egoallo and --bystander-objects out.")
-    large = arguments.size == "large"
-    recordings = arguments.recordings or (LARGE_RECORDINGS if large else planned_recordings(arguments.size, None))
-    given = {} if arguments.events is None else {"n_events": arguments.events}
-    with progress(f"acting out {arguments.layout}") as show:
+    large = request.size == "large"
+    recordings = request.count or (LARGE_RECORDINGS if large else planned_recordings(request.size, None))
+    with progress(f"acting out {request.layout}") as tell:
         report = build_synthetic_table(
-            arguments.layout,
+            request.layout,
             recordings,
-            arguments.seed,
-            arguments.out,
-            engine=engine_for(arguments.workers),
+            request.seed,
+            request.out,
+            engine=engine_for(request.workers),
             world="large" if large else "default",
-            options=BuildOptions(replace=arguments.replace),
-            progress=show,
-            **given,
+            n_events=Staging.n_events if request.events is None else request.events,
+            options=BuildOptions(replace=request.replace),
+            progress=tell,
         )
-    print(f"table: {arguments.out} ({report.info.counts.sequences} sequences of {recordings} recordings)")
+    rows = funnel_rows(report.info)
+    stages = [Stage(stage=row.stage, kept=row.kept, dropped=row.dropped, why=row.reason) for row in rows]
+    said = f"table: {request.out} ({report.info.counts.sequences} sequences of {recordings} recordings)"
+    return _Written(lambda: print(said), table=built_table(report, stages))
 
 
-def _write_corpus_tree(arguments: argparse.Namespace) -> None:
+def _write_corpus_tree(request: _Request, out: Path) -> _Written:
     """Write synthetic people in the layout of a text-motion dataset."""
     from prbench.synthetic.corpus import DEFAULT_RECORDINGS, synthesize_corpus_tree
 
     done = itertools.count(1)
-    planned = arguments.recordings or DEFAULT_RECORDINGS
-    with progress(f"writing {arguments.layout}") as show:
+    planned = request.count or DEFAULT_RECORDINGS
+    with progress(f"writing {request.layout}") as tell:
         tree = synthesize_corpus_tree(
-            arguments.layout,
-            arguments.out,
+            request.layout,
+            out,
             recordings=planned,
-            seed=arguments.seed,
-            workers=arguments.workers,
-            defects=arguments.defect,
-            on_written=lambda written: show(next(done), planned, written.recording_id),
+            seed=request.seed,
+            workers=request.workers,
+            defects=request.defects,
+            on_written=lambda written: tell(next(done), planned, written.recording_id),
         )
-    print_table(
-        "synthetic recordings",
-        ("recording", "split", "seconds", "texts"),
-        [(r.recording_id, r.split, f"{r.duration:.1f}", str(r.n_events)) for r in tree.recordings],
-        numbers=(2, 3),
-    )
-    print(f"recordings: {tree.root} (build them with `prbench build-corpus {arguments.layout} --root {tree.root}`)")
+
+    def show() -> None:
+        print_table(
+            "synthetic recordings",
+            ("recording", "split", "seconds", "texts"),
+            [(r.recording_id, r.split, f"{r.duration:.1f}", str(r.n_events)) for r in tree.recordings],
+            numbers=(2, 3),
+        )
+        print(f"recordings: {tree.root} (build them with `prbench build-corpus {request.layout} --root {tree.root}`)")
+
+    return _Written(show, folder=tree.root, recordings=_recordings(tree, with_objects=False))
 
 
-def _verify(arguments: argparse.Namespace, recordings: int, engine: Engine) -> None:
+def _verify(request: _Request, root: Path, recordings: int, engine: Engine) -> list[tuple[str, Verification]]:
     """Compare curation with the truth, for the files just written and at each noise level for the same seed."""
     from prbench.workflows.verify_synthetic import LEVELS, verify_level, verify_tree
 
-    rows = []
-    with progress("comparing curation with the truth") as show:
-        files = verify_tree(arguments.out, dataset=arguments.layout, engine=engine)
-        rows.append(_verification_row("these files", files))
+    with progress("comparing curation with the truth") as tell:
+        checked = [("these files", verify_tree(root, dataset=request.layout, engine=engine))]
         for done, level in enumerate(LEVELS, start=1):
-            show(done, len(LEVELS), level.name)
+            tell(done, len(LEVELS), level.name)
             result = verify_level(
                 level,
-                preset=arguments.layout,
+                preset=request.layout,
                 recordings=max(recordings, _FEWEST_VERIFIED),
-                seed=arguments.seed,
+                seed=request.seed,
                 engine=engine,
             )
-            rows.append(_verification_row(level.name, result))
+            checked.append((level.name, result))
+    return checked
+
+
+def _check(sensors: str, result: Verification) -> SensorCheck:
+    low, _, high = result.prime_quantiles
+    return SensorCheck(
+        sensors=sensors,
+        recordings=result.recordings,
+        events=result.true_events,
+        recall=result.recall,
+        precision=result.precision,
+        timing_bias=result.timing.bias,
+        timing_median=result.timing.median,
+        timing_p95=result.timing.p95,
+        priming_recall=result.priming_recall,
+        unprimed=result.unprimed,
+        false_primes=result.false_primes,
+        prime_median=result.prime.median,
+        prime_p5=low,
+        prime_p95=high,
+        hands=FoundHands(right=result.hands.right, wrong=result.hands.wrong, unknown=result.hands.unknown),
+        expected_sequences=result.expected_sequences,
+        missed_sequences=len(result.missed_sequences),
+    )
+
+
+def _print_checks(checked: list[tuple[str, Verification]], missed: tuple[str, ...]) -> None:
     print_table(
         "what curation finds, against what was acted out",
         (
             "sensors", "recordings", "events", "recall", "precision", "timing bias", "median", "p95", "priming recall",
             "false primes", "prime median", "p5 … p95", "hands", "sequences",
         ),
-        rows,
+        [_check_row(name, result) for name, result in checked],
         numbers=range(1, 14),
     )  # fmt: skip
     print("times in ms; events within the sensors' resolution of a threshold and lost tracks are not counted")
     print("hands: right / wrong / unknown of all located events; sequences: found of those that were acted out")
-    for miss in files.missed_sequences:
-        print(f"no sequence in these files: {miss.text}")
+    for text in missed:
+        print(f"no sequence in these files: {text}")
 
 
-def _verification_row(name: str, result: Verification) -> tuple[str, ...]:
+def _check_row(name: str, result: Verification) -> tuple[str, ...]:
     low, _, high = result.prime_quantiles
     return (
         name,
@@ -236,33 +487,33 @@ def _verification_row(name: str, result: Verification) -> tuple[str, ...]:
     )
 
 
-def _draw_gallery(arguments: argparse.Namespace) -> None:
+def _draw_gallery(file: Path, *, layout: str | None, seed: int) -> None:
     """Draw twelve sequences of all presets, or of the one that was named."""
     from prbench.synthetic.corpus import CORPUS_LAYOUTS
     from prbench.synthetic.people import perform
     from prbench.viewing.clip_strips import render_strips, strips_of_activities
     from prbench.viewing.gallery import render_contact_sheet, render_gallery, sequences_of
 
-    if arguments.layout in CORPUS_LAYOUTS:
-        render_strips(strips_of_activities(arguments.seed), arguments.gallery)
-    elif arguments.layout is None:
-        render_contact_sheet(arguments.gallery, seed=arguments.seed)
+    if layout in CORPUS_LAYOUTS:
+        render_strips(strips_of_activities(seed), file)
+    elif layout is None:
+        render_contact_sheet(file, seed=seed)
     else:
-        performances = [perform(arguments.layout, seed=arguments.seed, index=index, n_events=6) for index in range(4)]
-        render_gallery(sequences_of(performances)[:_SCENES_OF_ONE_PRESET], arguments.gallery)
-    print(f"gallery: {arguments.gallery}")
+        performances = [perform(layout, seed=seed, index=index, n_events=6) for index in range(4)]
+        render_gallery(sequences_of(performances)[:_SCENES_OF_ONE_PRESET], file)
 
 
-def _draw_histograms(arguments: argparse.Namespace) -> None:
+def _draw_histograms(file: Path, *, layout: str | None, seed: int, count: int | None) -> None:
     """Draw statistics of some recordings of the preset that was named, or of all presets."""
     from prbench.synthetic.people import PRESETS, perform
     from prbench.viewing.distributions import render_histograms
 
-    presets = tuple(PRESETS) if arguments.layout is None else (arguments.layout,)
-    count = arguments.recordings or _RECORDINGS_OF_A_HISTOGRAM
+    presets = tuple(PRESETS) if layout is None else (layout,)
     acted = {
-        preset: [perform(preset, seed=arguments.seed, index=index, provocations={}) for index in range(count)]
+        preset: [
+            perform(preset, seed=seed, index=index, provocations={})
+            for index in range(count or _RECORDINGS_OF_A_HISTOGRAM)
+        ]
         for preset in presets
     }
-    render_histograms(acted, arguments.histograms)
-    print(f"histograms: {arguments.histograms}")
+    render_histograms(acted, file)

@@ -2,87 +2,112 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import math
 import shutil
 import sys
 import textwrap
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import msgspec
+
+from prbench.cli.commands import Answer, note
+from prbench.cli.embedded import embedded_table
 from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
+from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from prbench.engine import Engine
     from prbench.evaluation.request import ProgressCallback
     from prbench.workflows.table_two import Cell, DatasetLayout, TableLayout, TableRequest
     from prbench.workflows.table_two.plan import PlannedRow
 
 ALL = "all"
-_SINGLE_RUN = ("view", "sequence", "permission", "isolate", "timeout")
+_WORKERS = 2
+_SINGLE_RUN = {"sequences": "sequence", "isolate": "isolate", "timeout": "timeout"}
 _WIDE = 180
 """Columns that the whole layout takes."""
 _RANKS = {1: "¹", 2: "²"}
 
 
-def wants_table(arguments: argparse.Namespace) -> bool:
-    """Return True where all methods or all conditions are asked for."""
-    return ALL in (arguments.method, arguments.condition)
+class TableTwoAnswer(msgspec.Struct, frozen=True, kw_only=True):
+    """Table 2 on one's own tables (``--method all``).
+
+    Attributes:
+        folder: Where the rows' run folders and the two files of the table are.
+        failed: Names of the rows that were to be run and have no numbers.
+        table: The content of ``table_2.json``: blocks, lines and cells.
+    """
+
+    folder: Path
+    failed: list[str]
+    table: dict[str, Any]
 
 
-def run_and_print(arguments: argparse.Namespace, data: tuple[Path, ...], engine: Engine) -> int:
-    """Run what is missing of the table and print all of it; 1 if a row failed."""
+def run_table_two(given: Mapping[str, Any], *, minutes: int | None, workers: int | None) -> Answer:
+    """Run what is missing of the table; the exit code is 1 if a row failed."""
+    from prbench.engine import engine_for
     from prbench.workflows.table_two import run_table
+    from prbench.workflows.table_two.as_markdown import as_builtins
     from prbench.workflows.table_two.run import JSON, MARKDOWN, Say
 
+    engine = engine_for(workers or _WORKERS)
+    request = _table_request(given, tuple(given["data"]) or (embedded_table(engine),), minutes)
     say = Say(
-        notice=_notice,
+        notice=note,
         timing=lambda: progress("timing a first batch"),
         generating=lambda: progress("generating, row"),
         row=_row_progress,
     )
-    report = run_table(_table_request(arguments, data), engine=engine, say=say)
-    _print_layout(report.layout)
-    print(f"table: {report.folder / MARKDOWN}, {report.folder / JSON}")
+    report = run_table(request, engine=engine, say=say)
     for outcome in report.failed:
-        print(f"failed: {outcome.planned.name}; the same command tries it again", file=sys.stderr)
-    return 1 if report.failed else 0
+        note(f"failed: {outcome.planned.name}; the same command tries it again")
+
+    def show() -> None:
+        _print_layout(report.layout)
+        print(f"table: {report.folder / MARKDOWN}, {report.folder / JSON}")
+
+    answer = TableTwoAnswer(
+        folder=report.folder,
+        failed=[outcome.planned.name for outcome in report.failed],
+        table=as_builtins(report.layout),
+    )
+    return Answer(answer, show, exit_code=1 if report.failed else 0)
 
 
-def _table_request(arguments: argparse.Namespace, data: tuple[Path, ...]) -> TableRequest:
+def _table_request(given: Mapping[str, Any], data: tuple[Path, ...], minutes: int | None) -> TableRequest:
     """Turn the arguments into a request.
 
     Raises:
         UsageError: if one of them belongs to a single run.
     """
     from prbench.contract import Condition
-    from prbench.errors import UsageError
     from prbench.workflows.table_two import TableRequest
     from prbench.workflows.table_two.request import DEFAULT_MINUTES
 
-    for name in _SINGLE_RUN:
-        if getattr(arguments, name):
-            raise UsageError(f"--{name}: belongs to a run of one method under one condition; leave it out.")
+    for name, option in _SINGLE_RUN.items():
+        if given[name]:
+            raise UsageError(f"--{option}: belongs to a run of one method under one condition; leave it out.")
     return TableRequest(
         data=data,
-        method=None if arguments.method == ALL else arguments.method,
-        condition=None if arguments.condition in (ALL, None) else Condition(arguments.condition),
-        weights=arguments.weights,
-        options=dict(arguments.option),
-        split=arguments.split,
-        limit=arguments.limit,
-        minutes=arguments.minutes or DEFAULT_MINUTES,
-        seed=arguments.seed,
-        samples=arguments.samples,
-        batch_size=arguments.batch_size,
-        device=arguments.device,
-        threads=arguments.threads,
-        shuffled_goal=arguments.control is not None,
-        out=arguments.out,
+        method=None if given["method"] == ALL else given["method"],
+        condition=None if given["condition"] in (ALL, None) else Condition(given["condition"]),
+        weights=given["weights"],
+        options=dict(given["options"]),
+        split=given["split"],
+        limit=given["limit"],
+        minutes=minutes or DEFAULT_MINUTES,
+        seed=given["seed"],
+        samples=given["samples"],
+        batch_size=given["batch_size"],
+        device=given["device"],
+        threads=given["threads"],
+        shuffled_goal=given["control"] is not None,
+        out=given["out"],
     )
 
 
@@ -95,8 +120,8 @@ def _print_layout(layout: TableLayout) -> None:
         show(dataset, heading(dataset, layout))
         for text in orders(dataset):
             print(text)
-    for note in notes(layout):
-        print(note)
+    for line in notes(layout):
+        print(line)
 
 
 def _width() -> float:
@@ -147,10 +172,6 @@ def _cell(cell: Cell | None, between: str = ", ") -> str:
         return "–"
     mean = f"{cell.mean:.2f}{_RANKS.get(cell.rank or 0, '')}"
     return f"{mean}\n{cell.interval.replace(', ', between)}".rstrip()
-
-
-def _notice(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager

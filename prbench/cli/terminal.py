@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import shutil
 import sys
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -27,7 +29,13 @@ class _CleanStream:
         self.raw = raw
 
     def write(self, text: str) -> int:
-        """Write a text, cleaned; return how many of its characters were taken, which is all of them."""
+        """Write a text, cleaned; return how many of its characters were taken, which is all of them.
+
+        Raises:
+            TypeError: for bytes, by which click finds out that this is a text stream.
+        """
+        if not isinstance(text, str):
+            raise TypeError(f"expected text, found {type(text).__name__}")
         self.raw.write(clean(text, keep="\n\t"))
         return len(text)
 
@@ -60,6 +68,8 @@ def console(*, stderr: bool = False, **settings: Any) -> Console:
     from rich.console import Console
 
     stream = sys.stderr if stderr else sys.stdout
+    if os.environ.get("NO_COLOR"):  # Rich itself would leave bold and italic text
+        settings["color_system"] = None
     return Console(
         file=stream.raw if isinstance(stream, _CleanStream) else stream, highlight=False, markup=False, **settings
     )
@@ -73,24 +83,98 @@ def print_table(
     numbers: Collection[int] = (),
     spaced: bool = False,
 ) -> None:
-    """Print rows under a header; columns listed in ``numbers`` are set to the right, ``spaced`` rows stand apart."""
-    from rich import box
-    from rich.table import Table
+    """Print rows under a header; on a terminal that is too narrow for whole words, one line a cell.
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=spaced)
-    for index, name in enumerate(header):
-        table.add_column(name, justify="right" if index in numbers else "left", overflow="fold")
-    for row in rows:
-        table.add_row(*(clean(cell, keep="\n") for cell in row))
+    Args:
+        title: Printed above.
+        header: Names of the columns.
+        rows: Cells, as many as there are names; a cell may have several lines.
+        numbers: Columns that are set to the right.
+        spaced: Rows stand apart.
+    """
+    shown = [tuple(clean(cell, keep="\n") for cell in row) for row in rows]
     output = console()
     if not output.is_terminal:  # in a file or pipe nothing is folded to the width of a terminal that is not there
         output = console(width=max(200, output.width))
     output.print(clean(title), style="italic", soft_wrap=True)  # a table folds its own title to its width
+    widths = _column_widths([header, *shown], output.width, numbers)
+    if widths is None:
+        _print_stacked(output, header, shown)
+    else:
+        _print_grid(output, header, shown, widths, numbers=numbers, spaced=spaced)
+
+
+_BETWEEN_COLUMNS = 3  # of Rich's table: a space on either side of a cell, and one for the line that is not drawn
+
+
+def _column_widths(rows: Sequence[Sequence[str]], available: int, numbers: Collection[int]) -> list[int] | None:
+    """Share the width among the columns so that no word and no number is broken; return None where it does not suffice.
+
+    Columns of numbers keep their width, since ``0.59 ±`` above ``0.17`` is hard to read.
+    """
+    columns = list(zip(*rows))
+    longest_lines = [max((len(line) for cell in column for line in cell.splitlines()), default=0) for column in columns]
+    longest_words = [max((len(word) for cell in column for word in cell.split()), default=0) for column in columns]
+    needed = []
+    for index, (line, word) in enumerate(zip(longest_lines, longest_words)):
+        needed.append(line if index in numbers else word)
+    to_share = available - _BETWEEN_COLUMNS * len(columns) - 1 - sum(needed)
+    if to_share < 0:
+        return None
+    wanted = [line - least for line, least in zip(longest_lines, needed)]
+    widths = needed
+    # Columns that want little are served first, so that only those with long texts are folded.
+    for served, index in enumerate(sorted(range(len(columns)), key=lambda column: wanted[column])):
+        extra = min(wanted[index], to_share // (len(columns) - served))
+        widths[index] += extra
+        to_share -= extra
+    return widths
+
+
+def _print_grid(
+    output: Console,
+    header: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    widths: Sequence[int],
+    *,
+    numbers: Collection[int],
+    spaced: bool,
+) -> None:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=spaced)
+    for index, (name, width) in enumerate(zip(header, widths)):
+        table.add_column(name, justify="right" if index in numbers else "left", overflow="fold", width=width)
+    for row in rows:
+        table.add_row(*row)
     output.print(table)
 
 
-def print_columns(rows: Sequence[tuple[str, ...]]) -> None:
-    """Print rows of equally many cells, each column as wide as its widest cell."""
-    widths = [max(len(cell) for cell in column) for column in zip(*rows)]
+def _print_stacked(output: Console, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print every row as a block: its first cell, and below it one line for each other cell that is not empty."""
     for row in rows:
-        print("  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths)).rstrip())
+        output.print(f"\n{row[0]}", style="bold", soft_wrap=True)
+        for name, cell in zip(header[1:], row[1:]):
+            if cell:
+                label = f"{name}: " if name else ""
+                output.print(f"  {label}{cell}".replace("\n", " "))
+    output.print()
+
+
+def print_columns(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print rows in columns as wide as their widest cells, never folded; on a narrower terminal one line a cell.
+
+    Args:
+        header: Names of the columns; empty names are left out, and so is a header without any name.
+        rows: Cells, as many as there are names.
+    """
+    lines = [header, *rows] if any(header) else list(rows)
+    widths = [max(len(cell) for cell in column) for column in zip(*lines)]
+    joined = ["  ".join(f"{cell:<{width}}" for cell, width in zip(line, widths)).rstrip() for line in lines]
+    available = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    if available is not None and max(map(len, joined), default=0) > available:
+        _print_stacked(console(), header, [tuple(clean(cell) for cell in row) for row in rows])
+    else:
+        for line in joined:
+            print(line)

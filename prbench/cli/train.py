@@ -2,99 +2,134 @@
 
 from __future__ import annotations
 
-import argparse
-import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from prbench.cli.arguments import add_data, command, key_value, positive
+import click
+import msgspec
+
+from prbench.cli.commands import Answer, command, note
+from prbench.cli.options import PATH, POSITIVE, KeyValue, data_option, out_folder_option, threads_option
 from prbench.cli.progress import show_training
 from prbench.errors import UsageError
 
-if TYPE_CHECKING:
+
+class TrainedNetwork(msgspec.Struct, frozen=True, kw_only=True):
+    """A finished training.
+
+    Attributes:
+        weights: The trained weights.
+        steps: Number of steps that the training has, those of interrupted runs with it.
+        seconds: Seconds that this run of the command has trained.
+        waiting: Fraction of those seconds in which the network waited for data.
+    """
+
+    weights: Path
+    steps: int
+    seconds: float
+    waiting: float
+
+
+class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
+    """A training, or the configuration that it would have.
+
+    Attributes:
+        method: What was trained.
+        configuration: Every key of the resolved configuration, by table, with ``--show-config``; else null.
+        trained: The result; null with ``--show-config``.
+    """
+
+    method: str
+    configuration: dict[str, dict[str, Any]] | None
+    trained: TrainedNetwork | None
+
+
+@command(
+    "train",
+    example="prbench train --method pr --config small --stage finetune --data tables/adt --init mdm.safetensors"
+    " --out trained/pr",
+    resumes=True,
+    report=TrainReport,
+)
+@click.option("--method", required=True, metavar="NAME", help="What to train: mdm, pr, t2m-evaluator …")
+@click.option("--stage", metavar="STAGE", help="pretrain or finetune (default: the method's first).")
+@data_option(required=False, help="Built dataset or corpus folder(s), whose split 'train' is learnt from.")
+@out_folder_option("Training folder: checkpoints, logs, weights; an interrupted training goes on in it.")
+@click.option(
+    "--config",
+    type=PATH,
+    default="small",
+    metavar="NAME|FILE",
+    help="A configuration of the method, or a .toml file (default small).",
+)
+@click.option(
+    "--set",
+    "overrides",
+    type=KeyValue(),
+    multiple=True,
+    metavar="TABLE.KEY=VALUE",
+    help="Override a key, such as training.steps=1000 or model.width=256; repeatable.",
+)
+@click.option("--init", type=PATH, metavar="FILE", help="Weights to start from.")
+@click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1, mps.")
+@click.option("--devices", type=POSITIVE, default=1, metavar="N", help="Processes to train in (default 1).")
+@threads_option
+@click.option("--loaders", type=int, default=0, metavar="N", help="Processes that load data (default 0).")
+@click.option("--show-config", is_flag=True, help="Print the resolved configuration and stop.")
+def train(
+    method: str,
+    stage: str | None,
+    data: tuple[Path, ...],
+    out: Path | None,
+    config: Path,
+    overrides: tuple[tuple[str, str], ...],
+    init: Path | None,
+    device: str,
+    devices: int,
+    threads: int,
+    loaders: int,
+    show_config: bool,
+) -> Answer | int:
+    """Train a method's network on tables; the same command goes on with an interrupted training."""
     from prbench.training.run import TrainRequest
+    from prbench.training.run import train as run_training
 
-
-def add_parser(commands: argparse._SubParsersAction) -> None:
-    """Register the command."""
-    parser = command(
-        commands,
-        "train",
-        summary="train a method's network on tables; the same command goes on with an interrupted training",
-        example="prbench train --method pr --config small --stage finetune --data tables/adt --init mdm.safetensors"
-        " --out trained/pr",
-        execute=_train,
-        resumes=True,
+    if show_config:
+        return _configuration(method, str(config), stage=stage, overrides=overrides)
+    if not data:
+        raise UsageError("--data DIR is needed.")
+    if out is None:
+        raise UsageError("--out DIR is needed.")
+    request = TrainRequest(
+        method=method,
+        data=data,
+        out=out,
+        stage=stage,
+        configuration=str(config),
+        overrides=overrides,
+        initial=init,
+        device=device,
+        devices=devices,
+        threads=threads,
+        workers=loaders,
     )
-    parser.add_argument("--method", required=True, metavar="NAME", help="what to train: mdm, pr, t2m-evaluator …")
-    parser.add_argument("--stage", metavar="STAGE", help="pretrain or finetune (default: the method's first)")
-    add_data(parser, required=False, help="built dataset or corpus folder(s), whose split 'train' is learnt from")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="training folder: checkpoints, logs, weights; resumes")
-    parser.add_argument(
-        "--config",
-        default="small",
-        metavar="NAME|FILE",
-        help="a configuration of the method, or a .toml (default small)",
-    )
-    parser.add_argument(
-        "--set",
-        type=key_value,
-        action="append",
-        default=[],
-        metavar="TABLE.KEY=VALUE",
-        help="override a key, such as training.steps=1000 or model.width=256; repeatable",
-    )
-    parser.add_argument("--init", type=Path, metavar="FILE", help="weights to start from")
-    parser.add_argument("--device", default="cpu", help="cpu (default), cuda, cuda:1, mps")
-    parser.add_argument("--devices", type=positive, default=1, metavar="N", help="processes to train in (default 1)")
-    parser.add_argument("--threads", type=positive, default=1, metavar="N", help="threads a process (default 1)")
-    parser.add_argument("--loaders", type=int, default=0, metavar="N", help="processes that load data (default 0)")
-    parser.add_argument("--show-config", action="store_true", help="print the resolved configuration and stop")
-
-
-def _train(arguments: argparse.Namespace) -> int:
-    from prbench.training.run import train
-
-    if arguments.show_config:
-        return _show_configuration(arguments)
-    request = _request(arguments)
-    with show_training(f"training {arguments.method}") as show:
-        report = train(request, report=show)
-    if not report.first_process:
+    with show_training(f"training {method}") as show:
+        result = run_training(request, report=show)
+    if not result.first_process:  # one of several processes that train together; the first one speaks for all
         return 0
-    print(f"waited for data {report.waiting:.1%} of {report.seconds:.0f} s", file=sys.stderr)
-    print(f"weights: {report.weights}")
-    return 0
+    note(f"waited for data {result.waiting:.1%} of {result.seconds:.0f} s")
+    trained = TrainedNetwork(weights=result.weights, steps=result.steps, seconds=result.seconds, waiting=result.waiting)
+    report = TrainReport(method=method, configuration=None, trained=trained)
+    return Answer(report, lambda: print(f"weights: {result.weights}"))
 
 
-def _show_configuration(arguments: argparse.Namespace) -> int:
+def _configuration(method: str, config: str, *, stage: str | None, overrides: Sequence[tuple[str, str]]) -> Answer:
+    """Answer with the configuration that a training would have."""
     from prbench.training.configuration import as_toml
     from prbench.training.installed import load_task
     from prbench.training.run import resolved
 
-    _, configuration = resolved(
-        load_task(arguments.method), arguments.config, stage=arguments.stage, overrides=arguments.set
-    )
-    print(as_toml(configuration), end="")
-    return 0
-
-
-def _request(arguments: argparse.Namespace) -> TrainRequest:
-    from prbench.training.run import TrainRequest
-
-    for option in ("data", "out"):
-        if not getattr(arguments, option):
-            raise UsageError(f"--{option} DIR is needed.")
-    return TrainRequest(
-        method=arguments.method,
-        data=tuple(arguments.data),
-        out=arguments.out,
-        stage=arguments.stage,
-        configuration=arguments.config,
-        overrides=tuple(arguments.set),
-        initial=arguments.init,
-        device=arguments.device,
-        devices=arguments.devices,
-        threads=arguments.threads,
-        workers=arguments.loaders,
-    )
+    _, configuration = resolved(load_task(method), config, stage=stage, overrides=overrides)
+    report = TrainReport(method=method, configuration=msgspec.to_builtins(configuration), trained=None)
+    return Answer(report, lambda: print(as_toml(configuration), end=""))

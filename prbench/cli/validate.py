@@ -2,67 +2,189 @@
 
 from __future__ import annotations
 
-import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import add_workers, command, positive
-from prbench.cli.builds import NOT_EVERYTHING, add_reader_options
+import click
+import msgspec
+
+from prbench.cli.builds import NOT_EVERYTHING
+from prbench.cli.commands import Answer, command, note
+from prbench.cli.options import PATH, reader_options, recordings_options, root_option, workers_option
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.workflows.validate_hd_epic import Agreement, Validation
 
 
-def add_parser(commands: argparse._SubParsersAction) -> None:
-    """Register the command."""
-    parser = command(
-        commands,
-        "validate",
-        summary="compare a dataset's own priming results with the rule, and its counts with the study's",
-        example="prbench validate hd-epic --root /data/HD --workers 4",
-        execute=_validate,
-    )
-    parser.add_argument("dataset", choices=["hd-epic"], help="a dataset that publishes priming results of its own")
-    where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument("--root", type=Path, metavar="DIR", help="your copy of the dataset: both ways of priming")
-    where.add_argument("--data", type=Path, metavar="DIR", help="a table of it that was built by the rule")
-    parser.add_argument("--recordings", default="*", metavar="GLOB", help="only videos with such names (with --root)")
-    parser.add_argument("--limit", type=positive, metavar="N", help="only the first N videos, by name (with --root)")
-    add_reader_options(parser, remark="with --root")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the numbers as JSON, too")
-    add_workers(parser)
+class EventCount(msgspec.Struct, frozen=True, kw_only=True):
+    """A number of events.
+
+    Attributes:
+        published: What the dataset says of them: ``primed``, ``not_primed``, ``excluded`` or ``not in the file``.
+        rule: What the rule says of them: ``primed``, ``not_primed`` or ``no_location``.
+        events: How many there are.
+    """
+
+    published: str
+    rule: str
+    events: int
 
 
-def _validate(arguments: argparse.Namespace) -> int:
+class TimeDifference(msgspec.Struct, frozen=True, kw_only=True):
+    """Prime times by the rule minus the published ones, in seconds.
+
+    Attributes:
+        n: Number of events of which both know a prime time.
+        bias: Mean difference; null without events, as all below.
+        median: Median of the differences' sizes.
+        p95: 95th percentile of the differences' sizes.
+        largest: The largest of their sizes.
+    """
+
+    n: int
+    bias: float | None
+    median: float | None
+    p95: float | None
+    largest: float | None
+
+
+class PrimeGaps(msgspec.Struct, frozen=True, kw_only=True):
+    """Times between prime and event, in seconds.
+
+    Attributes:
+        n: Number of events.
+        mean: Mean; null without events.
+        sd: Standard deviation; null without events.
+    """
+
+    n: int
+    mean: float | None
+    sd: float | None
+
+
+class ActionAgreement(msgspec.Struct, frozen=True, kw_only=True):
+    """How the dataset and the rule agree on the events of one action.
+
+    Attributes:
+        action: ``pick``, ``put`` or both together.
+        events: Number of events.
+        located: Number of those that have a place.
+        counts: Events by what the dataset and the rule say of them.
+        prime_time_difference_s: By the rule minus published, in seconds.
+        published_gap_s: Time between the published prime and the event, in seconds.
+        rule_gap_s: Time between the rule's prime and the event, in seconds.
+    """
+
+    action: str
+    events: int
+    located: int
+    counts: list[EventCount]
+    prime_time_difference_s: TimeDifference
+    published_gap_s: PrimeGaps
+    rule_gap_s: PrimeGaps
+
+
+class FunnelStage(msgspec.Struct, frozen=True, kw_only=True):
+    """One stage between movements and sequences; every count is a text, empty where there is none.
+
+    Attributes:
+        stage: Name of the stage.
+        rule: Our count with the rule.
+        published_priming: Our count with the dataset's own priming.
+        reference: What is published.
+    """
+
+    stage: str
+    rule: str
+    published_priming: str
+    reference: str
+
+
+class CountRemark(msgspec.Struct, frozen=True, kw_only=True):
+    """One sentence about why our count is not the study's.
+
+    Attributes:
+        kind: ``known``, ``measured here`` or ``guess``.
+        text: The sentence.
+    """
+
+    kind: str
+    text: str
+
+
+class ValidateReport(msgspec.Struct, frozen=True, kw_only=True):
+    """A dataset's own priming beside the rule's.
+
+    Attributes:
+        recordings: Number of videos that were read.
+        synthetic: Whether the videos are of synthetic people; then nothing published stands beside their numbers.
+        failed: Messages of the videos that could not be read.
+        outcomes: Number of events by what curation with the rule made of them.
+        published_outcomes: The same with the dataset's own priming; empty where that was not tried.
+        agreements: Picks, puts, and both together.
+        funnel: From movements to sequences.
+        remarks: Why the counts differ.
+    """
+
+    recordings: int
+    synthetic: bool
+    failed: list[str]
+    outcomes: dict[str, int]
+    published_outcomes: dict[str, int]
+    agreements: list[ActionAgreement]
+    funnel: list[FunnelStage]
+    remarks: list[CountRemark]
+
+
+@command(
+    "validate",
+    example="prbench validate hd-epic --root /data/HD --workers 4",
+    report=ValidateReport,
+    writes_report=True,
+)
+@click.argument("dataset", type=click.Choice(["hd-epic"]))
+@root_option("Your copy of the dataset: both ways of priming.", required=False)
+@click.option("--data", type=PATH, metavar="DIR", help="A table of it that was built by the rule, in place of --root.")
+@recordings_options
+@reader_options(remark="with --root")
+@workers_option()
+def validate(
+    *,
+    dataset: str,
+    root: Path | None,
+    data: Path | None,
+    recordings: str,
+    max_recordings: int | None,
+    options: tuple[tuple[str, str], ...],
+    workers: int,
+) -> Answer:
+    """Compare a dataset's own priming results with the rule, and its counts with the study's.
+
+    Either --root or --data is needed.
+    """
     from prbench.curation.options import BuildOptions
     from prbench.engine import engine_for
-    from prbench.locks import sole_writer
-    from prbench.storage import write_json
+    from prbench.errors import UsageError
     from prbench.workflows.hd_epic_funnel import as_json
     from prbench.workflows.validate_hd_epic import validate_build, validate_root
 
-    if arguments.data is not None:
-        validation = validate_build(arguments.data)
+    assert dataset == "hd-epic", "the only choice"
+    if data is not None and root is None:
+        validation = validate_build(data)
+    elif root is not None and data is None:
+        chosen = BuildOptions(recordings=recordings, limit=max_recordings, reader=tuple(sorted(dict(options).items())))
+        validation = validate_root(root, options=chosen, engine=engine_for(workers))
     else:
-        options = BuildOptions(
-            recordings=arguments.recordings,
-            limit=arguments.limit,
-            reader=tuple(sorted(dict(arguments.option).items())),
-        )
-        validation = validate_root(arguments.root, options=options, engine=engine_for(arguments.workers))
-    if arguments.out is not None:
-        with sole_writer(arguments.out):
-            write_json(arguments.out, as_json(validation))
-    _print(validation)
+        raise UsageError("expected either --root DIR, your copy of the dataset, or --data DIR, a table of it.")
     for message in validation.failed:
-        print(f"failed: {message}", file=sys.stderr)
-    return NOT_EVERYTHING if validation.failed else 0
+        note(f"failed: {message}")
+    report = msgspec.convert(as_json(validation), ValidateReport)
+    return Answer(report, lambda: _print(report, validation), NOT_EVERYTHING if validation.failed else 0)
 
 
-def _print(validation: Validation) -> None:
-    from prbench.workflows.hd_epic_funnel import funnel_lines, remarks, shares_of
+def _print(report: ValidateReport, validation: Validation) -> None:
+    from prbench.workflows.hd_epic_funnel import shares_of
     from prbench.workflows.validate_hd_epic import PUBLISHED_OUTCOMES, RULE_OUTCOMES
 
     if validation.synthetic:
@@ -92,10 +214,10 @@ def _print(validation: Validation) -> None:
     print_table(
         "from movements to sequences",
         ("stage", "rule", "published priming", "published count"),
-        [(line.stage, line.rule, line.published_priming, line.reference) for line in funnel_lines(validation)],
+        [(line.stage, line.rule, line.published_priming, line.reference) for line in report.funnel],
         numbers=(1, 2, 3),
     )
-    for remark in remarks(validation):
+    for remark in report.remarks:
         print(f"[{remark.kind}] {remark.text}")
 
 

@@ -2,78 +2,141 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.cli.arguments import add_data, add_limit, add_permission, command
+import click
+import msgspec
+
+from prbench.cli.commands import Answer, command
+from prbench.cli.options import (
+    PATH,
+    data_option,
+    limit_option,
+    out_file_option,
+    permission_option,
+    sequence_option,
+)
 from prbench.cli.progress import progress
 
 if TYPE_CHECKING:
-    from prbench.workflows.view import ViewReport
+    from prbench.viewing.replay.scene import Scene
+    from prbench.workflows.view import ViewReport as View
 
 
-def add_parser(commands: argparse._SubParsersAction) -> None:
-    """Register the command."""
-    parser = command(
-        commands,
-        "view",
-        summary="show recorded and generated motion beside one another, as PNG, MP4 or HTML",
-        example="prbench view runs/static --data tables/adt --out static.png",
-        execute=_view,
-    )
-    parser.add_argument(
-        "runs", type=Path, nargs="*", metavar="RUN", help="run folder(s) to compare; none: --data alone"
-    )
-    add_data(parser, required=False, help="the table(s) of the runs; not needed for the embedded synthetic dataset")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="FILE", help="picture (.png), film (.mp4) or page (.html)"
-    )
-    parser.add_argument(
-        "--sequence",
-        action="append",
-        default=[],
-        metavar="ID",
-        help="show this one; the id, or a beginning, end or part that fits one only; repeatable",
-    )
-    add_limit(parser, default="4")
-    parser.add_argument("--sample", type=int, default=0, metavar="K", help="of runs with several samples (default 0)")
-    parser.add_argument(
-        "--scene",
-        type=Path,
-        metavar="DIR",
-        help="your copy of the dataset: draws what stood around the bodies behind them (needs the extra open3d)",
-    )
-    add_permission(parser)
+class ShownMotion(msgspec.Struct, frozen=True, kw_only=True):
+    """One motion of a shown sequence.
+
+    Attributes:
+        label: ``recorded``, or the method with its condition.
+        scores: Maps ids of metrics to their values: rates are 0 or 1, lengths in metres; empty if it was not scored.
+        sentence: The scores that the view shows, in words; empty if it was not scored.
+    """
+
+    label: str
+    scores: dict[str, float | None]
+    sentence: str
 
 
-def _view(arguments: argparse.Namespace) -> int:
-    from prbench.workflows.view import ViewRequest, view
+class ShownSequence(msgspec.Struct, frozen=True, kw_only=True):
+    """One shown sequence.
+
+    Attributes:
+        sequence_id: Id of the sequence.
+        dataset: Name of the dataset.
+        title: Action, object, hand and split in words.
+        motions: The recorded motion, unless the dataset's licence withholds it, and that of each run.
+    """
+
+    sequence_id: str
+    dataset: str
+    title: str
+    motions: list[ShownMotion]
+
+
+class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
+    """What was drawn.
+
+    Attributes:
+        out: The picture, film or page.
+        sequences: The sequences in it.
+        notices: Sentences that the datasets' terms ask for, as they stand in the view.
+    """
+
+    out: Path
+    sequences: list[ShownSequence]
+    notices: list[str]
+
+
+@command("view", example="prbench view runs/static --data tables/adt --out static.png", report=ViewReport)
+@click.argument("runs", type=PATH, nargs=-1, metavar="[RUN...]")
+@data_option(required=False, help="The table(s) of the runs; not needed for the embedded synthetic dataset.")
+@out_file_option("Picture (.png), film (.mp4) or page (.html).", required=True)
+@sequence_option("Show this sequence")
+@limit_option("4")
+@click.option("--sample", type=int, default=0, metavar="K", help="Sample of runs with several (default 0, the first).")
+@click.option(
+    "--scene",
+    type=PATH,
+    metavar="DIR",
+    help="Your copy of the dataset: draws what stood around the bodies behind them (needs the extra open3d).",
+)
+@permission_option
+def view(
+    runs: tuple[Path, ...],
+    data: tuple[Path, ...],
+    out: Path,
+    sequences: tuple[str, ...],
+    limit: int | None,
+    sample: int,
+    scene: Path | None,
+    permission: tuple[str, ...],
+) -> Answer:
+    """Show recorded and generated motion beside one another, as PNG, MP4 or HTML.
+
+    RUN are the run folders to compare; without any, the recorded motion of --data is shown.
+    """
+    from prbench.workflows.view import ViewRequest
+    from prbench.workflows.view import view as draw
 
     request = ViewRequest(
-        out=arguments.out,
-        runs=tuple(arguments.runs),
-        data=tuple(arguments.data or ()),
-        sequences=tuple(arguments.sequence),
-        limit=arguments.limit,
-        sample=arguments.sample,
-        permitted=tuple(arguments.permission),
-        scene=arguments.scene,
+        out=out,
+        runs=runs,
+        data=data,
+        sequences=sequences,
+        limit=limit,
+        sample=sample,
+        permitted=permission,
+        scene=scene,
     )
-    with progress(f"drawing {request.out.name}") as show:
-        report = view(request, show)
-    _print_view(report)
-    return 0
+    with progress(f"drawing {out.name}") as show:
+        drawn = draw(request, show)
+    report = _report(drawn)
+    return Answer(report, lambda: _print(report))
 
 
-def _print_view(report: ViewReport) -> None:
-    """Say what was shown: each sequence with what every motion scored."""
+def _report(drawn: View) -> ViewReport:
+    return ViewReport(
+        out=drawn.out, sequences=[_sequence(scene) for scene in drawn.scenes], notices=list(drawn.notices)
+    )
+
+
+def _sequence(scene: Scene) -> ShownSequence:
     from prbench.viewing.replay.measures import score_sentence
 
-    for scene in report.scenes:
-        print(f"{scene.sequence_id}: {scene.title}")
-        for motion in scene.motions:
-            print(f"  {motion.label}: {score_sentence(scene, motion) or 'not scored'}")
+    motions = [
+        ShownMotion(label=motion.label, scores=dict(motion.scores), sentence=score_sentence(scene, motion))
+        for motion in scene.motions
+    ]
+    return ShownSequence(sequence_id=scene.sequence_id, dataset=scene.dataset, title=scene.title, motions=motions)
+
+
+def _print(report: ViewReport) -> None:
+    """Say what was shown: each sequence with what every motion scored."""
+    for sequence in report.sequences:
+        print(f"{sequence.sequence_id}: {sequence.title}")
+        for motion in sequence.motions:
+            print(f"  {motion.label}: {motion.sentence or 'not scored'}")
     for notice in report.notices:
         print(notice)
     print(f"view: {report.out}")

@@ -16,9 +16,10 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from prbench.contract.conditions import Condition, ConditionBatch
+from prbench.entry_points import ADAPTERS
 from prbench.sequences.table import SequenceTable
 
-ENTRY_POINT_GROUP = "prbench.adapters"
+ENTRY_POINT_GROUP = ADAPTERS
 
 
 @dataclass(frozen=True)

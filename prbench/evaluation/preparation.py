@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import prbench
+from prbench.contract import Condition
 from prbench.errors import AdapterError
 from prbench.evaluation.conditions import ConditionSource, derangement
 from prbench.evaluation.controls import RECORDED_MOTION, SHUFFLED_GOAL
@@ -28,7 +29,7 @@ from prbench.evaluation.planning import (
 from prbench.evaluation.request import RunRequest
 from prbench.locks import in_turn
 from prbench.manifests import load_protocol
-from prbench.methods.adapters import find_adapter, require_condition, require_weights, used_weights, weights_digest
+from prbench.methods.adapters import chosen_condition, find_adapter, require_weights, used_weights, weights_digest
 from prbench.methods.declared import Declared
 from prbench.methods.loaded_methods import LoadedMethod, MethodSpec, forget_loaded_methods
 from prbench.methods.methods import fitted_to, method_spec
@@ -83,6 +84,8 @@ class PreparedRun:
     """A request with everything that follows from it."""
 
     request: RunRequest
+    condition: Condition
+    """The condition asked for, or the only one that the method takes."""
     record: RunRecord
     datasets: tuple[PreparedDataset, ...]
     out: Path
@@ -101,10 +104,13 @@ def prepare_run(request: RunRequest) -> PreparedRun:
     forget_loaded_methods()
     tables = open_tables(request.data)
     spec = None if request.is_control else _spec(request)
-    method = _control(request) if spec is None else _method(request, spec)
+    condition = _condition(request, spec)
+    method = _control(request) if spec is None else _method(request, spec, condition)
     datasets = tuple(_dataset(request, chosen, spec, method) for chosen in _chosen_sequences(request, tables))
-    record = _record(request, method, datasets)
-    return PreparedRun(request, record, datasets, request.out or _default_folder(record))
+    record = _record(request, condition, method, datasets)
+    if request.repeats is not None:
+        record.require_same_inputs(request.repeats)
+    return PreparedRun(request, condition, record, datasets, request.out or _default_folder(record))
 
 
 def _spec(request: RunRequest) -> MethodSpec:
@@ -121,19 +127,26 @@ def _spec(request: RunRequest) -> MethodSpec:
     )
 
 
+def _condition(request: RunRequest, spec: MethodSpec | None) -> Condition:
+    """Return the condition that is asked for, or the only one that the method takes."""
+    if spec is None:
+        return request.condition or Condition.NONE
+    method = spec.load()
+    return chosen_condition(method.name, method.adapter, request.condition)
+
+
 def _control(request: RunRequest) -> MethodRecord:
     own = {"package": "prbench", "version": prbench.__version__, "weights": None, "weights_digest": None}
     limits = {"options": {}, "max_frames": None, "native_fps": None, "motionless": False}
     return MethodRecord(name=request.method, kind=CONTROL, **own, **limits)
 
 
-def _method(request: RunRequest, spec: MethodSpec) -> MethodRecord:
+def _method(request: RunRequest, spec: MethodSpec, condition: Condition) -> MethodRecord:
     """Load an adapter or a program, and return what is recorded about it."""
     method = spec.load()
     origin = f"adapter '{method.name}'"
-    require_condition(method.name, method.adapter, request.condition)
     declared = Declared.by(method.adapter, origin=origin)
-    weights, digest = _weights(request, method, origin)
+    weights, digest = _weights(request.weights, method, condition, origin)
     kind, package, version = _source(spec, method)
     return MethodRecord(
         name=method.name,
@@ -158,15 +171,16 @@ def _source(spec: MethodSpec, method: LoadedMethod) -> tuple[str, str, str]:
     return (BUILT_IN if installed.built_in else PACKAGE), installed.package, installed.version
 
 
-def _weights(request: RunRequest, method: LoadedMethod, origin: str) -> tuple[str | None, str | None]:
+def _weights(
+    given: Path | None, method: LoadedMethod, condition: Condition, origin: str
+) -> tuple[str | None, str | None]:
     """Name and digest of the weights in use: those that the method declares, else those that the user gave."""
     if isinstance(method.adapter, RemoteAdapter):
-        declared = method.adapter.weights.get(request.condition)
+        declared = method.adapter.weights.get(condition)
         if declared is not None:
             return declared.name, declared.sha256
-        given = request.weights
         return (given.name, weights_digest(given) if given.exists() else None) if given else (None, None)
-    used = used_weights(method.adapter, request.condition, request.weights, origin=origin)
+    used = used_weights(method.adapter, condition, given, origin=origin)
     return (used.name, weights_digest(used)) if used else (None, None)
 
 
@@ -221,7 +235,9 @@ def supported(selection: Selection, *, max_frames: int | None, native_fps: float
     return selection.chosen(n_frames <= max_frames)
 
 
-def _record(request: RunRequest, method: MethodRecord, datasets: tuple[PreparedDataset, ...]) -> RunRecord:
+def _record(
+    request: RunRequest, condition: Condition, method: MethodRecord, datasets: tuple[PreparedDataset, ...]
+) -> RunRecord:
     protocol = load_protocol()
     return RunRecord(
         schema_version=RUN_SCHEMA_VERSION,
@@ -229,7 +245,7 @@ def _record(request: RunRequest, method: MethodRecord, datasets: tuple[PreparedD
         protocol_version=protocol.version,
         protocol_digest=protocol.digest,
         method=method,
-        condition=request.condition.value,
+        condition=condition.value,
         control=request.control,
         split=request.split,
         limit=request.limit,

@@ -11,6 +11,7 @@ from prbench.contract import Condition
 from prbench.errors import UsageError
 from prbench.methods.names import METHOD_CONTROLS, SHUFFLED_GOAL
 from prbench.methods.programs.words import short_name
+from prbench.runs.record import RunRecord
 from prbench.storage import turn_into_paths
 
 DEFAULT_BATCH_SIZE = 64
@@ -30,7 +31,8 @@ class RunRequest:
     the method's own name (``RunRecord.method.name``)."""
     data: tuple[Path, ...]
     """Dataset folders."""
-    condition: Condition = Condition.NONE
+    condition: Condition | None = None
+    """What the method is given; None for the only condition that it takes, and for none with a control."""
     weights: Path | None = None
     options: Mapping[str, str] = field(default_factory=dict)
     split: str = "test"
@@ -52,6 +54,8 @@ class RunRequest:
     system where bubblewrap works."""
     timeout: float | None = None
     """Seconds until another process answers a batch; by default 600, or what its TOML file says."""
+    repeats: RunRecord | None = None
+    """An earlier run: other tables, sequences or weights than its are refused before anything is generated."""
     out: Path | None = None
     """The run folder; by default one under ``runs`` whose name says what was run."""
 

@@ -175,7 +175,7 @@ class _Part:
             motions = next(given) if given is not None else None
             if index not in wanted:
                 continue
-            first = dataset.source.batch(rows, request.condition, seed=request.seed, salt=salt, sample=0)
+            first = dataset.source.batch(rows, self.prepared.condition, seed=request.seed, salt=salt, sample=0)
             yield BatchTask(
                 index=index,
                 sequence_ids=dataset.ids(rows),
@@ -223,7 +223,7 @@ class _Part:
             recording_of=dict(zip(selection.sequence_ids, selection.recording_ids)),
             chosen=len(self.dataset.chosen),
             method=self.prepared.record.method.name,
-            condition=request.condition.value,
+            condition=self.prepared.condition.value,
             control=request.control,
             split=request.split,
             samples=request.samples,

@@ -78,16 +78,22 @@ def load_adapter(name: str, weights: Path | None, options: Mapping[str, str], de
     return adapter
 
 
-def require_condition(name: str, adapter: Adapter, condition: Condition) -> None:
-    """Refuse a condition that a method does not take.
+def chosen_condition(name: str, adapter: Adapter, condition: Condition | None) -> Condition:
+    """Return the condition that a method is run under: the one asked for, or the only one that it takes.
 
     Raises:
-        AdapterError: naming the conditions that it does take.
+        AdapterError: if the method does not take it, or none is asked for and it takes several; names those that it
+            takes.
     """
     conditions = Declared.by(adapter, origin=f"adapter '{name}'").conditions
-    if condition not in conditions:
-        taken = ", ".join(sorted(item.value for item in conditions))
-        raise AdapterError(f"adapter '{name}' does not take the condition '{condition.value}'. Choose one of: {taken}.")
+    if condition is not None and condition in conditions:
+        return condition
+    if condition is None and len(conditions) == 1:
+        return next(iter(conditions))
+    taken = ", ".join(sorted(item.value for item in conditions))
+    if condition is None:
+        raise AdapterError(f"adapter '{name}' takes several conditions. Choose one with --condition: {taken}.")
+    raise AdapterError(f"adapter '{name}' does not take the condition '{condition.value}'. Choose one of: {taken}.")
 
 
 def used_weights(adapter: Adapter, condition: Condition, given: Path | None, *, origin: str) -> Path | None:

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
 
-from prbench.contract import ENTRY_POINT_GROUP
-from prbench.entry_points import installed_entries
+from prbench.entry_points import ADAPTERS, installed_entries
 from prbench.errors import AdapterError, did_you_mean
 from prbench.methods.names import BUILT_IN_METHODS, has_form, name_problem
 from prbench.shown import quoted
@@ -71,7 +70,7 @@ def _as_program(name: str) -> str:
 
 
 def _adapters() -> Iterator[InstalledAdapter]:
-    for entry in installed_entries(ENTRY_POINT_GROUP):
+    for entry in installed_entries(ADAPTERS):
         name = entry.name or _UNKNOWN
         adapter = InstalledAdapter(name, entry.package, entry.version, entry.target, entry.problem)
         yield _with_right_to_its_name(adapter, ours=entry.ours)

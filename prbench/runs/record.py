@@ -27,6 +27,10 @@ UNKNOWN = "unknown"
 motions that came as a file; and what an old record does not say."""
 
 
+_VERSIONS = ("prbench_version", "method.version", "packages")
+"""Keys that may differ between a run and its repetition."""
+
+
 class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
     """A method in a certain version."""
 
@@ -131,6 +135,25 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
             remedy="Choose another folder for --out.",
         )
         return _with_todays_kind(record)
+
+    def require_same_inputs(self, other: RunRecord) -> None:
+        """Refuse to repeat a run with other tables, sequences, weights or settings; versions may differ.
+
+        Args:
+            other: The earlier run.
+
+        Raises:
+            RunError: naming the first key that differs, with both values.
+        """
+        wanted = _flat(msgspec.to_builtins(other))
+        found = _flat(msgspec.to_builtins(self))
+        for key in wanted | found:
+            if key.startswith(_VERSIONS) or wanted.get(key) == found.get(key):
+                continue
+            raise RunError(
+                f"{key}: expected {_shown(wanted.get(key))} as in the run that is to be repeated, found"
+                f" {_shown(found.get(key))}. Name its tables with --data and its weights with --weights."
+            )
 
     def require_same(self, other: RunRecord, folder: Path) -> None:
         """Refuse to go on in a folder that belongs to other inputs.

@@ -230,7 +230,7 @@ def _amount(size: str) -> _SizeOfTree:
     if size == "large":
         raise UsageError(
             "size 'large' (480 recordings a preset) is not written as native files: that would be about 30 GB of text"
-            " which nobody needs to read. Take 'tiny' or 'default', with --recordings N for more; for training data of"
+            " which nobody needs to read. Take 'tiny' or 'default', with --count N for more; for training data of"
             " that size add --table, which writes the finished table of sequences instead."
         )
     if size not in SIZES:

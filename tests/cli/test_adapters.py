@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
 from prbench.cli import main
+from prbench.cli.adapters import ConvertersReport, MethodsReport, NewMethodReport
 from prbench.errors import AdapterError
 from prbench.training.installed import load_task
+from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 
 
 @pytest.mark.parametrize("command", [["adapters"], ["adapters", "list"], ["adapters", "new"], ["adapters", "check"]])
 def test_every_command_has_help_with_an_example(command, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main([*command, "--help"])
-    assert stop.value.code == 0
+    assert main([*command, "--help"]) == 0
     assert "example:\n  prbench adapters " in capsys.readouterr().out
 
 
@@ -25,15 +23,44 @@ def test_the_list_is_columns_or_json(capsys):
     header, row = capsys.readouterr().out.splitlines()
     assert header.split() == ["name", "package", "version", "target"]
     assert row.split()[0::3] == ["static", "prbench_adapters.static:load"]
-    assert main(["adapters", "list", "--json"]) == 0
-    found = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
-    assert found["static"]["target"] == "prbench_adapters.static:load"
-    assert {row["problem"] for row in found.values() if row["package"] == "prbench"} == {""}
+    report = reported(["adapters", "list"], MethodsReport, capsys)
+    found = {method.name: method for method in report.methods}
+    assert found["static"].target == "prbench_adapters.static:load"
+    assert found["static"].details is None
+    assert {method.problem for method in found.values() if method.package == "prbench"} == {""}
 
 
-def test_the_group_alone_lists(capsys):
-    assert main(["adapters"]) == 0
-    assert "prbench_adapters.static:load" in capsys.readouterr().out
+def test_details_are_reported_for_the_named_methods(capsys):
+    report = reported(["adapters", "list", "--details", "static", "--timeout", "100"], MethodsReport, capsys)
+    (static,) = report.methods
+    assert static.details is not None
+    assert (static.details.conditions, static.details.trains, static.details.motionless) == (
+        ["none"],
+        "by the run",
+        True,
+    )
+    assert report.controls == [], "only what was asked for"
+    refused(["adapters", "list", "statik"], capsys, code=5, message="Did you mean 'static'?")
+
+
+def test_the_group_alone_shows_help(capsys):
+    assert main(["adapters"]) == 2
+    printed = capsys.readouterr().out
+    assert all(f"\n  {name} " in printed for name in ("list", "new", "check", "converters"))
+
+
+def test_a_new_method_and_the_converters_are_reported(tmp_path, capsys):
+    made = reported(["adapters", "new", "glide", "--out", str(tmp_path / "glide")], NewMethodReport, capsys)
+    assert made.folder == tmp_path / "glide"
+    assert all((made.folder / file).is_file() for file in made.files)
+    assert made.next_steps
+    words = ["adapters", "new", "glide", "--out", str(tmp_path / "glide")]
+    refused(words, capsys, code=8, message="glide")
+    out = tmp_path / "c.py"
+    written = reported(["adapters", "converters", "--out", str(out)], ConvertersReport, capsys)
+    assert written == ConvertersReport(out=out, imports="from c import motions_from_features, placed_on")
+    out.write_text("somebody's own file")
+    refused(["adapters", "converters", "--out", str(out)], capsys, code=8, message="c.py")
 
 
 @pytest.mark.parametrize(

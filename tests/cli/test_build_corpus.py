@@ -6,13 +6,15 @@ import json
 
 import pytest
 
+from prbench.cli.builds import BuildsReport
 from prbench.cli.main import main
+from tests.cli.reports import refused, reported
 
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory):
     root = tmp_path_factory.mktemp("cli") / "tree"
-    arguments = ["synthesize", "nymeria", "--recordings", "2", "--seed", "9", "--out", str(root)]
+    arguments = ["synthesize", "nymeria", "--count", "2", "--seed", "9", "--out", str(root)]
     assert main([*arguments, "--defect", "missing-suit"]) == 0
     return root
 
@@ -38,14 +40,14 @@ def test_on_error_fail_ends_the_build(tree, tmp_path, capsys):
 def test_the_dry_run_writes_nothing(tree, tmp_path, capsys):
     assert main(["build-corpus", "nymeria", "--root", str(tree), "--dry-run"]) == 0
     assert "2 recordings" in capsys.readouterr().out
-    assert main(["build-corpus", "synthetic", "--recordings", "100", "--dry-run"]) == 0
+    assert main(["build-corpus", "synthetic", "--count", "100", "--dry-run"]) == 0
     assert "100 recordings" in capsys.readouterr().out
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_synthetic_corpus_from_a_number_and_a_seed(tmp_path, capsys):
     out = tmp_path / "c"
-    arguments = ["build-corpus", "synthetic", "--recordings", "2", "--seed", "4", "--limit", "1", "--fps", "30"]
+    arguments = ["build-corpus", "synthetic", "--count", "2", "--seed", "4", "--max-recordings", "1", "--fps", "30"]
     assert main([*arguments, "--out", str(out)]) == 0
     info = json.loads((out / "corpus.json").read_text())
     assert info["dataset"] == "synthetic-corpus"
@@ -60,6 +62,7 @@ def test_a_synthetic_corpus_from_a_number_and_a_seed(tmp_path, capsys):
     [
         (["nymerya", "--out", "x"], "nymeria, humanml3d, synthetic"),
         (["nymeria", "--root", "."], "--out DIR is needed"),
+        (["nymeria", "--root", ".", "--count", "3", "--out", "x"], "--count: belongs to the corpus 'synthetic'"),
         (["synthetic", "--root", ".", "--out", "x"], "reads no files"),
         (["synthetic", "--out", "x", "--option", "sed=3"], "Did you mean 'seed'"),
     ],
@@ -67,3 +70,16 @@ def test_a_synthetic_corpus_from_a_number_and_a_seed(tmp_path, capsys):
 def test_wrong_usage_is_answered(arguments, says, capsys):
     assert main(["build-corpus", *arguments]) == 2
     assert says in capsys.readouterr().err
+
+
+def test_a_build_reports_its_clips_and_every_recording(tree, tmp_path, capsys):
+    words = ["build-corpus", "nymeria", "--root", str(tree), "--out", str(tmp_path / "c")]
+    report = reported(words, BuildsReport, capsys, code=3)
+    (built,) = report.built
+    counts = json.loads((tmp_path / "c" / "corpus.json").read_text())["counts"]
+    assert built.counts == counts
+    assert built.stages[-1].kept == counts["captions"]
+    assert sorted(each.status for each in built.recordings) == ["failed", "read"]
+    (plan,) = reported(["build-corpus", "synthetic", "--count", "3", "--dry-run"], BuildsReport, capsys).planned
+    assert (len(plan.recordings), plan.root) == (3, None)
+    refused(["build-corpus", "nymerya", "--out", "x"], capsys, code=2, message="nymeria, humanml3d, synthetic")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from prbench.cli.builds import print_cut_short, print_fruitless
+from prbench.cli.builds import note_cut_short, note_fruitless
 from prbench.sequences import RecordingRecord
 
 
@@ -13,7 +13,7 @@ def record(name: str, status: str, outcomes: dict[str, int], message: str = "", 
 def test_recordings_that_gave_no_sequence_are_named_with_the_cause_and_not_with_every_remark(capsys):
     size = "size of the glasses unknown, DVT-L assumed: gaze origins may be off by 2.4 mm"
     lacks = ("no valid gaze, so no event can be primed",)
-    print_fruitless(
+    note_fruitless(
         [
             record("blind", "read", {"not_primed": 2, "too_short": 3}, size, lacks=lacks),
             record("idle", "read", {}, size, lacks=("no hand of the wearer took up or put down an object",)),
@@ -30,5 +30,5 @@ def test_recordings_that_gave_no_sequence_are_named_with_the_cause_and_not_with_
 
 
 def test_recordings_that_are_cut_short_are_named_with_the_stream(capsys):
-    print_cut_short([record("whole", "read", {}), record("cut", "read", {}, shortfalls=("objects (o.csv) ends",))])
+    note_cut_short([record("whole", "read", {}), record("cut", "read", {}, shortfalls=("objects (o.csv) ends",))])
     assert capsys.readouterr().err == "cut short: cut: objects (o.csv) ends\n"

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
+import json
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
 import pytest
 
+from prbench import errors
 from prbench.cli import main
+from prbench.cli.help import EXIT_CODES
+from prbench.cli.run import RunAnswer
 from tests.fakes import fake_dataset
+from tests.parsing import all_commands, parsed
 
-COMMANDS = [
-    ["run"],
-    ["build-dataset"],
-    ["explain"],
-    ["synthesize"],
-    ["score"],
-    ["export-conditions"],
-    ["leaderboard"],
-    ["leaderboard", "export"],
-    ["leaderboard", "compare"],
-    ["import-release"],
-    ["export-release"],
-    ["adapters"],
-    ["adapters", "list"],
-]
+ROOT = Path(__file__).parents[2]
+DIFFER = {"--out", "--condition"}
+"""Options whose value is a file in one command and a folder in another, or that one command offers ``all`` for, too."""
 
 
 @pytest.fixture
@@ -29,18 +29,122 @@ def data(tmp_path):
     return fake_dataset(tmp_path / "table", 24).folder
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
-def test_every_command_has_help_with_an_example(command, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main([*command, "--help"])
-    assert stop.value.code == 0
+@pytest.mark.parametrize("name", [*all_commands(), "leaderboard", "adapters"])
+def test_every_command_has_help_with_an_example_that_parses(name, capsys):
+    assert main([*name.split(), "--help"]) == 0
     text = capsys.readouterr().out
-    assert "example:\n  prbench " in text
+    if name in all_commands():
+        assert "example:\n  " in text
+        parsed(shlex.split(all_commands()[name].example)[1:]) if name != "completion" else None
 
 
-def test_nothing_asked_shows_help_and_fails(capsys):
+def test_the_same_option_has_the_same_meaning_everywhere():
+    """Where two commands have an option of one name, its value has one form."""
+    forms: dict[str, set[str]] = {}
+    for command in all_commands().values():
+        for option in command.params:
+            for spelling in option.opts:
+                if spelling.startswith("--"):
+                    form = f"{option.type.name} {getattr(option.type, 'choices', '')}"
+                    forms.setdefault(spelling, set()).add(form)
+    assert {spelling for spelling, found in forms.items() if len(found) > 1} == DIFFER
+
+
+def test_nothing_asked_shows_the_commands_in_sections_and_fails(capsys):
     assert main([]) == 2
-    assert "commands:" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    for title in ("data: ", "run: ", "train: ", "board: ", "look: ", "develop: "):
+        assert f"\n{title}" in text
+    for name in all_commands():
+        assert name.split()[0] in text
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["rnu", "--method", "static"], "No such command 'rnu'. Did you mean 'run'?"),
+        (["compare", "a", "b"], "Did you mean 'leaderboard compare'?"),
+        (["leaderboard", "exprot"], "Did you mean 'export'?"),
+        (["run", "--methd", "static"], "No such option '--methd'. (Did you mean one of: '--method'"),
+        (["run", "--meth", "static"], "No such option '--meth'."),
+        (["help", "stast"], "Did you mean 'stats'?"),
+        (["run", "--condition", "goal-lok"], "is not one of 'none', 'text'"),
+        (["run", "--method"], "requires an argument"),
+        (["stats"], "Missing argument 'DIR...'"),
+        (["run", "--option", "steps"], "expected key=value, found 'steps'"),
+        (["run", "--method", "static", "--limit", "0"], "expected a whole number of at least 1, found '0'"),
+    ],
+)
+def test_a_misspelt_word_is_answered_with_the_nearest_one(words, message, capsys):
+    assert main(words) == 2
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert "--help` lists what there is." in captured.err
+    assert captured.out == ""
+
+
+def test_help_explains_a_command_as_its_option_does(capsys):
+    assert main(["help", "leaderboard", "compare"]) == 0
+    text = capsys.readouterr().out
+    assert main(["leaderboard", "compare", "--help"]) == 0
+    assert capsys.readouterr().out == text
+
+
+def test_every_exit_code_of_an_error_is_in_the_table_and_on_its_page(capsys):
+    assert main(["help", "exit-codes"]) == 0
+    text = capsys.readouterr().out
+    raised = {each.exit_code for each in vars(errors).values() if isinstance(each, type) and hasattr(each, "exit_code")}
+    page = (ROOT / "docs" / "exit-codes.md").read_text(encoding="utf-8")
+    for code in {0, *raised, 130, 143}:
+        assert EXIT_CODES[code]
+        assert f"\n{code:>5}   " in text
+        assert f"| {code} | {EXIT_CODES[code]} |" in page
+
+
+def test_quiet_leaves_notes_out_and_verbose_tells_the_cost(data, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
+    words = ["run", "--method", "static", "--data", str(data), "--out", str(tmp_path / "run")]
+    assert main(words) == 0
+    assert "running static" in capsys.readouterr().err
+    assert main([*words, "--quiet"]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert "Prime Success" in captured.out
+    assert main(["-v", *words]) == 0
+    assert "s of processor time" in capsys.readouterr().err
+    assert main(["stats", str(tmp_path / "nowhere"), "-v"]) == 4
+    assert "Traceback" in capsys.readouterr().err, "the traceback of a user's error is there for those who ask for it"
+
+
+def test_json_prints_one_document_whether_it_works_or_not(data, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
+    words = ["run", "--method", "static", "--data", str(data), "--out", str(tmp_path / "run"), "--json"]
+    assert main(words) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["command"] == "run"
+    report = msgspec.convert(document["report"], RunAnswer, dec_hook=lambda _, value: Path(value))
+    assert report.runs[0].datasets[0].metrics[0].title == "Prime Success"
+    assert msgspec.to_builtins(report, enc_hook=str) == document["report"], "no key beyond the documented ones"
+    for refused, code in (["stats", str(tmp_path / "nowhere"), "--json"], 4), (["stats", "--json"], 2):
+        assert main(refused) == code
+        document = json.loads(capsys.readouterr().out)
+        assert document["report"] is None
+        assert document["exit_code"] == code
+        assert document["error"]["message"]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_completes_commands_and_options(shell, capsys):
+    assert main(["completion", shell]) == 0
+    assert "_PRBENCH_COMPLETE" in capsys.readouterr().out
+    words = (
+        {"COMP_WORDS": "prbench ru", "COMP_CWORD": "1"}
+        if shell != "fish"
+        else {"COMP_WORDS": "prbench ru", "COMP_CWORD": "ru"}
+    )
+    environment = {**os.environ, "_PRBENCH_COMPLETE": f"{shell}_complete", **words}
+    done = subprocess.run([sys.executable, "-m", "prbench"], capture_output=True, text=True, env=environment)
+    assert "run" in done.stdout
 
 
 def test_a_run_prints_scores_with_intervals_and_says_synthetic(data, tmp_path, capsys, monkeypatch):
@@ -110,15 +214,22 @@ def test_a_mistake_gives_one_message_and_its_exit_code(arguments, code, message,
     assert not (tmp_path / "x").exists(), "nothing half-written stays"
 
 
-def test_wrong_arguments_are_answered_by_the_parser(capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["run", "--method", "static", "--limit", "0"])
-    assert stop.value.code == 2
-    assert "expected a whole number of at least 1, found '0'" in capsys.readouterr().err
-
-
 def test_histograms_are_drawn_beside_the_studys_numbers(tmp_path):
     picture = tmp_path / "h.png"
-    assert main(["synthesize", "adt", "--histograms", str(picture), "--recordings", "1"]) == 0
+    assert main(["synthesize", "adt", "--histograms", str(picture), "--count", "1"]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert [path.name for path in tmp_path.iterdir()] == ["h.png"], "a picture alone writes no recordings"
+
+
+@pytest.mark.parametrize(
+    ("words", "found"), [("run --method sta", "static"), ("run --sam", "--samples"), ("le", "leaderboard")]
+)
+def test_values_options_and_commands_are_completed(words, found):
+    environment = {
+        **os.environ,
+        "_PRBENCH_COMPLETE": "bash_complete",
+        "COMP_WORDS": f"prbench {words}",
+        "COMP_CWORD": str(len(words.split())),
+    }
+    done = subprocess.run([sys.executable, "-m", "prbench"], capture_output=True, text=True, env=environment)
+    assert f",{found}\n" in done.stdout

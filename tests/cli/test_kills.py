@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from prbench.cli.main import _parser
 from tests.crashes import tried_by
+from tests.parsing import all_commands
 from tests.writing import WRITING
 
-WHERE = ("--out", "--draw", "--csv", "--json", "--gallery", "--histograms", "--view")
+WHERE = ("--out", "--draw", "--csv", "--gallery", "--histograms", "--view")
 """Options that say where a command writes."""
 
 
@@ -25,17 +25,13 @@ def test_no_command_that_writes_is_forgotten() -> None:
     tried = {
         " ".join(word for word in writing.name.split(",")[0].split() if word not in _VARIANTS) for writing in WRITING
     }
-    assert {f"{command} {option}" for command, option in _options(_parser()) if option in WHERE} <= tried | _PRINTED
+    assert {f"{command} {option}" for command, option in _options() if option in WHERE} <= tried
 
 
 _VARIANTS = {"png", "html", "mp4", "all", "nymeria", "--method"}
-_PRINTED = {"adapters list --json"}
-"""Options of the same name that write to the terminal."""
 
 
-def _options(parser, name: str = "") -> list[tuple[str, str]]:
-    found = [(name, option) for action in parser._actions for option in action.option_strings]
-    for action in parser._actions:
-        for word, child in (action.choices or {}).items() if isinstance(action.choices, dict) else ():
-            found += _options(child, f"{name} {word}".strip())
-    return found
+def _options() -> list[tuple[str, str]]:
+    """Every option of every command."""
+    commands = all_commands().items()
+    return [(name, option) for name, command in commands for each in command.params for option in each.opts]

@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-import argparse
-
 import pytest
 
-from prbench.cli.arguments import FIRST_RUN_SEQUENCES
-from prbench.cli.main import _parser, main
+from prbench.cli.main import main
+from prbench.cli.options import FIRST_RUN_SEQUENCES
 from prbench.workflows import first_run
 from tests.fakes import fake_dataset
+from tests.parsing import all_commands
 
 
-def explained(command: str) -> str:
+def explained(command: str, option: str = "--limit") -> str:
     """What ``--help`` says about the option."""
-    (commands,) = [a for a in _parser()._actions if isinstance(a, argparse._SubParsersAction)]
-    (option,) = [a for a in commands.choices[command]._actions if "--limit" in a.option_strings]
-    return str(option.help)
+    (found,) = [each for each in all_commands()[command].params if option in each.opts]
+    return str(found.help)
 
 
 def test_commands_that_count_the_same_explain_it_in_the_same_words() -> None:
     sequences = {explained(name).partition(" (default")[0] for name in ("run", "export-conditions", "score", "view")}
     assert sequences == {
-        "at most N sequences of each dataset, for every command the same: those whose ids have the smallest SHA-256"
+        "At most N sequences of each dataset, for every command the same: those whose ids have the smallest SHA-256"
     }
-    recordings = {explained(name) for name in ("build-dataset", "build-corpus", "poses")}
-    assert recordings == {"at most N recordings: the first by name"}
+    recordings = {
+        explained(name, "--max-recordings") for name in ("build-dataset", "build-corpus", "poses", "validate")
+    }
+    assert recordings == {"At most N recordings: the first by name."}
 
 
 def test_the_help_of_a_run_tells_how_many_sequences_it_takes_without_data() -> None:

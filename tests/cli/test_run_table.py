@@ -7,7 +7,6 @@ import re
 import pytest
 
 from prbench.cli import main, table_two
-from prbench.cli.main import _parser
 from prbench.contract import Condition
 from prbench.runs import RunFolder
 from tests.fakes import fake_dataset
@@ -86,6 +85,5 @@ def test_a_narrow_terminal_gets_a_narrow_layout(table, tmp_path, capsys, monkeyp
 
 
 def test_a_run_of_one_method_has_no_condition_unless_told(table, tmp_path):
-    assert _parser().parse_args(["run", "--method", "static"]).method == "static"
     assert main(["run", "--method", "static", "--data", str(table.folder), "--out", str(tmp_path / "one")]) == 0
     assert RunFolder.open(tmp_path / "one").record.condition == Condition.NONE

@@ -8,7 +8,7 @@ from prbench.sequences import SequenceTable
 
 def test_a_table_is_written_without_native_files(tmp_path, capsys):
     out = tmp_path / "table"
-    assert main(["synthesize", "gimo", "--table", "--recordings", "1", "--events", "3", "--out", str(out)]) == 0
+    assert main(["synthesize", "gimo", "--table", "--count", "1", "--events", "3", "--out", str(out)]) == 0
     info = SequenceTable.open(out).info
     assert info.dataset == "synthetic-gimo"
     assert info.counts.recordings_read == 1
@@ -17,7 +17,7 @@ def test_a_table_is_written_without_native_files(tmp_path, capsys):
 
 def test_size_large_casts_from_the_large_world(tmp_path):
     out = tmp_path / "table"
-    small = ["--recordings", "1", "--events", "3", "--out", str(out)]
+    small = ["--count", "1", "--events", "3", "--out", str(out)]
     assert main(["synthesize", "gimo", "--table", "--size", "large", *small]) == 0
     assert SequenceTable.open(out).info.options["synthetic_world"] == "large"
 

@@ -13,10 +13,12 @@ from pathlib import Path
 import pytest
 
 from prbench.cli import main
+from prbench.cli.train import TrainReport
 from prbench.storage import file_digest, read_json
 from prbench.training import installed
 from prbench.training.outputs import draw_curves
 from prbench.training.weights import read_weights
+from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 from tests.training.toy import SIGNAL_VARIABLE, entry_points_of
 
@@ -194,6 +196,11 @@ def test_the_configuration_can_be_printed_and_used_as_a_file(tmp_path, capsys):
     file.write_text(printed)
     assert main(["train", "--method", "toy", "--config", str(file), "--show-config", "--stage", "finetune"]) == 0
     assert capsys.readouterr().out == printed.replace("width = 6", "width = 7")
+    report = reported(["train", "--method", "toy", "--config", str(file), "--show-config"], TrainReport, capsys)
+    assert report.trained is None
+    assert report.configuration is not None
+    assert report.configuration["model"]["width"] == 7
+    assert set(report.configuration) == {"model", "training", "data", "validation"}
 
 
 def _foreign(tmp_path):
@@ -236,6 +243,15 @@ def test_a_mistake_gives_one_message_and_its_exit_code(arguments, code, message,
 def test_data_and_out_are_asked_for(capsys):
     assert main(["train", "--method", "toy"]) == 2
     assert "--data DIR is needed." in capsys.readouterr().err
+    refused(["train", "--method", "toy", "--data", "a"], capsys, code=2, message="--out DIR is needed.")
+
+
+def test_a_finished_training_is_reported_as_json(trained, data, capsys):
+    out = trained[0] if isinstance(trained, tuple) else trained
+    report = reported(command(data, out, *VALIDATED), TrainReport, capsys)
+    assert report.trained is not None
+    assert report.trained.weights.is_file()
+    assert (report.method, report.configuration, report.trained.steps) == ("toy", None, 8)
 
 
 @pytest.mark.parametrize("package", ["lightning_fabric", "tensorboard"])

@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from prbench.cli import main
+from prbench.cli.view import ViewReport
 from prbench.runs import RunRecord
+from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -33,6 +35,18 @@ def test_a_run_becomes_a_picture(run, data, tmp_path, capsys):
     assert "scripted, goal-loc: Prime Success" in said.out
     assert f"view: {out}" in said.out
     assert "drawing view.png: 1/1" in said.err
+
+
+def test_what_a_view_shows_is_reported_as_json(run, data, tmp_path, capsys):
+    out = tmp_path / "view.png"
+    words = ["view", str(run), "--data", str(data), "--sequence", "/obj5/", "--out", str(out)]
+    report = reported(words, ViewReport, capsys)
+    (sequence,) = report.sequences
+    assert report.out == out
+    assert "/obj5/" in sequence.sequence_id
+    assert [motion.label for motion in sequence.motions] == ["ground truth", "scripted, goal-loc"]
+    assert set(sequence.motions[1].scores) >= {"prime_success", "mpjpe"}
+    refused(["view", "--out", str(out)], capsys, code=2, message="nothing to view")
 
 
 def test_a_table_becomes_a_picture(data, tmp_path):

@@ -25,11 +25,19 @@ PROGRAM = """
 import sys
 from pathlib import Path
 sys.path[:0] = sys.argv[3:]
+from prbench.contract import Condition
 from prbench.engine import engine_for
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 run_method(
-    RunRequest(method="made", data=(Path(sys.argv[1]),), out=Path(sys.argv[2]), batch_size=1, samples=2),
+    RunRequest(
+        method="made",
+        condition=Condition.NONE,
+        data=(Path(sys.argv[1]),),
+        out=Path(sys.argv[2]),
+        batch_size=1,
+        samples=2,
+    ),
     progress=lambda step: print(step.stage, step.done, flush=True),
 )
 """

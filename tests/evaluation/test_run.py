@@ -31,7 +31,16 @@ def reproducible_bytes(folder) -> dict[str, bytes]:
 
 
 def request(table, out, method="static", **changes) -> RunRequest:
-    return RunRequest(**{"method": method, "data": (table.folder,), "out": out, "batch_size": 4, **changes})
+    return RunRequest(
+        **{
+            "method": method,
+            "condition": Condition.NONE,
+            "data": (table.folder,),
+            "out": out,
+            "batch_size": 4,
+            **changes,
+        }
+    )
 
 
 def test_static_on_a_dataset_leaves_the_run_folder_of_the_design(table, tmp_path):

@@ -131,10 +131,7 @@ def _ran(folder: Path, *words: str, out: str = "") -> Seen:
     printed = io.StringIO()
     said = io.StringIO()
     with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
-        try:
-            code = main([word.replace("FOLDER", str(folder)) for word in words])
-        except SystemExit as error:  # wrong arguments
-            code = int(error.code or 0)
+        code = main([word.replace("FOLDER", str(folder)) for word in words])
     left = [path.name for path in folder.rglob("*") if ".partial" in path.name or ".replaced" in path.name]
     if left:
         raise AssertionError(f"left behind: {left}")

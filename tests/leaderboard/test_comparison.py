@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
+
+import msgspec
 import pytest
 
 from prbench.cli import main
+from prbench.cli.leaderboard import BoardReport, CompareReport
 from prbench.errors import RunError
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.leaderboard import compare_runs
 from prbench.submitted.verification import recording_key
+from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 
 
@@ -63,6 +68,32 @@ def test_the_command_prints_a_conclusion_and_no_certainty(folder, capsys):
     assert "nan" not in printed
     assert main(["leaderboard", "compare", str(folder / "truth"), str(folder / "truth")]) == 0
     assert "all equal" in capsys.readouterr().out
+
+
+def test_the_command_reports_the_comparison_as_json(folder, capsys):
+    words = ["leaderboard", "compare", str(folder / "truth"), str(folder / "scripted")]
+    report = reported(words, CompareReport, capsys)
+    rows = {row.info.id: row.comparison for row in compare_runs(folder / "truth", folder / "scripted").metrics}
+    assert {each.metric: each.difference for each in report.differences} == {
+        name: comparison.difference.mean for name, comparison in rows.items()
+    }
+    assert (report.first.method, report.second.method) == ("ground-truth", "scripted")
+    assert len(report.unverified) == 2, "the tables were not named"
+    refused([*words[:-1], str(folder / "few")], capsys, code=RunError.exit_code, message="different sequences")
+
+
+def test_the_board_is_reported_as_json_in_every_format(folder, tmp_path, capsys):
+    runs = [str(folder / "truth"), str(folder / "scripted")]
+    report = reported(["leaderboard", "export", *runs], BoardReport, capsys)
+    assert report.out is None
+    assert [row.method for row in report.board.tables[0].rows] == ["ground-truth", "scripted"]
+    out = tmp_path / "board.csv"
+    written = reported(["leaderboard", "export", *runs, "--format", "csv", "--out", str(out)], BoardReport, capsys)
+    assert (written.format, written.out, written.board) == ("csv", out, report.board)
+    assert out.read_text().startswith("table,dataset,condition,method")
+    assert main(["leaderboard", "export", *runs, "--format", "json"]) == 0
+    assert json.loads(capsys.readouterr().out) == msgspec.to_builtins(report.board)
+    refused(["leaderboard", "export", str(tmp_path)], capsys, code=RunError.exit_code, message="found none")
 
 
 def test_recordings_are_taken_from_the_end_of_the_id():

@@ -11,7 +11,7 @@ import pytest
 from prbench.contract import Condition
 from prbench.errors import AdapterError, MissingExtraError, RunError, UsageError
 from prbench.evaluation.run import run_method
-from prbench.methods.adapters import InstalledAdapter, find_adapter, list_adapters, load_adapter, require_condition
+from prbench.methods.adapters import InstalledAdapter, chosen_condition, find_adapter, list_adapters, load_adapter
 from prbench.runs.record import RunRecord
 from prbench.storage import file_digest
 from tests.evaluation.test_run import request
@@ -98,7 +98,7 @@ def test_an_attribute_that_is_not_what_the_contract_asks_for_is_named(install, a
 
 def test_conditions_may_be_given_by_their_names(install):
     install("made", adapter_source(attributes="conditions = ['none', 'text']"))
-    require_condition("made", load_adapter("made", None, {}, "cpu"), Condition.TEXT)
+    chosen_condition("made", load_adapter("made", None, {}, "cpu"), Condition.TEXT)
 
 
 def test_an_error_that_the_user_can_repair_passes_as_it_is(install):
@@ -126,9 +126,9 @@ def test_options_of_static_are_checked(options, message):
 def test_an_unsupported_condition_names_the_supported_ones(install):
     install("made", adapter_source())
     adapter = load_adapter("made", None, {}, "cpu")
-    require_condition("made", adapter, Condition.GOAL_LOCATION)
+    chosen_condition("made", adapter, Condition.GOAL_LOCATION)
     with pytest.raises(AdapterError, match=r"does not take the condition 'text'. Choose one of: goal-loc, none"):
-        require_condition("made", adapter, Condition.TEXT)
+        chosen_condition("made", adapter, Condition.TEXT)
 
 
 NAMING = """

@@ -136,7 +136,7 @@ DAMAGED = "[prbench.adapters]\nthis is no entry point\nno-colon = module\n"
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["adapters", "list"], ["adapters", "list", "--json"], ["train", "-h"]]
+    "arguments", [["--help"], ["adapters", "list"], ["adapters", "list", "--json"], ["train", "--help"]]
 )
 def test_the_command_line_lives_with_damaged_packages(package, arguments, tmp_path):
     package("damaged", DAMAGED, metadata="Name: damaged\n")

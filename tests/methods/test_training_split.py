@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from prbench.contract import Condition
 from prbench.errors import AdapterError
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
@@ -60,7 +61,7 @@ def test_other_splits_are_refused(table, split):
 
 def test_a_method_that_reads_every_row_it_is_given_learns_from_no_test_row(table, tmp_path, install, own_cache):
     install("made", learns())
-    run_method(RunRequest(method="made", data=(table.folder,), out=tmp_path / "out"))
+    run_method(RunRequest(method="made", condition=Condition.NONE, data=(table.folder,), out=tmp_path / "out"))
     (seen,) = own_cache.glob("fits/made-*/seen")
     assert seen.read_text().splitlines() == ids(table, "train")
 
@@ -68,7 +69,7 @@ def test_a_method_that_reads_every_row_it_is_given_learns_from_no_test_row(table
 def test_a_method_that_asks_for_the_test_split_is_refused(table, tmp_path, install):
     install("made", learns("split='test'"))
     with pytest.raises(AdapterError, match="it asked for 'test'"):
-        run_method(RunRequest(method="made", data=(table.folder,), out=tmp_path / "out"))
+        run_method(RunRequest(method="made", condition=Condition.NONE, data=(table.folder,), out=tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 
 

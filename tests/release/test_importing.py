@@ -6,13 +6,16 @@ import json
 import pickle
 import re
 
+import msgspec
 import numpy as np
 import pytest
 
 from prbench.cli import main
+from prbench.cli.release import ExportReleaseReport, ImportReleaseReport
 from prbench.errors import InputFileError, RecordingsWouldBeLost, StorageError, UsageError
 from prbench.release import ImportOptions, import_release
 from prbench.sequences import DatasetInfo, SequenceTable
+from tests.cli.reports import printed_document, refused, reported
 from tests.release.releases import rows, write_release
 from tests.release.tables import looking_table
 
@@ -279,6 +282,39 @@ def test_the_command_says_what_it_inferred(release, tmp_path, capsys) -> None:
     assert "HD-EPIC" in capsys.readouterr().err
     assert main(["export-release", str(tmp_path / "table"), "--out", str(tmp_path / "again")]) == 0
     assert "6 sequences" in capsys.readouterr().out
+
+
+def test_the_report_of_the_command_is_that_of_the_file(release, tmp_path, capsys) -> None:
+    (release / "motions" / f"{KEY}.npy").unlink()
+    table = tmp_path / "table"
+    words = ["import-release", str(release), "--dataset", "synthetic-adt", "--out", str(table), "--json"]
+    (imported,) = reported(words, ImportReleaseReport, capsys, code=3).tables
+    saved = json.loads((table / "import_report.json").read_text("utf-8"))
+    assert [msgspec.to_builtins(each) for each in imported.inferred] == saved["inferred"]
+    assert [{"means": each.name, "field": each.value} for each in imported.fields] == [
+        {"means": each["means"], "field": each["field"]} for each in saved["fields"]
+    ]
+    assert [msgspec.to_builtins(each) for each in imported.counts] == saved["counts"]
+    assert [msgspec.to_builtins(each) for each in imported.problems] == saved["problems"]
+    assert imported.problems[0].left_out
+    assert (imported.warnings, imported.fields_kept_in_extra) == (saved["warnings"], saved["fields_kept_in_extra"])
+    document = printed_document(words, capsys, code=3)
+    assert any(text.startswith("problem: 1 × ") for text in document.notes)
+    (exported,) = reported(
+        ["export-release", str(table), "--out", str(tmp_path / "again")], ExportReleaseReport, capsys
+    ).datasets
+    assert (exported.dataset, exported.sequences) == ("synthetic-adt", len(ROWS) - 1)
+    assert exported.folder == tmp_path / "again" / "synthetic-adt"
+    refused(["import-release", str(tmp_path), "--out", str(tmp_path / "x")], capsys, code=3, message="HD-EPIC")
+    refused(["export-release", str(tmp_path), "--out", str(tmp_path / "x")], capsys, code=4, message="built dataset")
+
+
+def test_the_steps_of_an_import_are_told_unless_it_is_quiet(release, tmp_path, capsys) -> None:
+    words = ["import-release", str(release), "--dataset", "synthetic-adt", "--out", str(tmp_path / "table")]
+    assert main(words) == 0
+    assert "synthetic-adt: " in capsys.readouterr().err
+    assert main([*words, "--quiet"]) == 0
+    assert capsys.readouterr().err == ""
 
 
 def test_damaged_further_arrays_are_told(tmp_path) -> None:

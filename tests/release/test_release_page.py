@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import re
 from pathlib import Path
 
 import pytest
 
-from prbench.cli.main import _parser
 from prbench.release import import_release
+from tests.parsing import all_commands, parsed
 from tests.release.releases import rows, write_release
 
 PAGE = (Path(__file__).parents[2] / "docs" / "release.md").read_text(encoding="utf-8")
@@ -24,17 +23,15 @@ def test_every_inference_is_explained(tmp_path) -> None:
 
 @pytest.mark.parametrize("line", re.findall(r"^prbench (.*?)(?:  +#.*)?$", PAGE, re.MULTILINE))
 def test_its_commands_exist(line) -> None:
-    chosen = _parser().parse_args(line.split())
-    assert callable(chosen.execute)
+    assert parsed(line.split()).params["out"]
 
 
 def test_options_it_names_exist() -> None:
-    (commands,) = (action for action in _parser()._actions if isinstance(action, argparse._SubParsersAction))
     known = {
         option
         for name in ("import-release", "export-release", "explain")
-        for action in commands.choices[name]._actions
-        for option in action.option_strings
+        for parameter in all_commands()[name].params
+        for option in parameter.opts
     }
     named = set(re.findall(r"(--[a-z][a-z-]+)", PAGE))
     assert named

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from prbench.cli.candidates import CandidatesReport
 from prbench.cli.main import main
 from prbench.curation import build_dataset
 from prbench.curation.options import BuildOptions
@@ -14,6 +15,7 @@ from prbench.errors import StorageError, UsageError
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.format import CANDIDATE_COLUMNS as COLUMNS
 from prbench.workflows.candidates import write_candidates
+from tests.cli.reports import printed_document, refused, reported
 from tests.readers import gimo_sample as sample
 
 
@@ -54,6 +56,20 @@ def test_every_segment_has_a_line_and_none_counts_before_it_is_confirmed(root, t
     records = build_dataset("gimo", root, tmp_path / "after", options=options).records
     assert [record.status for record in records] == ["read", "skipped", "skipped"]
     assert sum(records[0].outcomes.values()) == 1
+
+
+def test_proposals_are_reported_as_they_are_written(root, tmp_path, capsys) -> None:
+    words = ["candidates", "gimo", "--root", str(root), "--out"]
+    report = reported([*words, str(tmp_path / "c.csv")], CandidatesReport, capsys, code=3)
+    assert report.file == tmp_path / "c.csv"
+    rows = rows_of(report.file)
+    assert [each.reason for each in report.segments] == [row["reason"] for row in rows]
+    assert report.segments[0].confidence == pytest.approx(float(rows[0]["confidence"]), abs=0.005)
+    assert report.segments[0].hand == rows[0]["hand"]
+    assert (report.segments[2].time, report.segments[2].hand) == (None, None)
+    document = printed_document([*words, str(tmp_path / "d.csv")], capsys, code=3)
+    assert document.notes == [f"{report.segments[2].recording}: {report.segments[2].problem}"]
+    refused([*words, str(tmp_path / "c.csv")], capsys, code=8, message="never overwritten")
 
 
 def test_annotations_are_never_overwritten(root, tmp_path) -> None:

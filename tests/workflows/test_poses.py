@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from prbench.cli.main import main
+from prbench.cli.poses import PosesReport
 from prbench.errors import InputFileError, UsageError
 from prbench.readers import reader_for
 from prbench.skeleton import Joint
@@ -19,6 +20,7 @@ from prbench.synthetic.egoallo import write_smplh_model
 from prbench.workflows.poses import make_poses, pose_states, read_config
 from prbench.workflows.poses.prepare import prepare
 from prbench.workflows.poses.states import Selection
+from tests.cli.reports import printed_document, refused, reported
 
 FAKE = Path(__file__).with_name("fake_egoallo.py")
 
@@ -208,15 +210,40 @@ def test_from_the_command_line(root, config, monkeypatch, capsys):
     assert _calls(root) == [first, second, second]
 
 
+def test_what_is_lacking_prepared_and_estimated_is_reported(root, config, monkeypatch, capsys):
+    words = ["poses", "egoallo", "--root", str(root)]
+    first, second = _names(root)
+    lacking = reported(words, PosesReport, capsys)
+    assert [(each.recording, each.outputs) for each in lacking.recordings] == [(first, "missing"), (second, "missing")]
+    assert lacking.instructions is not None
+    assert lacking.estimated == lacking.prepared == []
+    assert reported([*words, "--dry-run"], PosesReport, capsys).instructions is None
+    prepared = reported([*words, "--prepare"], PosesReport, capsys).prepared
+    assert [(each.recording, each.ready) for each in prepared] == [(first, True), (second, True)]
+    assert "--traj-root" in prepared[0].text
+
+    monkeypatch.setenv("FAKE_BEHAVIOUR", f"{second}=crash")
+    words += ["--config", str(config)]
+    document = printed_document(words, capsys, code=3)
+    assert [(each["recording"], each["state"]) for each in document.report["estimated"]] == [
+        (first, "made"),
+        (second, "failed"),
+    ]
+    assert any(text.startswith(f"failed: {second}: ended with exit code 1") for text in document.notes)
+    monkeypatch.setenv("FAKE_BEHAVIOUR", "good")
+    assert [each.state for each in reported(words, PosesReport, capsys).estimated] == ["kept", "made"]
+    refused([*words, "--dataset", "gimo"], capsys, code=2, message="EgoAllo needs Aria glasses")
+
+
 def test_input_folders_for_running_it_by_hand(root, capsys):
-    assert main(["poses", "egoallo", "--root", str(root), "--prepare", "--limit", "1"]) == 0
+    assert main(["poses", "egoallo", "--root", str(root), "--prepare", "--max-recordings", "1"]) == 0
     name = _names(root)[0]
     folder = root / "egoallo" / name
     assert f"--traj-root {folder} --traj-length " in capsys.readouterr().out
     assert {path.name for path in folder.rglob("*.*")} == {
         "closed_loop_trajectory.csv", "semidense_points.csv.gz", "video.vrs", "prepared-by-prbench.txt",
     }  # fmt: skip
-    assert main(["poses", "egoallo", "--root", str(root), "--prepare", "--limit", "1"]) == 0  # again: replaced
+    assert main(["poses", "egoallo", "--root", str(root), "--prepare", "--max-recordings", "1"]) == 0  # again: replaced
 
 
 def test_by_hand_into_a_folder_of_other_files_is_refused(root, tmp_path, capsys):

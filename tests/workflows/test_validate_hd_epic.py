@@ -8,12 +8,14 @@ from pathlib import Path
 import pytest
 
 from prbench.cli.main import main
+from prbench.cli.validate import ValidateReport
 from prbench.curation import build_dataset
 from prbench.curation.options import NO_OPTIONS, BuildOptions, CurationOptions
 from prbench.errors import UsageError
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.workflows.hd_epic_funnel import funnel_lines, published_counts, remarks
 from prbench.workflows.validate_hd_epic import JudgedEvent, agreement, validate_build, validate_root
+from tests.cli.reports import refused, reported
 
 
 def judged(published: str, rule: float | None, prime: float | None = None, *, located: bool = True, action="pick"):
@@ -101,10 +103,32 @@ def test_the_sample_shows_published_counts_and_says_what_is_a_guess(samples, cap
     printed = capsys.readouterr().out
     for text in ("18,134", "18,264", "70.6%", "33.1%", "94.8%", "88.5%", "[known]", "[measured here]", "[guess]"):
         assert text in printed
-    content = json.loads((tmp_path / "v.json").read_text())
+    content = json.loads((tmp_path / "v.json").read_text())["report"]
     both = content["agreements"][-1]
     assert {"published": "primed", "rule": "primed", "events": 2} in both["counts"]
     assert both["prime_time_difference_s"]["largest"] == pytest.approx(0.0026, abs=2e-4)
+
+
+def test_the_comparison_is_reported(tree, tables, tmp_path, capsys) -> None:
+    report = reported(["validate", "hd-epic", "--root", str(tree)], ValidateReport, capsys)
+    validation = validate_root(tree, options=NO_OPTIONS)
+    assert (report.recordings, report.synthetic, report.failed) == (2, True, [])
+    assert report.outcomes == dict(validation.outcomes)
+    for ours, theirs in zip(report.agreements, validation.agreements, strict=True):
+        assert {(each.published, each.rule): each.events for each in ours.counts} == theirs.counts
+        assert (ours.action, ours.prime_time_difference_s.n) == (theirs.action, theirs.difference.n)
+    of_table = reported(["validate", "hd-epic", "--data", str(tables["rule"])], ValidateReport, capsys)
+    assert of_table.agreements == report.agreements
+    first = reported(["validate", "hd-epic", "--root", str(tree), "--max-recordings", "1"], ValidateReport, capsys)
+    assert first.recordings == 1
+    words = ["validate", "hd-epic", "--data", str(tables["published"])]
+    refused(words, capsys, code=2, message="was built with --priming published")
+
+
+@pytest.mark.parametrize("words", [[], ["--root", "r", "--data", "d"]])
+def test_either_a_copy_or_a_table_is_validated(words, capsys) -> None:
+    assert main(["validate", "hd-epic", *words]) == 2
+    assert "expected either --root DIR" in capsys.readouterr().err
 
 
 def test_a_video_that_cannot_be_read_shows_in_the_exit_code(tree, tmp_path, capsys) -> None:

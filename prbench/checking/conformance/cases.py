@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,14 +12,17 @@ from prbench.evaluation.conditions import ConditionSource
 from prbench.evaluation.planning import rows_of, select
 from prbench.manifests import load_protocol
 from prbench.sequences import DatasetInfo, RecordingRecord, Sequence, SequenceTable
+from prbench.sequences.dataset_info import FILE_NAME as INFO_FILE
 from prbench.sequences.dataset_info import FunnelCounts
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.sequence import recording_batch, sequence_batch
 from prbench.sequences.write import write_dataset
+from prbench.storage import atomic_path
 
 SEQUENCES = 12
 """Asked about, unless a method is slow."""
 _TO_LEARN_FROM = 12
+_KEPT = "cases.npz"
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,27 @@ def synthetic_cases() -> Cases:
     return cases_of(synthetic_sequences("test", SEQUENCES))
 
 
+def kept_synthetic_cases(folder: Path) -> Cases:
+    """Return the synthetic cases of a check: the first process makes and keeps them, later ones read the same numbers.
+
+    Args:
+        folder: Of this check alone.
+    """
+    kept = folder / _KEPT
+    if not kept.is_file():
+        cases = synthetic_cases()
+        with atomic_path(kept) as temporary, open(temporary, "wb") as file:
+            values: dict[str, Any] = {name: np.asarray(value) for name, value in vars(cases.source).items()}
+            np.savez(file, **values)
+        return cases
+    with np.load(kept) as arrays:
+        read: dict[str, Any] = dict(arrays)
+    for name in ("sequence_ids", "text"):
+        read[name] = tuple(read[name].tolist())
+    read["fps"] = float(read["fps"])
+    return Cases(ConditionSource(**read), None)
+
+
 def cases_of(sequences: list[Sequence]) -> Cases:
     """Make cases of these sequences."""
     return Cases(_by_length(_source(sequences)), None)
@@ -53,7 +78,12 @@ def cases_of_table(folder: Path) -> Cases:
 
 
 def write_training_table(folder: Path) -> Path:
-    """Write a dataset of twelve synthetic training sequences, for methods that learn before they generate."""
+    """Write a dataset of twelve synthetic training sequences, for methods that learn before they generate.
+
+    A dataset that an earlier process of the check has written there stays: it is the same.
+    """
+    if (folder / INFO_FILE).is_file():
+        return folder
     from prbench.checking.conformance.synthetic_people import synthetic_sequences
 
     return write_sequences(folder, synthetic_sequences("train", _TO_LEARN_FROM))

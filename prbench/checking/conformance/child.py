@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
-from prbench.checking.conformance.cases import cases_of_table, synthetic_cases
+from prbench.checking.conformance.cases import cases_of_table, kept_synthetic_cases
 from prbench.checking.conformance.check import examine
 from prbench.checking.conformance.checks import CHECKS
 from prbench.checking.conformance.report import CheckRequest, Outcome
@@ -65,7 +65,7 @@ def _subject(wanted: CheckRequest, folder: Path) -> Subject:
         timeout=wanted.time_limit if wanted.isolate or is_program(wanted.method) else None,
         hidden=() if wanted.data is None else (wanted.data,),
     )
-    cases = synthetic_cases() if wanted.data is None else cases_of_table(wanted.data)
+    cases = kept_synthetic_cases(folder) if wanted.data is None else cases_of_table(wanted.data)
     return Subject(spec, cases, folder)
 
 

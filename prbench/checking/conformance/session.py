@@ -44,7 +44,7 @@ _LOST = (
     "A run would end in the same way. Look for a deadlock, a loop that does not end, os._exit, and crashes of compiled"
     " code under this input."
 )
-_SLOW_START = "If it is only slow, move the work into the first generate(), or raise --start-limit."
+_SLOW_START = "If it is only slow, move the work into the first generate(), or raise --start-timeout."
 
 
 class _Lost(Exception):

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, MissingExtraError
@@ -164,6 +163,8 @@ def _layer(smplx: Any, torch: Any, arrays: dict[str, np.ndarray]) -> Any:
 def _with_resting_hands(rotations: np.ndarray, body_joints: int) -> np.ndarray:
     """Rotation matrices of the pelvis and as many body joints as the model has; the hands of SMPL rest."""
     turned = np.tile(np.eye(3), (len(rotations), body_joints + 1, 1, 1))
+    from scipy.spatial.transform import Rotation  # late: 0.2 s that whoever only names a converter does not need
+
     matrices = Rotation.from_quat(rotations.reshape(-1, 4), scalar_first=True).as_matrix()
     turned[:, :N_JOINTS] = matrices.reshape(-1, N_JOINTS, 3, 3)
     return turned

@@ -131,7 +131,7 @@ class Measured:
 def kind(planned: PlannedRow) -> str:
     """Rows of one kind cost the same: those of a method, with or without a goal, with weights of one size."""
     run = planned.run
-    condition = "goal" if run.condition in GOALS else run.condition.value
+    condition = "goal" if planned.condition in GOALS else planned.condition.value
     size = _size(run.weights) if run.weights is not None and run.weights.exists() else None
     weights = "bundled" if size is None else f"{size:.1e} bytes"
     return f"{run.method}, {condition}, {weights}"

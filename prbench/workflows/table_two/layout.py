@@ -193,7 +193,7 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, rows: dict[tuple
     lines = [(outcome.planned, _line(outcome, rows.get((info.dataset, outcome.planned.name)))) for outcome in outcomes]
     under: dict[str, list[Line]] = defaultdict(list)
     for planned, line in lines:
-        under[_CONTROL if planned.is_control else planned.run.condition.value].append(line)
+        under[_CONTROL if planned.is_control else planned.condition.value].append(line)
     titles = {block.condition.value: block.title for block in load_table_two().blocks} | {_CONTROL: _CONTROLS_TITLE}
     return DatasetLayout(
         dataset=info.dataset,

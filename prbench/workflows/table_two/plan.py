@@ -37,6 +37,12 @@ class PlannedRow:
     """True if bundled weights take the place of the study's."""
 
     @property
+    def condition(self) -> Condition:
+        """The condition that it is run under."""
+        assert self.run.condition is not None, "every row names its condition"
+        return self.run.condition
+
+    @property
     def is_control(self) -> bool:
         """Made by the harness, or with other sequences' goals."""
         return self.row is None or self.run.control is not None
@@ -104,7 +110,7 @@ def _shuffled(planned: PlannedRow, folder: Path) -> PlannedRow:
     """The same with other sequences' goals."""
     name = f"{planned.name}-{SHUFFLED_GOAL}"
     run = replace(planned.run, control=SHUFFLED_GOAL, out=folder / _ROWS_FOLDER / name)
-    label = f"{planned.label}, {run.condition.value}, {SHUFFLED_GOAL}"
+    label = f"{planned.label}, {planned.condition.value}, {SHUFFLED_GOAL}"
     return replace(planned, name=name, label=label, run=run)
 
 

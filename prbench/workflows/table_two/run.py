@@ -91,7 +91,7 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
         plan = open_plan(folder, request.deciding(tables), limit=request.limit, minutes=request.minutes)
         for row in planned:
             if row.skipped is not None:
-                say.notice(f"{row.label} ({row.run.condition.value}): skipped, {row.skipped}")
+                say.notice(f"{row.label} ({row.condition.value}): skipped, {row.skipped}")
         if plan.limit is None:
             with say.timing() as counting:
                 plan = with_limit(plan, request, tables, planned, engine=engine, counting=counting, folder=folder)
@@ -150,7 +150,7 @@ def _outcome(planned: PlannedRow, run: RunRequest, failed: str | None, engine: E
             reason = why(error)
         else:
             return RowOutcome(planned, "run", folder=report.folder.path)
-    say.notice(f"{planned.label} ({planned.run.condition.value}): failed, {reason}")
+    say.notice(f"{planned.label} ({planned.condition.value}): failed, {reason}")
     return RowOutcome(planned, "failed", reason)
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from prbench.contract import Adapter, Condition, ConditionBatch, Trainable
 from prbench.errors import UsageError
 from prbench.evaluation.text_to_motion.networks import EvaluatorConfiguration
-from prbench.methods.adapters import load_adapter, require_condition, weights_digest
+from prbench.methods.adapters import chosen_condition, load_adapter, weights_digest
 from prbench.methods.declared import Declared
 from prbench.methods.motions import generate_checked, native_frames
 from prbench.randomness import noise_seed
@@ -61,7 +61,7 @@ class Generator:
             UsageError: if it would have to learn first.
         """
         adapter = load_adapter(request.name, request.weights, dict(request.options), request.device)
-        require_condition(request.name, adapter, Condition.TEXT)
+        chosen_condition(request.name, adapter, Condition.TEXT)
         if isinstance(adapter, Trainable) and request.weights is None:
             raise UsageError(f"the method '{request.name}' learns from a table first; give it --weights.")
         return cls(request, adapter, seed, fps, weights_digest(request.weights))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.checking.conformance.cases import cases_of, write_training_table
+from prbench.checking.conformance.cases import cases_of, kept_synthetic_cases, write_training_table
 from prbench.checking.conformance.checks.resources import growth_per_round
 from prbench.checking.conformance.report import CheckRequest
 from prbench.checking.conformance.subject import Subject
@@ -89,3 +89,22 @@ def test_lengths_are_those_of_the_protocol_and_of_max_frames(site, cases, tmp_pa
     glide = Subject(method_spec("glide"), cases, tmp_path)
     assert (glide.shortest, glide.protocols_longest, glide.longest) == (41, 241, 241)
     assert Subject(method_spec("limited"), cases, tmp_path).longest == 196
+
+
+def test_a_later_process_of_a_check_reads_the_cases_of_the_first_to_the_last_bit(tmp_path):
+    made = kept_synthetic_cases(tmp_path).source
+    read = kept_synthetic_cases(tmp_path).source
+    for name, value in vars(made).items():
+        again = getattr(read, name)
+        assert type(again) is type(value), name
+        if isinstance(value, np.ndarray):
+            assert (again.dtype, again.tobytes()) == (value.dtype, value.tobytes()), name
+        else:
+            assert again == value, name
+
+
+def test_a_training_table_is_written_once(tmp_path):
+    folder = write_training_table(tmp_path / "table")
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    assert write_training_table(folder) == folder
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before

@@ -6,13 +6,15 @@ import json
 import re
 import sys
 
+import msgspec
 import pytest
 
 from prbench.checking.conformance import CheckRequest, Finding, Outcome, Report, check
 from prbench.checking.conformance.checks import CHECKS
 from prbench.cli import main
-from prbench.cli.adapters_check import print_report
+from prbench.cli.adapters_check import CheckReport, print_report
 from prbench.errors import AdapterError, UsageError
+from tests.cli.reports import refused, reported
 
 
 def outcomes(report):
@@ -53,16 +55,27 @@ def test_an_unknown_method_is_the_users_error(site, data):
 
 
 def test_the_command_prints_what_to_change_and_exits_with_5(site, data, capsys, tmp_path):
-    options = ["--data", str(data), "--json", str(tmp_path / "report.json")]
+    options = ["--data", str(data), "--out", str(tmp_path / "report.json")]
     assert main(["adapters", "check", "hashoftext", *options]) == 5
     lines = capsys.readouterr().out.splitlines()
     (failed,) = [line for line in lines if line.startswith("failed")]
     assert "process" in failed
     assert "Python's hash() of text" in failed
-    assert lines[-1].startswith("hashoftext does not keep the contract: ")
-    report = json.loads((tmp_path / "report.json").read_text())
-    assert report["counts"]["failed"] == 1
-    assert {finding["check"] for finding in report["findings"]} == {one.name for one in CHECKS}
+    assert lines[-2].startswith("hashoftext does not keep the contract: ")
+    assert lines[-1] == f"report: {tmp_path / 'report.json'}"
+    document = json.loads((tmp_path / "report.json").read_text())
+    assert document["exit_code"] == 5
+    report = msgspec.convert(document["report"], CheckReport, strict=True)
+    assert msgspec.to_builtins(report) == document["report"]
+    assert report.counts["failed"] == 1
+    assert {finding.check for finding in report.findings} == {one.name for one in CHECKS}
+
+
+def test_the_command_reports_a_sound_method_and_an_unknown_one_as_json(site, data, capsys):
+    report = reported(["adapters", "check", "glide", "--data", str(data)], CheckReport, capsys)
+    assert report.counts["failed"] == 0
+    assert report.counts["passed"] == sum(finding.outcome == "passed" for finding in report.findings)
+    refused(["adapters", "check", "glied"], capsys, code=5, message="Did you mean 'glide'?")
 
 
 def test_on_a_terminal_the_findings_are_a_table(capsys, monkeypatch):
@@ -86,7 +99,7 @@ def test_an_import_that_never_ends_has_a_limit_of_its_own_and_is_told_meanwhile(
     (failed,) = report.failed
     assert failed.check == "import"
     assert "no end after 2 s, while importing prbench_methods_under_test_neverimported" in failed.said
-    assert "--start-limit" in failed.remedy
+    assert "--start-timeout" in failed.remedy
     assert any(word.startswith("import: importing prbench_methods_under_test_neverimported, 1 s") for word in words)
     assert report.seconds < 60
 

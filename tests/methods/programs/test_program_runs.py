@@ -26,12 +26,19 @@ from tests.method_fixtures import adapter_source
 PROGRAM = """
 import sys
 from pathlib import Path
+from prbench.contract import Condition
 from prbench.engine import engine_for
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 if __name__ == "__main__":
     run_method(
-        RunRequest(method=sys.argv[1], data=(Path(sys.argv[2]),), out=Path(sys.argv[3]), batch_size=4),
+        RunRequest(
+            method=sys.argv[1],
+            condition=Condition.NONE,
+            data=(Path(sys.argv[2]),),
+            out=Path(sys.argv[3]),
+            batch_size=4,
+        ),
         engine=engine_for(int(sys.argv[4])),
         progress=lambda step: print(step.stage, step.done, flush=True),
     )

@@ -4,9 +4,11 @@ import dataclasses
 import json
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
+from prbench.cli.evaluate_text import TextReport
 from prbench.cli.main import main
 from prbench.contract import Condition, Motions
 from prbench.errors import AdapterError, InputFileError, TableError, UsageError
@@ -18,6 +20,7 @@ from prbench.workflows.text_to_motion.evaluate import MISMATCHED, REAL, TextEval
 from prbench.workflows.text_to_motion.generated import MethodRequest, generated_features
 from prbench.workflows.text_to_motion.report import TextEvaluation
 from prbench.workflows.text_to_motion.task import load_evaluator
+from tests.cli.reports import refused, reported
 from tests.fakes import smooth_motion
 from tests.workflows.text_to_motion.corpora import TINY
 from tests.workflows.text_to_motion.test_training import trained
@@ -189,5 +192,11 @@ def test_the_command_writes_prints_and_refuses(build, saved, corpus, tmp_path, c
     assert "texts read as hashed-ngrams" in printed.out
     assert "real motion is no upper bound" in printed.err
     assert json.loads(out.read_text())["rows"][0]["source"] == "real"
+    words = [*command, "--repetitions", "1", "--diversity-pairs", "20"]
+    report = reported(words, TextReport, capsys)
+    written = json.loads(out.read_text())
+    assert msgspec.to_builtins(report.rows) == written["rows"]
+    assert (report.clips, report.remarks) == (written["clips"], written["notes"])
+    refused([*words, "--corpus", str(tmp_path / "gone")], capsys, code=4, message="gone")
     assert main([*command, "--multimodality"]) == 2
     assert "--multimodality belongs to a method" in capsys.readouterr().err

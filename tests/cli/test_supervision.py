@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
@@ -10,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from prbench.cli.main import calls_foreign_code, supervised
+from prbench.cli.supervision import calls_foreign_code, supervised
 from prbench.errors import AdapterError
 from tests.cli import ended_commands
 from tests.fakes import fake_dataset
@@ -71,19 +70,16 @@ def load(weights, *, options, device):
 def test_only_methods_of_other_packages_that_run_in_this_process_are_supervised(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(foreign(tmp_path, LEAVES)))
 
-    def asked(method: str, **changes) -> argparse.Namespace:
-        return argparse.Namespace(**{"method": method, "isolate": False, "runs_a_method": True, **changes})
-
-    assert calls_foreign_code(asked("leaves"))
-    for other in (asked("leaves", isolate=True), asked("pr"), asked("ground-truth"), asked("cmd:python leaves.py")):
-        assert not calls_foreign_code(other)
-    assert not calls_foreign_code(argparse.Namespace())
+    assert calls_foreign_code("leaves", isolate=False)
+    assert not calls_foreign_code("leaves", isolate=True)
+    for other in ("pr", "ground-truth", "cmd:python leaves.py"):
+        assert not calls_foreign_code(other, isolate=False)
 
 
 def test_os_exit_in_generate_ends_a_run_with_a_message_and_the_code_of_a_broken_contract(tmp_path):
     table = fake_dataset(tmp_path / "table", 8)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(foreign(tmp_path, LEAVES)), str(ROOT)])}
-    words = ["run", "--method", "leaves", "--data", str(table.folder), "--out", str(tmp_path / "out")]
+    words = ["run", "--method", "leaves", "--condition", "none", "--data", str(table.folder), "--out", str(tmp_path / "out")]
     done = subprocess.run(
         [sys.executable, "-m", "prbench", *words], capture_output=True, text=True, env=environment, timeout=120
     )

@@ -1,0 +1,332 @@
+"""Commands, groups of commands, and what all of them have in common: help, notes, JSON.
+
+A command is a function that returns an :class:`Answer`: a report whose shape is documented (``docs/json.md``), and how
+it is printed for people. The same report is printed as JSON with ``--json``, and written to a file with ``--out`` where
+the command has no other use for that option.
+"""
+
+from __future__ import annotations
+
+import importlib
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import click
+
+from prbench.errors import did_you_mean
+
+_WIDEST_HELP = 100
+"""Columns that a help page takes at most: longer lines are hard to read."""
+
+
+@dataclass
+class Session:
+    """One call of the command line: how much it says, and what it has said beside its report."""
+
+    quiet: bool = False
+    """Neither notes nor progress are shown."""
+    verbose: bool = False
+    """Every finished item is a line, a user's error has its traceback, and the end tells time and memory."""
+    as_json: bool = False
+    from_shell: bool = False
+    """The command line was not called as a function, so that nobody but the shell sees how it ends."""
+    resumes: bool = False
+    """The chosen command takes up what an interruption has left."""
+    command: str = ""
+    """Name of the chosen command, such as ``leaderboard export``."""
+    report_file: Path | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command found or did."""
+
+    report: Any
+    """An instance of the command's documented shape."""
+    show: Callable[[], None]
+    """Prints the report for people, on standard output."""
+    exit_code: int = 0
+
+
+def session() -> Session:
+    """Return the session of the command that runs, or an ordinary one outside of commands."""
+    context = click.get_current_context(silent=True)
+    found = context.find_object(Session) if context is not None else None
+    return found or Session()
+
+
+def note(text: str) -> None:
+    """Say something beside the report, on standard error; ``--quiet`` leaves it out, ``--json`` lists it, too."""
+    now = session()
+    now.notes.append(text)
+    if not now.quiet:
+        print(text, file=sys.stderr, flush=True)
+
+
+class Command(click.Command):
+    """A command with an example, the options of all commands, and options that take several values.
+
+    Args:
+        name: What it is called by.
+        example: A command line of it.
+        resumes: It takes up what an interruption has left.
+        report: Shape of what it prints with ``--json``; None for a command that reports nothing.
+        writes_report: ``--out FILE`` writes that JSON; False where the command has an ``--out`` of its own.
+        settings: Of :class:`click.Command`.
+    """
+
+    def __init__(
+        self,
+        name: str | None,
+        *,
+        example: str,
+        resumes: bool = False,
+        report: type | None = None,
+        writes_report: bool = False,
+        **settings: Any,
+    ) -> None:
+        super().__init__(name, **settings)
+        self.example = example
+        self.resumes = resumes
+        self.report = report
+        if report is not None:
+            self.params.append(_json_option())
+        if writes_report:
+            self.params.append(_report_file_option())
+        self.params += [_quiet_option(), _verbose_option()]
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the words; one option may be followed by several values, as in ``--data A B``."""
+        several = {name for option in self.params if getattr(option, "several", False) for name in option.opts}
+        try:
+            return super().parse_args(ctx, _one_value_an_option(args, several))
+        except click.UsageError as error:  # click forgets here and there which command it was
+            error.ctx = error.ctx or ctx
+            raise
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command."""
+        now = session()
+        now.command = " ".join(ctx.command_path.split()[1:])
+        now.resumes = self.resumes
+        return super().invoke(ctx)
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the example, folded as a shell reads it."""
+        _write_example(self.example, formatter)
+
+
+class SeveralValues(click.Option):
+    """An option that may be repeated or followed by several values: ``--data A B`` is ``--data A --data B``."""
+
+    several = True
+
+    def __init__(self, *names: Any, **settings: Any) -> None:
+        super().__init__(*names, multiple=True, **settings)
+
+
+class Group(click.Group):
+    """Commands in sections, each imported when it is asked for.
+
+    Args:
+        name: What the group is called by.
+        sections: The title of each section, and the commands in it: name and where its function stands
+            (``module:function``).
+        example: A command line of one of them; empty for none.
+        settings: Of :class:`click.Group`.
+    """
+
+    def __init__(
+        self,
+        name: str | None = None,
+        *,
+        sections: Mapping[str, Mapping[str, str]],
+        example: str = "",
+        **settings: Any,
+    ) -> None:
+        super().__init__(name, **settings)
+        self.sections = sections
+        self.example = example
+        self.params += [_quiet_option(), _verbose_option()]
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the commands, section by section."""
+        return [name for commands in self.sections.values() for name in commands]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import one command, or return None for an unknown name."""
+        for commands in self.sections.values():
+            if cmd_name in commands:
+                module, _, function = commands[cmd_name].partition(":")
+                return getattr(importlib.import_module(module), function)
+        return None
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command that the first word names.
+
+        Raises:
+            click.UsageError: for an unknown one, naming the nearest, also one inside a group.
+        """
+        name = args[0]
+        if self.get_command(ctx, name) is None and not name.startswith("-") and not ctx.resilient_parsing:
+            nearest = did_you_mean(name, self.list_commands(ctx))
+            within = [full for full, _ in self.walk(ctx) if full.split()[-1] == name]
+            where = f" Did you mean '{within[0]}'?" if within else nearest
+            raise click.UsageError(f"No such command '{name}'.{where}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands of each section with their summaries."""
+        for title, commands in self.sections.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, summary(self.get_command(ctx, name))) for name in commands])
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the example, folded as a shell reads it."""
+        if self.example:
+            _write_example(self.example, formatter)
+
+    def walk(self, ctx: click.Context) -> Iterator[tuple[str, click.Command]]:
+        """Yield every command of the group and of the groups in it, with its name, such as ``leaderboard export``."""
+        for name in self.list_commands(ctx):
+            command = self.get_command(ctx, name)
+            if isinstance(command, Group):
+                yield from ((f"{name} {below}", found) for below, found in command.walk(ctx))
+            elif command is not None:
+                yield name, command
+
+
+def summary(command: click.Command | None) -> str:
+    """Return the first sentence of a command's help."""
+    return (command.help or "").partition("\n\n")[0].replace("\n", " ").rstrip(".") if command else ""
+
+
+def command(
+    name: str,
+    *,
+    example: str,
+    resumes: bool = False,
+    report: type | None = None,
+    writes_report: bool = False,
+    hidden: bool = False,
+) -> Callable[[Callable[..., Any]], Command]:
+    """Turn a function into a :class:`Command`; its docstring becomes the help, its parameters are the options."""
+    return click.command(
+        name,
+        cls=Command,
+        example=example,
+        resumes=resumes,
+        report=report,
+        writes_report=writes_report,
+        hidden=hidden,
+        context_settings={"max_content_width": _WIDEST_HELP},
+    )
+
+
+def folded_command(line: str, width: int) -> list[str]:
+    """Fold a command line into lines of at most ``width`` columns, each but the last ending in a backslash.
+
+    An option stays beside its value.
+    """
+    lines: list[str] = []
+    current = " "
+    for part in _options_with_values(shlex.split(line, posix=False)):
+        if len(f"{current} {part} \\") > width and current.strip():
+            lines.append(f"{current} \\")
+            current = "     "
+        current += f" {part}"
+    return [*lines, current]
+
+
+def _options_with_values(words: Sequence[str]) -> list[str]:
+    """Join each option to the word behind it, unless that is an option itself."""
+    parts: list[str] = []
+    for word in words:
+        if parts and parts[-1].startswith("-") and " " not in parts[-1] and not word.startswith("-"):
+            parts[-1] += f" {word}"
+        else:
+            parts.append(word)
+    return parts
+
+
+def _write_example(example: str, formatter: click.HelpFormatter) -> None:
+    formatter.write("\nexample:\n")
+    formatter.write("".join(f"{line}\n" for line in folded_command(example, formatter.width)))
+
+
+def _one_value_an_option(words: Sequence[str], several: set[str]) -> list[str]:
+    """Repeat the name of an option before its second and later values."""
+    result: list[str] = []
+    option: str | None = None
+    awaited = False
+    for index, word in enumerate(words):
+        if word == "--":
+            return [*result, *words[index:]]
+        if word.startswith("-") and word != "-":
+            option = word if word in several else None
+            awaited = option is not None
+        elif option is not None and not awaited:
+            result.append(option)
+        else:
+            awaited = False
+        result.append(word)
+    return result
+
+
+def _set(attribute: str) -> Callable[[click.Context, click.Parameter, Any], None]:
+    """Make a callback that stores an option's value in the session, if the option is given."""
+
+    def store(ctx: click.Context, _: click.Parameter, value: Any) -> None:
+        if value:
+            setattr(ctx.ensure_object(Session), attribute, value)
+
+    return store
+
+
+def _quiet_option() -> click.Option:
+    return click.Option(
+        ["-q", "--quiet"],
+        is_flag=True,
+        expose_value=False,
+        callback=_set("quiet"),
+        help="Show neither notes nor progress, only the result and errors.",
+    )
+
+
+def _verbose_option() -> click.Option:
+    return click.Option(
+        ["-v", "--verbose"],
+        is_flag=True,
+        expose_value=False,
+        callback=_set("verbose"),
+        help="Show every finished item, the traceback of an error, and time and memory at the end.",
+    )
+
+
+def _json_option() -> click.Option:
+    return click.Option(
+        ["--json", "as_json"],
+        is_flag=True,
+        expose_value=False,
+        is_eager=True,
+        callback=_set("as_json"),
+        help="Print the report as JSON (docs/json.md describes it); notes stay on standard error.",
+    )
+
+
+def _report_file_option() -> click.Option:
+    return click.Option(
+        ["--out", "report_file"],
+        type=click.Path(path_type=Path, dir_okay=False),
+        metavar="FILE",
+        expose_value=False,
+        callback=_set("report_file"),
+        help="Write the report as JSON to this file, too.",
+    )

@@ -1,0 +1,239 @@
+"""The page on JSON reports (``docs/json.md``), written from the classes of the reports.
+
+``python -m prbench.cli.json_page docs/json.md`` writes it again after a report has changed; a test compares the two.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+import sys
+import types
+import typing
+from collections.abc import Iterator
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import click
+import msgspec
+
+from prbench.cli.commands import Command
+from prbench.cli.documents import Document
+from prbench.cli.main import program
+
+_START = """\
+# Reports as JSON
+
+You want to use what a command reports in a program of yours.
+
+`--json` prints the report of a command on standard output, as one JSON document; notes and progress stay on standard
+error. `--out FILE` writes the same document, unless the command's own result is written there (the help of a command
+tells). Every document has the same envelope, and each command a report of its own:
+
+```bash
+prbench adapters list static --json
+```
+
+```json
+{
+  "prbench": "0.7.0",
+  "command": "adapters list",
+  "exit_code": 0,
+  "notes": [],
+  "report": {
+    "methods": [
+      {
+        "name": "static",
+        "package": "prbench",
+        "version": "0.7.0",
+        "target": "prbench_adapters.static:load",
+        "problem": "",
+        "details": null
+      }
+    ],
+    "controls": []
+  },
+  "error": null
+}
+```
+
+A command that cannot do its work prints a document, too: `report` is null, and `error` says why. Numbers that JSON
+cannot hold (not a number, infinity) are null. Paths are written as they were given. Keys may be added in later
+versions; a key that is described here keeps its name and meaning within a major version.
+
+`python -m prbench.cli.json_page docs/json.md` writes this page from the classes of the reports.
+"""
+_COUNTABLE = ("string", "integer", "number", "boolean", "path")
+_PLAIN_TYPES: dict[Any, str] = {
+    str: "string",
+    int: "integer",
+    float: "number",
+    bool: "boolean",
+    type(None): "null",
+    Path: "path",
+    Any: "any",
+    object: "any",
+}
+
+
+def json_page() -> str:
+    """Return the text of ``docs/json.md``."""
+    writer = _Writer()
+    writer.add_envelope()
+    for name, command in reporting_commands():
+        assert command.report is not None
+        writer.add_command(name, command.report)
+    return "\n".join(writer.lines) + "\n"
+
+
+def all_commands() -> list[tuple[str, Command]]:
+    """Return every command with its name, such as ``leaderboard export``, in the order of the help."""
+    found = program.walk(click.Context(program))
+    return [(name, command) for name, command in found if isinstance(command, Command)]
+
+
+def reporting_commands() -> list[tuple[str, Command]]:
+    """Return the commands that report something."""
+    return [(name, command) for name, command in all_commands() if command.report is not None]
+
+
+def shapes_in(shape: type) -> list[type]:
+    """Return a report's class and all classes that its fields hold, each once, outer ones first."""
+    found = [shape]
+    for current in found:  # grows meanwhile
+        for annotation in fields_of(current).values():
+            found += [inner for inner in _classes(annotation) if inner not in found]
+    return found
+
+
+def fields_of(shape: type) -> dict[str, Any]:
+    """Return the fields of a class with their types."""
+    hints = typing.get_type_hints(shape)
+    if dataclasses.is_dataclass(shape):
+        return {each.name: hints[each.name] for each in dataclasses.fields(shape)}
+    return {each.encode_name: hints[each.name] for each in msgspec.structs.fields(shape)}
+
+
+def descriptions_of(shape: type) -> dict[str, str]:
+    """Return what the docstring of a class says about its fields, by their names.
+
+    The section "Attributes:" describes them (Google style): ``name: text``, further lines indented.
+    """
+    _, _, section = (inspect.getdoc(shape) or "").partition("\nAttributes:\n")
+    found: dict[str, str] = {}
+    name = ""
+    for line in section.splitlines():
+        if line.strip() and not line.startswith("    "):
+            break  # another section
+        entry = re.match(r"    (\w+): (.*)", line)
+        if entry:
+            name = entry[1]
+            found[name] = entry[2]
+        elif name and line.strip():
+            found[name] += f" {line.strip()}"
+    return found
+
+
+def _classes(annotation: Any) -> Iterator[type]:
+    """Yield the classes with fields that a type names."""
+    if _has_fields(annotation):
+        yield annotation
+    for inner in typing.get_args(annotation):
+        yield from _classes(inner)
+
+
+def _has_fields(annotation: Any) -> bool:
+    return isinstance(annotation, type) and (
+        issubclass(annotation, msgspec.Struct) or dataclasses.is_dataclass(annotation)
+    )
+
+
+class _Writer:
+    """Collects the lines of the page; a class that several reports hold is described where it comes first."""
+
+    def __init__(self) -> None:
+        self.lines = _START.splitlines()
+        self.headings: dict[type, str] = {}
+
+    def add_envelope(self) -> None:
+        """Describe the envelope."""
+        self._add_section("The envelope", Document)
+
+    def add_command(self, name: str, report: type) -> None:
+        """Describe the report of one command."""
+        self._add_section(f"prbench {name}", report, owner=name)
+
+    def _add_section(self, title: str, shape: type, owner: str = "") -> None:
+        first_seen = [each for each in shapes_in(shape) if each not in self.headings]
+        for each in first_seen:
+            self.headings[each] = title if each is shape else self._free_heading(each.__name__, owner)
+        self.lines += ["", f"## {title}", "", _first_paragraph(shape), ""]
+        self._add_table(shape)
+        for each in first_seen:
+            if each is not shape:
+                self.lines += ["", f"### {self.headings[each]}", "", _first_paragraph(each), ""]
+                self._add_table(each)
+
+    def _free_heading(self, name: str, owner: str) -> str:
+        """Return the name of a class, or, if another class has a heading of that name, its name and the command's."""
+        taken = name in self.headings.values()
+        return f"{name} of {owner}" if taken else name
+
+    def _add_table(self, shape: type) -> None:
+        described = descriptions_of(shape)
+        self.lines += ["| name | type | meaning |", "|---|---|---|"]
+        for name, annotation in fields_of(shape).items():
+            meaning = described.get(name, "").replace("``", "`").replace("|", "\\|")
+            self.lines.append(f"| `{name}` | {self._in_words(annotation)} | {meaning} |")
+
+    def _plural(self, annotation: Any) -> str:
+        """Name a type as what a list holds."""
+        words = self._in_words(annotation)
+        return f"{words}s" if words in _COUNTABLE else words
+
+    def _in_words(self, annotation: Any) -> str:
+        """Say what JSON holds for a type."""
+        origin = typing.get_origin(annotation)
+        inner = typing.get_args(annotation)
+        if annotation in _PLAIN_TYPES:
+            return _PLAIN_TYPES[annotation]
+        if _has_fields(annotation):
+            heading = self.headings[annotation]
+            return f"[{heading}](#{_anchor(heading)})"
+        if origin in (types.UnionType, typing.Union):
+            return " or ".join(self._in_words(each) for each in inner)
+        if origin is typing.Literal:
+            return " or ".join(f"`{value}`" for value in inner)
+        if origin is dict or annotation is dict:
+            return f"object: {self._in_words(inner[1]) if inner else 'any'} by name"
+        if origin in (list, tuple, set, frozenset) or annotation in (list, tuple):
+            kinds = dict.fromkeys(self._plural(each) for each in inner if each is not Ellipsis)
+            return f"list of {' and '.join(kinds) or 'any'}"
+        if isinstance(annotation, type) and issubclass(annotation, Enum):
+            return " or ".join(f"`{each.value}`" for each in annotation)
+        raise TypeError(f"no words for the type {annotation}")
+
+
+def _first_paragraph(shape: type) -> str:
+    return " ".join((inspect.getdoc(shape) or "").partition("\n\n")[0].split()).replace("``", "`")
+
+
+def _anchor(heading: str) -> str:
+    """Return the name under which a page links to a heading."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+def main() -> int:
+    """Write the page to the file that the command line names, or print it."""
+    text = json_page()
+    if len(sys.argv) > 1:
+        Path(sys.argv[1]).write_text(text, encoding="utf-8", newline="\n")
+    else:
+        print(text, end="")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,261 @@
+"""Options that several commands share: the same name has the same meaning in every command."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from prbench.cli.commands import SeveralValues
+
+CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
+"""Conditions that a method can be given; spelt out here, so that ``--help`` imports no arrays."""
+FIRST_RUN_SEQUENCES = 48
+"""Limit of a run on the embedded dataset (``prbench.workflows.first_run``); spelt out for the same reason."""
+SPLITS = ("train", "validation", "test")
+PATH = click.Path(path_type=Path)
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_Decorator = Callable[[_Function], _Function]
+
+
+class _Positive(click.ParamType):
+    """A whole number of at least 1."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Parse the number."""
+        try:
+            number = int(value)
+        except ValueError:
+            number = 0
+        if number < 1:
+            self.fail(f"expected a whole number of at least 1, found '{value}'.", param, ctx)
+        return number
+
+
+POSITIVE = _Positive()
+
+
+class _Seconds(click.ParamType):
+    """A time limit in seconds, above 0."""
+
+    name = "seconds"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse the number."""
+        try:
+            number = float(value)
+        except ValueError:
+            number = 0.0
+        if not 0 < number < math.inf:
+            self.fail(f"expected seconds above 0, found '{value}'.", param, ctx)
+        return number
+
+
+SECONDS = _Seconds()
+
+
+class KeyValue(click.ParamType):
+    """Words of the form ``key=value``, parsed into a pair."""
+
+    name = "key=value"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
+        """Parse ``key=value``."""
+        if isinstance(value, tuple):
+            return value
+        key, separator, text = str(value).partition("=")
+        if not separator or not key:
+            self.fail(f"expected key=value, found '{value}'.", param, ctx)
+        return key, text
+
+    def __repr__(self) -> str:
+        return "KEY=VALUE"
+
+
+def data_option(*, required: bool, help: str = "Built dataset folder(s).") -> _Decorator:
+    """Add ``--data DIR…``, repeatable."""
+    return click.option("--data", cls=SeveralValues, type=PATH, metavar="DIR...", required=required, help=help)
+
+
+def data_arguments(function: _Function) -> _Function:
+    """Add the argument ``DIR…``: one built dataset folder or more."""
+    return click.argument("data", type=PATH, nargs=-1, required=True, metavar="DIR...")(function)
+
+
+def out_folder_option(help: str, *, required: bool = False) -> _Decorator:
+    """Add ``--out DIR``, the folder that the command writes."""
+    return click.option("--out", type=PATH, metavar="DIR", required=required, help=help)
+
+
+def out_file_option(help: str, *, required: bool = False, metavar: str = "FILE") -> _Decorator:
+    """Add ``--out FILE``, the file that the command writes."""
+    return click.option("--out", type=PATH, metavar=metavar, required=required, help=help)
+
+
+def workers_option(default: int | None = 1, *, help: str = "") -> _Decorator:
+    """Add ``--workers N``; results do not depend on it."""
+    return click.option(
+        "--workers",
+        type=POSITIVE,
+        default=default,
+        metavar="N",
+        help=help or f"Processes to use (default {default}); changes no result.",
+    )
+
+
+def split_option(default: str | None = "test", *, help: str = "") -> _Decorator:
+    """Add ``--split``; the test split unless another is named."""
+    return click.option(
+        "--split", type=click.Choice(SPLITS), default=default, help=help or f"Split of the table (default {default})."
+    )
+
+
+def limit_option(default: str = "all") -> _Decorator:
+    """Add ``--limit N`` sequences of each dataset; equal limits mean the same sequences in every command."""
+    return click.option(
+        "--limit",
+        type=POSITIVE,
+        metavar="N",
+        help="At most N sequences of each dataset, for every command the same: those whose ids have the smallest"
+        f" SHA-256 (default: {default}).",
+    )
+
+
+def root_option(help: str = "Your copy of the dataset.", *, required: bool = True) -> _Decorator:
+    """Add ``--root DIR``, a folder with a dataset's own files."""
+    return click.option("--root", type=PATH, metavar="DIR", required=required, help=help)
+
+
+def count_option(help: str) -> _Decorator:
+    """Add ``--count N``, how many synthetic recordings to make; ``--recordings`` chooses among recordings there are."""
+    return click.option("--count", type=POSITIVE, metavar="N", help=help)
+
+
+def recordings_options(function: _Function) -> _Function:
+    """Add ``--recordings GLOB`` and ``--max-recordings N``, which choose recordings of a copy of a dataset."""
+    by_name = click.option(
+        "--recordings", default="*", metavar="GLOB", help="Only recordings whose name matches (default: all)."
+    )
+    by_number = click.option(
+        "--max-recordings", type=POSITIVE, metavar="N", help="At most N recordings: the first by name."
+    )
+    return by_name(by_number(function))
+
+
+def sequence_option(help: str) -> _Decorator:
+    """Add ``--sequence ID``, repeatable."""
+    return click.option(
+        "--sequence",
+        "sequences",
+        multiple=True,
+        metavar="ID",
+        help=f"{help}; the id, or a beginning, end or part that fits one only; repeatable.",
+    )
+
+
+def option_option(whose: str = "method's", *, metavar: str = "KEY=VALUE", remark: str = "") -> _Decorator:
+    """Add ``--option KEY=VALUE``, repeatable, for a method or a reader."""
+    return click.option(
+        "--option",
+        "options",
+        type=KeyValue(),
+        multiple=True,
+        metavar=metavar,
+        help=f"An option of the {whose}; repeatable{f' ({remark})' if remark else ''}.",
+    )
+
+
+def reader_options(whose: str = "dataset's", *, remark: str = "a wrong name lists them") -> _Decorator:
+    """Add ``--option NAME=VALUE`` for a reader."""
+    return option_option(f"{whose} reader", metavar="NAME=VALUE", remark=remark)
+
+
+def method_settings(function: _Function) -> _Function:
+    """Add what a method is loaded with: ``--weights``, ``--option``, ``--device`` and ``--threads``."""
+    for add in (threads_option, device_option, option_option("method"), weights_option):
+        function = add(function)
+    return function
+
+
+def weights_option(function: _Function) -> _Function:
+    """Add ``--weights NAME|FILE``."""
+    return click.option(
+        "--weights",
+        type=PATH,
+        metavar="NAME|FILE",
+        help="The method's weights: bundled ones by name, a file or a folder.",
+    )(function)
+
+
+def device_option(function: _Function) -> _Function:
+    """Add ``--device``."""
+    return click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1 ….")(function)
+
+
+def threads_option(function: _Function) -> _Function:
+    """Add ``--threads N``."""
+    return click.option("--threads", type=POSITIVE, default=1, metavar="N", help="Threads a process (default 1).")(
+        function
+    )
+
+
+def seed_option(of: str, *, default: int | None = 0) -> _Decorator:
+    """Add ``--seed N``."""
+    return click.option("--seed", type=int, default=default, metavar="N", help=f"Seed {of} (default 0).")
+
+
+def control_option(help: str) -> _Decorator:
+    """Add ``--control shuffled-goal``."""
+    return click.option("--control", type=click.Choice(["shuffled-goal"]), help=help)
+
+
+def permission_option(function: _Function) -> _Function:
+    """Add ``--permission DATASET``, repeatable: the user's word for data whose licence keeps recorded motion."""
+    return click.option(
+        "--permission",
+        multiple=True,
+        metavar="DATASET",
+        help="I have the licensor's permission to pass on recorded motion and goals of DATASET (only needed where its"
+        " licence forbids it; `prbench datasets` says which); repeatable.",
+    )(function)
+
+
+def on_error_option(*, what: str = "a recording", them: str = "it") -> _Decorator:
+    """Add ``--on-error skip|fail``."""
+    return click.option(
+        "--on-error",
+        type=click.Choice(["skip", "fail"]),
+        default="skip",
+        help=f"Go on without {what} that cannot be read and name {them} (default), or fail at once.",
+    )
+
+
+def replace_option(what: str = "table") -> _Decorator:
+    """Add ``--replace``, which loses what an earlier result holds."""
+    return click.option(
+        "--replace",
+        is_flag=True,
+        help=f"Replace an earlier {what} even where the new one lacks recordings that it holds (refused by default).",
+    )
+
+
+def complete_method(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:  # noqa: ARG001
+    """Return the installed methods and the controls that begin with what was typed, for the shell's completion."""
+    from prbench.methods.installed import list_adapters
+    from prbench.methods.names import METHOD_CONTROLS
+
+    names = {adapter.name for adapter in list_adapters() if not adapter.problem}
+    return sorted(name for name in {*names, *METHOD_CONTROLS} if name.startswith(incomplete))
+
+
+def complete_dataset(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:  # noqa: ARG001
+    """Return the datasets that begin with what was typed, for the shell's completion."""
+    from prbench.datasets import readable_datasets
+
+    return sorted(name for name in readable_datasets() if name.startswith(incomplete))

@@ -1,0 +1,61 @@
+"""``prbench synthesize`` as a program reads it."""
+
+from __future__ import annotations
+
+import pytest
+
+from prbench.cli import main
+from prbench.cli.synthesize import SynthesizeReport
+from tests.cli.reports import refused, reported
+
+
+def test_files_are_reported_with_what_curation_finds_in_them(tmp_path, capsys) -> None:
+    words = ["synthesize", "adt", "--count", "1", "--events", "3", "--seed", "2", "--out", str(tmp_path / "adt")]
+    report = reported(words, SynthesizeReport, capsys)
+    assert report.folder == tmp_path / "adt"
+    (recording,) = report.recordings
+    assert recording.events == 3
+    assert recording.objects
+    assert [each.sensors for each in report.checks] == [
+        "these files",
+        "ideal sensors",
+        "default noise",
+        "default noise, provocations",
+        "twice the noise, provocations",
+    ]
+    files, ideal = report.checks[:2]
+    assert (files.recordings, files.missed_sequences) == (1, len(report.missed))
+    assert 1 <= files.events <= 3, "events within the sensors' resolution of a threshold are not counted"
+    assert ideal.recall == pytest.approx(1.0)
+    assert ideal.timing_median is not None
+    assert ideal.timing_median < 0.05
+    assert report.table is report.gallery is report.histograms is None
+
+
+def test_unverified_files_and_text_motion_are_reported_without_checks(tmp_path, capsys) -> None:
+    words = ["synthesize", "gimo", "--count", "1", "--events", "2", "--no-verify", "--out", str(tmp_path / "gimo")]
+    assert reported(words, SynthesizeReport, capsys).checks == []
+    words = ["synthesize", "nymeria", "--count", "1", "--out", str(tmp_path / "nymeria")]
+    report = reported(words, SynthesizeReport, capsys)
+    assert [each.objects for each in report.recordings] == [None]
+    assert report.checks == []
+
+
+def test_a_table_and_a_picture_are_reported(tmp_path, capsys) -> None:
+    out = tmp_path / "table"
+    words = ["synthesize", "gimo", "--table", "--count", "1", "--events", "3", "--out", str(out)]
+    report = reported([*words, "--gallery", str(tmp_path / "g.png")], SynthesizeReport, capsys)
+    assert report.table is not None
+    assert (report.table.dataset, report.table.folder) == ("synthetic-gimo", out)
+    assert report.table.counts["recordings_read"] == len(report.table.recordings) == 1
+    assert (report.folder, report.recordings) == (None, [])
+    assert report.gallery == tmp_path / "g.png"
+    assert report.gallery.is_file()
+
+
+def test_the_number_of_recordings_is_called_count(tmp_path, capsys) -> None:
+    words = ["synthesize", "adt", "--recordings", "1", "--out", str(tmp_path / "adt")]
+    assert main(words) == 2
+    assert "No such option '--recordings'" in capsys.readouterr().err
+    refused(["synthesize", "adt"], capsys, code=2, message="--out DIR is needed")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,35 @@
+"""Parse a command line as ``prbench`` does, without running it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import click
+
+from prbench.cli.commands import Session
+from prbench.cli.main import program
+
+
+def parsed(words: Sequence[str]) -> click.Context:
+    """The parsed command line of one command.
+
+    Raises:
+        click.UsageError: as ``prbench`` would.
+    """
+    context = click.Context(program, info_name="prbench", obj=Session())
+    command: click.Command = program
+    rest = list(words)
+    while isinstance(command, click.Group):
+        name, found, rest = command.resolve_command(context, rest)
+        assert found is not None
+        command = found
+        if isinstance(command, click.Group):
+            context = click.Context(command, info_name=name, parent=context)
+        else:
+            context = command.make_context(name, rest, parent=context)
+    return context
+
+
+def all_commands() -> dict[str, click.Command]:
+    """Every command by its full name, such as ``leaderboard export``."""
+    return dict(program.walk(click.Context(program, info_name="prbench")))
