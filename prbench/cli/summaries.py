@@ -168,19 +168,19 @@ def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = Fa
 def print_side_by_side(
     summaries: Sequence[DatasetSummary], *, origins: Sequence[str], motionless: frozenset[str]
 ) -> None:
-    """Print the six metrics of several methods on the same sequences, one column a method.
+    """Print the main metrics of several methods on the same sequences, one column a method.
 
     Args:
         summaries: Of one dataset each, the same.
         origins: Whose methods they are, in words, one a summary.
         motionless: Names of methods that stand still, which get no Foot Skating and the like.
     """
-    from prbench.metrics import METRICS
+    from prbench.metrics import MAIN_METRICS
     from prbench.runs.summary import TWICE_DAGGER
 
     first = summaries[0]
     rows = []
-    for info in (info for info in METRICS if info.main):
+    for info in MAIN_METRICS:
         cells = []
         for summary in summaries:
             found = next((metric for metric in summary.metrics if metric.metric == info.id), None)

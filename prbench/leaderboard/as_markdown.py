@@ -1,4 +1,4 @@
-"""A leaderboard as Markdown: the study's six metrics, a table a dataset."""
+"""A leaderboard as Markdown: the main metrics, a table a dataset."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 
 from prbench.leaderboard.tables import (
     FEWEST_RANKED,
-    MAIN_METRICS,
     DatasetTable,
     Leaderboard,
     MacroRow,
@@ -14,7 +13,7 @@ from prbench.leaderboard.tables import (
     TableRow,
     hides,
 )
-from prbench.metrics import MetricInfo, printed_unit
+from prbench.metrics import MAIN_METRICS, MetricInfo, printed_unit
 from prbench.runs.record import CONTROL
 from prbench.runs.summary import TWICE_DAGGER
 from prbench.shown import markdown, markdown_code

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 
 from prbench.errors import RunError
 from prbench.evaluation.comparisons import Comparison, PairedValues, compare
-from prbench.metrics import METRICS, MetricInfo
+from prbench.metrics import METRICS, RANKED_METRICS, MetricInfo
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import TableRecord
 from prbench.runs.scores import read_scores
@@ -55,7 +55,10 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
     second = Path(second)
     runs = RunFolder.open(first), RunFolder.open(second)
     if runs[0].record.protocol_digest != runs[1].record.protocol_digest:
-        raise RunError(f"{first} and {second} follow different protocols, so their numbers cannot be compared.")
+        raise RunError(
+            f"{first} and {second} follow different protocols, so their numbers cannot be compared. Run the method of"
+            " the older one again, into another folder."
+        )
     names = [table.dataset for table in runs[0].record.tables]
     # In the order of the second run; every dataset of both is compared, and all p-values are corrected together.
     shared = [table.dataset for table in runs[1].record.tables if table.dataset in names]
@@ -81,7 +84,7 @@ def _unverified(run: RunFolder, dataset: str, checker: RunChecker) -> str:
 
 
 def paired_scores(first: RunFolder, second: RunFolder, dataset: str) -> dict[str, PairedValues]:
-    """The main metrics that both runs have, by dataset and metric (``dataset`` and ``metric`` on two lines).
+    """The ranked metrics that both runs have, by dataset and metric (``dataset`` and ``metric`` on two lines).
 
     Raises:
         RunError: if they were run on different tables, or scored on different sequences.
@@ -90,7 +93,7 @@ def paired_scores(first: RunFolder, second: RunFolder, dataset: str) -> dict[str
     if _table_of(first, dataset).content_digest != _table_of(second, dataset).content_digest:
         raise RunError(f"{first.path} and {second.path} were run on different tables of {dataset}.")
     pairs = {}
-    for metric in (info.id for info in METRICS if info.main):
+    for metric in (info.id for info in RANKED_METRICS):
         rows = [table.filter(pc.field("metric") == metric).sort_by("sequence_id") for table in tables]
         if not all(row.num_rows for row in rows):
             continue

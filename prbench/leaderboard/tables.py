@@ -1,9 +1,9 @@
 """Rows that compare, in one table; rows that do not, in tables of their own with the reason.
 
 Two runs compare on a dataset if protocol, table (both digests), split and chosen sequences agree. Methods are ranked
-within their condition, on the main metrics, where at least 50 sequences were scored; controls, methods that left
-sequences out and motions that are the recorded ones are shown without rank. The macro mean weighs every dataset alike
-and exists only for methods that have all of them.
+within their condition, on all main metrics but ``plausible``, where at least 50 sequences were scored; controls,
+methods that left sequences out and motions that are the recorded ones are shown without rank. The macro mean weighs
+every dataset alike and exists only for methods that have all of them.
 """
 
 from __future__ import annotations
@@ -13,12 +13,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from prbench.leaderboard.collect import CollectedRuns, LeaderboardRow
-from prbench.metrics import METRICS, MetricInfo
+from prbench.metrics import MAIN_METRICS, RANKED_METRICS, MetricInfo
 from prbench.runs.record import CONTROL
 
 FEWEST_RANKED = 50
 """Sequences below which no method is ranked."""
-MAIN_METRICS: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.main)
 _CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
 _KEYS = ("protocol", "table identity", "table content", "split", "chosen sequences")
 
@@ -31,7 +30,7 @@ class TableRow:
     variant: str
     """Unique among the rows of one method and condition in one table."""
     ranks: dict[str, int]
-    """Maps main metrics to ranks; empty where nothing is ranked."""
+    """Maps ranked metrics to ranks; empty where nothing is ranked."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ def _dataset_table(entries: list[LeaderboardRow]) -> DatasetTable:
     ranks = [dict[str, int]() for _ in ordered]
     for condition in _CONDITIONS:
         ranked = [i for i, entry in enumerate(ordered) if entry.record.condition == condition and _is_ranked(entry)]
-        for info in MAIN_METRICS:
+        for info in RANKED_METRICS:
             values = {i: ordered[i].metric(info.id) for i in ranked if not hides(ordered[i], info)}
             means = {i: metric.mean for i, metric in values.items() if metric is not None}
             for i, rank in _ranks(means, info).items():
@@ -222,7 +221,7 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
     ranks: dict[tuple[str, str, str, str], dict[str, int]] = {key: {} for key in found}
     for condition in _CONDITIONS:
         keys = [key for key in found if key[0] == condition and all(_is_ranked(entry) for entry in found[key].values())]
-        for info in MAIN_METRICS:
+        for info in RANKED_METRICS:
             values = {i: means[key][info.id] for i, key in enumerate(keys) if info.id in means[key]}
             for i, rank in _ranks(values, info).items():
                 ranks[keys[i]][info.id] = rank

@@ -24,6 +24,11 @@ from prbench.sequences import SequenceTable
 from prbench.submitted.score_predictions.again import scored_again
 from prbench.submitted.score_predictions.scored import Work
 
+_OTHER_PROTOCOL = (
+    "it was scored under another protocol than this version's, so metrics and limits that are newer are missing;"
+    " `prbench score RUN --data DIR` scores its motions by this version's"
+)
+
 
 @dataclass(frozen=True)
 class CheckedSummary:
@@ -56,7 +61,7 @@ class RunChecker:
         if not any(files.predictions.glob("part-*.parquet")):
             return CheckedSummary(made, "its folder holds no motions")
         if run.record.protocol_digest != load_protocol().digest:
-            return CheckedSummary(made, "it was scored under another protocol than this version's")
+            return CheckedSummary(made, _OTHER_PROTOCOL)
         if table is None:
             return CheckedSummary(made, f"its table of {record.dataset} is not at hand: name it with --data DIR")
         require_scores(files, scores, scored_again(run, table, Work(self.engine, silent)).scores)

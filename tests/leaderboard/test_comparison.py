@@ -22,7 +22,7 @@ from tests.fakes import fake_dataset
 def folder(tmp_path_factory):
     """Runs of two controls on one table, of one on another table, and of one on fewer sequences."""
     root = tmp_path_factory.mktemp("comparison")
-    table = fake_dataset(root / "table", 64, recordings=32).folder
+    table = fake_dataset(root / "table", 64, recordings=36).folder
     other = fake_dataset(root / "other", 60, recordings=32).folder
     for name, method, data, limit in (
         ("truth", "ground-truth", table, None),
@@ -38,11 +38,12 @@ def test_the_difference_is_that_of_the_means_and_has_a_sign(folder):
     rows = {row.info.id: row.comparison for row in compare_runs(folder / "truth", folder / "scripted").metrics}
     back = {row.info.id: row.comparison for row in compare_runs(folder / "scripted", folder / "truth").metrics}
     assert set(rows) == {
-        "prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe", "foot_skating",
+        "prime_success", "prime_success_arrival", "reach_success", "goal_mpjpe", "location_error", "mpjpe",
+        "foot_skating",
     }  # fmt: skip
     assert rows["mpjpe"].difference.mean < 0, "the recorded motion has no error"
     assert rows["mpjpe"].conclusion == "lower"
-    assert rows["mpjpe"].difference.n_recordings == 8, "signs are flipped by recording"
+    assert rows["mpjpe"].difference.n_recordings == 9, "signs are flipped by recording"
     for metric, comparison in rows.items():
         assert comparison.difference.mean == pytest.approx(-back[metric].difference.mean)
         assert comparison.adjusted_p_value == pytest.approx(back[metric].adjusted_p_value)

@@ -8,7 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prbench.metrics import METRICS, GazeRays, MotionBatch, ScoringTargets, score
+from prbench.metrics import (
+    MAIN_METRICS,
+    METRICS,
+    RANKED_METRICS,
+    STUDY_METRICS,
+    GazeRays,
+    MotionBatch,
+    ScoringTargets,
+    score,
+)
 from tests.metrics.motions import CONSTANTS, batch, random_problem, standing, targets, turned
 
 EASIER = msgspec.structs.replace(CONSTANTS, prime_distance=0.4, reach_distance=0.2, location_error_distance=0.15)
@@ -36,10 +45,22 @@ def reordered_targets(where: ScoringTargets, order) -> ScoringTargets:
 def test_the_metrics_stand_in_printed_order() -> None:
     assert len({info.position for info in METRICS}) == len(METRICS), "two metrics share a place in printed tables"
     main = [info.id for info in METRICS if info.main]
-    assert main == ["prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe", "foot_skating"]
+    study = ["prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe", "foot_skating"]
+    assert [info.id for info in STUDY_METRICS] == study, "the columns of the study's Table 2, in its order"
+    assert main == [study[0], "prime_success_arrival", *study[1:], "plausible"]
+    assert [info.id for info in MAIN_METRICS] == main
+    assert [info.id for info in RANKED_METRICS] == main[:-1], "a body that stands still is plausible"
     beside = {info.id for info in METRICS if not info.main}
     assert beside == {
         "prime_success_onset",
+        "prime_success_angle",
+        "first_frame_error",
+        "first_step",
+        "floating",
+        "penetration",
+        "slow_slides",
+        "largest_jerk",
+        "largest_speed",
         "reach_success_final",
         "reach_wrist",
         "location_error_horizontal",
@@ -53,7 +74,7 @@ def test_the_metrics_stand_in_printed_order() -> None:
 def test_recorded_motion_has_no_error_at_all() -> None:
     _, recorded, where = random_problem(1, LENGTHS, dtype=np.float32)
     found = values(recorded, recorded, where)
-    for metric in ("goal_mpjpe", "mpjpe", "location_error", "location_error_horizontal"):
+    for metric in ("goal_mpjpe", "mpjpe", "location_error", "location_error_horizontal", "first_frame_error"):
         assert found[metric] == [0.0] * len(LENGTHS), metric
     assert found["reach_wrist"] == [1.0] * len(LENGTHS)
 

@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 
-from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS
-from prbench.metrics import exported_unit
+from prbench.leaderboard.tables import FEWEST_RANKED
+from prbench.metrics import STUDY_METRICS, exported_unit
 from prbench.shown import markdown
 from prbench.workflows.table_two.layout import (
+    ARRIVAL,
     DECIDING,
     BlockLayout,
     Cell,
@@ -48,11 +49,13 @@ def heading(dataset: DatasetLayout, layout: TableLayout) -> str:
 
 
 def orders(dataset: DatasetLayout) -> Iterable[str]:
-    """Yield each block's order, with the difference at each step and whether the data support it."""
-    for block in (block for block in dataset.blocks if block.order):
+    """Yield each block's orders, with the difference at each step and whether the data support it."""
+    for block in dataset.blocks:
         labels = {line.name: line.label for line in block.lines}
-        steps = [labels[block.order[0].better], *(f"{labels[step.worse]} ({_step(step)})" for step in block.order)]
-        yield f"{block.title}, by {DECIDING.title}: {' > '.join(steps)}"
+        for info, order in ((DECIDING, block.order), (ARRIVAL, block.arrival_order)):
+            if order:
+                steps = [labels[order[0].better], *(f"{labels[step.worse]} ({_step(step)})" for step in order)]
+                yield f"{block.title}, by {info.title}: {' > '.join(steps)}"
 
 
 def _step(step: Step) -> str:
@@ -95,15 +98,15 @@ def notes(layout: TableLayout) -> Iterable[str]:
 
 
 def _grid(dataset: DatasetLayout) -> str:
-    header = ["Condition", "Method", *(metric_title(info) for info in MAIN_METRICS), *COST_TITLES]
-    rule = ["---"] * 2 + ["---:"] * (len(MAIN_METRICS) + len(COST_TITLES))
+    header = ["Condition", "Method", *(metric_title(info) for info in STUDY_METRICS), *COST_TITLES]
+    rule = ["---"] * 2 + ["---:"] * (len(STUDY_METRICS) + len(COST_TITLES))
     rows = [row for block in dataset.blocks for row in _rows(block)]
     return "\n".join("| " + " | ".join(line) + " |" for line in (header, rule, *rows))
 
 
 def _rows(block: BlockLayout) -> Iterable[Sequence[str]]:
     for i, line in enumerate(block.lines):
-        cells = (_cell(line.cells[info.id]) for info in MAIN_METRICS)
+        cells = (_cell(line.cells[info.id]) for info in STUDY_METRICS)
         yield [markdown(block.title) if i == 0 else "", markdown(line.label), *cells, *cost_cells(line.cost)]
 
 
@@ -129,7 +132,7 @@ def as_builtins(layout: TableLayout) -> dict[str, object]:
         "table": "2",
         "metrics": [
             {"id": info.id, "unit": exported_unit(info.unit), "higher_is_better": info.higher_is_better}
-            for info in MAIN_METRICS
+            for info in STUDY_METRICS
         ],
         "ranked_from": FEWEST_RANKED,
         **asdict(layout),

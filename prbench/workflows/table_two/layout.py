@@ -17,16 +17,18 @@ from prbench.evaluation.comparisons import Comparison, compare
 from prbench.evaluation.planning import Selection, select
 from prbench.leaderboard import collect_runs, make_leaderboard
 from prbench.leaderboard.comparison import paired_scores
-from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS, TableRow, hides
-from prbench.metrics import MetricInfo
+from prbench.leaderboard.tables import FEWEST_RANKED, TableRow, hides
+from prbench.metrics import METRICS, STUDY_METRICS, MetricInfo
 from prbench.runs.cost import RunCost
 from prbench.runs.folder import RunFolder
 from prbench.sequences import SequenceTable
 from prbench.workflows.table_two.plan import PlannedRow
 from prbench.workflows.table_two.request import load_table_two
 
-DECIDING = MAIN_METRICS[0]
+DECIDING = STUDY_METRICS[0]
 """The metric that orders a block: the study's first, Prime Success, which is what the benchmark is about."""
+ARRIVAL = next(info for info in METRICS if info.id == "prime_success_arrival")
+"""Orders a block a second time: a body that stares at the goal from the start is first by :data:`DECIDING`."""
 _CONTROLS_TITLE = "Controls"
 _CONTROL = "control"
 _MEBIBYTE = 2**20
@@ -87,7 +89,9 @@ class Line:
     state: Literal["run", "skipped", "failed"]
     reason: str
     cells: dict[str, Cell | None]
-    """Maps each main metric to its cell; None is a dash."""
+    """Maps each of the study's metrics to its cell; None is a dash."""
+    arrival: Cell | None
+    """The cell of :data:`ARRIVAL`, which is no column of the study's table."""
     unsupported: int
     """Sequences that are longer than the method can generate, and were left out."""
     cost: LineCost
@@ -118,6 +122,8 @@ class BlockLayout:
     lines: tuple[Line, ...]
     order: tuple[Step, ...] = ()
     """Steps from the best to the worst by :data:`DECIDING`; empty where nothing is ranked."""
+    arrival_order: tuple[Step, ...] = ()
+    """The same by :data:`ARRIVAL`; empty, too, where runs were scored before it was known."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +209,13 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, rows: dict[tuple
         sequences=len(chosen),
         recordings=len(set(chosen.recording_ids)),
         blocks=tuple(
-            BlockLayout(title, name, tuple(under[name]), _order(under[name], folders, info.dataset))
+            BlockLayout(
+                title,
+                name,
+                tuple(under[name]),
+                _order({line.name: line.cells[DECIDING.id] for line in under[name]}, DECIDING, folders, info.dataset),
+                _order({line.name: line.arrival for line in under[name]}, ARRIVAL, folders, info.dataset),
+            )
             for name, title in titles.items()
             if name in under
         ),
@@ -224,7 +236,8 @@ def _line(outcome: RowOutcome, row: TableRow | None) -> Line:
         stands_in=planned.stands_in,
         state=outcome.state,
         reason=outcome.reason,
-        cells={info.id: _cell(row, info) for info in MAIN_METRICS},
+        cells={info.id: _cell(row, info) for info in STUDY_METRICS},
+        arrival=_cell(row, ARRIVAL),
         unsupported=row.entry.summary.unsupported if row is not None else 0,
         cost=_line_cost(outcome.folder, row),
     )
@@ -259,36 +272,40 @@ def _passes(cost: RunCost) -> float | None:
     return cost.network_passes_declared / motions if cost.network_passes_declared and motions else None
 
 
-def _order(lines: Sequence[Line], folders: Mapping[str, Path], dataset: str) -> tuple[Step, ...]:
+def _order(
+    cells: Mapping[str, Cell | None], deciding: MetricInfo, folders: Mapping[str, Path], dataset: str
+) -> tuple[Step, ...]:
     """Compare each ranked method of a block with the next worse one, sequence by sequence.
 
     Args:
-        lines: The block; lines with the same number keep their order.
+        cells: Maps the lines of a block to their cells; lines with the same number keep their order.
+        deciding: The metric of the cells.
         folders: Run folders of these lines, all scored on the same sequences.
         dataset: Of the runs.
 
     Raises:
         RunError: if runs are damaged or do not belong together.
     """
-    cells = {line.name: line.cells[DECIDING.id] for line in lines}
     means = {name: cell.mean for name, cell in cells.items() if cell is not None and cell.rank is not None}
     ordered = sorted(means, key=lambda name: -means[name])
     runs = {name: RunFolder.open(folders[name]) for name in ordered}
     pairs = {
-        (better, worse): paired_scores(runs[better], runs[worse], dataset)[f"{dataset}\n{DECIDING.id}"]
+        (better, worse): paired_scores(runs[better], runs[worse], dataset)[f"{dataset}\n{deciding.id}"]
         for better, worse in pairwise(ordered)
     }
     # All steps of a block go through one comparison, so that Holm's correction counts them together.
     found = compare({"\n".join(names): pair for names, pair in pairs.items()})
-    return tuple(_step(names, comparison) for names, comparison in zip(pairs, found.values(), strict=True))
+    return tuple(
+        _step(names, comparison, deciding.scale) for names, comparison in zip(pairs, found.values(), strict=True)
+    )
 
 
-def _step(names: Sequence[str], comparison: Comparison) -> Step:
+def _step(names: Sequence[str], comparison: Comparison, scale: float) -> Step:
     better, worse = names
     estimate = comparison.difference
     bounds = (estimate.low, estimate.high)
     if "all_equal" in estimate.marks:
         bounds = (None, None)  # a bootstrap of equal differences would claim certainty
-    low, high = (None if bound is None else DECIDING.scale * bound for bound in bounds)
+    low, high = (None if bound is None else scale * bound for bound in bounds)
     supported = comparison.conclusion == "higher"
-    return Step(better, worse, DECIDING.scale * estimate.mean, low, high, comparison.adjusted_p_value, supported)
+    return Step(better, worse, scale * estimate.mean, low, high, comparison.adjusted_p_value, supported)
