@@ -172,6 +172,15 @@ class MetricConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     foot_window: float
 
 
+class BreakdownConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Bins of the goal's place, by which scores are broken down: the upper ends of all but the last, ascending."""
+
+    bearing: tuple[float, ...]
+    distance: tuple[float, ...]
+    height: tuple[float, ...]
+    fewest_recordings: int
+
+
 class Citations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """BibTeX that belongs to every result of the benchmark, whatever the dataset."""
 
@@ -189,6 +198,7 @@ class BenchmarkProtocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     splits: SplitRule
     text: TextTemplates
     metrics: MetricConstants
+    breakdown: BreakdownConstants
 
     @property
     def digest(self) -> str:

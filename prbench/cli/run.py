@@ -103,7 +103,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
     metavar="NAME|cmd:…|FILE",
     shell_complete=complete_method,
     help="An installed method; a program: 'cmd:python glide.py', or a .toml file that describes one; or a control:"
-    " ground-truth, ground-truth-resampled, scripted; all: the rows of the study's Table 2.",
+    " ground-truth, scripted, nearest-neighbour, stare, … (docs/audit.md); all: the rows of the study's Table 2.",
 )
 @click.option(
     "--condition",

@@ -17,7 +17,7 @@ import pyarrow as pa
 from prbench.engine import Engine, InProcess
 from prbench.errors import AdapterError, MemoryFullError
 from prbench.evaluation.conditions import run_salt
-from prbench.evaluation.controls import RECORDED_MOTION, control_motions
+from prbench.evaluation.controls import HOLDS_RECORDINGS, RECORDED_MOTION, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
 from prbench.evaluation.request import Progress, ProgressCallback, RunRequest, silent
@@ -193,7 +193,7 @@ class _Part:
 
     def write_notice(self) -> None:
         """Say beside the predictions what the data's terms ask, so that it travels with a folder that is passed on."""
-        recorded = self.prepared.request.method in RECORDED_MOTION
+        recorded = self.prepared.request.method in HOLDS_RECORDINGS
         text = run_notice(self.dataset.selection.table.info, recorded_motion=recorded)
         if text and not self.files.notice.is_file():
             write_text(self.files.notice, text)
