@@ -78,6 +78,11 @@ CONTROLS = (
 )
 
 
+def round_trip_fps(name: str) -> float | None:
+    """Return the frame rate that a control takes recorded motion through; None for all other controls."""
+    return _ROUND_TRIP_FPS.get(name)
+
+
 def control_motions(
     name: str, selection: Selection, source: ConditionSource, plan: list[Int[np.ndarray, "_"]]
 ) -> Iterator[Motions]:

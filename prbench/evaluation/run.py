@@ -16,6 +16,7 @@ import pyarrow as pa
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import AdapterError, MemoryFullError
+from prbench.evaluation.agreement import agreement_with_people, require_agreement
 from prbench.evaluation.conditions import run_salt
 from prbench.evaluation.controls import HOLDS_RECORDINGS, RECORDED_MOTION, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
@@ -205,13 +206,19 @@ class _Part:
             stored = read_scores(files.scores)
             require_scores(files, stored, pa.concat_tables(self._windows()))
             require_summary(files, summarise(stored, self._scored_set()))
+            agreement = agreement_with_people(self.dataset.selection, stored)
+            require_agreement(files, agreement)
+            if not files.agreement.is_file():  # a run of an earlier version
+                agreement.write(files.path)
         else:
             write_scores(files.scores, self._windows())
             measured = files.batch_costs()
             if measured or not files.cost.is_file():  # else only scores were lost, and what was measured still holds
                 total_cost(read_batch_costs(measured), batches=len(self.dataset.plan)).write(files.cost)
+            stored = read_scores(files.scores)
+            agreement_with_people(self.dataset.selection, stored).write(files.path)
             # The summary comes last: where it stands, everything else does.
-            summarise(read_scores(files.scores), self._scored_set()).write(files.path)
+            summarise(stored, self._scored_set()).write(files.path)
         files.forget_batch_costs()
         return DatasetSummary.read(files.path)
 

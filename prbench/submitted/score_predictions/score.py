@@ -92,7 +92,7 @@ def _score_submission(tables: list[SequenceTable], request: ScoreRequest, work: 
     if request.out is not None:
         folders = write_submission(request.out, offline_record(request.predictions, name, stated, scored), scored)
     origin = f"file {clean(request.predictions.name)}"
-    return tuple(ScoreReport(one.scores, one.summary, at, origin) for one, at in zip(scored, folders))
+    return tuple(ScoreReport(one.scores, one.summary, at, origin, one.agreement) for one, at in zip(scored, folders))
 
 
 def _stated(tables: list[SequenceTable], request: ScoreRequest) -> tuple[Stated, Numbering | None]:
