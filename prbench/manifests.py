@@ -183,6 +183,19 @@ class MetricConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     largest_speed: float
 
 
+class BreakdownConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Bins of the goal's place, by which scores are broken down: the upper ends of all but the last, ascending.
+
+    ``fewest_recordings`` and ``fewest_expected`` (sequences) are what an agreement's interval needs.
+    """
+
+    bearing: tuple[float, ...]
+    distance: tuple[float, ...]
+    height: tuple[float, ...]
+    fewest_recordings: int
+    fewest_expected: float
+
+
 class Citations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """BibTeX that belongs to every result of the benchmark, whatever the dataset."""
 
@@ -200,6 +213,7 @@ class BenchmarkProtocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     splits: SplitRule
     text: TextTemplates
     metrics: MetricConstants
+    breakdown: BreakdownConstants
 
     @property
     def digest(self) -> str:

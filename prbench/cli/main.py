@@ -53,6 +53,8 @@ _COMMANDS = {
     },
     "board: runs side by side": {
         "leaderboard": "prbench.cli.leaderboard:leaderboard",
+        "agreement": "prbench.cli.agreement:agreement",
+        "audit": "prbench.cli.audit:audit",
     },
     "look: at tables, events and motions": {
         "stats": "prbench.cli.stats:stats",

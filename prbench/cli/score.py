@@ -23,7 +23,7 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.progress import progress
-from prbench.cli.summaries import DatasetScores, dataset_scores, print_summary
+from prbench.cli.summaries import DatasetScores, dataset_scores, print_agreement, print_summary
 
 if TYPE_CHECKING:
     from prbench.submitted.score_predictions import ScoreReport as Scored
@@ -129,7 +129,9 @@ def score(
             progress=lambda step: show(step.done, step.total, step.dataset),
         )
     datasets = [
-        ScoredMotions(origin=each.origin, scores=dataset_scores(each.summary, motionless=each.motionless))
+        ScoredMotions(
+            origin=each.origin, scores=dataset_scores(each.summary, each.agreement, motionless=each.motionless)
+        )
         for each in scored
     ]
     return Answer(ScoreReport(datasets=datasets, out=out), lambda: _print(scored, out))
@@ -140,6 +142,7 @@ def _print(scored: Sequence[Scored], out: Path | None) -> None:
 
     for each in scored:
         print_summary(each.summary, origin=each.origin, motionless=each.motionless)
+        print_agreement(each.agreement)
     if out is not None:
         print(f"scores: {out}")
         if any(each.summary.condition == UNSTATED for each in scored):

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from prbench.runs import RunFolder
+    from prbench.runs.agreement import DatasetAgreement, RateAgreement
     from prbench.runs.summary import DatasetSummary, MetricSummary
 
 _MARKS = {
@@ -53,6 +54,74 @@ class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
     means_nothing: bool
 
 
+class RateOfPeople(msgspec.Struct, frozen=True, kw_only=True):
+    """One rate: the method's success beside that of recorded people on the same sequences.
+
+    Attributes:
+        metric: Id of the metric.
+        title: Its name as printed.
+        phi: Phi coefficient, from -1 to 1; null where one side has a single outcome.
+        low: Lower bound of its 95 % interval; null where the data allow none.
+        high: Upper bound of the interval.
+        sequences: Number of sequences.
+        recordings: Number of recordings that they come from.
+        people: Share of the sequences on which recorded people succeed.
+        remark: Why there is no coefficient or no interval; empty if there are both.
+    """
+
+    metric: str
+    title: str
+    phi: float | None
+    low: float | None
+    high: float | None
+    sequences: int
+    recordings: int
+    people: float
+    remark: str
+
+
+class RateInBin(msgspec.Struct, frozen=True, kw_only=True):
+    """One rate on the sequences whose goal lies in one bin.
+
+    Attributes:
+        metric: Id of the metric.
+        title: Its name as printed.
+        by: ``bearing`` (degrees), ``distance`` or ``height`` (metres).
+        begin: Lower end of the bin, included.
+        end: Upper end, excluded; null for the last bin.
+        sequences: Number of sequences in it.
+        recordings: Number of recordings that they come from.
+        mean: The method's rate; null without sequences.
+        low: Lower bound of its 95 % interval; null where the data allow none.
+        high: Upper bound of the interval.
+        people: The rate of recorded people on the same sequences; null without sequences.
+    """
+
+    metric: str
+    title: str
+    by: str
+    begin: float
+    end: float | None
+    sequences: int
+    recordings: int
+    mean: float | None
+    low: float | None
+    high: float | None
+    people: float | None
+
+
+class AgreementReport(msgspec.Struct, frozen=True, kw_only=True):
+    """How a method's successes go with those of recorded people, and with where the goal is.
+
+    Attributes:
+        rates: Agreement with recorded people, one entry a rate.
+        breakdown: Rates by the goal's bearing, distance and height.
+    """
+
+    rates: list[RateOfPeople]
+    breakdown: list[RateInBin]
+
+
 class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
     """Scores of one method on one dataset.
 
@@ -70,6 +139,7 @@ class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
         samples: Motions a sequence.
         remark: That recorded motions were handed in; empty if there are none.
         metrics: One entry a metric.
+        agreement: Agreement with recorded people, and rates by the goal's place; null for runs of earlier versions.
     """
 
     dataset: str
@@ -85,13 +155,17 @@ class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
     samples: int
     remark: str
     metrics: list[MetricScore]
+    agreement: AgreementReport | None
 
 
-def dataset_scores(summary: DatasetSummary, *, motionless: bool = False) -> DatasetScores:
+def dataset_scores(
+    summary: DatasetSummary, agreement: DatasetAgreement | None, *, motionless: bool = False
+) -> DatasetScores:
     """Turn a summary into the shape that ``--json`` prints.
 
     Args:
         summary: Scores of a method on a dataset.
+        agreement: How they go with recorded people's; None for a run of an earlier version.
         motionless: The method's motions stand still.
     """
     metrics = [
@@ -125,7 +199,32 @@ def dataset_scores(summary: DatasetSummary, *, motionless: bool = False) -> Data
         samples=summary.samples,
         remark=summary.recorded_motion_mark,
         metrics=metrics,
+        agreement=agreement and agreement_report(agreement),
     )
+
+
+def agreement_report(agreement: DatasetAgreement) -> AgreementReport:
+    """Turn the file of a run into the shape that ``--json`` prints."""
+    values = msgspec.to_builtins(agreement)
+    return msgspec.convert({"rates": values["rates"], "breakdown": values["breakdown"]}, AgreementReport)
+
+
+def print_agreement(agreement: DatasetAgreement | None) -> None:
+    """Print the agreement of the main rates in one line, if there is any."""
+    from prbench.metrics import METRICS
+
+    main = {info.id for info in METRICS if info.main}
+    parts = [f"{rate.title} {phi_cell(rate)}" for rate in agreement.rates if rate.metric in main] if agreement else []
+    if parts:
+        print(f"agreement with recorded people (phi): {', '.join(parts)}")
+
+
+def phi_cell(rate: RateOfPeople | RateAgreement) -> str:
+    """Return a coefficient with its interval as far as there is one."""
+    if rate.phi is None:
+        return "–"
+    bounds = "" if rate.low is None or rate.high is None else f" [{rate.low:+.2f}, {rate.high:+.2f}]"
+    return f"{rate.phi:+.2f}{bounds}"
 
 
 def _irrelevant(motionless: bool) -> frozenset[str]:

@@ -10,9 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 import pyarrow as pa
 
 from prbench.engine import Engine, InProcess
+from prbench.errors import RunError
+from prbench.evaluation.agreement import agreement_with_people, require_agreement
 from prbench.evaluation.request import silent
 from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
 from prbench.manifests import load_protocol
@@ -21,7 +24,8 @@ from prbench.runs.record import RunRecord, TableRecord
 from prbench.runs.scores import read_scores
 from prbench.runs.summary import DatasetSummary
 from prbench.sequences import SequenceTable
-from prbench.submitted.score_predictions.again import scored_again
+from prbench.shown import quoted
+from prbench.submitted.score_predictions.again import scored_again, scored_sequences
 from prbench.submitted.score_predictions.scored import Work
 
 _OTHER_PROTOCOL = (
@@ -59,12 +63,14 @@ class RunChecker:
         table = self.find_table(record)
         made = _require_summary_of(run, record, scores, table)
         if not any(files.predictions.glob("part-*.parquet")):
+            _require_agreement_of(run, scores, table)
             return CheckedSummary(made, "its folder holds no motions")
         if run.record.protocol_digest != load_protocol().digest:
             return CheckedSummary(made, _OTHER_PROTOCOL)
         if table is None:
             return CheckedSummary(made, f"its table of {record.dataset} is not at hand: name it with --data DIR")
         require_scores(files, scores, scored_again(run, table, Work(self.engine, silent)).scores)
+        _require_agreement_of(run, scores, table)
         return CheckedSummary(made, "")
 
 
@@ -85,6 +91,24 @@ def _require_summary_of(
     made = summary_of(run.record, record, scores, {name: recording_of.get(name, recording_key(name)) for name in names})
     require_summary(files, made, grouped=grouped)
     return made if grouped else DatasetSummary.read(files.path)
+
+
+def _require_agreement_of(run: RunFolder, scores: pa.Table, table: SequenceTable | None) -> None:
+    """Compare the agreement with recorded people with what follows from the scores, where the table is at hand.
+
+    Raises:
+        RunError: if it says something else, or the scores are of sequences that the run was not made on.
+    """
+    if table is None or run.record.protocol_digest != load_protocol().digest:
+        return
+    files = run.dataset(table.info.dataset)
+    selection = scored_sequences(run, table)
+    scored = frozenset(scores["sequence_id"].to_pylist())
+    unknown = sorted(scored - frozenset(selection.sequence_ids))
+    if unknown:
+        raise RunError(f"{files.scores}: expected sequences that the run was made on, found {quoted(unknown[0])}.")
+    selection = selection.chosen(np.array([name in scored for name in selection.sequence_ids]))
+    require_agreement(files, agreement_with_people(selection, scores))
 
 
 def summary_of(

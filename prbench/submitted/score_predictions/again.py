@@ -38,7 +38,8 @@ def score_run(
     folders = (None,) * len(scored) if request.out is None else write_plain(request.out, scored)
     method = run.record.method
     return tuple(
-        ScoreReport(one.scores, one.summary, at, method.origin, method.motionless) for one, at in zip(scored, folders)
+        ScoreReport(one.scores, one.summary, at, method.origin, one.agreement, method.motionless)
+        for one, at in zip(scored, folders)
     )
 
 
@@ -50,6 +51,16 @@ def scored_again(run: RunFolder, table: SequenceTable, work: Work) -> Scored:
         PredictionsError: if motions are missing, or one cannot be scored.
     """
     return _scored(run, table, ScoreRequest(predictions=run.path, data=(table.folder,)), work)
+
+
+def scored_sequences(run: RunFolder, table: SequenceTable) -> Selection:
+    """The sequences that a run was scored on.
+
+    Raises:
+        RunError: if it is of another table.
+    """
+    _require_same_table(run, table)
+    return _selections(ScoreRequest(predictions=run.path, data=(table.folder,)), run.record, table)[1]
 
 
 def _scored(run: RunFolder, table: SequenceTable, request: ScoreRequest, work: Work) -> Scored:

@@ -109,7 +109,7 @@ def _score_submission(
         record = offline_record(name, stated, scored, package=request.predictions.name, digest=digest)
         folders = write_submission(request.out, record, scored)
     origin = f"file {clean(request.predictions.name)}"
-    return tuple(ScoreReport(one.scores, one.summary, at, origin) for one, at in zip(scored, folders))
+    return tuple(ScoreReport(one.scores, one.summary, at, origin, one.agreement) for one, at in zip(scored, folders))
 
 
 def _stated(tables: list[SequenceTable], request: ScoreRequest) -> tuple[Stated, Numbering | None]:

@@ -11,6 +11,7 @@ import pyarrow as pa
 import prbench
 from prbench.engine import Engine
 from prbench.errors import StorageError
+from prbench.evaluation.agreement import agreement_with_people
 from prbench.evaluation.planning import Selection
 from prbench.evaluation.preparation import table_record
 from prbench.evaluation.request import ProgressCallback
@@ -18,6 +19,7 @@ from prbench.evaluation.results import ScoredSet, summarise
 from prbench.evaluation.scoring import ScoringRules, reported, score_selection
 from prbench.manifests import load_protocol
 from prbench.runs import record as run_record
+from prbench.runs.agreement import DatasetAgreement
 from prbench.runs.cost import total_cost
 from prbench.runs.folder import RunFolder
 from prbench.runs.predictions import Predictions
@@ -61,6 +63,7 @@ class Scored:
     """The chosen sequences that were scored."""
     scores: pa.Table
     summary: DatasetSummary
+    agreement: DatasetAgreement
 
     @classmethod
     def of(
@@ -87,7 +90,7 @@ class Scored:
             split=selection.split,
             samples=len(samples),
         )
-        return cls(chosen, selection, scores, summarise(scores, scored))
+        return cls(chosen, selection, scores, summarise(scores, scored), agreement_with_people(selection, scores))
 
 
 def offline_record(name: str, stated: Stated, scored: tuple[Scored, ...], *, package: str, digest: str) -> RunRecord:
@@ -155,6 +158,7 @@ def write_submission(folder: Path, record: RunRecord, scored: tuple[Scored, ...]
     for part, one in zip(parts, scored):
         write_scores(part.scores, [one.scores])
         total_cost([], batches=0).write(part.cost)  # nothing was measured
+        one.agreement.write(part.path)
         one.summary.write(part.path)
     return tuple(part.path for part in parts)
 
@@ -170,6 +174,7 @@ def write_plain(folder: Path, scored: tuple[Scored, ...]) -> tuple[Path, ...]:
     parts = [folder if len(scored) == 1 else folder / one.summary.dataset for one in scored]
     for part, one in zip(parts, scored):
         write_scores(part / "scores.parquet", [one.scores])
+        one.agreement.write(part)
         one.summary.write(part)
     return tuple(parts)
 
