@@ -39,7 +39,7 @@ class RunComparison:
 def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker | None = None) -> RunComparison:
     """Compare two runs sequence by sequence, on all the datasets that both were scored on.
 
-    Signs are flipped by recording, and p-values corrected after Holm for everything compared here
+    Recordings are the independent units, and p-values are corrected after Holm for everything compared here
     (docs/specification/protocol.md#comparisons).
 
     Args:
@@ -90,7 +90,8 @@ def paired_scores(first: RunFolder, second: RunFolder, dataset: str) -> dict[str
     if _table_of(first, dataset).content_digest != _table_of(second, dataset).content_digest:
         raise RunError(f"{first.path} and {second.path} were run on different tables of {dataset}.")
     pairs = {}
-    for metric in (info.id for info in METRICS if info.main):
+    for info in (info for info in METRICS if info.main):
+        metric = info.id
         rows = [table.filter(pc.field("metric") == metric).sort_by("sequence_id") for table in tables]
         if not all(row.num_rows for row in rows):
             continue
@@ -100,9 +101,9 @@ def paired_scores(first: RunFolder, second: RunFolder, dataset: str) -> dict[str
                 f" ({rows[0].num_rows} and {rows[1].num_rows}). Run both with the same --split and --limit."
             )
         values = [np.asarray(row["value_mean"]) for row in rows]
-        # Sequences of one recording are not independent, so signs are flipped for a whole recording at once.
+        # Sequences of one recording are not independent, so their spread is that between recordings.
         recordings = [recording_key(name) for name in rows[0]["sequence_id"].to_pylist()]
-        pairs[f"{dataset}\n{metric}"] = PairedValues(values[0], values[1], recordings)
+        pairs[f"{dataset}\n{metric}"] = PairedValues(values[0], values[1], recordings, rate=info.unit == "rate")
     return pairs
 
 
