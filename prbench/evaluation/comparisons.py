@@ -100,6 +100,24 @@ def smallest_detectable(
     return None if np.isnan(found) else found
 
 
+def smallest_detectable_unpaired(
+    values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids, *, comparisons: int
+) -> float | None:
+    """Like :func:`smallest_detectable`, for the difference to an unrelated method of the same spread as this one.
+
+    Args:
+        values: Of one method, one a row.
+        recording_ids: One a row.
+        sequence_ids: One a row; a sequence with several samples has several rows.
+        comparisons: Number of comparisons made together.
+    """
+    data = clustered(values, recording_ids, sequence_ids)
+    if "all_equal" in data.marks:
+        return None
+    found = np.sqrt(2) * float(detectable_difference(data.spread, comparisons=comparisons, power=_POWER))
+    return None if np.isnan(found) else float(found)
+
+
 def paired_p_value(differences: Float[np.ndarray, " sequences"], recording_ids: Ids) -> float | None:
     """Two-sided p-value of the mean difference being 0, from the spread between recordings.
 

@@ -8,7 +8,6 @@ import pytest
 from prbench.evaluation.results import metric_differences
 from prbench.runs.summary import MetricSummary
 
-
 ENTRY = MetricSummary(
     metric="mpjpe", title="MPJPE", unit="m", mean=0.25, low=0.2, high=0.3, level=0.95, interval="student-hall-cluster",
     sequences=48, recordings=12, marks=(), flags={},

@@ -218,7 +218,7 @@ def test_nothing_is_ranked_below_fifty_sequences_and_controls_never(large_table,
     page = (tmp_path / "enough/table_2.md").read_text()
     assert "by Prime Success: Reacher" in page
     assert "not supported by the data" in page
-    assert "**" in page
+    assert "**" not in page  # the best mean was bold here, though the data support no difference
 
 
 def test_shuffled_goals_stand_among_the_controls(small_tables, tmp_path):
