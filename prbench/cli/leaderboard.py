@@ -48,6 +48,9 @@ class BoardMetric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         recordings: Number of recordings that they come from.
         marks: What a reader of the interval needs to know: ``few_recordings``, ``one_recording``, ``all_equal``.
         flags: Number of motions that carry each remark.
+        detectable: Smallest difference to an unrelated method of the same spread that is found with 80 % power, among
+            the main metrics; null where nothing can be tested.
+        uncertainty: Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``.
     """
 
     metric: str
@@ -62,6 +65,8 @@ class BoardMetric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     recordings: int
     marks: list[str]
     flags: dict[str, int]
+    detectable: float | None
+    uncertainty: dict[str, float]
 
 
 class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -85,7 +90,9 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         verified: Whether the scores were held against the motions.
         why_unverified: The reason why not; empty if they were.
         unsupported: Number of sequences that are longer than the method can generate.
-        ranks: Maps ids of metrics to ranks, from 1; empty where nothing is ranked.
+        ranks: Maps ids of metrics to ranks: one more than the number of methods that are better by a supported
+            difference; empty where nothing is ranked.
+        leads: Ids of metrics in which it is better than every other method, each by a supported difference.
         metrics: The scores.
         says_nothing: Ids of metrics that say nothing about this method, because it stands still.
     """
@@ -108,6 +115,7 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     why_unverified: str
     unsupported: int
     ranks: dict[str, int]
+    leads: list[str]
     metrics: list[BoardMetric]
     says_nothing: list[str]
 
@@ -127,6 +135,7 @@ class BoardTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         selection_digest: Digest of the chosen sequences.
         sequences: Number of sequences.
         recordings: Number of recordings that they come from.
+        undecided: Sentences on what the data cannot decide, and the smallest differences that they can.
         rows: The runs, sorted by condition, controls last.
     """
 
@@ -141,6 +150,7 @@ class BoardTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     selection_digest: str
     sequences: int
     recordings: int
+    undecided: list[str]
     rows: list[BoardRow]
 
 
@@ -245,9 +255,11 @@ class MetricDifference(msgspec.Struct, frozen=True, kw_only=True):
         sequences: Number of sequences.
         recordings: Number of recordings that they come from.
         marks: What a reader of the interval needs to know: ``few_recordings``, ``one_recording``, ``all_equal``.
-        p_value: Two-sided, by flipping signs of whole recordings; null below six recordings.
+        p_value: Two-sided, from the spread between recordings; null where it cannot be tested.
         adjusted_p_value: The same after Holm's correction for everything compared here.
-        conclusion: ``higher``, ``lower`` or ``not supported by the data``: of the first run.
+        detectable: Smallest true difference that is found with 80 % power at Holm's first step; null where it cannot be
+            tested.
+        conclusion: ``higher``, ``lower``, ``not supported by the data`` or ``cannot be tested``: of the first run.
     """
 
     dataset: str
@@ -263,6 +275,7 @@ class MetricDifference(msgspec.Struct, frozen=True, kw_only=True):
     marks: list[str]
     p_value: float | None
     adjusted_p_value: float | None
+    detectable: float | None
     conclusion: str
 
 
@@ -390,6 +403,7 @@ def _metric_difference(row: ComparedMetric) -> MetricDifference:
         marks=list(difference.marks),
         p_value=row.comparison.p_value,
         adjusted_p_value=row.comparison.adjusted_p_value,
+        detectable=row.comparison.detectable,
         conclusion=row.comparison.conclusion,
     )
 
@@ -398,10 +412,11 @@ def _print_comparison(report: CompareReport) -> None:
     first = report.first.path.name
     print_table(
         f"{first} against {report.second.path.name}, sequence by sequence",
-        ("dataset", "metric", "difference", "95 % interval", "p (Holm)", ""),
+        ("dataset", "metric", "difference", "95 % interval", "p (Holm)", "detectable", ""),
         [_difference_row(first, row) for row in report.differences],
-        numbers=(2, 3, 4),
+        numbers=(2, 3, 4, 5),
     )
+    print("detectable: smallest true difference that is found in four of five repetitions, at Holm's first step.")
     for run in (report.first, report.second):
         print(f"{run.path.name}: {run.method}, {run.origin}")
         for dataset, mark in run.marks.items():
@@ -415,13 +430,12 @@ def _difference_row(first: str, row: MetricDifference) -> tuple[str, ...]:
 
     scale = printed_scale(row.unit)
     unit = " points" if row.unit == "rate" else printed_unit(row.unit)
-    if "all_equal" in row.marks:
-        bounds = "all equal"  # a bootstrap of equal differences would claim certainty
-    elif row.low is None or row.high is None:
-        bounds = "–"
+    if row.low is None or row.high is None:
+        bounds = "all equal" if "all_equal" in row.marks else "cannot be given"
     else:
         bounds = f"[{row.low * scale:+.2f}, {row.high * scale:+.2f}]"
-    said = row.conclusion if row.conclusion.startswith("not") else f"{first} is {row.conclusion}"
+    said = f"{first} is {row.conclusion}" if row.conclusion in ("higher", "lower") else row.conclusion
     change = "–" if row.difference is None else f"{row.difference * scale:+.2f}{unit}"
     p_value = "–" if row.adjusted_p_value is None else f"{row.adjusted_p_value:.4f}"
-    return (row.dataset, row.title, change, bounds, p_value, said)
+    detectable = "–" if row.detectable is None else f"{row.detectable * scale:.2f}{unit}"
+    return (row.dataset, row.title, change, bounds, p_value, detectable, said)

@@ -37,6 +37,9 @@ class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
         recordings: Number of recordings that they come from.
         marks: What a reader of the interval has to know: ``few_recordings``, ``one_recording``, ``all_equal``.
         flags: Number of motions that carry each remark.
+        detectable: Smallest difference to an unrelated method of the same spread that is found with 80 % power, among
+            the main metrics; null where nothing can be tested.
+        uncertainty: Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``.
         means_nothing: The method stands still, so that this metric says nothing about it.
     """
 
@@ -51,6 +54,8 @@ class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
     recordings: int
     marks: list[str]
     flags: dict[str, int]
+    detectable: float | None
+    uncertainty: dict[str, float]
     means_nothing: bool
 
 
@@ -181,6 +186,8 @@ def dataset_scores(
             recordings=metric.recordings,
             marks=list(metric.marks),
             flags=metric.flags,
+            detectable=metric.detectable,
+            uncertainty=metric.uncertainty,
             means_nothing=metric.metric in _irrelevant(motionless),
         )
         for metric in summary.metrics
@@ -256,12 +263,29 @@ def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = Fa
         for metric in summary.metrics
     ]
     print_table(title, ("metric", "mean", "95 % interval", ""), rows, numbers=(1, 2))
+    for line in _design_lines(summary):
+        print(line)
     if summary.unsupported:
         print(f"{summary.unsupported} sequences are longer than the method can generate and were not scored.")
     if summary.recorded_motion_mark:
         print(f"{summary.recorded_motion_mark}.")
     if summary.synthetic:
         print("These are scores on synthetic data: never compare them with published ones.")
+
+
+def _design_lines(summary: DatasetSummary) -> list[str]:
+    """Say what the data cannot decide, and what makes the first metric uncertain."""
+    from prbench.leaderboard.decidable import undecided
+
+    lines = list(undecided(summary.dataset, summary.sequences, summary.recordings, [summary.metrics]))
+    metric = next((metric for metric in summary.metrics if any(metric.uncertainty.values())), None)
+    if metric is not None:
+        source, share = max(metric.uncertainty.items(), key=lambda item: item[1])
+        lines.append(
+            f"{metric.title}: {100 * share:.0f} % of the uncertainty comes from the choice of {source};"
+            f" more {source} reduce it."
+        )
+    return lines
 
 
 def print_side_by_side(
@@ -274,6 +298,7 @@ def print_side_by_side(
         origins: Whose methods they are, in words, one a summary.
         motionless: Names of methods that stand still, which get no Foot Skating and the like.
     """
+    from prbench.leaderboard.decidable import undecided
     from prbench.metrics import MAIN_METRICS
     from prbench.runs.summary import TWICE_DAGGER
 
@@ -292,6 +317,8 @@ def print_side_by_side(
         header.append(f"{summary.method}{mark}\n({summary.condition})\n{origin}")
     title = f"{first.title}, {first.sequences} sequences of {first.recordings} recordings, split {first.split}"
     print_table(f"{title}: means and 95 % intervals", header, rows, numbers=range(1, len(header)), spaced=True)
+    for line in undecided(first.dataset, first.sequences, first.recordings, [summary.metrics for summary in summaries]):
+        print(line)
     for summary in summaries:
         if summary.recorded_motion_mark:
             print(f"{summary.method} {summary.recorded_motion_mark}.")

@@ -31,7 +31,7 @@ _WORKERS = 2
 _SINGLE_RUN = {"sequences": "sequence", "isolate": "isolate", "timeout": "timeout"}
 _WIDE = 180
 """Columns that the whole layout takes."""
-_RANKS = {1: "¹", 2: "²"}
+_LEADS = "¹"
 
 
 class TableTwoAnswer(msgspec.Struct, frozen=True, kw_only=True):
@@ -171,7 +171,7 @@ def _cell(cell: Cell | None, between: str = ", ") -> str:
     """Write a mean with its place, and the interval below."""
     if cell is None:
         return "–"
-    mean = f"{cell.mean:.2f}{_RANKS.get(cell.rank or 0, '')}"
+    mean = f"{cell.mean:.2f}{_LEADS if cell.leads else ''}"
     return f"{mean}\n{cell.interval.replace(', ', between)}".rstrip()
 
 

@@ -12,6 +12,7 @@ from prbench.leaderboard.tables import (
     MacroTable,
     TableRow,
     hides,
+    undecided_lines,
 )
 from prbench.metrics import MAIN_METRICS, MetricInfo, printed_unit
 from prbench.runs.record import CONTROL
@@ -64,7 +65,7 @@ def _marked(method: str, mark: str) -> str:
 
 
 def _cell(row: TableRow, info: MetricInfo) -> str:
-    """Mean and interval in the printed unit; the best of a condition in bold."""
+    """Mean and interval in the printed unit, in bold where it is better than all others of its condition."""
     metric = row.entry.metric(info.id)
     if metric is None:
         return ""
@@ -72,7 +73,7 @@ def _cell(row: TableRow, info: MetricInfo) -> str:
         return _DASH
     scale = info.scale
     mean = f"{scale * metric.mean:.2f}"
-    text = f"**{mean}**" if row.ranks.get(info.id) == 1 else mean
+    text = f"**{mean}**" if info.id in row.leads else mean
     if metric.low is not None and metric.high is not None:
         text += f" [{scale * metric.low:.2f}, {scale * metric.high:.2f}]"
     return text + (f" {_FEW}" if "few_recordings" in metric.marks else "")
@@ -87,7 +88,12 @@ def _legend(table: DatasetTable) -> Iterable[str]:
     if table.sequences < FEWEST_RANKED:
         yield f"Nothing is ranked: fewer than {FEWEST_RANKED} sequences."
     elif any(row.ranks for row in table.rows):
-        yield "Bold: the best of two or more methods under one condition; controls are not ranked."
+        yield (
+            "Bold: better than every other method under its condition, each by a difference that the data support"
+            " (Holm's correction for all pairs and metrics of the condition); controls are not ranked."
+        )
+        yield from _groups(table)
+    yield from map(markdown, undecided_lines(table))
     for row in table.rows:
         # Remarks stand under the table, because a cell has no room for a sentence.
         if row.entry.mark:
@@ -106,6 +112,29 @@ def _legend(table: DatasetTable) -> Iterable[str]:
         yield "The data may not be passed on; this page holds scores only, no recorded motion and no goals."
 
 
+def _groups(table: DatasetTable) -> Iterable[str]:
+    """Yield the metrics of each condition in which the data separate no two methods, and the order of the others."""
+    for condition in dict.fromkeys(row.entry.record.condition for row in table.rows if row.ranks):
+        rows = [row for row in table.rows if row.entry.record.condition == condition and row.ranks]
+        alike = []
+        for info in MAIN_METRICS:
+            ranks = {row.ranks[info.id] for row in rows if info.id in row.ranks}
+            if ranks == {1}:
+                alike.append(info.title)
+        if alike:
+            yield f"{markdown(condition)}: the data separate no two methods in {', '.join(alike)}."
+        for info in MAIN_METRICS:
+            if info.title in alike or not any(info.id in row.ranks for row in rows):
+                continue
+            groups: dict[int, list[str]] = {}
+            for row in rows:
+                if info.id in row.ranks:
+                    name = " ".join(part for part in (row.entry.method, row.variant) if part)
+                    groups.setdefault(row.ranks[info.id], []).append(markdown(name))
+            parts = [f"{rank}. {', '.join(names)}" for rank, names in sorted(groups.items())]
+            yield f"{markdown(condition)}, {info.title}: {'; '.join(parts)} (methods of one group are not separated)."
+
+
 def _macro_blocks(macro: MacroTable) -> list[str]:
     word = " (synthetic data among them)" if macro.synthetic else ""
     title = f"## Mean over datasets: {', '.join(map(markdown, macro.datasets))}{word}"
@@ -121,7 +150,10 @@ def _macro_blocks(macro: MacroTable) -> list[str]:
         ]
         for row in macro.rows
     ]
-    legend = "- Every dataset counts alike. Place in its condition in parentheses; none for methods without a dataset."
+    legend = (
+        "- Every dataset counts alike. In parentheses: one more than the number of methods of its condition that are"
+        " better on every dataset by a supported difference; none for methods without a dataset."
+    )
     return [title, _grid(header, rows), legend]
 
 

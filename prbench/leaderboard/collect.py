@@ -28,6 +28,8 @@ class LeaderboardRow:
     summary: DatasetSummary
     unverified: str = ""
     """The reason why its scores were not checked against its motions; empty where they were."""
+    scores: Path | None = None
+    """Its ``scores.parquet``."""
 
     @property
     def method(self) -> str:
@@ -118,7 +120,8 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> Collec
             continue
         for table in run.record.tables:
             checked = (check or RunChecker().check)(run, table)
-            rows.append(LeaderboardRow(folder.name, run.record, table, checked.summary, checked.unverified))
+            scores = run.dataset(table.dataset).scores
+            rows.append(LeaderboardRow(folder.name, run.record, table, checked.summary, checked.unverified, scores))
     return CollectedRuns(tuple(rows), tuple(left_out))
 
 

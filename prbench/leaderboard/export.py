@@ -11,7 +11,7 @@ import msgspec
 
 from prbench.errors import UsageError
 from prbench.leaderboard.as_markdown import as_markdown
-from prbench.leaderboard.tables import DatasetTable, Leaderboard, MacroTable, TableRow, hides
+from prbench.leaderboard.tables import DatasetTable, Leaderboard, MacroTable, TableRow, hides, undecided_lines
 from prbench.metrics import METRICS, exported_unit, printed_scale
 from prbench.shown import csv_text
 
@@ -162,6 +162,7 @@ def _json_table(table: DatasetTable) -> dict[str, object]:
         "selection_digest": chosen,
         "sequences": table.sequences,
         "recordings": table.recordings,
+        "undecided": list(undecided_lines(table)),
         "rows": [_json_row(row) for row in table.rows],
     }
 
@@ -187,6 +188,7 @@ def _json_row(row: TableRow) -> dict[str, object]:
         "why_unverified": entry.unverified,
         "unsupported": entry.summary.unsupported,
         "ranks": row.ranks,
+        "leads": sorted(row.leads),
         "metrics": msgspec.to_builtins(entry.summary.metrics),
         "says_nothing": [info.id for info in METRICS if hides(entry, info)],
     }

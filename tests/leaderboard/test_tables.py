@@ -89,7 +89,20 @@ def write_run(
 
 
 def leaderboard(*folders: Path):
-    return make_leaderboard(collect_runs(folders, check=as_stored))
+    """A board of summaries without scores, as if the data supported every difference of means."""
+    return make_leaderboard(collect_runs(folders, check=as_stored), separate=by_means)
+
+
+def by_means(rows, metrics):
+    beaten = {}
+    for i, row in enumerate(rows):
+        for info in metrics:
+            sign = 1 if info.higher_is_better else -1
+            own = row.metric(info.id).mean
+            beaten[i, info.id] = frozenset(
+                j for j, other in enumerate(rows) if sign * other.metric(info.id).mean > sign * own
+            )
+    return beaten
 
 
 def as_stored(run: RunFolder, table: TableRecord) -> CheckedSummary:
@@ -240,7 +253,8 @@ def test_the_macro_mean_weighs_datasets_alike_and_needs_all_of_them(tmp_path):
     assert rows["two"].means["prime_success"] == pytest.approx(0.3)
     assert rows["three"].means == {}
     assert rows["three"].missing == ("gimo",)
-    assert (rows["one"].ranks["prime_success"], rows["two"].ranks["prime_success"]) == (1, 2)
+    # "two" is better on adt and "one" on gimo: the means alone, which made ranks 1 and 2 here, separate no methods.
+    assert (rows["one"].ranks["prime_success"], rows["two"].ranks["prime_success"]) == (1, 1)
     assert rows["three"].ranks == {}
     printed = {row[1]: row for row in cells(export(board, "md"), "Mean over")[2:]}
     assert printed["one"][3] == "40.00 (1)"
@@ -447,3 +461,49 @@ def test_methods_of_one_name_and_two_kinds_are_two_rows_of_the_mean(tmp_path):
     rows = only(leaderboard(tmp_path).macro).rows
     assert sorted(row.origin for row in rows) == ["package x 1", "program x"]
     assert all(row.missing == () for row in rows)
+
+
+def test_a_method_that_is_better_on_every_dataset_is_better_in_the_mean(tmp_path):
+    write_run(tmp_path / "a", "one", datasets=("adt", "gimo"), prime_success=0.2)
+    write_run(tmp_path / "b", "two", datasets=("adt", "gimo"), prime_success=0.3)
+    rows = {row.method: row for row in only(leaderboard(tmp_path).macro).rows}
+    assert (rows["one"].ranks["prime_success"], rows["two"].ranks["prime_success"]) == (2, 1)
+
+
+def test_methods_that_the_data_do_not_separate_share_a_rank_and_no_winner_is_bold(tmp_path):
+    for name, mean in (("one", 0.29), ("two", 0.19), ("three", 0.1)):
+        write_run(tmp_path / name, name, prime_success=mean)
+
+    def separate(rows, metrics):
+        place = {row.method: i for i, row in enumerate(rows)}
+        if not rows:
+            return {}
+        return {(place["three"], "prime_success"): frozenset({place["one"]})}
+
+    board = make_leaderboard(collect_runs([tmp_path], check=as_stored), separate=separate)
+    rows = {row.entry.method: row for row in only(board.tables).rows}
+    assert [rows[name].ranks["prime_success"] for name in ("one", "two", "three")] == [1, 1, 2]
+    assert not any(row.leads for row in rows.values())
+    text = export(board, "md")
+    assert "**" not in text
+    assert "Prime Success: 1. one, two; 2. three (methods of one group are not separated)" in text
+    assert "the data separate no two methods in Reach Success" in text
+
+
+@pytest.mark.parametrize(("recordings", "sequences", "reason"), [(3, 300, "3 recordings"), (11, 22, "22 sequences")])
+def test_a_dataset_that_cannot_be_decided_says_so(tmp_path, recordings, sequences, reason):
+    write_run(tmp_path / "a", "one", sequences=sequences, summary={"recordings": recordings})
+    write_run(tmp_path / "b", "two", sequences=sequences, summary={"recordings": recordings})
+    board = leaderboard(tmp_path)
+    assert f"synthetic-adt cannot be decided: {reason}" in export(board, "md")
+    assert any(reason in line for line in json.loads(export(board, "json"))["tables"][0]["undecided"])
+
+
+def test_the_smallest_detectable_difference_stands_below_the_table(tmp_path):
+    known = {"prime_success": 0.27, "mpjpe": 0.034, "reach_success": 1.3}
+    entries = tuple(msgspec.structs.replace(entry, detectable=known.get(entry.metric)) for entry in metrics())
+    write_run(tmp_path / "a", "one", summary={"metrics": entries})
+    text = export(leaderboard(tmp_path), "md")
+    assert "Prime Success 27 points" in text
+    assert "Reach Success none (not even 100 points)" in text
+    assert "MPJPE 0.034 m" in text

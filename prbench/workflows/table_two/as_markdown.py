@@ -76,7 +76,10 @@ def notes(layout: TableLayout) -> Iterable[str]:
     if few:
         yield f"Nothing is ranked on {', '.join(few)}: fewer than {FEWEST_RANKED} sequences."
     if len(few) < len(layout.datasets):
-        yield "Bold or ¹: best of two or more methods of a block; underlined or ²: second. Controls are not ranked."
+        yield (
+            "Bold or ¹: better than every other method of the block, each by a supported difference. Controls are not"
+            " ranked."
+        )
     if any(dataset.synthetic for dataset in layout.datasets):
         yield "Scores on synthetic data: they say nothing about real people; never compare them with published ones."
     stand_ins = [f"{line.label} ({line.weights_used})" for line in lines if line.stands_in and line.state == "run"]
@@ -114,7 +117,7 @@ def _cell(cell: Cell | None) -> str:
     if cell is None:
         return _DASH
     mean = f"{cell.mean:.2f}"
-    marked = {1: f"**{mean}**", 2: f"<u>{mean}</u>"}.get(cell.rank or 0, mean)
+    marked = f"**{mean}**" if cell.leads else mean
     return f"{marked} {cell.interval}".rstrip()
 
 

@@ -54,6 +54,9 @@ class Cell:
     low: float | None
     high: float | None
     rank: int | None
+    """One more than the number of methods that are better by a supported difference; None where nothing is ranked."""
+    leads: bool = False
+    """It is better than every other method, each by a supported difference."""
 
     @property
     def interval(self) -> str:
@@ -108,7 +111,7 @@ class Step:
     low: float | None
     high: float | None
     p: float | None
-    """p-value of sign flips by recording, after Holm's correction for the steps of the block."""
+    """p-value, after Holm's correction for the steps of the block."""
     supported: bool
 
 
@@ -249,7 +252,7 @@ def _cell(row: TableRow | None, info: MetricInfo) -> Cell | None:
         return None
     # Stored values are fractions and metres; cells are as printed.
     low, high = (None if bound is None else info.scale * bound for bound in (metric.low, metric.high))
-    return Cell(info.scale * metric.mean, low, high, row.ranks.get(info.id))
+    return Cell(info.scale * metric.mean, low, high, row.ranks.get(info.id), info.id in row.leads)
 
 
 def _line_cost(folder: Path | None, row: TableRow | None) -> LineCost:
@@ -304,8 +307,6 @@ def _step(names: Sequence[str], comparison: Comparison, scale: float) -> Step:
     better, worse = names
     estimate = comparison.difference
     bounds = (estimate.low, estimate.high)
-    if "all_equal" in estimate.marks:
-        bounds = (None, None)  # a bootstrap of equal differences would claim certainty
     low, high = (None if bound is None else scale * bound for bound in bounds)
     supported = comparison.conclusion == "higher"
     return Step(better, worse, scale * estimate.mean, low, high, comparison.adjusted_p_value, supported)

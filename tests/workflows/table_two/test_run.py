@@ -225,7 +225,7 @@ def test_nothing_is_ranked_below_fifty_sequences_and_controls_never(large_table,
     (header,) = {row for row in page.splitlines() if row.startswith("| Condition")}
     assert header.count("|") - 1 == 2 + 6 + 3, "the study's six columns, and three of cost"
     assert "not supported by the data" in page
-    assert "**" in page
+    assert "**" not in page  # the best mean was bold here, though the data support no difference
 
 
 def test_shuffled_goals_stand_among_the_controls(small_tables, tmp_path):
