@@ -53,6 +53,8 @@ _COMMANDS = {
     },
     "board: runs side by side": {
         "leaderboard": "prbench.cli.leaderboard:leaderboard",
+        "study": "prbench.cli.study:study",
+        "ablation": "prbench.cli.ablation:ablation",
     },
     "look: at tables, events and motions": {
         "stats": "prbench.cli.stats:stats",

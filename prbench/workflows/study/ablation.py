@@ -29,7 +29,13 @@ from prbench.training.outputs import WEIGHTS
 from prbench.training.record import read_record
 from prbench.training.run import TrainRequest, resolved, train
 from prbench.workflows.study.document import DASH, StudyBlock, StudyTable, StudyValue
-from prbench.workflows.study.methods import measured_cells, measured_title, measured_values, table_notes
+from prbench.workflows.study.methods import (
+    measured_cells,
+    measured_title,
+    measured_values,
+    published_value,
+    table_notes,
+)
 from prbench.workflows.table_two.layout import metric_title
 
 TABLES = tuple(dict.fromkeys(row.table for row in load_ablations()))
@@ -233,6 +239,7 @@ def _part(
     return StudyTable(
         number=number,
         title=published_table(number).title,
+        dataset=table.dataset,
         part=f"{table.title} ({table.dataset}), {table.sequences} sequences of {table.recordings} recordings",
         header=("Condition", "Variant", *(metric_title(info) for info in MAIN_METRICS)),
         blocks=tuple(block for block in blocks if block.rows),

@@ -54,8 +54,10 @@ class StudyTable:
     values: tuple[StudyValue, ...]
     text_columns: int = 1
     """Columns at the left that hold words; the others are set to the right."""
-    part: str = ""
+    dataset: str = ""
     """Dataset of one part of a table that has several."""
+    part: str = ""
+    """The part in words: dataset, and how much data stand behind it."""
     stamp: str = ""
     """A warning that has to stand with the numbers, such as that they come from a smoke configuration."""
     notes: tuple[str, ...] = ()

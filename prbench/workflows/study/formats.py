@@ -80,7 +80,7 @@ def _latex_row(cells: Sequence[str]) -> str:
 
 
 def _label(table: StudyTable) -> str:
-    return "-".join(re.findall(r"[a-z0-9]+", f"table {table.number} {table.part}".lower()))
+    return "-".join(re.findall(r"[a-z0-9]+", f"table {table.number} {table.dataset}".lower()))
 
 
 def as_markdown(tables: Sequence[StudyTable]) -> str:

@@ -90,6 +90,7 @@ def poses_table(
             StudyTable(
                 number="S1",
                 title=published_table("S1").title,
+                dataset=table.dataset,
                 part=f"{table.dataset}, tested on {tested}",
                 header=_header(),
                 blocks=tuple(block for block in blocks if block.rows),
@@ -127,6 +128,7 @@ def _part(table: DatasetTable, number: str, *, with_published: bool) -> StudyTab
     return StudyTable(
         number=number,
         title=published_table(number).title,
+        dataset=table.dataset,
         part=f"{table.title} ({table.dataset}), {table.sequences} sequences of {table.recordings} recordings",
         header=_header(),
         blocks=tuple(block for block in blocks if block.rows),
