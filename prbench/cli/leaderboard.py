@@ -15,6 +15,7 @@ from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.leaderboard.comparison import ComparedMetric
+    from prbench.leaderboard.tables import Leaderboard
     from prbench.submitted.verification import RunChecker
 
 _EXAMPLE = "prbench leaderboard export runs/static runs/ground-truth --format md --out leaderboard.md"
@@ -194,7 +195,53 @@ class MacroMeans(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     rows: list[MacroMean]
 
 
-class Board(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class PublishedDifference(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A measured number beside the one that the study prints: rates in %, lengths in metres.
+
+    Attributes:
+        table: Table of the study, such as ``2``.
+        dataset: Name of the dataset.
+        condition: What the method was given.
+        method: Name of the method.
+        variant: Of the measured row.
+        published_variant: Of the study's row that it stands beside.
+        metric: Id of the metric.
+        unit: ``%``, ``m`` or ``ratio``.
+        measured: The measured number.
+        published: The study's number.
+        difference: measured - published.
+        low: Lower bound of the difference's 95 % interval; null where the measured number has none.
+        high: Upper bound of the interval.
+        sequences: Number of sequences behind the measured number.
+        published_sequences: Number of sequences in the study's test split.
+        verified: Whether the measured scores were held against the motions.
+        assumptions: Ids of what the study leaves open and could explain the difference.
+        remarks: What else could.
+        source: Where the study prints the number.
+    """
+
+    table: str
+    dataset: str
+    condition: str
+    method: str
+    variant: str
+    published_variant: str
+    metric: str
+    unit: str
+    measured: float
+    published: float
+    difference: float
+    low: float | None
+    high: float | None
+    sequences: int
+    published_sequences: int
+    verified: bool
+    assumptions: list[str]
+    remarks: list[str]
+    source: str
+
+
+class Board(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """A leaderboard; ``--format json`` writes the same.
 
     Attributes:
@@ -202,12 +249,19 @@ class Board(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         tables: One table for each dataset and way of scoring it.
         macro_means: Means over datasets, for each protocol with two datasets or more.
         notes: What was left out, and which tables must not be compared.
+        published: With ``--with-published``: differences to the study's numbers, on real recordings only; absent if
+            there are none.
+        assumptions: Maps the ids that they name to what the study leaves open; absent if there are none.
+        not_beside_published: A sentence for each run beside which no published number stands; absent without.
     """
 
     schema_version: int
     tables: list[BoardTable]
     macro_means: list[MacroMeans]
     notes: list[str]
+    published: list[PublishedDifference] = []
+    assumptions: dict[str, str] = {}
+    not_beside_published: list[str] = []
 
 
 class BoardReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -312,9 +366,16 @@ def _tables_option(function: Callable) -> Callable:
     help="Markdown (default), CSV or JSON.",
 )
 @out_file_option("Write the leaderboard to this file instead of printing it.")
+@click.option(
+    "--with-published",
+    is_flag=True,
+    help="Show the study's numbers behind the measured ones, and how far runs on real recordings are from them.",
+)
 @_tables_option
 @workers_option()
-def export(runs: tuple[Path, ...], format: str, out: Path | None, data: tuple[Path, ...], workers: int) -> Answer:
+def export(
+    runs: tuple[Path, ...], format: str, out: Path | None, with_published: bool, data: tuple[Path, ...], workers: int
+) -> Answer:
     """Write a leaderboard of finished runs.
 
     RUN are run folders, or folders that hold some.
@@ -330,13 +391,25 @@ def export(runs: tuple[Path, ...], format: str, out: Path | None, data: tuple[Pa
         if row.unverified:
             note(f"unverified: {row.run}: {row.unverified}")
     board = boards.make_leaderboard(collected)
-    text = boards.export(board, format)
+    text = _exported(board, format, with_published=with_published)
     if out is not None:
         with sole_writer(out):
             write_text(out, text)
-    exported = msgspec.json.decode(boards.export(board, "json"), type=Board)
+    exported = msgspec.json.decode(_exported(board, "json", with_published=with_published), type=Board)
     report = BoardReport(format=format, out=out, board=exported)
     return Answer(report, lambda: print(text, end="") if out is None else print(f"leaderboard: {out}"))
+
+
+def _exported(board: Leaderboard, format: str, *, with_published: bool) -> str:
+    """Write a leaderboard in a format, with the study's numbers behind it if asked for."""
+    from prbench import leaderboard as boards
+
+    text = boards.export(board, format)
+    if not with_published:
+        return text
+    from prbench.workflows.study.beside import add_published
+
+    return add_published(text, board, format)
 
 
 @command(

@@ -55,6 +55,8 @@ _COMMANDS = {
         "leaderboard": "prbench.cli.leaderboard:leaderboard",
         "agreement": "prbench.cli.agreement:agreement",
         "audit": "prbench.cli.audit:audit",
+        "study": "prbench.cli.study:study",
+        "ablation": "prbench.cli.ablation:ablation",
     },
     "look: at tables, events and motions": {
         "stats": "prbench.cli.stats:stats",

@@ -2,9 +2,9 @@
 
 Two runs compare on a dataset if protocol, table (both digests), split and chosen sequences agree. Methods are ranked
 within their condition, on all main metrics but ``plausible``, where at least 50 sequences were scored; controls,
-methods that left sequences out and motions that are the recorded ones are shown without rank. A rank is one more than the number of
-methods that are better by a supported difference, so methods that the data cannot separate share one. The macro mean
-weighs every dataset alike and exists only for methods that have all of them.
+methods that left sequences out and motions that are the recorded ones are shown without rank. A rank is one more than
+the number of methods that are better by a supported difference, so methods that the data cannot separate share one. The
+macro mean weighs every dataset alike and exists only for methods that have all of them.
 """
 
 from __future__ import annotations

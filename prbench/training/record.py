@@ -15,6 +15,8 @@ import msgspec
 import torch
 
 import prbench
+from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
 from prbench.errors import StorageError, TrainingError
 from prbench.evaluation.preparation import package_versions
 from prbench.sequences import CorpusTable, SequenceTable
@@ -107,6 +109,22 @@ def write_record(out: Path, record: TrainingRecord) -> None:
         StorageError: if it cannot be written.
     """
     write_json(out / RECORD, msgspec.to_builtins(record))
+
+
+@foreign_input()
+def read_record(out: Path) -> TrainingRecord:
+    """Read what decides a training that stands in a folder.
+
+    Raises:
+        TrainingError: if the folder holds none, or it is damaged.
+    """
+    path = out / RECORD
+    try:
+        return msgspec.json.decode(read_whole(path), type=TrainingRecord)
+    except FileNotFoundError as error:
+        raise TrainingError(f"{path}: expected the record of a training, found no file.") from error
+    except (msgspec.ValidationError, msgspec.DecodeError) as error:
+        raise TrainingError(f"{path}: not a valid {RECORD}: {error}. Train again in another folder.") from error
 
 
 def _first_difference(asked: Mapping[str, str], found: Mapping[str, str]) -> tuple[str, str, str] | None:
