@@ -81,7 +81,8 @@ def test_a_ray_on_the_threshold_is_not_off_target(beyond: float, expected: int) 
 
 
 def test_a_frame_without_head_direction_is_no_look_elsewhere() -> None:
-    motion = looking((6, 5, 4, 4, 4, 4, 4))  # case E
+    motion = looking((6, 90, 4, 4, 4, 4, 4))  # case E, but for frame 1, in which the shoulders turn away
+    assert readings(motion)["arrival"] == 1
     motion[1, Joint.HEAD] = motion[1, Joint.NECK]
     found = score(batch(motion), batch(motion), targets(), CONSTANTS)
     assert found["prime_success_arrival"].value == 0

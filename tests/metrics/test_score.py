@@ -20,7 +20,19 @@ from prbench.metrics import (
 )
 from tests.metrics.motions import CONSTANTS, batch, random_problem, standing, targets, turned
 
-EASIER = msgspec.structs.replace(CONSTANTS, prime_distance=0.4, reach_distance=0.2, location_error_distance=0.15)
+EASIER = msgspec.structs.replace(
+    CONSTANTS,
+    prime_distance=0.4,
+    prime_angle_deg=35.0,
+    reach_distance=0.2,
+    location_error_distance=0.15,
+    largest_floating=0.15,
+    largest_penetration=0.15,
+    largest_bone_change=2.5,
+    largest_slide_share=0.95,
+    largest_jerk=90.0,
+    largest_speed=1.9,
+)
 LENGTHS = (2, 3, 4, 5, 17, 60, 200, 31, 2, 120, 44, 7)
 
 
@@ -69,6 +81,12 @@ def test_the_metrics_stand_in_printed_order() -> None:
         "prime_success_gaze",
     }
     assert list(score(*random_problem(0, [5]), CONSTANTS)) == [m.id for m in METRICS if m.id != "prime_success_gaze"]
+
+
+def test_the_laws_are_tried_where_every_rate_takes_both_values() -> None:
+    found = [values(*random_problem(seed, LENGTHS * 3)) for seed in range(4)]
+    for info in (info for info in METRICS if info.unit == "rate" and info.id in found[0]):
+        assert {value for each in found for value in each[info.id]} == {0.0, 1.0}, info.id
 
 
 def test_recorded_motion_has_no_error_at_all() -> None:
