@@ -9,6 +9,7 @@ from pathlib import Path
 
 from prbench.boundary import foreign_input
 from prbench.errors import RunError
+from prbench.leaderboard.costs import UNMEASURED, MotionCost, cost_of
 from prbench.methods.names import BUILT_IN_METHODS, METHOD_CONTROLS, name_problem
 from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
@@ -28,6 +29,7 @@ class LeaderboardRow:
     summary: DatasetSummary
     unverified: str = ""
     """The reason why its scores were not checked against its motions; empty where they were."""
+    cost: MotionCost = UNMEASURED
 
     @property
     def method(self) -> str:
@@ -118,7 +120,8 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> Collec
             continue
         for table in run.record.tables:
             checked = (check or RunChecker().check)(run, table)
-            rows.append(LeaderboardRow(folder.name, run.record, table, checked.summary, checked.unverified))
+            cost = cost_of(run.dataset(table.dataset))
+            rows.append(LeaderboardRow(folder.name, run.record, table, checked.summary, checked.unverified, cost))
     return CollectedRuns(tuple(rows), tuple(left_out))
 
 

@@ -127,6 +127,10 @@ def test_the_printed_table_holds_the_six_metrics_in_percent_and_metres(tmp_path)
         "Location Error ↓ (%)",
         "MPJPE ↓ (m)",
         "Foot Skating ↓",
+        "s/motion",
+        "Passes/motion",
+        "Memory (MiB)",
+        "Parameters",
         "Kind",
     ]
     assert row[3] == "35.42 [31.88, 38.96]"
@@ -293,7 +297,7 @@ def test_json_holds_everything_with_rates_from_0_to_1(tmp_path):
 def test_text_from_a_run_cannot_break_the_table(tmp_path):
     write_run(tmp_path / "a", "one|two", options={"note": "a|b\nc"})
     rows = cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")
-    assert {len(row) for row in rows} == {10}
+    assert {len(row) for row in rows} == {14}
     assert rows[2][1] == r"one\|two"
 
 
