@@ -19,7 +19,7 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.progress import progress
-from prbench.cli.summaries import DatasetScores, dataset_scores
+from prbench.cli.summaries import DatasetScores, dataset_scores, phi_cell
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
@@ -138,6 +138,7 @@ def _print(each: TableAudit, metrics: Sequence[MetricInfo]) -> None:
         _print_metrics(f"{title}; the main metrics", each, main[first : first + _COLUMNS])
     for first in range(0, len(beside), _COLUMNS):
         _print_metrics("beside them", each, beside[first : first + _COLUMNS])
+    _print_agreement(each)
     for info in metrics:
         names = each.not_worse_than_people(info)
         if names and _is_contest(info):
@@ -145,6 +146,19 @@ def _print(each: TableAudit, metrics: Sequence[MetricInfo]) -> None:
     if summary.synthetic:
         print("These are scores on synthetic data: never compare them with published ones.")
     print("docs/audit.md says what each control does and what is to be learnt from it.")
+
+
+def _print_agreement(each: TableAudit) -> None:
+    """Print on which sequences each control succeeds, beside recorded people."""
+    rates = each.controls[0].agreement.rates
+    header = ["control", *(rate.title.replace(" ", "\n") for rate in rates)]
+    rows = []
+    for control in each.controls:
+        found = {rate.metric: rate for rate in control.agreement.rates}
+        cells = [phi_cell(found[rate.metric]) if rate.metric in found else "–" for rate in rates]
+        rows.append((control.name, *cells))
+    title = "agreement with recorded people on the same sequences (phi, 95 % interval; 0 is unrelated)"
+    print_table(title, header, rows, numbers=range(1, len(header)))
 
 
 def _print_metrics(title: str, each: TableAudit, metrics: Sequence[MetricInfo]) -> None:

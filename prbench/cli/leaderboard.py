@@ -26,6 +26,7 @@ leaderboard = Group(
         "commands": {
             "export": "prbench.cli.leaderboard:export",
             "compare": "prbench.cli.leaderboard:compare",
+            "pareto": "prbench.cli.pareto:pareto",
         }
     },
     example=_EXAMPLE,
@@ -70,6 +71,22 @@ class BoardMetric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     uncertainty: dict[str, float]
 
 
+class BoardCost(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The cost of a motion, on the machine of the run; null where nothing was measured or declared.
+
+    Attributes:
+        seconds_per_motion: Seconds a motion, batched as the run was.
+        passes_per_motion: Network passes a motion, as the method declares.
+        memory_mebibytes: Largest memory of the device, else of the process, in MiB.
+        parameters: Parameters of the method's networks.
+    """
+
+    seconds_per_motion: float | None
+    passes_per_motion: float | None
+    memory_mebibytes: float | None
+    parameters: int | None
+
+
 class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One run in the table of a dataset.
 
@@ -95,6 +112,7 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             difference; empty where nothing is ranked.
         leads: Ids of metrics in which it is better than every other method, each by a supported difference.
         metrics: The scores.
+        cost: Cost of a motion.
         says_nothing: Ids of metrics that say nothing about this method, because it stands still.
     """
 
@@ -118,6 +136,7 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ranks: dict[str, int]
     leads: list[str]
     metrics: list[BoardMetric]
+    cost: BoardCost
     says_nothing: list[str]
 
 

@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from prbench.runs.agreement import DatasetAgreement
     from prbench.workflows.experiment import Experiment, ExperimentMethod
 
-
 _FIRST_RUN_WORKERS = 2
 _OF_AN_EXPERIMENT = ("method", "condition", "options", "control", "sequences", "minutes")
 """Options whose place is in the file, where there is one."""

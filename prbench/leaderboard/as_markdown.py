@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from prbench.leaderboard.costs import COST_TITLES
 from prbench.leaderboard.tables import (
     FEWEST_RANKED,
     DatasetTable,
@@ -42,13 +43,14 @@ def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
         # Two tables of one dataset differ in a digest at most, so their titles have to show digests.
         protocol, identity, content, _, chosen = (part[:8] for part in table.key)
         title += f" (protocol {protocol}, table {identity}/{content}, chosen {chosen})"
-    header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), "Kind"]
+    header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), *COST_TITLES, "Kind"]
     rows = [
         [
             "control" if row.entry.record.method.kind == CONTROL else markdown(row.entry.record.condition),
             _marked(row.entry.method, row.entry.mark),
             _variant(row.variant, unverified=bool(row.entry.unverified)),
             *(_cell(row, info) for info in MAIN_METRICS),
+            *row.entry.cost.cells,
             markdown(row.entry.origin),
         ]
         for row in table.rows
@@ -81,6 +83,10 @@ def _cell(row: TableRow, info: MetricInfo) -> str:
 
 def _legend(table: DatasetTable) -> Iterable[str]:
     yield "Rates in %, with 95 % intervals over recordings in brackets."
+    yield (
+        "Cost as the harness measured it on the machine of each run, batched as it was; memory of the device, else of"
+        " the process; passes as the method declares them. A dash: not measured."
+    )
     if table.synthetic:
         yield "These are scores on synthetic data; they say nothing about real people."
     if any("few_recordings" in metric.marks for row in table.rows for metric in row.entry.summary.metrics):
@@ -170,7 +176,8 @@ def _column(info: MetricInfo) -> str:
 
 
 def _grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    rule = ["---"] * 3 + ["---:"] * len(MAIN_METRICS) + ["---"] * (len(header) - 3 - len(MAIN_METRICS))
+    numbers = {*map(_column, MAIN_METRICS), *COST_TITLES}
+    rule = ["---:" if name in numbers else "---" for name in header]
     return "\n".join("| " + " | ".join(line) + " |" for line in [header, rule, *rows])
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from prbench.boundary import foreign_input
 from prbench.errors import RunError
+from prbench.leaderboard.costs import UNMEASURED, MotionCost, cost_of
 from prbench.methods.names import BUILT_IN_METHODS, METHOD_CONTROLS, name_problem
 from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
@@ -30,6 +31,7 @@ class LeaderboardRow:
     """The reason why its scores were not checked against its motions; empty where they were."""
     scores: Path | None = None
     """Its ``scores.parquet``."""
+    cost: MotionCost = UNMEASURED
 
     @property
     def method(self) -> str:
@@ -120,8 +122,17 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> Collec
             continue
         for table in run.record.tables:
             checked = (check or RunChecker().check)(run, table)
-            scores = run.dataset(table.dataset).scores
-            rows.append(LeaderboardRow(folder.name, run.record, table, checked.summary, checked.unverified, scores))
+            files = run.dataset(table.dataset)
+            row = LeaderboardRow(
+                folder.name,
+                run.record,
+                table,
+                checked.summary,
+                checked.unverified,
+                scores=files.scores,
+                cost=cost_of(files),
+            )
+            rows.append(row)
     return CollectedRuns(tuple(rows), tuple(left_out))
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from prbench.evaluation.controls import CONTROLS, GROUND_TRUTH, RECORDED_MOTION,
 from prbench.evaluation.planning import open_tables, select
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
+from prbench.locks import sole_writer
 from prbench.metrics import METRICS, MetricInfo
 from prbench.runs.agreement import DatasetAgreement
 from prbench.runs.summary import DatasetSummary
@@ -95,7 +97,10 @@ def audit(
     rates = {select(table, split=split, limit=limit).fps for table in tables}
     wanted = list(_wanted(rates))
     by_table: list[list[AuditedControl]] = [[] for _ in tables]
-    with tempfile.TemporaryDirectory(prefix="prbench-audit-") as thrown_away:
+    with (
+        nullcontext() if out is None else sole_writer(out),
+        tempfile.TemporaryDirectory(prefix="prbench-audit-") as thrown_away,
+    ):
         parent = out or Path(thrown_away)
         for done, (name, control, use) in enumerate(wanted):
             label = name if control is None else f"{name}, {control}"

@@ -142,6 +142,10 @@ def test_the_printed_table_holds_the_main_metrics_in_percent_and_metres(tmp_path
         "MPJPE ↓ (m)",
         "Foot Skating ↓",
         "Plausible ↑ (%)",
+        "s/motion",
+        "Passes/motion",
+        "Memory (MiB)",
+        "Parameters",
         "Kind",
     ]
     assert row[3] == "35.42 [31.88, 38.96]"
@@ -337,7 +341,7 @@ def test_json_holds_everything_with_rates_from_0_to_1(tmp_path):
 def test_text_from_a_run_cannot_break_the_table(tmp_path):
     write_run(tmp_path / "a", "one|two", options={"note": "a|b\nc"})
     rows = cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")
-    assert {len(row) for row in rows} == {12}
+    assert {len(row) for row in rows} == {16}
     assert rows[2][1] == r"one\|two"
 
 
