@@ -461,7 +461,6 @@ class MergeReport(msgspec.Struct, frozen=True, kw_only=True):
     "merge",
     example="prbench leaderboard merge runs/fold-1 runs/fold-2 runs/fold-3",
     report=MergeReport,
-    writes_report=True,
 )
 @click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")
 @_tables_option

@@ -20,8 +20,9 @@ from tests.fakes import fake_dataset
 from tests.parsing import all_commands, parsed
 
 ROOT = Path(__file__).parents[2]
-DIFFER = {"--out", "--condition"}
-"""Options whose value is a file in one command and a folder in another, or that one command offers ``all`` for, too."""
+DIFFER = {"--out", "--condition", "--split"}
+"""Options whose value is a file in one command and a folder in another, that one command offers ``all`` for, too, or that
+chooses a split in most commands and says in `split-dataset` what a new split keeps together."""
 
 
 @pytest.fixture
@@ -233,3 +234,18 @@ def test_values_options_and_commands_are_completed(words, found):
     }
     done = subprocess.run([sys.executable, "-m", "prbench"], capture_output=True, text=True, env=environment)
     assert f",{found}\n" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [(["--method", "statc"], "Did you mean 'static'?"), (["--method", "pr"], "Choose one with --condition: goal-loc")],
+)
+def test_a_method_that_cannot_be_run_is_refused_before_the_embedded_table_is_built(
+    words, message, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", *words]) == 5
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert "building" not in captured.err
