@@ -21,8 +21,8 @@ from tests.parsing import all_commands, parsed
 
 ROOT = Path(__file__).parents[2]
 DIFFER = {"--out", "--condition", "--split"}
-"""Options whose value is a file in one command and a folder in another, that one command offers ``all`` for, too, or that
-chooses a split in most commands and says in `split-dataset` what a new split keeps together."""
+"""Options whose value is a file in one command and a folder in another, or that one command offers ``all`` for, too.
+``--split`` chooses a split, but in `split-dataset` it says what a new split keeps together."""
 
 
 @pytest.fixture
