@@ -259,6 +259,10 @@ WRITING = (
         lambda given, out: ("leaderboard", "pareto", given.static, "--out", out),
         "p.svg",
     ),
+    Writing(
+        "split-dataset --out",
+        lambda given, out: ("split-dataset", given.table, "--fold", "1/2", "--out", out),
+    ),
     Writing("leaderboard export --out", lambda given, out: ("leaderboard", "export", given.run, "--out", out), "l.md"),
     Writing(
         "leaderboard compare --out",

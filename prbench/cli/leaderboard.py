@@ -11,6 +11,7 @@ import msgspec
 
 from prbench.cli.commands import Answer, Group, command, note
 from prbench.cli.options import PATH, data_option, out_file_option, workers_option
+from prbench.cli.summaries import DatasetScores, dataset_scores, print_summary
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ leaderboard = Group(
             "export": "prbench.cli.leaderboard:export",
             "compare": "prbench.cli.leaderboard:compare",
             "pareto": "prbench.cli.pareto:pareto",
+            "merge": "prbench.cli.leaderboard:merge",
         }
     },
     example=_EXAMPLE,
@@ -531,3 +533,43 @@ def _difference_row(first: str, row: MetricDifference) -> tuple[str, ...]:
     p_value = "–" if row.adjusted_p_value is None else f"{row.adjusted_p_value:.4f}"
     detectable = "–" if row.detectable is None else f"{row.detectable * scale:.2f}{unit}"
     return (row.dataset, row.title, change, bounds, p_value, detectable, said)
+
+
+class MergeReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The runs of all folds as one.
+
+    Attributes:
+        runs: Their folders.
+        scores: The merged scores.
+        unverified: A sentence for each run whose scores could not be held against the motions.
+    """
+
+    runs: list[Path]
+    scores: DatasetScores
+    unverified: list[str]
+
+
+@command(
+    "merge",
+    example="prbench leaderboard merge runs/fold-1 runs/fold-2 runs/fold-3",
+    report=MergeReport,
+)
+@click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")
+@_tables_option
+@workers_option()
+def merge(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> Answer:
+    """Put the scores of a method's runs on the folds of one dataset together (see `prbench split-dataset`)."""
+    from prbench.leaderboard.merging import merge_folds
+    from prbench.runs import RunFolder
+
+    summary, unverified = merge_folds(runs, checker=_checker(data, workers))
+    method = RunFolder.open(runs[0]).record.method
+    scores = dataset_scores(summary, motionless=method.motionless)
+    report = MergeReport(runs=list(runs), scores=scores, unverified=list(unverified))
+
+    def show() -> None:
+        print_summary(summary, origin=method.origin, motionless=method.motionless)
+        for reason in unverified:
+            print(f"unverified: {reason}")
+
+    return Answer(report, show)
