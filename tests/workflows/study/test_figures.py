@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from xml.etree import ElementTree
 
 import msgspec
 import numpy as np
+import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
@@ -123,8 +125,6 @@ def test_a_sweep_has_a_row_a_window_and_every_point_in_its_numbers(opened):
 
 
 def _copied(folder: Path, to: Path) -> Path:
-    import shutil
-
     shutil.copytree(folder, to)
     return to
 
@@ -132,8 +132,10 @@ def _copied(folder: Path, to: Path) -> Path:
 def test_a_run_with_edited_scores_is_not_drawn(runs, table, tmp_path):
     folder = _copied(runs["scripted"], tmp_path / "forged")
     scores = pq.read_table(folder / "scores.parquet")
-    ones = pc.if_else(pc.equal(scores["metric"], "prime_success"), 1.0, scores["value"])
-    pq.write_table(scores.set_column(4, scores.schema.field("value"), ones), folder / "scores.parquet")
+    rows = scores.to_pylist()
+    for row in rows:
+        row["value"] = 1.0 if row["metric"] == "prime_success" else row["value"]
+    pq.write_table(pa.Table.from_pylist(rows, schema=scores.schema), folder / "scores.parquet")
     with pytest.raises(PrbenchError):
         genuine_runs([folder], [table.folder], InProcess())
 
@@ -215,3 +217,19 @@ def test_an_unknown_part_is_refused(runs, table, capsys):
     words = ["study", "table-2", str(runs["scripted"]), "--data", str(table.folder), "--part", "adt"]
     assert main(words) == UsageError.exit_code
     assert "no run is of 'adt'; those named are of: synthetic-adt" in capsys.readouterr().err
+
+
+def test_a_synthetic_run_that_claims_real_recordings_is_refused(runs, table, tmp_path, capsys):
+    """The record of a run says which dataset it is of, and a forger may write what he likes there."""
+    folder = _copied(runs["scripted"], tmp_path / "forged")
+    for name in ("run.json", "summary.json"):
+        text = (folder / name).read_text()
+        text = text.replace('"synthetic-adt"', '"adt"').replace('"synthetic": true', '"synthetic": false')
+        (folder / name).write_text(text.replace(" (synthetic)", ""))
+    scores = pq.read_table(folder / "scores.parquet")
+    rows = [row | {"dataset": "adt"} for row in scores.to_pylist()]
+    pq.write_table(pa.Table.from_pylist(rows, schema=scores.schema), folder / "scores.parquet")
+    words = ["study", "table-2", str(folder), "--data", str(table.folder), "--with-published"]
+    assert main(words) != 0
+    assert main(["leaderboard", "export", str(folder), "--data", str(table.folder), "--with-published"]) != 0
+    assert "the run is of adt, not of synthetic-adt" in capsys.readouterr().err
