@@ -17,6 +17,7 @@ DATA = [
     "*.json",
     "*.safetensors",
     "*.template",
+    "*.pyi",
     "py.typed",
     "weights/*.json",
     "weights/*.safetensors",

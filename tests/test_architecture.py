@@ -28,7 +28,7 @@ LAYERS = {
     **dict.fromkeys(("training", "submitted", "viewing"), 9),
     **dict.fromkeys(("checking", "leaderboard", "prbench_adapters"), 10),
     "workflows": 11,
-    "cli": 12,
+    **dict.fromkeys(("api", "cli"), 12),
     "prbench_data_manifests": 0,
     "prbench_benchmarks": 0,
 }

@@ -44,7 +44,7 @@ class Session:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command found or did."""
+    """The result of a command."""
 
     report: Any
     """An instance of the command's documented shape."""
@@ -231,15 +231,29 @@ def command(
 
 
 def folded_command(line: str, width: int) -> list[str]:
-    """Fold a command line into lines of at most ``width`` columns, each but the last ending in a backslash."""
+    """Fold a command line into lines of at most ``width`` columns, each but the last ending in a backslash.
+
+    An option stays beside its value.
+    """
     lines: list[str] = []
     current = " "
-    for word in shlex.split(line, posix=False):
-        if len(f"{current} {word} \\") > width and current.strip():
+    for part in _options_with_values(shlex.split(line, posix=False)):
+        if len(f"{current} {part} \\") > width and current.strip():
             lines.append(f"{current} \\")
             current = "     "
-        current += f" {word}"
+        current += f" {part}"
     return [*lines, current]
+
+
+def _options_with_values(words: Sequence[str]) -> list[str]:
+    """Join each option to the word behind it, unless that is an option itself."""
+    parts: list[str] = []
+    for word in words:
+        if parts and parts[-1].startswith("-") and " " not in parts[-1] and not word.startswith("-"):
+            parts[-1] += f" {word}"
+        else:
+            parts.append(word)
+    return parts
 
 
 def _write_example(example: str, formatter: click.HelpFormatter) -> None:

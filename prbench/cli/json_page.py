@@ -29,7 +29,7 @@ _START = """\
 You want to use what a command reports in a program of yours.
 
 `--json` prints the report of a command on standard output, as one JSON document; notes and progress stay on standard
-error. `--out FILE` writes the same document, unless the command's own result is written there (`prbench COMMAND --help`
+error. `--out FILE` writes the same document, unless the command's own result is written there (the help of a command
 tells). Every document has the same envelope, and each command a report of its own:
 
 ```bash
@@ -38,7 +38,7 @@ prbench adapters list static --json
 
 ```json
 {
-  "prbench": "0.7.0",
+  "prbench": "0.8.0",
   "command": "adapters list",
   "exit_code": 0,
   "notes": [],
@@ -47,7 +47,7 @@ prbench adapters list static --json
       {
         "name": "static",
         "package": "prbench",
-        "version": "0.7.0",
+        "version": "0.8.0",
         "target": "prbench_adapters.static:load",
         "problem": "",
         "details": null
@@ -163,7 +163,7 @@ class _Writer:
 
     def add_command(self, name: str, report: type) -> None:
         """Describe the report of one command."""
-        self._add_section(f"`prbench {name}`", report, owner=name)
+        self._add_section(f"prbench {name}", report, owner=name)
 
     def _add_section(self, title: str, shape: type, owner: str = "") -> None:
         first_seen = [each for each in shapes_in(shape) if each not in self.headings]
@@ -201,7 +201,7 @@ class _Writer:
             return _PLAIN_TYPES[annotation]
         if _has_fields(annotation):
             heading = self.headings[annotation]
-            return f"[{heading.strip('`')}](#{_anchor(heading)})"
+            return f"[{heading}](#{_anchor(heading)})"
         if origin in (types.UnionType, typing.Union):
             return " or ".join(self._in_words(each) for each in inner)
         if origin is typing.Literal:

@@ -74,6 +74,9 @@ class KeyValue(click.ParamType):
             self.fail(f"expected key=value, found '{value}'.", param, ctx)
         return key, text
 
+    def __repr__(self) -> str:
+        return "KEY=VALUE"
+
 
 def data_option(*, required: bool, help: str = "Built dataset folder(s).") -> _Decorator:
     """Add ``--data DIR…``, repeatable."""

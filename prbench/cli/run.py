@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from prbench.evaluation.request import RunRequest
     from prbench.evaluation.run import RunReport
     from prbench.runs import RunFolder
-    from prbench.workflows.experiment import Experiment
+    from prbench.workflows.experiment import Experiment, ExperimentMethod
 
 _FIRST_RUN_WORKERS = 2
 _OF_AN_EXPERIMENT = ("method", "condition", "options", "control", "sequences", "minutes")
@@ -77,7 +77,7 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
-    """What was run.
+    """The runs of one command.
 
     Attributes:
         runs: The runs asked for, in their order.
@@ -272,6 +272,8 @@ def _run_all(
     first_run = not experiment.data
     engine = engine_for(workers or (_FIRST_RUN_WORKERS if first_run else 1))
     if first_run:
+        for method in experiment.methods:
+            _require_runnable(method, experiment.device)
         experiment = _on_embedded_table(experiment, engine)
     requests = [replace(request, repeats=repeated and repeated.record) for request in experiment.requests()]
     if view is not None and len(requests) > 1:
@@ -305,6 +307,20 @@ def _run_all(
             print(f"look at it: prbench view {reports[0].folder.path} --out motions.png   (or .mp4, .html)")
 
     return Answer(answer, show)
+
+
+def _require_runnable(method: ExperimentMethod, device: str) -> None:
+    """Refuse an unknown method, or one that has to be told its condition, before half a minute goes into a table."""
+    from prbench.methods.adapters import chosen_condition, find_adapter, load_adapter
+    from prbench.methods.names import METHOD_CONTROLS
+    from prbench.methods.programs.words import is_program
+
+    if method.name in METHOD_CONTROLS or is_program(method.name):
+        return
+    find_adapter(method.name, also_known=METHOD_CONTROLS)
+    if not method.conditions:
+        weights = None if method.weights is None else Path(method.weights)
+        chosen_condition(method.name, load_adapter(method.name, weights, method.option_texts, device), None)
 
 
 def _on_embedded_table(experiment: Experiment, engine: Engine) -> Experiment:

@@ -38,6 +38,13 @@ class ExperimentMethod(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     control: str | None = None
     """``shuffled-goal`` or nothing."""
 
+    @property
+    def option_texts(self) -> dict[str, str]:
+        """The options as the command line writes them: ``true``, not ``True``."""
+        return {
+            key: str(value).lower() if isinstance(value, bool) else str(value) for key, value in self.options.items()
+        }
+
 
 class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
     """Everything that decides the results of some runs; the defaults are those of ``prbench run``."""
@@ -98,7 +105,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             data=tuple(Path(folder) for folder in self.data),
             condition=condition,
             weights=Path(method.weights) if method.weights else None,
-            options={key: _option_text(value) for key, value in method.options.items()},
+            options=method.option_texts,
             split=self.split,
             limit=self.limit,
             sequences=self.sequences,
@@ -112,11 +119,6 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             timeout=self.timeout,
             out=Path(self.out) if self.out else None,
         )
-
-
-def _option_text(value: str | int | float | bool) -> str:
-    """Write an option as the command line would: ``true``, not ``True``."""
-    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _run_name(request: RunRequest, *, several_seeds: bool) -> str:

@@ -233,3 +233,18 @@ def test_values_options_and_commands_are_completed(words, found):
     }
     done = subprocess.run([sys.executable, "-m", "prbench"], capture_output=True, text=True, env=environment)
     assert f",{found}\n" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [(["--method", "statc"], "Did you mean 'static'?"), (["--method", "pr"], "Choose one with --condition: goal-loc")],
+)
+def test_a_method_that_cannot_be_run_is_refused_before_the_embedded_table_is_built(
+    words, message, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", *words]) == 5
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert "building" not in captured.err

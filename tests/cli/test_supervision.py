@@ -79,7 +79,8 @@ def test_only_methods_of_other_packages_that_run_in_this_process_are_supervised(
 def test_os_exit_in_generate_ends_a_run_with_a_message_and_the_code_of_a_broken_contract(tmp_path):
     table = fake_dataset(tmp_path / "table", 8)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(foreign(tmp_path, LEAVES)), str(ROOT)])}
-    words = ["run", "--method", "leaves", "--data", str(table.folder), "--out", str(tmp_path / "out")]
+    words = ["run", "--method", "leaves", "--condition", "none"]
+    words += ["--data", str(table.folder), "--out", str(tmp_path / "out")]
     done = subprocess.run(
         [sys.executable, "-m", "prbench", *words], capture_output=True, text=True, env=environment, timeout=120
     )

@@ -134,7 +134,7 @@ def text_of(path: Path) -> str:
 
 def checked_files() -> list[Path]:
     """All files that cite something."""
-    found = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "pyproject.toml"]
+    found = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "pyproject.toml")]
     for folder in FOLDERS:
         found += [path for path in sorted((ROOT / folder).rglob("*")) if path.suffix in KINDS and path.is_file()]
     return [path for path in found if not MADE_ELSEWHERE & set(path.parts) and path != Path(__file__)]

@@ -51,15 +51,15 @@ def kept_synthetic_cases(folder: Path) -> Cases:
     if not kept.is_file():
         cases = synthetic_cases()
         with atomic_path(kept) as temporary, open(temporary, "wb") as file:
-            arrays = {name: np.asarray(value) for name, value in vars(cases.source).items()}
-            np.savez(file, allow_pickle=False, **arrays)
+            values: dict[str, Any] = {name: np.asarray(value) for name, value in vars(cases.source).items()}
+            np.savez(file, **values)
         return cases
     with np.load(kept) as arrays:
-        values: dict[str, Any] = dict(arrays)
+        read: dict[str, Any] = dict(arrays)
     for name in ("sequence_ids", "text"):
-        values[name] = tuple(values[name].tolist())
-    values["fps"] = float(values["fps"])
-    return Cases(ConditionSource(**values), None)
+        read[name] = tuple(read[name].tolist())
+    read["fps"] = float(read["fps"])
+    return Cases(ConditionSource(**read), None)
 
 
 def cases_of(sequences: list[Sequence]) -> Cases:

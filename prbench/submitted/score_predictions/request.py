@@ -11,6 +11,7 @@ import pyarrow as pa
 from prbench.contract import Condition
 from prbench.errors import PredictionsError, UsageError
 from prbench.methods.names import SHUFFLED_GOAL, name_problem
+from prbench.runs.predictions import Predictions
 from prbench.runs.summary import DatasetSummary
 from prbench.sequences import SequenceTable
 from prbench.storage import turn_into_paths
@@ -68,6 +69,15 @@ class ScoreRequest:
             raise UsageError(f"unknown control '{self.control}'; beside a method there is: {SHUFFLED_GOAL}.")
         if self.name is not None and (problem := name_problem(self.name)):
             raise UsageError(f"--name: {problem}.")
+
+
+@dataclass(frozen=True)
+class GivenMotions:
+    """Motions that are in memory already; ``ScoreRequest.predictions`` is what messages call them."""
+
+    predictions: Predictions
+    digest: str
+    """Over their ids and values; the version of the submission."""
 
 
 @dataclass(frozen=True)

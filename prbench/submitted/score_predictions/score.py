@@ -23,18 +23,28 @@ from prbench.submitted.offline.files import read_conditions_file
 from prbench.submitted.score_predictions.again import score_run
 from prbench.submitted.score_predictions.complete import Wanted, require_complete, require_lengths
 from prbench.submitted.score_predictions.request import (
+    GivenMotions,
     ScoreReport,
     ScoreRequest,
     Stated,
     stated_by_conditions,
     stated_by_request,
 )
-from prbench.submitted.score_predictions.scored import UNSTATED, About, Scored, Work, offline_record, write_submission
+from prbench.submitted.score_predictions.scored import (
+    UNSTATED,
+    About,
+    Scored,
+    Work,
+    offline_record,
+    predictions_digest,
+    write_submission,
+)
 
 
 def score_predictions(
     request: ScoreRequest,
     *,
+    given: GivenMotions | None = None,
     engine: Engine | None = None,
     progress: ProgressCallback = silent,
 ) -> tuple[ScoreReport, ...]:
@@ -42,6 +52,7 @@ def score_predictions(
 
     Args:
         request: What to score.
+        given: The motions where they are in memory; by default they are read from ``request.predictions``.
         engine: Where the work is done; changes no value.
         progress: Called after every scored window.
 
@@ -58,13 +69,17 @@ def score_predictions(
     """
     tables = open_tables(request.data)
     work = Work(engine or InProcess(), progress)
-    run = _run_of(request.predictions)
+    run = _run_of(request.predictions) if given is None else None
     with nullcontext() if request.out is None else sole_writer(request.out):
-        return _score_submission(tables, request, work) if run is None else score_run(run, tables, request, work)
+        if run is not None:
+            return score_run(run, tables, request, work)
+        return _score_submission(tables, request, given, work)
 
 
-def _score_submission(tables: list[SequenceTable], request: ScoreRequest, work: Work) -> tuple[ScoreReport, ...]:
-    """Score the motions of a file.
+def _score_submission(
+    tables: list[SequenceTable], request: ScoreRequest, given: GivenMotions | None, work: Work
+) -> tuple[ScoreReport, ...]:
+    """Score the motions of a file, or those in memory.
 
     Raises:
         UsageError: if the request contradicts its conditions file.
@@ -74,7 +89,7 @@ def _score_submission(tables: list[SequenceTable], request: ScoreRequest, work: 
     stated, numbering = _stated(tables, request)
     chosen = [select(table, split=stated.split, limit=stated.limit) for table in tables]
     selections = [_supported(each, stated) for each in chosen]
-    predictions = Predictions.open(request.predictions, numbering=numbering)
+    predictions = Predictions.open(request.predictions, numbering=numbering) if given is None else given.predictions
     samples = _require_fit(predictions, selections, stated, request)
     rules = ScoringRules(
         load_protocol().metrics,
@@ -90,7 +105,9 @@ def _score_submission(tables: list[SequenceTable], request: ScoreRequest, work: 
     )
     folders: tuple[Path | None, ...] = (None,) * len(scored)
     if request.out is not None:
-        folders = write_submission(request.out, offline_record(request.predictions, name, stated, scored), scored)
+        digest = predictions_digest(request.predictions) if given is None else given.digest
+        record = offline_record(name, stated, scored, package=request.predictions.name, digest=digest)
+        folders = write_submission(request.out, record, scored)
     origin = f"file {clean(request.predictions.name)}"
     return tuple(ScoreReport(one.scores, one.summary, at, origin) for one, at in zip(scored, folders))
 

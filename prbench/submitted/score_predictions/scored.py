@@ -90,8 +90,16 @@ class Scored:
         return cls(chosen, selection, scores, summarise(scores, scored))
 
 
-def offline_record(path: Path, name: str, stated: Stated, scored: tuple[Scored, ...]) -> RunRecord:
-    """Return what is known of a submission as a run's record; its version is the digest of its files."""
+def offline_record(name: str, stated: Stated, scored: tuple[Scored, ...], *, package: str, digest: str) -> RunRecord:
+    """Return what is known of a submission as a run's record.
+
+    Args:
+        name: Name of the method.
+        stated: How its motions were made.
+        scored: Their scores, one a table.
+        package: Name of the file that the motions came as.
+        digest: Digest of the motions; its beginning is the version of the method.
+    """
     protocol = load_protocol()
     return RunRecord(
         schema_version=RUN_SCHEMA_VERSION,
@@ -101,8 +109,8 @@ def offline_record(path: Path, name: str, stated: Stated, scored: tuple[Scored, 
         method=MethodRecord(
             name=name,
             kind=FILE,
-            package=path.name,
-            version=_predictions_digest(path)[:12],
+            package=package,
+            version=digest[:12],
             weights=None,
             weights_digest=None,
             options={},
@@ -123,8 +131,8 @@ def offline_record(path: Path, name: str, stated: Stated, scored: tuple[Scored, 
     )
 
 
-def _predictions_digest(path: Path) -> str:
-    """SHA-256 of a file, or of the names and contents of a folder's files."""
+def predictions_digest(path: Path) -> str:
+    """Return the SHA-256 of a file, or of the names and contents of a folder's files."""
     if path.is_file():
         return file_digest(path)
     files = sorted(file for file in path.rglob("*") if file.is_file())

@@ -179,8 +179,8 @@ def test_situation_2_through_smplx_is_the_same(smplx_motions, monkeypatch) -> No
     _, model, path = smplx_motions
     sample = model.sample(("0",), None, np.array([30]), (0,))[0]
     names = {"BODY_MODEL": path, "parameters": SmplParameters.from_arrays(**sample, form="6d-rows")}
-    snippet = re.search(r"^  ```python\n(.*?)^  ```", GUIDE, re.MULTILINE | re.DOTALL)
-    exec(re.sub("^  ", "", snippet[1], flags=re.MULTILINE), names)
+    snippet = re.search(r"^    ```python\n(.*?)^    ```", GUIDE, re.MULTILINE | re.DOTALL)
+    exec(re.sub("^    ", "", snippet[1], flags=re.MULTILINE), names)
     assert np.allclose(names["joints"], smpl_joints(names["parameters"], read_rest_joints(path)), atol=1e-6)
 
 

@@ -1,0 +1,31 @@
+from prbench.api import Build as Build
+from prbench.api import Comparison as Comparison
+from prbench.api import Event as Event
+from prbench.api import Events as Events
+from prbench.api import Gaze as Gaze
+from prbench.api import Goal as Goal
+from prbench.api import Head as Head
+from prbench.api import Joint as Joint
+from prbench.api import Measures as Measures
+from prbench.api import Picture as Picture
+from prbench.api import PrbenchError as PrbenchError
+from prbench.api import Recording as Recording
+from prbench.api import Recordings as Recordings
+from prbench.api import Replay as Replay
+from prbench.api import Run as Run
+from prbench.api import Scores as Scores
+from prbench.api import Sequence as Sequence
+from prbench.api import Story as Story
+from prbench.api import SyntheticRecordings as SyntheticRecordings
+from prbench.api import Table as Table
+from prbench.api import build_dataset as build_dataset
+from prbench.api import compare as compare
+from prbench.api import embedded_table as embedded_table
+from prbench.api import measure as measure
+from prbench.api import open_run as open_run
+from prbench.api import open_table as open_table
+from prbench.api import run as run
+from prbench.api import score as score
+from prbench.api import synthesize as synthesize
+
+__version__: str

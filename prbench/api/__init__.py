@@ -1,0 +1,49 @@
+"""prbench for notebooks and programs: what ``import prbench`` offers.
+
+Names and defaults are those of the command line. Every path may be text or a :class:`pathlib.Path`, one value or a
+list. Whatever a user can repair is raised as :class:`PrbenchError`, with the same text as on the command line.
+"""
+
+from prbench.api.building import Build, SyntheticRecordings, build_dataset, synthesize
+from prbench.api.comparing import Comparison, compare
+from prbench.api.events import Event, Events, Recording, Recordings, Story
+from prbench.api.measuring import Measures, measure
+from prbench.api.pictures import Picture, Replay
+from prbench.api.running import Run, open_run, run
+from prbench.api.scoring import Scores, score
+from prbench.api.sequences import Gaze, Goal, Head, Sequence
+from prbench.api.tables import Table, embedded_table, open_table
+from prbench.errors import PrbenchError
+from prbench.skeleton import Joint
+
+__all__ = [
+    "Build",
+    "Comparison",
+    "Event",
+    "Events",
+    "Gaze",
+    "Goal",
+    "Head",
+    "Joint",
+    "Measures",
+    "Picture",
+    "PrbenchError",
+    "Recording",
+    "Recordings",
+    "Replay",
+    "Run",
+    "Scores",
+    "Sequence",
+    "Story",
+    "SyntheticRecordings",
+    "Table",
+    "build_dataset",
+    "compare",
+    "embedded_table",
+    "measure",
+    "open_run",
+    "open_table",
+    "run",
+    "score",
+    "synthesize",
+]

@@ -1,0 +1,309 @@
+"""Native recordings into a table: the command ``prbench build-dataset``, and synthetic recordings to try it on."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from prbench.api.arguments import PathLike, as_options, as_path, as_texts, require_positive
+from prbench.api.frames import frame_from_rows, notebook_table
+from prbench.api.progress import progress
+from prbench.api.tables import Table, open_table
+from prbench.errors import UsageError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from prbench.curation import BuildReport
+    from prbench.sequences import RecordingRecord
+    from prbench.synthetic.write_tree import WrittenTree
+
+_EVERYTHING = "all"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Build:
+    """The result of :func:`prbench.build_dataset`: a table, and what became of the recordings and events."""
+
+    _report: BuildReport
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the table."""
+        return self._report.folder
+
+    @property
+    def table(self) -> Table:
+        """The table, opened."""
+        return open_table(self.folder)
+
+    @property
+    def summary(self) -> str:
+        """One line a stage, from files to sequences: how many were kept, how many dropped, and why."""
+        lines = []
+        for row in self._rows():
+            dropped = f", {row['dropped']} dropped" if row["dropped"] else ""
+            why = f" ({row['why']})" if row["why"] else ""
+            lines.append(f"{row['stage']}: {row['kept']}{dropped}{why}")
+        return "\n".join(lines)
+
+    @property
+    def unread(self) -> dict[str, str]:
+        """Recordings that are not in the table, by name, each with the reason."""
+        return {
+            record.recording_id: f"{record.status}: {record.message}"
+            for record in self._report.records
+            if record.status != "read"
+        }
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Everything that the command says beside its table, one line each.
+
+        Recordings that were taken over from an interrupted build, that could not be read, of which a stream ends early
+        (events may be missing), and that gave no sequence, with the reason.
+        """
+        records = self._report.records
+        notes = []
+        if self._report.reused:
+            notes.append(f"{self._report.reused} recordings were taken over from an interrupted build.")
+        notes += [f"{name}: {why}" for name, why in self.unread.items()]
+        notes += [f"{one.recording_id}: cut short: {shortfall}" for one in records for shortfall in one.shortfalls]
+        notes += [
+            f"{one.recording_id}: no sequence: {_why_fruitless(one)}"
+            for one in records
+            if one.status == "read" and not one.outcomes.get("sequence")
+        ]
+        return tuple(notes)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return the way from files to sequences: one row a stage with columns ``stage, kept, dropped, why``."""
+        return frame_from_rows(self._rows(), ("stage", "kept", "dropped", "why"))
+
+    def _rows(self) -> list[dict[str, object]]:
+        from prbench.curation import funnel_rows
+
+        return [
+            {"stage": row.stage, "kept": row.kept, "dropped": row.dropped, "why": row.reason}
+            for row in funnel_rows(self._report.info)
+        ]
+
+    def __repr__(self) -> str:
+        return f"<Build of {self._report.info.title}: {self._report.info.counts.sequences} sequences, {self.folder}>"
+
+    def _repr_html_(self) -> str:
+        title = f"{self._report.info.title}: from files to sequences"
+        return notebook_table(title, self.to_pandas(), [*self.notes, f"table: {self.folder}"])
+
+
+def _why_fruitless(record: RecordingRecord) -> str:
+    """Name the outcomes of a recording's events, the most frequent first, and what the recording lacks."""
+    outcomes = sorted(record.outcomes.items(), key=lambda item: (-item[1], item[0]))
+    became = ", ".join(f"{number} {outcome}" for outcome, number in outcomes if number)
+    events = f"of {sum(record.outcomes.values())} events {became}" if became else "no candidate event"
+    return "; ".join((events, *record.lacks))
+
+
+def build_dataset(
+    dataset: str,
+    root: PathLike,
+    out: PathLike,
+    *,
+    replace: bool = False,
+    recordings: str = "*",
+    max_recordings: int | None = None,
+    in_hand: str | None = None,
+    ray_origin: Literal["eye", "camera"] | None = None,
+    priming: Literal["rule", "published"] = "rule",
+    occlusion: Literal["off", "mark", "require"] = "off",
+    minimum_movement: str = "wrist_to_goal",
+    on_error: Literal["skip", "fail"] = "skip",
+    poses: str | None = None,
+    option: Mapping[str, object] | None = None,
+    workers: int = 1,
+) -> Build:
+    """Turn a dataset's recordings into a table of prime-and-reach sequences, as ``prbench build-dataset`` does.
+
+    A build that was interrupted goes on where it stopped. Recordings that cannot be read are left out and named in
+    :attr:`Build.unread`; :attr:`Build.notes` tells what else was noticed.
+
+    Args:
+        dataset: Name of the dataset, for example ``adt``; ``prbench datasets`` lists them.
+        root: Your copy of the dataset.
+        out: Folder of the table; an earlier one is replaced once the new one is ready, if that lacks nothing.
+        replace: Replace an earlier table even where the new one lacks recordings that it holds.
+        recordings: Only recordings whose name matches this pattern; ``*`` stands for any text.
+        max_recordings: At most so many recordings: the first by name.
+        in_hand: Another rule of the dataset for "the hand holds the object", for example ``wrist``.
+        ray_origin: Where gaze rays start; the eye by default.
+        priming: Prime times by the study's equations (``rule``), or taken over where the dataset publishes them.
+        occlusion: Where a dataset has meshes: ``mark`` events primed through one, or ``require`` an unobstructed look
+            (needs the extra ``open3d``).
+        minimum_movement: What must be at least 20 cm: ``wrist_to_goal``, ``pelvis_displacement`` or
+            ``object_displacement``.
+        on_error: Go on without a recording that cannot be read (``skip``), or ``fail`` at once.
+        poses: Where bodies come from, for example ``egoallo`` in place of ADT's suit.
+        option: Options of the dataset's reader, by name.
+        workers: Processes to use; changes no result. A script that asks for several needs
+            ``if __name__ == "__main__":``.
+
+    Returns:
+        What was built; :attr:`Build.table` opens it.
+
+    Raises:
+        UsageError: for an unknown dataset or option.
+        InputFileError: if there is nothing to read, or a recording cannot be read and ``on_error`` is ``fail``.
+        StorageError: if ``out`` cannot be written, holds something else, or holds more than the new table would.
+        MissingExtraError: if meshes are asked for without the extra ``open3d``.
+    """
+    from prbench.curation import BuildOptions
+    from prbench.curation import build_dataset as build
+    from prbench.curation.options import CurationOptions
+    from prbench.engine import engine_for
+
+    if dataset == _EVERYTHING:
+        raise UsageError(
+            "dataset 'all' builds several tables: name one dataset, or run `prbench build-dataset all --root DIR --out"
+            " DIR`."
+        )
+    require_positive(max_recordings=max_recordings, workers=workers)
+    if on_error not in ("skip", "fail"):
+        raise UsageError(f"on_error: expected skip or fail, found '{on_error}'.")
+    curation = CurationOptions(
+        in_hand=in_hand,
+        ray_origin=ray_origin,
+        minimum_movement=minimum_movement,
+        priming=priming,
+        occlusion=occlusion,
+    )
+    reader = _meshes(dataset, in_hand, occlusion) | as_options(option)
+    if poses is not None:
+        reader["poses"] = poses
+    options = BuildOptions(
+        curation=curation,
+        recordings=recordings,
+        limit=max_recordings,
+        reader=tuple(sorted(reader.items())),
+        on_error=on_error,
+        replace=replace,
+    )
+    with progress(f"building {dataset}") as show:
+        report = build(
+            dataset,
+            as_path(root),
+            as_path(out),
+            options=options,
+            engine=engine_for(workers),
+            progress=lambda step: show(step.done, step.total, step.record.recording_id),
+        )
+    return Build(report)
+
+
+def _meshes(dataset: str, in_hand: str | None, occlusion: str) -> dict[str, str]:
+    """Ask the reader for meshes where an option needs them; readers load none otherwise."""
+    from prbench.readers import reader_for
+
+    if in_hand == "surface":
+        return {"meshes": "true"}
+    if occlusion == "off":
+        return {}
+    if "meshes" not in reader_for(dataset).options.names():
+        raise UsageError(f"--occlusion needs meshes, and {dataset} has none; leave the option out.")
+    return {"meshes": "true"}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SyntheticRecordings:
+    """Recordings of synthetic people, written as files in a dataset's own layout."""
+
+    layout: str
+    """The dataset whose layout the files have; the name to build them under."""
+    _tree: WrittenTree
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the recordings; the ``root`` of :func:`prbench.build_dataset`."""
+        return self._tree.root
+
+    @property
+    def summary(self) -> str:
+        """One line a recording: split, seconds, events and objects."""
+        return "\n".join(
+            f"{one.recording_id}: {one.split}, {one.duration:.1f} s, {one.n_events} events, {one.n_objects} objects"
+            for one in self._tree.recordings
+        )
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return one row a recording with columns ``recording_id, split, duration, n_events, n_objects``."""
+        columns = ("recording_id", "split", "duration", "n_events", "n_objects")
+        rows = [{name: getattr(one, name) for name in columns} for one in self._tree.recordings]
+        return frame_from_rows(rows, columns)
+
+    def __repr__(self) -> str:
+        return f"<{len(self._tree.recordings)} synthetic recordings in the layout of {self.layout}, {self.folder}>"
+
+    def _repr_html_(self) -> str:
+        title = f"synthetic recordings in the layout of {self.layout}"
+        return notebook_table(title, self.to_pandas(), [f"folder: {self.folder}"])
+
+
+def synthesize(
+    layout: str,
+    out: PathLike,
+    *,
+    count: int | None = None,
+    seed: int = 0,
+    size: Literal["tiny", "default"] = "tiny",
+    events: int | None = None,
+    bystander_objects: int | None = None,
+    defect: str | Iterable[str] = (),
+    egoallo: bool = False,
+    workers: int = 1,
+) -> SyntheticRecordings:
+    """Write recordings of synthetic people in a dataset's own files, as ``prbench synthesize`` does.
+
+    So everything can be tried without any data; what happened is known, and written beside the files.
+
+    Args:
+        layout: Dataset whose layout the files have, for example ``adt`` or ``hot3d``.
+        out: Folder of the recordings; earlier synthetic ones there are replaced.
+        count: Number of recordings to make; by default the size's number (2 or 24).
+        seed: Of everything.
+        size: ``tiny`` or ``default``.
+        events: Picks and puts a recording; by default the size's number (6 or 10).
+        bystander_objects: Objects that never move.
+        defect: Damage done to the first recording as real copies are damaged; a wrong name lists them.
+        egoallo: Also write bodies as EgoAllo would estimate them (``adt`` alone).
+        workers: Processes to use; changes no result. A script that asks for several needs
+            ``if __name__ == "__main__":``.
+
+    Returns:
+        What was written.
+
+    Raises:
+        UsageError: for an unknown layout, size or defect, or a folder that holds something else.
+        StorageError: if the folder cannot be written.
+    """
+    from prbench.synthetic.write_tree import planned_recordings, synthesize_tree
+
+    require_positive(count=count, events=events, workers=workers)
+    planned = planned_recordings(size, count)
+    done = itertools.count(1)
+    with progress(f"writing {layout}") as show:
+        tree = synthesize_tree(
+            layout,
+            as_path(out),
+            recordings=count,
+            seed=seed,
+            size=size,
+            workers=workers,
+            n_events=events,
+            bystander_objects=bystander_objects,
+            defects=as_texts(defect),
+            estimates=egoallo,
+            on_written=lambda written: show(next(done), planned, written.recording_id),
+        )
+    return SyntheticRecordings(layout, tree)

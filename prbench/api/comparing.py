@@ -1,0 +1,177 @@
+"""Two runs on the same sequences: the command ``prbench leaderboard compare``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from prbench.api.arguments import PathLike, as_path, require_positive
+from prbench.api.frames import frame_from_rows, notebook_table
+from prbench.api.running import Run
+from prbench.api.scoring import Scores
+from prbench.api.tables import Table, table_folders
+from prbench.errors import UsageError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from prbench.leaderboard.comparison import ComparedMetric, RunComparison
+
+_COLUMNS = (
+    "dataset", "metric", "title", "unit", "difference", "low", "high", "p_value", "adjusted_p_value", "conclusion",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison:
+    """The differences of two runs, sequence by sequence, and the support that the data give them."""
+
+    first: Path
+    """Folder of the first run."""
+    second: Path
+    """Folder of the second run."""
+    _found: RunComparison
+
+    @property
+    def folder(self) -> tuple[Path, Path]:
+        """Folders of the two runs."""
+        return self.first, self.second
+
+    @property
+    def unverified(self) -> tuple[str, ...]:
+        """A line for each run and dataset whose scores could not be held against the motions, with the reason."""
+        return self._found.unverified
+
+    @property
+    def summary(self) -> str:
+        """One line a dataset and metric: the mean difference, first minus second, and what may be concluded."""
+        return "\n".join(
+            f"{row.dataset}, {row.info.title}: {_change(row)} ({self._said(row)})" for row in self._found.metrics
+        )
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return one row a dataset and metric.
+
+        Returns:
+            Columns ``dataset, metric, title, unit, difference`` (mean of first minus second), ``low, high`` (bounds of
+            its 95 % interval), ``p_value, adjusted_p_value`` (after Holm's correction for all rows; None below six
+            recordings) and ``conclusion`` (``higher``, ``lower`` or ``not supported by the data``). Rates lie between
+            0 and 1, lengths are in metres.
+        """
+        rows = [
+            {
+                "dataset": row.dataset,
+                "metric": row.info.id,
+                "title": row.info.title,
+                "unit": row.info.unit,
+                "difference": row.comparison.difference.mean,
+                "low": row.comparison.difference.low,
+                "high": row.comparison.difference.high,
+                "p_value": row.comparison.p_value,
+                "adjusted_p_value": row.comparison.adjusted_p_value,
+                "conclusion": row.comparison.conclusion,
+            }
+            for row in self._found.metrics
+        ]
+        return frame_from_rows(rows, _COLUMNS)
+
+    def _said(self, row: ComparedMetric) -> str:
+        conclusion = row.comparison.conclusion
+        return conclusion if conclusion.startswith("not") else f"{self.first.name} is {conclusion}"
+
+    def __repr__(self) -> str:
+        return f"<Comparison of {self.first.name} with {self.second.name}>"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            {
+                "dataset": row.dataset,
+                "metric": row.info.title,
+                "difference": _change(row),
+                "95 % interval": _bounds(row),
+                "p (Holm)": "–" if (p := row.comparison.adjusted_p_value) is None else f"{p:.4f}",
+                "": self._said(row),
+            }
+            for row in self._found.metrics
+        ]
+        frame = frame_from_rows(rows, ("dataset", "metric", "difference", "95 % interval", "p (Holm)", ""))
+        title = f"{self.first.name} against {self.second.name}, sequence by sequence"
+        return notebook_table(title, frame, [f"unverified: {reason}" for reason in self.unverified])
+
+
+def _change(row: ComparedMetric) -> str:
+    from prbench.metrics import printed_unit
+
+    unit = " points" if row.info.unit == "rate" else printed_unit(row.info.unit)
+    return f"{row.comparison.difference.mean * row.info.scale:+.2f}{unit}"
+
+
+def _bounds(row: ComparedMetric) -> str:
+    difference = row.comparison.difference
+    if "all_equal" in difference.marks:
+        return "all equal"  # a bootstrap of equal differences would claim certainty
+    if difference.low is None or difference.high is None:
+        return "–"
+    return f"[{difference.low * row.info.scale:+.2f}, {difference.high * row.info.scale:+.2f}]"
+
+
+def compare(
+    first: PathLike | Run | Scores,
+    second: PathLike | Run | Scores,
+    *,
+    data: PathLike | Table | Iterable[PathLike | Table] = (),
+    workers: int = 1,
+) -> Comparison:
+    """Say where two runs on the same sequences differ, and whether the data support it.
+
+    The command is ``prbench leaderboard compare``. Signs are flipped by recording and p-values corrected after Holm
+    (docs/specification/protocol.md#comparisons).
+
+    Args:
+        first: A finished run, or its folder; scores that were written with ``out`` will do.
+        second: Another one, of the same sequences.
+        data: The tables of the runs: scores are held against the motions on them, and called unverified without. Those
+            of runs that :func:`prbench.run` has just made, and prbench's own table, need not be named.
+        workers: Processes to use; changes no result. A script that asks for several needs
+            ``if __name__ == "__main__":``.
+
+    Returns:
+        The comparison.
+
+    Raises:
+        RunError: if a run is unfinished, its scores do not follow from its motions, or the two are not of the same
+            protocol, tables and sequences.
+        UsageError: if scores were never written.
+    """
+    from prbench.engine import engine_for
+    from prbench.leaderboard import compare_runs
+    from prbench.submitted.verification import RunChecker
+    from prbench.workflows.first_run import table_finder
+
+    require_positive(workers=workers)
+    folders = _folder_of(first), _folder_of(second)
+    tables = table_folders(data) or _tables_of(first, second)
+    checker = RunChecker(table_finder(tables), engine_for(workers))
+    return Comparison(*folders, compare_runs(*folders, checker=checker))
+
+
+def _tables_of(*runs: PathLike | Run | Scores) -> tuple[Path, ...]:
+    """Return the folders of the tables that runs remember."""
+    return tuple(dict.fromkeys(folder for run in runs if isinstance(run, Run) for folder in run.tables))
+
+
+def _folder_of(run: PathLike | Run | Scores) -> Path:
+    """Return the folder of a run.
+
+    Raises:
+        UsageError: if there is none.
+    """
+    if isinstance(run, Run):
+        return run.folder
+    if isinstance(run, Scores):
+        if run.folder is None:
+            raise UsageError("these scores were not written: give score() a folder with out=, and compare that.")
+        return run.folder
+    return as_path(run)

@@ -1,0 +1,89 @@
+"""Rows as pandas frames, and frames as the tables that a notebook shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+
+from prbench.shown import html
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_SHOWN_ROWS = 20
+
+
+def frame_of(table: pa.Table) -> pd.DataFrame:
+    """Return an Arrow table as a pandas frame.
+
+    A column of vectors holds one read-only array a cell; a missing value is None, NaN or NaT, as pandas has it.
+
+    Args:
+        table: Rows with plain values and vectors of a fixed size.
+    """
+    import pandas as pd
+
+    columns = {}
+    for name in table.column_names:
+        column = table[name]
+        if pa.types.is_fixed_size_list(column.type):
+            columns[name] = pd.Series(vectors(column), dtype=object)
+        else:
+            columns[name] = column.to_pandas()
+    return pd.DataFrame(columns, columns=pd.Index(table.column_names))
+
+
+def vectors(column: pa.ChunkedArray) -> list[np.ndarray | None]:
+    """Return a column of fixed-size vectors as read-only arrays, None where a row has none.
+
+    Args:
+        column: Fixed-size lists of numbers.
+    """
+    found: list[np.ndarray | None] = []
+    for row in column.to_pylist():
+        found.append(None if row is None else frozen(np.array(row, dtype=np.float64)))
+    return found
+
+
+def frozen(array: np.ndarray) -> np.ndarray:
+    """Make an array read-only and return it.
+
+    Args:
+        array: An array that nobody else holds.
+    """
+    array.setflags(write=False)
+    return array
+
+
+def frame_from_rows(rows: Iterable[Mapping[str, object]], columns: Iterable[str]) -> pd.DataFrame:
+    """Return dictionaries as a pandas frame that has its columns without a row, too.
+
+    Args:
+        rows: One mapping a row.
+        columns: Names of the columns, in their order.
+    """
+    import pandas as pd
+
+    return pd.DataFrame(list(rows), columns=pd.Index(list(columns)))
+
+
+def notebook_table(title: str, frame: pd.DataFrame, remarks: Iterable[str] = ()) -> str:
+    """Return what a notebook shows of an object: a line, a table and further lines.
+
+    Args:
+        title: The line above.
+        frame: The table; pandas leaves out its middle where it is long.
+        remarks: Lines below.
+    """
+    below = "".join(f"<p>{html(remark)}</p>" for remark in remarks)
+    table = frame.to_html(
+        index=False, max_rows=_SHOWN_ROWS, na_rep="", border=0, justify="left", float_format=_two_decimals
+    )
+    return f"<p><b>{html(title)}</b></p>{table}{below}"
+
+
+def _two_decimals(number: float) -> str:
+    return f"{number:.2f}"

@@ -1,0 +1,381 @@
+"""The study's six metrics on arrays of one's own, in one call.
+
+Definitions: docs/specification/metrics.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.api.frames import frozen
+from prbench.errors import UsageError, did_you_mean
+from prbench.manifests import load_protocol
+from prbench.methods.coordinates import coordinate_problem
+from prbench.metrics import METRICS, UNKNOWN_HAND, MotionBatch, ScoringTargets, printed_unit
+from prbench.metrics import score as score_metrics
+from prbench.shown import html
+from prbench.skeleton import N_JOINTS
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from numpy.typing import ArrayLike
+
+_GOAL = "goal_location (or goal_box)"
+_TIME_TOLERANCE = 1e-6  # seconds
+_NEEDS: dict[str, tuple[str, ...]] = {
+    "prime_success": (_GOAL, "prime_time", "head_tilt_deg", "fps"),
+    "prime_success_onset": (_GOAL, "prime_time", "head_tilt_deg", "fps"),
+    "reach_success": (_GOAL,),
+    "reach_success_final": (_GOAL,),
+    "reach_wrist": ("recorded", _GOAL),
+    "goal_mpjpe": ("recorded",),
+    "location_error": ("recorded",),
+    "location_error_horizontal": ("recorded",),
+    "mpjpe": ("recorded",),
+    "foot_skating": ("fps",),
+    "contact_share": (),
+    "bone_length_change": (),
+}
+"""Arguments beside the predicted motion that a metric needs."""
+_EVERYTHING = ("recorded", _GOAL, "prime_time", "head_tilt_deg", "fps")
+"""What a metric is assumed to need that is not listed: one that somebody has added."""
+_SIDES = {"left": 0, "right": 1, None: UNKNOWN_HAND}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Measures(Mapping[str, Any]):
+    """Values of metrics by id: a number each for one motion, an array (batch,) each for several.
+
+    Works as a dictionary does: ``measures["mpjpe"]``, ``dict(measures)``, ``"mpjpe" in measures``.
+    """
+
+    _values: dict[str, Float[np.ndarray, " batch"]]
+    left_out: dict[str, str]
+    """Metrics that could not be computed, by id, each with the arguments that it needs."""
+    flags: dict[str, list[str | None]] = field(default_factory=dict)
+    """Remarks by metric id, one a motion: ``no_candidate_frames`` and the like, or None."""
+    _one: bool = False
+
+    def __getitem__(self, metric: str) -> Any:
+        if metric in self.left_out:
+            raise KeyError(f"{metric} was left out: it {self.left_out[metric]}")
+        values = self._values[metric]
+        return float(values[0]) if self._one else values
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def mean(self) -> dict[str, float]:
+        """Return the mean over motions by metric id; average over sequences is what the study's tables hold."""
+        return {metric: float(values.mean()) for metric, values in self._values.items()}
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return one row a motion and one column a metric; rates are 0 or 1, lengths are in metres."""
+        import pandas as pd
+
+        return pd.DataFrame(self._values)
+
+    def __repr__(self) -> str:
+        return f"<Measures {'; '.join(self._lines())}>"
+
+    def _repr_html_(self) -> str:
+        return "<br>".join(html(line) for line in self._lines())
+
+    def _lines(self) -> list[str]:
+        infos = {info.id: info for info in METRICS}
+        over = "" if self._one else "mean "
+        lines = []
+        for metric, mean in self.mean().items():
+            info = infos[metric]
+            lines.append(f"{info.title}: {over}{mean * info.scale:.4g}{printed_unit(info.unit)}")
+        return lines + [f"{infos[metric].title} left out: {why}" for metric, why in self.left_out.items()]
+
+
+def measure(
+    predicted: ArrayLike | Sequence[ArrayLike],
+    *,
+    recorded: ArrayLike | Sequence[ArrayLike] | None = None,
+    goal_location: ArrayLike | None = None,
+    goal_box: ArrayLike | None = None,
+    prime_time: ArrayLike | None = None,
+    head_tilt_deg: ArrayLike | None = None,
+    fps: ArrayLike | None = None,
+    hand: str | Sequence[str | None] | None = None,
+    n_frames: ArrayLike | None = None,
+    metrics: Collection[str] | None = None,
+) -> Measures:
+    """Compute the study's six metrics for one motion or several, as far as the arguments allow.
+
+    A metric whose arguments are not given is left out and named in :attr:`Measures.left_out`. The values are those
+    that ``prbench run`` and ``prbench score`` compute.
+
+    All positions stand in one frame with Y up and the floor at Y = 0, in metres; for sequences of a table that is
+    their canonical frame. Arrays may be NumPy's, nested lists, or tensors on the processor.
+
+    Args:
+        predicted: Joint positions (n, 22, 3) of one motion, in the order of :class:`prbench.Joint`; or several: a list
+            of such arrays, or (batch, frames, 22, 3) with ``n_frames``.
+        recorded: The recorded motion(s) in the same form, with the same lengths. Goal MPJPE, MPJPE and Location Error
+            compare with it (docs/specification/metrics.md#goal-mpjpe, docs/specification/metrics.md#mpjpe,
+            docs/specification/metrics.md#location-error).
+        goal_location: Where the object is, (3,) or (batch, 3), metres. Prime Success and Reach Success need it
+            (docs/specification/metrics.md#prime-success, docs/specification/metrics.md#reach-success).
+        goal_box: In place of ``goal_location`` the object's box, of which the centre counts: lower and upper corner
+            (2, 3) or all corners (8, 3), with a leading axis for several motions; metres.
+        prime_time: When the recorded gaze first met the goal, seconds after the first frame
+            (``sequence.prime_after``); a number, or (batch,).
+        head_tilt_deg: Rest tilt of the neck-head bone of the skeleton, degrees (``sequence.head_tilt_deg``; 7.4 for
+            SMPL-X, 38.3 for SMPL-H: docs/specification/humanml3d.md#head-forward-vector); a number, or (batch,).
+        fps: Frames per second; a number, or (batch,). Prime Success and Foot Skating need it
+            (docs/specification/metrics.md#foot-skating).
+        hand: The recorded reaching hand, ``left`` or ``right``, or one for each motion; None where it is unknown. Only
+            the variant ``reach_wrist`` asks for it.
+        n_frames: Frames of each motion of a padded batch, (batch,); what stands behind them leaves no trace.
+        metrics: Ids of other metrics than the six, for example ``reach_success_final``
+            (the table in docs/specification/metrics.md).
+
+    Returns:
+        Values by metric id.
+
+    Raises:
+        UsageError: if an array has another shape than it must, lengths differ, a coordinate is not finite or more than
+            100 m away, ``prime_time`` lies outside the motion, or a metric is unknown.
+
+    Examples:
+        All joints off by (0.03, 0.04, 0) m in the last of four frames, and exact elsewhere:
+
+        >>> import numpy as np
+        >>> import prbench
+        >>> recorded = np.zeros((4, 22, 3))
+        >>> predicted = recorded.copy()
+        >>> predicted[-1] += [0.03, 0.04, 0.0]
+        >>> measures = prbench.measure(predicted, recorded=recorded, goal_location=[0.0, 0.0, 0.08])
+        >>> round(measures["goal_mpjpe"], 4), round(measures["mpjpe"], 4), measures["reach_success"]
+        (0.05, 0.0125, 1.0)
+        >>> measures.left_out
+        {'prime_success': 'needs prime_time, head_tilt_deg, fps', 'foot_skating': 'needs fps'}
+
+        Two motions at once, with 4 and 3 frames:
+
+        >>> several = prbench.measure([predicted, predicted[:3]], recorded=[recorded, recorded[:3]], fps=20)
+        >>> several["mpjpe"].round(4).tolist()
+        [0.0125, 0.0]
+        >>> several.to_pandas().columns.tolist()
+        ['goal_mpjpe', 'location_error', 'mpjpe', 'foot_skating']
+    """
+    motions, one = _motions("predicted", predicted, n_frames)
+    size = len(motions)
+    batch = MotionBatch.from_motions(motions)
+    reference = batch
+    if recorded is not None:
+        others, _ = _motions("recorded", recorded, n_frames)
+        _require_equal_lengths(motions, others)
+        reference = MotionBatch.from_motions(others)
+    goal = _goal(goal_location, goal_box, size)
+    rates = _numbers("fps", fps, size)
+    primes = _numbers("prime_time", prime_time, size)
+    tilts = _numbers("head_tilt_deg", head_tilt_deg, size)
+    given = {
+        "recorded": recorded is not None,
+        _GOAL: goal is not None,
+        "prime_time": primes is not None,
+        "head_tilt_deg": tilts is not None,
+        "fps": rates is not None,
+    }
+    wanted = _wanted(metrics)
+    left_out = {metric: why for metric in wanted if (why := _lacks(metric, given))}
+    possible = [metric for metric in wanted if metric not in left_out]
+    if rates is not None and primes is not None:
+        _require_inside(primes, rates, batch)
+    targets = _targets(goal, primes, tilts, rates, _hands(hand, size), size)
+    values = {}
+    if possible:
+        try:
+            values = score_metrics(batch, reference, targets, load_protocol().metrics, metrics=possible)
+        except ValueError as error:
+            raise UsageError(f"measure: {error}.") from error
+    flags = {metric: found.flag for metric, found in values.items() if any(found.flag)}
+    return Measures({metric: frozen(found.value) for metric, found in values.items()}, left_out, flags, one)
+
+
+def _wanted(metrics: Collection[str] | None) -> list[str]:
+    """Return metric ids in printed order: the six, or those that were asked for.
+
+    Raises:
+        UsageError: for an unknown id.
+    """
+    known = [info.id for info in METRICS if info.id != "prime_success_gaze"]
+    if metrics is None:
+        return [info.id for info in METRICS if info.main]
+    asked = [metrics] if isinstance(metrics, str) else list(metrics)
+    for name in asked:
+        if name not in known:
+            raise UsageError(f"unknown metric '{name}'; there are: {', '.join(known)}.{did_you_mean(name, known)}")
+    return [name for name in known if name in asked]
+
+
+def _lacks(metric: str, given: Mapping[str, bool]) -> str:
+    """Return which arguments a metric needs and has not been given; empty if none."""
+    missing = [name for name in _NEEDS.get(metric, _EVERYTHING) if not given[name]]
+    return f"needs {', '.join(missing)}" if missing else ""
+
+
+def _motions(name: str, value: Any, n_frames: Any) -> tuple[list[Float[np.ndarray, "_ 22 3"]], bool]:
+    """Return motions as a list, and whether a single one was given.
+
+    Raises:
+        UsageError: if shapes or lengths are wrong, or a coordinate is impossible.
+    """
+    if isinstance(value, list | tuple) and value and np.ndim(value[0]) == 3:
+        motions = [_array(f"{name}[{row}]", motion) for row, motion in enumerate(value)]
+        one = False
+    else:
+        array = _array(name, value)
+        one = array.ndim == 3
+        motions = [array] if one else list(array)
+    for row, motion in enumerate(motions):
+        if motion.ndim != 3 or motion.shape[1:] != (N_JOINTS, 3) or not len(motion):
+            raise UsageError(
+                f"{name}: expected (n, {N_JOINTS}, 3), a list of such arrays, or (batch, frames, {N_JOINTS}, 3) with"
+                f" n_frames, found the shape {motion.shape if one else (len(motions), *motion.shape)}."
+            )
+        if n_frames is not None:
+            motions[row] = motion[: _length(n_frames, row, len(motions), len(motion))]
+    for row, motion in enumerate(motions):
+        if problem := coordinate_problem(motion):
+            raise UsageError(f"{name if one else f'{name}[{row}]'}, {problem}")
+    return motions, one
+
+
+def _array(name: str, value: Any) -> np.ndarray:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"{name}: expected numbers, found {type(value).__name__} ({error}).") from error
+
+
+def _length(n_frames: Any, row: int, size: int, padded: int) -> int:
+    lengths = np.broadcast_to(_array("n_frames", n_frames), (size,)) if np.ndim(n_frames) == 0 else n_frames
+    if len(lengths) != size:
+        raise UsageError(f"n_frames: expected {size} numbers, one a motion, found {len(lengths)}.")
+    length = int(lengths[row])
+    if not 1 <= length <= padded:
+        raise UsageError(f"n_frames[{row}]: expected 1 to {padded}, the frames of the array, found {length}.")
+    return length
+
+
+def _require_equal_lengths(predicted: list[np.ndarray], recorded: list[np.ndarray]) -> None:
+    """Refuse motions that cannot be compared frame by frame (docs/specification/metrics.md#length-contract).
+
+    Raises:
+        UsageError: naming the first that differs.
+    """
+    if len(predicted) != len(recorded):
+        raise UsageError(f"recorded: expected {len(predicted)} motions, as many as predicted, found {len(recorded)}.")
+    for row, (one, other) in enumerate(zip(predicted, recorded, strict=True)):
+        if len(one) != len(other):
+            raise UsageError(
+                f"motion {row}: expected as many predicted as recorded frames, found {len(one)} and {len(other)}. Give"
+                " every motion the length of the recorded one."
+            )
+
+
+def _goal(location: Any, box: Any, size: int) -> Float[np.ndarray, "batch 3"] | None:
+    """Return the place of each motion's goal, or None if none is given.
+
+    Raises:
+        UsageError: if both are given, or a shape is wrong.
+    """
+    if location is not None and box is not None:
+        raise UsageError("goal_location and goal_box: give one of them; of a box the centre counts.")
+    if location is not None:
+        points = _array("goal_location", location)
+        if points.shape not in ((3,), (size, 3)):
+            raise UsageError(f"goal_location: expected (3,) or ({size}, 3), found the shape {points.shape}.")
+        return np.broadcast_to(points, (size, 3)).copy()
+    if box is None:
+        return None
+    corners = _array("goal_box", box)
+    if corners.shape[-1:] != (3,) or corners.shape[-2:-1] not in ((2,), (8,)) or corners.ndim not in (2, 3):
+        raise UsageError(f"goal_box: expected (2, 3) or (8, 3), or one for each motion, found {corners.shape}.")
+    if corners.ndim == 3 and len(corners) != size:
+        raise UsageError(f"goal_box: expected {size} boxes, one a motion, found {len(corners)}.")
+    return np.broadcast_to(corners.mean(axis=-2), (size, 3)).copy()
+
+
+def _numbers(name: str, value: Any, size: int) -> Float[np.ndarray, " batch"] | None:
+    """Return one number a motion, or None if none is given.
+
+    Raises:
+        UsageError: if it is neither one number nor one for each motion.
+    """
+    if value is None:
+        return None
+    numbers = _array(name, value)
+    if numbers.shape not in ((), (size,)):
+        raise UsageError(f"{name}: expected one number or {size}, one a motion, found the shape {numbers.shape}.")
+    return np.broadcast_to(numbers, (size,)).copy()
+
+
+def _hands(hand: str | Sequence[str | None] | None, size: int) -> np.ndarray:
+    """Return the reaching hand of each motion as the metrics count it.
+
+    Raises:
+        UsageError: for another word than left and right, or another number of them.
+    """
+    words = [hand] * size if hand is None or isinstance(hand, str) else list(hand)
+    if len(words) != size:
+        raise UsageError(f"hand: expected {size} of them, one a motion, found {len(words)}.")
+    for word in words:
+        if word not in _SIDES:
+            raise UsageError(f"hand: expected left, right or None, found '{word}'.")
+    return np.array([_SIDES[word] for word in words])
+
+
+def _require_inside(primes: np.ndarray, rates: np.ndarray, batch: MotionBatch) -> None:
+    """Refuse prime times that are not counted from the first frame.
+
+    Raises:
+        UsageError: naming the first one.
+    """
+    lasts = (batch.n_frames - 1) / rates
+    outside = np.flatnonzero((primes < -_TIME_TOLERANCE) | (primes > lasts + _TIME_TOLERANCE))
+    if outside.size:
+        row = int(outside[0])
+        raise UsageError(
+            f"prime_time: expected seconds after the first frame, from 0 to {lasts[row]:g} for motion {row}, found"
+            f" {primes[row]:g}. Of a recording's clock, subtract the time of the first frame (sequence.prime_after)."
+        )
+
+
+def _targets(
+    goal: np.ndarray | None,
+    primes: np.ndarray | None,
+    tilts: np.ndarray | None,
+    rates: np.ndarray | None,
+    hands: np.ndarray,
+    size: int,
+) -> ScoringTargets:
+    """Return the targets; what is not given is filled with numbers that no wanted metric reads.
+
+    Raises:
+        UsageError: if a number is not finite, or a frame rate not above 0.
+    """
+    try:
+        return ScoringTargets(
+            goal_location=np.zeros((size, 3)) if goal is None else goal,
+            prime_time=np.zeros(size) if primes is None else primes,
+            hand=hands,
+            head_tilt_deg=np.zeros(size) if tilts is None else tilts,
+            fps=np.ones(size) if rates is None else rates,
+        )
+    except ValueError as error:
+        raise UsageError(f"measure: {error}.") from error

@@ -1,0 +1,126 @@
+"""The common part of runs and scored motions: long-form scores, means with intervals, and how both are shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import pyarrow as pa
+
+from prbench.api.frames import frame_from_rows, frame_of, notebook_table
+from prbench.metrics import METRICS, printed_scale, printed_unit
+from prbench.runs import DatasetSummary, MetricSummary
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_SUMMARY = (
+    "dataset", "method", "condition", "metric", "title", "unit", "mean", "low", "high", "level", "interval",
+    "sequences", "recordings", "marks",
+)  # fmt: skip
+_ON_SYNTHETIC_DATA = "These are scores on synthetic data: never compare them with published ones."
+
+
+def summary_frame(summaries: Sequence[DatasetSummary], irrelevant: frozenset[str]) -> pd.DataFrame:
+    """Return one row a dataset and metric: the mean over sequences with its interval.
+
+    Args:
+        summaries: One a dataset.
+        irrelevant: Ids of metrics that say nothing of this method; they are left out.
+    """
+    rows = [
+        {
+            "dataset": summary.dataset,
+            "method": summary.method,
+            "condition": summary.condition,
+            "metric": metric.metric,
+            "title": metric.title,
+            "unit": metric.unit,
+            "mean": metric.mean,
+            "low": metric.low,
+            "high": metric.high,
+            "level": metric.level,
+            "interval": metric.interval,
+            "sequences": metric.sequences,
+            "recordings": metric.recordings,
+            "marks": ";".join(metric.marks),
+        }
+        for summary in summaries
+        for metric in summary.metrics
+        if metric.metric not in irrelevant
+    ]
+    return frame_from_rows(rows, _SUMMARY)
+
+
+def scores_frame(tables: Sequence[pa.Table]) -> pd.DataFrame:
+    """Return scores in long form as one frame.
+
+    Args:
+        tables: Long forms, one a dataset.
+    """
+    return frame_of(pa.concat_tables(tables).combine_chunks())
+
+
+def irrelevant_metrics(*, motionless: bool) -> frozenset[str]:
+    """Return ids of the metrics that say nothing of a method that declares to stand still.
+
+    Args:
+        motionless: The method declares so.
+    """
+    return frozenset(info.id for info in METRICS if motionless and info.irrelevant_if_motionless)
+
+
+def scores_for_notebook(summaries: Sequence[DatasetSummary], irrelevant: frozenset[str], *, origin: str) -> str:
+    """Return the means with their intervals as a notebook shows them, in the units that the study prints.
+
+    Args:
+        summaries: One a dataset.
+        irrelevant: See :func:`summary_frame`.
+        origin: Where the method comes from, in words.
+    """
+    parts = []
+    for summary in summaries:
+        title = (
+            f"{summary.title}: {summary.method} ({origin}), condition {summary.condition};"
+            f" {summary.sequences} sequences of {summary.recordings} recordings, split {summary.split}"
+        )
+        rows = [_shown(metric) for metric in summary.metrics if metric.metric not in irrelevant]
+        frame = frame_from_rows(rows, ("metric", "mean", "95 % interval", "remark"))
+        parts.append(notebook_table(title, frame, _remarks(summary)))
+    return "".join(parts)
+
+
+def _shown(metric: MetricSummary) -> dict[str, str]:
+    scale = printed_scale(metric.unit)
+    interval = "–"
+    if metric.low is not None and metric.high is not None:
+        interval = f"[{metric.low * scale:.2f}, {metric.high * scale:.2f}]"
+    flags = [f"{count} × {name.replace('_', ' ')}" for name, count in sorted(metric.flags.items())]
+    return {
+        "metric": metric.title,
+        "mean": f"{metric.mean * scale:.2f}{printed_unit(metric.unit)}",
+        "95 % interval": interval,
+        "remark": "; ".join([*(mark.replace("_", " ") for mark in metric.marks), *flags]),
+    }
+
+
+def _remarks(summary: DatasetSummary) -> list[str]:
+    remarks = []
+    if summary.unsupported:
+        remarks.append(f"{summary.unsupported} sequences are longer than the method can generate and were not scored.")
+    if summary.recorded_motion_mark:
+        remarks.append(f"{summary.recorded_motion_mark}.")
+    if summary.synthetic:
+        remarks.append(_ON_SYNTHETIC_DATA)
+    return remarks
+
+
+def described(summaries: Sequence[DatasetSummary]) -> str:
+    """Return the method, its condition and the datasets in a few words.
+
+    Args:
+        summaries: One a dataset, at least one.
+    """
+    first = summaries[0]
+    where = ", ".join(f"{summary.sequences} sequences of {summary.dataset}" for summary in summaries)
+    return f"{first.method}, condition {first.condition}, {where}"

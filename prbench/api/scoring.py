@@ -1,0 +1,230 @@
+"""Finished motions against a table: the command ``prbench score``, for files and for arrays in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from prbench.api.arguments import PathLike, as_optional_path, as_path, require_positive
+from prbench.api.conditions import condition_of
+from prbench.api.progress import progress
+from prbench.api.scored import described, irrelevant_metrics, scores_for_notebook, scores_frame, summary_frame
+from prbench.api.tables import Table, table_folders
+from prbench.errors import PredictionsError
+from prbench.runs import DatasetSummary, Predictions
+from prbench.skeleton import N_JOINTS
+from prbench.storage import bytes_digest, text_digest
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from numpy.typing import ArrayLike
+
+    from prbench.submitted.score_predictions import GivenMotions, ScoreReport
+
+_IN_MEMORY = Path("motions")
+"""What messages and records call motions that come from memory."""
+_FORM = "an array (n, 22, 3) of metres, or (samples, n, 22, 3) for several motions of one sequence"
+
+
+class Scores:
+    """Scores of finished motions on one table or several; the result of :func:`prbench.score`."""
+
+    def __init__(self, reports: tuple[ScoreReport, ...], folder: Path | None) -> None:
+        self._reports = reports
+        self._folder = folder
+
+    @property
+    def folder(self) -> Path | None:
+        """The folder that the scores were written to; None without ``out``."""
+        return self._folder
+
+    @property
+    def summaries(self) -> tuple[DatasetSummary, ...]:
+        """The content of each ``summary.json``, one a dataset."""
+        return tuple(report.summary for report in self._reports)
+
+    @property
+    def summary(self) -> pd.DataFrame:
+        """One row a dataset and metric: ``mean`` over sequences with the interval from ``low`` to ``high``.
+
+        Rates lie between 0 and 1, lengths are in metres (column ``unit``).
+        """
+        return summary_frame(self.summaries, self._irrelevant)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return one row a sequence, sample and metric.
+
+        Returns:
+            Columns ``sequence_id, dataset, sample, metric, value, flag``; rates are 0 or 1, lengths are in metres.
+        """
+        return scores_frame([report.scores for report in self._reports])
+
+    @property
+    def _irrelevant(self) -> frozenset[str]:
+        return irrelevant_metrics(motionless=any(report.motionless for report in self._reports))
+
+    def __repr__(self) -> str:
+        return f"<Scores of {described(self.summaries)}>"
+
+    def _repr_html_(self) -> str:
+        where = "" if self.folder is None else f"<p>scores: {self.folder}</p>"
+        return scores_for_notebook(self.summaries, self._irrelevant, origin=self._reports[0].origin) + where
+
+
+def score(
+    motions: PathLike | Mapping[str, ArrayLike],
+    table: PathLike | Table | Iterable[PathLike | Table],
+    *,
+    conditions: PathLike | None = None,
+    name: str | None = None,
+    split: Literal["train", "validation", "test"] | None = None,
+    limit: int | None = None,
+    seed: int | None = None,
+    condition: Literal["none", "text", "goal-pose", "goal-loc"] | None = None,
+    control: Literal["shuffled-goal"] | None = None,
+    max_frames: int | None = None,
+    native_fps: float | None = None,
+    allow_length_mismatch: bool = False,
+    out: PathLike | None = None,
+    workers: int = 1,
+) -> Scores:
+    """Score finished motions against the recorded ones, as ``prbench score`` does.
+
+    Every sequence of the split needs its motion, with as many frames as the recorded one; else the error counts the
+    sequences that are missing, repeated or unknown and names the first of each. All that are missing:
+    ``set(table.sequence_ids(split="test")) - set(motions)``.
+
+    Args:
+        motions: A dictionary from ``sequence_id`` to an array (n, 22, 3) of joint positions in the canonical frame of
+            the sequence, metres, or (samples, n, 22, 3) where several motions were drawn of each sequence; or a run
+            folder, a Parquet or ``.npz`` file, or a folder of ``.npy`` files, as the command takes them.
+        table: The table that the motions belong to, or its folder, or several.
+        conditions: The file of ``prbench export-conditions`` that the motions were made from; says seed, split, limit,
+            samples and condition, and is checked.
+        name: Name of the method, for summaries and leaderboards; by default that of the file, ``motions`` for a
+            dictionary.
+        split: By default that of the run or the conditions, else ``test``.
+        limit: At most so many sequences of each dataset: those of ``table.sequence_ids(split=…, limit=…)``.
+        seed: Seed behind opaque ids, where the motions have those.
+        condition: What the method was given; leaderboards need it.
+        control: ``shuffled-goal`` if the method was given other sequences' goals.
+        max_frames: Longer sequences count as unsupported.
+        native_fps: Frames per second of the motions, if it is not the table's.
+        allow_length_mismatch: Score motions of another length than the recorded one.
+        out: Write ``scores.parquet``, ``summary.json`` and so on there; nothing is written without it.
+        workers: Processes to use; changes no result. A script that asks for several needs
+            ``if __name__ == "__main__":``.
+
+    Returns:
+        The scores.
+
+    Raises:
+        PredictionsError: if sequences are missing, repeated or unknown (named), or a motion has a wrong shape, another
+            length than the recorded one, or coordinates that no body has.
+        UsageError: if arguments do not fit together.
+        RunError: if a run folder belongs to another table.
+        TableError: if a table is missing, empty, edited or of an unknown version.
+        StorageError: if ``out`` cannot be written.
+    """
+    from prbench.engine import engine_for
+    from prbench.submitted.score_predictions import ScoreRequest, score_predictions
+
+    require_positive(limit=limit, max_frames=max_frames, workers=workers)
+    given = _given(motions) if isinstance(motions, Mapping) else None
+    request = ScoreRequest(
+        predictions=_IN_MEMORY if isinstance(motions, Mapping) else as_path(motions),
+        data=table_folders(table),
+        conditions=as_optional_path(conditions),
+        split=split,
+        limit=limit,
+        seed=seed,
+        condition=None if condition is None else condition_of(condition),
+        control=control,
+        max_frames=max_frames,
+        native_fps=native_fps,
+        name=name,
+        allow_length_mismatch=allow_length_mismatch,
+        out=as_optional_path(out),
+    )
+    with progress("scoring") as show:
+        reports = score_predictions(
+            request,
+            given=given,
+            engine=engine_for(workers),
+            progress=lambda step: show(step.done, step.total, step.dataset),
+        )
+    return Scores(reports, request.out)
+
+
+@dataclass(frozen=True, eq=False)
+class _ArraysInMemory:
+    """Motions as a list of arrays; see :class:`prbench.runs.predictions.rows.MotionStore`."""
+
+    arrays: tuple[np.ndarray, ...]
+
+    def make_ready(self) -> None:
+        """Nothing has to be done."""
+
+    def motions(self, rows: Sequence[int]) -> list[np.ndarray]:
+        """Return the motions of some rows, in the order given."""
+        return [self.arrays[row] for row in rows]
+
+    def where(self, row: int) -> str:  # noqa: ARG002 - one place holds them all
+        """Say where a motion stands, for messages that name its sequence themselves."""
+        return str(_IN_MEMORY)
+
+
+def _given(motions: Mapping[str, ArrayLike]) -> GivenMotions:
+    """Return motions by ``sequence_id`` as the scoring takes them.
+
+    Raises:
+        PredictionsError: if there are none, or one is not of the right form.
+    """
+    from prbench.runs.predictions.rows import as_float32
+    from prbench.submitted.score_predictions import GivenMotions
+
+    if not motions:
+        raise PredictionsError(
+            "motions: expected a dictionary from sequence_id to arrays (n, 22, 3), found none in it."
+        )
+    ids: list[str] = []
+    samples: list[int] = []
+    arrays: list[np.ndarray] = []
+    for name, value in motions.items():
+        for sample, motion in enumerate(_samples_of(name, value)):
+            ids.append(name)
+            samples.append(sample)
+            arrays.append(as_float32(motion))
+    lengths = np.array([len(array) for array in arrays], dtype=np.int64)
+    store = _ArraysInMemory(tuple(arrays))
+    predictions = Predictions((), "sequence_id", tuple(ids), tuple(samples), lengths, store)
+    digests = [bytes_digest(np.ascontiguousarray(array).tobytes()) for array in arrays]
+    parts = [part for item in zip(ids, map(str, samples), digests, strict=True) for part in item]
+    return GivenMotions(predictions, text_digest(*parts))
+
+
+def _samples_of(name: object, value: Any) -> list[np.ndarray]:
+    """Return the motions of one sequence, one a sample.
+
+    Raises:
+        PredictionsError: if the key is no text, or the value no array of the right form.
+    """
+    if not isinstance(name, str):
+        raise PredictionsError(f"motions: expected sequence ids as keys, found {name!r}.")
+    where = f"{_IN_MEMORY}['{name}']"
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise PredictionsError(f"{where}: expected {_FORM}, found {type(value).__name__} ({error}).") from error
+    if array.shape[-2:] != (N_JOINTS, 3) and array.shape[-1:] == (N_JOINTS * 3,):
+        array = array.reshape(*array.shape[:-1], N_JOINTS, 3)
+    if array.ndim not in (3, 4) or array.shape[-2:] != (N_JOINTS, 3):
+        raise PredictionsError(f"{where}: expected {_FORM}, found the shape {array.shape}.")
+    motions = [array] if array.ndim == 3 else list(array)
+    if not motions or not len(motions[0]):
+        raise PredictionsError(f"{where}: expected a motion, found no frames.")
+    return motions

@@ -1,0 +1,139 @@
+"""``import prbench`` offers names lazily and typed, and loads nothing heavy."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import prbench
+import prbench.api
+
+ROOT = Path(__file__).parents[2]
+STUB = ROOT / "prbench" / "__init__.pyi"
+HEAVY = {"numpy", "torch", "pandas", "pyarrow", "scipy", "matplotlib", "jaxtyping", "rich", "IPython"}
+
+
+def _modules_after(code: str) -> set[str]:
+    script = f"{code}\nimport sys\nprint('MODULES', *sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    return {name.split(".")[0] for name in done.stdout.split("MODULES", 1)[1].split()}
+
+
+def test_import_loads_no_arrays():
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", "-c", "import prbench"], capture_output=True, text=True, check=True
+    )
+    imported = {line.rsplit("|", 1)[1].strip().split(".")[0] for line in done.stderr.splitlines() if "|" in line}
+    assert "prbench" in imported
+    assert imported & HEAVY == set()
+    assert done.stdout == ""
+
+
+def test_dir_and_errors_load_no_arrays():
+    assert (
+        _modules_after("import prbench; dir(prbench); hasattr(prbench, 'nothing'); prbench.__version__") & HEAVY
+        == set()
+    )
+
+
+def test_tables_and_metrics_load_neither_torch_nor_matplotlib():
+    assert (
+        _modules_after("import prbench; prbench.open_table; prbench.measure; prbench.run")
+        & {
+            "torch",
+            "matplotlib",
+            "pandas",
+            "IPython",
+        }
+        == set()
+    )
+
+
+@pytest.mark.parametrize("name", [name for name in prbench.__all__ if name != "__version__"])
+def test_every_name_is_there_and_documented(name):
+    value = getattr(prbench, name)
+    assert value is getattr(prbench.api, name)
+    assert name in dir(prbench)
+    assert inspect.getdoc(value), name
+
+
+def test_star_import_and_stub_offer_the_same_names():
+    stub = ast.parse(STUB.read_text(encoding="utf-8"))
+    imported = {alias.asname for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    declared = {node.target.id for node in stub.body if isinstance(node, ast.AnnAssign)}  # type: ignore[union-attr]
+    assert imported | declared == set(prbench.__all__)
+    assert set(prbench.api.__all__) == imported
+
+
+@pytest.mark.parametrize(("typed", "meant"), [("opn_table", "open_table"), ("embeded_table", "embedded_table")])
+def test_misspelt_names_are_answered_with_the_nearest(typed, meant):
+    with pytest.raises(AttributeError, match=f"has no attribute '{typed}'. Did you mean '{meant}'"):
+        getattr(prbench, typed)
+
+
+def _public_members() -> list[tuple[str, object]]:
+    members: list[tuple[str, object]] = []
+    for name in prbench.api.__all__:
+        value = getattr(prbench.api, name)
+        if not value.__module__.startswith("prbench.api"):
+            continue
+        members.append((name, value))
+        if inspect.isclass(value):
+            for attribute, member in vars(value).items():
+                if not attribute.startswith("_") and (inspect.isfunction(member) or hasattr(member, "__doc__")):
+                    members.append((f"{name}.{attribute}", getattr(member, "fget", None) or member))
+    return members
+
+
+@pytest.mark.parametrize(
+    ("name", "member"), _public_members(), ids=lambda value: value if isinstance(value, str) else ""
+)
+def test_docstrings_name_every_argument(name, member):
+    if not (inspect.isfunction(member) or inspect.isclass(member)):
+        return
+    text = inspect.getdoc(member)
+    assert text, name
+    if inspect.isfunction(member):
+        for argument in inspect.signature(member).parameters:
+            assert argument == "self" or f"{argument}:" in text, f"{name}: {argument} is not explained"
+
+
+USER_SCRIPT = """
+from pathlib import Path
+import prbench
+
+table = prbench.open_table(Path("tables/adt"))
+reveal_type(table)
+reveal_type(table[0].joints)
+reveal_type(prbench.run("static", data=table))
+reveal_type(prbench.score({"a": table[0].joints}, "tables/adt").to_pandas())
+reveal_type(prbench.compare("a", Path("b")).summary)
+reveal_type([event.outcome for event in table.events])
+reveal_type(table[0].head)
+reveal_type(prbench.Joint.LEFT_WRIST)
+prbench.run("static", conditon="none")
+prbench.opn_table("x")
+"""
+
+
+@pytest.mark.slow
+def test_type_checkers_know_names_arguments_and_results(tmp_path):
+    pytest.importorskip("pyright", reason="pip install 'prbench[dev]'")
+    script = tmp_path / "user.py"
+    script.write_text(USER_SCRIPT)
+    settings = {"typeCheckingMode": "standard", "reportMissingTypeStubs": False, "extraPaths": [str(ROOT)]}
+    (tmp_path / "pyrightconfig.json").write_text(json.dumps(settings))
+    command = [sys.executable, "-m", "pyright", "--pythonpath", sys.executable, "-p", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    said = done.stdout
+    for kind in ('"Table"', "ndarray", '"Run"', '"DataFrame"', '"str"', '"list[str]"', '"Head | None"'):
+        assert f"is {kind}" in said or (kind == "ndarray" and kind in said), said
+    assert 'No parameter named "conditon"' in said
+    assert '"opn_table" is not a known attribute of module "prbench"' in said
+    assert said.count(" - error: ") == 2, said
