@@ -38,7 +38,7 @@ class AblationAnswer(msgspec.Struct, frozen=True, kw_only=True):
     """What is there of a table of ablations.
 
     Attributes:
-        folder: Folder of the configuration, with trainings and runs; the tables of the group ``study`` are made from it.
+        folder: Folder of the configuration: its trainings and runs, from which the group ``study`` makes tables.
         runs: Run folders that are finished.
         failed: Maps rows that failed to the reason.
         stamps: Maps the parts of the table to what sets their trainings apart from the study's.
