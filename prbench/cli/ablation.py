@@ -10,7 +10,7 @@ import msgspec
 
 from prbench.cli.commands import Answer, Command, Group, command, note
 from prbench.cli.options import (
-    KeyValue,
+    PATH,
     data_option,
     device_option,
     limit_option,
@@ -28,7 +28,7 @@ _TABLES = ("3", "4", "s4", "s5", "s6", "s7")
 ablation = Group(
     "ablation",
     sections={"tables": {f"table-{number}": f"prbench.cli.ablation:table_{number}" for number in _TABLES}},
-    example="prbench ablation table-3 --data tables/hd-epic tables/mogaze --corpus nymeria=corpora/nymeria"
+    example="prbench ablation table-3 --data tables/hd-epic tables/mogaze --nymeria corpora/nymeria"
     " --device cuda --out ablations",
     help="Train and run the rows of Tables 3, 4 and S4 to S7; the same command goes on where it was interrupted.",
 )
@@ -38,7 +38,7 @@ class AblationAnswer(msgspec.Struct, frozen=True, kw_only=True):
     """What is there of a table of ablations.
 
     Attributes:
-        folder: Folder of the configuration, with trainings and runs; `prbench study table-…` makes the table of it.
+        folder: Folder of the configuration: its trainings and runs, from which the group ``study`` makes tables.
         runs: Run folders that are finished.
         failed: Maps rows that failed to the reason.
         stamps: Maps the parts of the table to what sets their trainings apart from the study's.
@@ -56,22 +56,17 @@ def _command(number: str) -> Command:
     @command(
         f"table-{number.lower()}",
         example=f"prbench ablation table-{number.lower()} --data tables/hd-epic tables/mogaze"
-        " --corpus nymeria=corpora/nymeria --device cuda --out ablations",
+        " --nymeria corpora/nymeria --device cuda --out ablations",
         resumes=True,
         report=AblationAnswer,
     )
     @data_option(required=True, help="Built dataset folder(s): split 'train' is learnt from, 'test' is run.")
-    @click.option(
-        "--corpus",
-        "corpora",
-        type=KeyValue(),
-        multiple=True,
-        metavar="NAME=DIR",
-        help="A built corpus to pre-train on: nymeria=DIR, humanml3d=DIR; repeatable.",
-    )
+    @click.option("--nymeria", type=PATH, metavar="DIR", help="The built corpus Nymeria, to pre-train on.")
+    @click.option("--humanml3d", type=PATH, metavar="DIR", help="The same of HumanML3D (Table 4).")
     @click.option(
         "--config",
         "configuration",
+        type=PATH,
         default="paper",
         metavar="NAME|FILE",
         help="Configuration of the trainings: paper (default: days on a GPU), small, smoke (seconds; learns nothing,"
@@ -85,8 +80,9 @@ def _command(number: str) -> Command:
     @workers_option()
     def run(
         data: tuple[Path, ...],
-        corpora: tuple[tuple[str, str], ...],
-        configuration: str,
+        nymeria: Path | None,
+        humanml3d: Path | None,
+        configuration: Path,
         out: Path | None,
         limit: int | None,
         device: str,
@@ -97,12 +93,13 @@ def _command(number: str) -> Command:
         from prbench.engine import engine_for
         from prbench.workflows.study.ablation import AblationRequest, run_ablation
 
+        corpora = {"nymeria": nymeria, "humanml3d": humanml3d}
         request = AblationRequest(
             table=number,
             data=data,
             out=out or Path("ablations"),
-            corpora={name: Path(folder) for name, folder in corpora},
-            configuration=configuration,
+            corpora={name: folder for name, folder in corpora.items() if folder is not None},
+            configuration=str(configuration),
             device=device,
             threads=threads,
             limit=limit,

@@ -143,6 +143,17 @@ def _files_option(function: Callable) -> Callable:
     )(function)
 
 
+def _numbers_option(function: Callable) -> Callable:
+    return click.option(
+        "--numbers",
+        "files",
+        cls=SeveralValues,
+        type=PATH,
+        metavar="FILE...",
+        help="Write what the figure draws to these files: .csv, .tex or .md.",
+    )(function)
+
+
 def _published_option(function: Callable) -> Callable:
     return click.option(
         "--with-published",
@@ -325,7 +336,7 @@ table_s7 = _ablation_command("S7")
 def table_s8(reports: tuple[Path, ...], with_published: bool, files: tuple[Path, ...]) -> Answer:
     """Print text-to-motion evaluations in the layout of the study (Table S8).
 
-    FILE are what `prbench evaluate-text --out` has written.
+    FILE are what `prbench evaluate-text` has written.
     """
     _require_formats(files)
     from prbench.workflows.study.text import table_s8 as make
@@ -371,7 +382,7 @@ def figure_s2(data: tuple[Path, ...], out: Path) -> Answer:
     help="What sequences are grouped by (default action): pick or put, the reaching hand, the kind of prime, distance,"
     " bearing and height of the goal at the first frame, or the time from prime to event.",
 )
-@click.option("--table", "files", cls=SeveralValues, type=PATH, metavar="FILE...", help="Its numbers: .csv, .tex, .md.")
+@_numbers_option
 @_figure_option
 @workers_option()
 def figure_4(
@@ -393,7 +404,7 @@ def figure_4(
 
 @command(
     "figure-s3",
-    example="prbench study figure-s3 runs/pr-goal-loc --data tables/adt --out figure_s3.svg --table figure_s3.csv",
+    example="prbench study figure-s3 runs/pr-goal-loc --data tables/adt --out figure_s3.svg --numbers figure_s3.csv",
     report=StudyReport,
 )
 @_runs_arguments
@@ -404,7 +415,7 @@ def figure_4(
     default="equation",
     help="Reading of the deceleration (default equation, as the protocol scores).",
 )
-@click.option("--table", "files", cls=SeveralValues, type=PATH, metavar="FILE...", help="Its numbers: .csv, .tex, .md.")
+@_numbers_option
 @_figure_option
 @workers_option()
 def figure_s3(

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown", "tab:pink", "tab:olive")
-_MOST_RUNS = len(_COLOURS)
+MOST_RUNS = len(_COLOURS)
+"""Runs of one chart: each has a colour of its own."""
 _NOTE_SIZE = 7
 
 
@@ -71,8 +72,8 @@ def draw_bars(panels: Sequence[BarPanel], path: Path, *, title: str, foot: str =
     """
     require_drawable(path)
     runs = list(dict.fromkeys(bar.run for panel in panels for bar in panel.bars))
-    if not panels or len(runs) > _MOST_RUNS:
-        raise ValueError(f"expected panels of 1 to {_MOST_RUNS} runs, found {len(panels)} panels of {len(runs)} runs")
+    if not panels or len(runs) > MOST_RUNS:
+        raise ValueError(f"expected panels of 1 to {MOST_RUNS} runs, found {len(panels)} panels of {len(runs)} runs")
     rows, columns = grid_shape(len(panels), 3)
     figure = new_figure(4.3 * columns, 3.0 * rows + 0.9, dpi=dpi, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()

@@ -82,7 +82,7 @@ class AblationRequest:
             if row.pretraining != "none" and row.pretraining not in self.corpora:
                 raise UsageError(
                     f"table {self.table}, '{row.variant}': is pre-trained on {row.pretraining}; name its folder with"
-                    f" --corpus {row.pretraining}=DIR (`prbench build-corpus` builds it)."
+                    f" --{row.pretraining} DIR (`prbench build-corpus` builds it)."
                 )
 
     @property

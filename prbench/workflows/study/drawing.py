@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from prbench.errors import UsageError
 from prbench.leaderboard.tables import MAIN_METRICS
 from prbench.manifests import load_protocol
 from prbench.metrics import MetricInfo, printed_unit
-from prbench.viewing.study_charts import Bar, BarPanel, CurvePanel, draw_bars, draw_sweeps
+from prbench.viewing.study_charts import MOST_RUNS, Bar, BarPanel, CurvePanel, draw_bars, draw_sweeps
 from prbench.workflows.study.breakdown import GroupScore
 from prbench.workflows.study.genuine import GenuineRun
 from prbench.workflows.study.sweep import Sweep
@@ -25,9 +26,12 @@ def draw_breakdown(scores: Sequence[GroupScore], by: str, path: Path) -> None:
         path: ``.png`` or ``.svg``.
 
     Raises:
-        UsageError: for another kind of file.
+        UsageError: for another kind of file, or more runs than there are colours.
         StorageError: if the file cannot be written.
     """
+    runs = {one.run.title for one in scores}
+    if len(runs) > MOST_RUNS:
+        raise UsageError(f"expected at most {MOST_RUNS} runs in one figure, found {len(runs)}.")
     panels = []
     for info in MAIN_METRICS:
         bars = tuple(_bar(one) for one in scores if one.info.id == info.id)

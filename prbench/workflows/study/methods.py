@@ -262,7 +262,8 @@ def published_value(number: PublishedNumber) -> StudyValue:
 def _difference_rows(found: Sequence[Difference]) -> tuple[tuple[str, ...], ...]:
     rows: dict[tuple[str, str], dict[str, str]] = {}
     for one in found:
-        key = (_condition_title(one.condition), f"{one.method}, {one.published_variant}")
+        mark = "" if one.verified else " (unverified)"
+        key = (_condition_title(one.condition), f"{one.method}, {one.published_variant}{mark}")
         rows.setdefault(key, {})[one.metric] = interval_text(one.difference, one.low, one.high, sign=True)
     return tuple((*key, *(cells.get(info.id, DASH) for info in MAIN_METRICS)) for key, cells in rows.items())
 

@@ -23,7 +23,7 @@ def table_s8(paths: Sequence[Path], *, with_published: bool) -> StudyTable:
     """Make Table S8 from evaluations.
 
     Args:
-        paths: Files of ``prbench evaluate-text --out``.
+        paths: Files of ``prbench evaluate-text``.
         with_published: Show the study's rows in a block of their own. They come from another evaluator and another
             test set, so there is no difference to them.
 
