@@ -564,7 +564,7 @@ def merge(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> Answe
 
     summary, unverified = merge_folds(runs, checker=_checker(data, workers))
     method = RunFolder.open(runs[0]).record.method
-    scores = dataset_scores(summary, motionless=method.motionless)
+    scores = dataset_scores(summary, None, motionless=method.motionless)
     report = MergeReport(runs=list(runs), scores=scores, unverified=list(unverified))
 
     def show() -> None:
