@@ -27,8 +27,13 @@ def _tree() -> set[str]:
         str(Path(package) / path.relative_to(ROOT / folder)).replace("\\", "/")
         for folder, package in FOLDERS.items()
         for path in (ROOT / folder).rglob("*")
-        if path.is_file() and "__pycache__" not in path.parts and not path.is_relative_to(ROOT / "benchmarks" / "speed")
+        if path.is_file() and "__pycache__" not in path.parts and not _is_program(path)
     }
+
+
+def _is_program(path: Path) -> bool:
+    """True for timings, simulations and measurements, which are of use beside the source only."""
+    return any(path.is_relative_to(ROOT / "benchmarks" / name) for name in ("choices", "speed", "statistics"))
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from prbench.errors import TableError, UsageError
+from prbench.locks import sole_writer
 from prbench.sequences.dataset_info import DatasetInfo
 from prbench.sequences.table import SequenceTable
 from prbench.sequences.write import write_dataset
@@ -97,13 +98,14 @@ def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> Dat
         return batch.set_column(batch.schema.get_field_index("split"), batch.schema.field("split"), pa.array(new))
 
     info = msgspec.structs.replace(table.info, options={**table.info.options, OPTION: f"{fold}/{folds}"})
-    return write_dataset(
-        out,
-        info,
-        sequences=map(split, _rows(table)),
-        events=table.events().to_batches(),
-        recordings=map(split, table.recordings().to_batches()),
-    )
+    with sole_writer(out):
+        return write_dataset(
+            out,
+            info,
+            sequences=map(split, _rows(table)),
+            events=table.events().to_batches(),
+            recordings=map(split, table.recordings().to_batches()),
+        )
 
 
 def _rows(table: SequenceTable) -> Iterator[pa.RecordBatch]:
