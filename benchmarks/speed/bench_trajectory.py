@@ -73,7 +73,7 @@ def _compared(seconds: float, ours: float) -> tuple[str, str]:
 
 
 def extrapolate(found: dict[str, dict], minutes: float, size: int) -> None:
-    """What all of HD-EPIC would take, with the arithmetic."""
+    """Print what all of HD-EPIC would take, with the arithmetic."""
     factor = HD_EPIC_HOURS * 60 / minutes
     print(f"\nall of HD-EPIC: {HD_EPIC_VIDEOS} videos, {HD_EPIC_HOURS} h = {factor:.1f} times this recording,")
     print(

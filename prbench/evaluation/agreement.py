@@ -221,7 +221,7 @@ def _broken_down(
 
 
 def goal_places(goals: Float[np.ndarray, "n 3"]) -> Mapping[str, Float[np.ndarray, " n"]]:
-    """Where goals are, seen from the first pose.
+    """Measure where goals are, seen from the first pose.
 
     Args:
         goals: Canonical frame (the first pelvis over the origin, facing +Z, floor at 0), metres.

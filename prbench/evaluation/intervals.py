@@ -89,7 +89,7 @@ class ClusteredValues:
 
     @property
     def spread(self) -> Spread:
-        """What is known about the error of the mean."""
+        """The error of the mean, as far as the data tell it."""
         return measure_spread(self.totals, self.sequences, self.sequence_variance)
 
     @property
@@ -249,7 +249,7 @@ class UncertaintySources:
 
     @property
     def sentence(self) -> str:
-        """What would make the interval narrower."""
+        """Say which more data would make the interval narrower."""
         share = round(100 * max(self.recordings, self.sequences, self.samples))
         if share == 0:
             return "nothing varies"
