@@ -24,7 +24,6 @@ from prbench.evaluation.request import Progress, ProgressCallback, RunRequest, s
 from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
 from prbench.evaluation.scoring import ScoringRules, reported, score_selection
 from prbench.locks import sole_writer
-from prbench.manifests import load_protocol
 from prbench.methods.loaded_methods import forget_loaded_methods, unload_method
 from prbench.runs.cost import read_batch_costs, total_cost
 from prbench.runs.folder import DatasetFolder, RunFolder
@@ -68,7 +67,7 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
         try:
             prepared = prepare_run(request)
             held.enter_context(sole_writer(prepared.out))
-            folder = RunFolder.prepare(prepared.out, prepared.record)
+            folder = RunFolder.prepare(prepared.out, prepared.record, prepared.protocol)
             parts = [_Part(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
             made = _generate_all(parts, folder, engine)
         except Exception:
@@ -95,7 +94,7 @@ def missing_batches(request: RunRequest, *, engine: Engine) -> Iterator[BatchTas
         engine: Where the batches will be made.
     """
     prepared = prepare_run(request)
-    folder = RunFolder.prepare(prepared.out, prepared.record)
+    folder = RunFolder.prepare(prepared.out, prepared.record, prepared.protocol)
     if not isinstance(engine, InProcess):
         unload_method()  # every worker loads its own
     for dataset in prepared.datasets:
@@ -165,7 +164,6 @@ class _Part:
         """The work on some batches, in the order of the plan."""
         request = self.prepared.request
         dataset = self.dataset
-        protocol = load_protocol()
         salt = run_salt(request.seed, dataset.selection.table.identity)
         given = None
         if request.is_control:
@@ -188,7 +186,7 @@ class _Part:
                 given=motions,
                 part=self.files.part(index),
                 cost=self.files.batch_cost(index),
-                protocol_version=protocol.version,
+                protocol_version=self.prepared.protocol.version,
             )
 
     def write_notice(self) -> None:
@@ -233,7 +231,7 @@ class _Part:
         """The scores of what was generated, a window of sequences at a time."""
         request = self.prepared.request
         rules = ScoringRules(
-            load_protocol().metrics,
+            self.prepared.protocol.metrics,
             recorded_motion=request.method in RECORDED_MOTION,
             other_goals=self.dataset.scored_goals,
             run_of=self.prepared.record.method.name,

@@ -14,7 +14,7 @@ from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import MethodRecord, RunRecord, TableRecord
 from prbench.runs.summary import DatasetSummary, MetricSummary
-from prbench.submitted.verification import CheckedSummary, RunChecker
+from prbench.submitted.verification import CheckedSummary, RunChecker, ScoredSequences
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,10 @@ class LeaderboardRow:
     summary: DatasetSummary
     unverified: str = ""
     """The reason why its scores were not checked against its motions; empty where they were."""
+    sequences: ScoredSequences | None = None
+    """What its numbers on some of the sequences are made from."""
+    protocol: str = ""
+    """Name and version of a user's own protocol; empty for prbench's."""
 
     @property
     def method(self) -> str:
@@ -118,8 +122,28 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> Collec
             continue
         for table in run.record.tables:
             checked = (check or RunChecker().check)(run, table)
-            rows.append(LeaderboardRow(folder.name, run.record, table, checked.summary, checked.unverified))
+            rows.append(
+                LeaderboardRow(
+                    folder.name,
+                    run.record,
+                    table,
+                    checked.summary,
+                    checked.unverified,
+                    checked.scored,
+                    _own_protocol(run),
+                )
+            )
     return CollectedRuns(tuple(rows), tuple(left_out))
+
+
+def _own_protocol(run: RunFolder) -> str:
+    """Name and version of the user's own protocol that a run follows; empty for prbench's.
+
+    Raises:
+        RunError: if the copy in its folder is not the protocol that it records.
+    """
+    protocol = run.protocol
+    return protocol.label if protocol is not None and protocol.is_own else ""
 
 
 def _false_name(method: MethodRecord) -> str | None:

@@ -1,16 +1,17 @@
 """Rows that compare, in one table; rows that do not, in tables of their own with the reason.
 
 Two runs compare on a dataset if protocol, table (both digests), split and chosen sequences agree. Methods are ranked
-within their condition, on the main metrics, where at least 50 sequences were scored; controls, methods that left
-sequences out and motions that are the recorded ones are shown without rank. The macro mean weighs every dataset alike
-and exists only for methods that have all of them.
+within their condition, on the main metrics, where at least 50 sequences were scored; controls and motions that are the
+recorded ones are shown without rank. A method that left sequences out because they are longer than it can generate
+stands in a second table only: there all methods are scored on the sequences that every one of them generated. The macro
+mean weighs every dataset alike and exists only for methods that have all of them.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from prbench.leaderboard.collect import CollectedRuns, LeaderboardRow
 from prbench.metrics import METRICS, MetricInfo
@@ -49,6 +50,14 @@ class DatasetTable:
     """Values of ``_KEYS``, on which the rows agree."""
     rows: tuple[TableRow, ...]
     """Sorted by condition, controls last."""
+    of: int = 0
+    """Number of the chosen sequences where the table is of the common ones alone; 0 where it is of all."""
+    shortest: tuple[str, ...] = ()
+    """Methods that left sequences out, with how many, where the table is of the common ones."""
+    common: frozenset[str] | None = None
+    """Ids of the common sequences; None where the table is of all."""
+    protocol: str = ""
+    """Name and version of a user's own protocol; empty for prbench's."""
 
     @property
     def protocol_digest(self) -> str:
@@ -98,9 +107,40 @@ def make_leaderboard(collected: CollectedRuns) -> Leaderboard:
     groups: dict[tuple[str, ...], list[LeaderboardRow]] = defaultdict(list)
     for row in collected.rows:
         groups[(row.summary.dataset, *_comparison_key(row))].append(row)
-    tables = tuple(_dataset_table(rows) for _, rows in sorted(groups.items()))
-    notes = [f"Left out: {reason}." for reason in collected.left_out] + list(_separations(tables))
-    return Leaderboard(tables, tuple(_macro_tables(tables)), tuple(notes))
+    tables: list[DatasetTable] = []
+    notes = [f"Left out: {reason}." for reason in collected.left_out]
+    for _, rows in sorted(groups.items()):
+        whole = [row for row in rows if not row.summary.unsupported]
+        if whole:
+            tables.append(_dataset_table(whole))
+        if len(whole) == len(rows):
+            continue
+        common = _common_table(rows)
+        if common is not None:
+            tables.append(common)
+        else:
+            tables += [_dataset_table([row]) for row in rows if row.summary.unsupported]
+            notes.append(f"{rows[0].summary.dataset}: there is no sequence that every method generated.")
+    # Means over datasets are of all sequences; a dataset that no method generated as a whole gives its common ones.
+    complete = {table.key for table in tables if not table.of}
+    counted = [table for table in tables if not table.of or table.key not in complete]
+    notes += _separations(tables)
+    return Leaderboard(tuple(tables), tuple(_macro_tables(counted)), tuple(notes))
+
+
+def _common_table(rows: list[LeaderboardRow]) -> DatasetTable | None:
+    """All runs on the sequences that every one of them scored; None if there is no such sequence."""
+    scored = [row.sequences for row in rows]
+    known = [sequences for sequences in scored if sequences is not None]
+    if len(known) < len(rows):
+        return None
+    common = frozenset.intersection(*(sequences.ids for sequences in known))
+    if not common:
+        return None
+    restricted = [replace(row, summary=sequences.summary_over(common)) for row, sequences in zip(rows, known)]
+    left_out = dict.fromkeys(f"{row.method} ({row.summary.unsupported})" for row in rows if row.summary.unsupported)
+    table = _dataset_table(restricted)
+    return replace(table, of=rows[0].summary.sequences, shortest=tuple(left_out), common=common)
 
 
 def _comparison_key(row: LeaderboardRow) -> tuple[str, ...]:
@@ -140,6 +180,7 @@ def _dataset_table(entries: list[LeaderboardRow]) -> DatasetTable:
         redistribution=first.summary.redistribution,
         key=_comparison_key(first),
         rows=tuple(TableRow(*row) for row in zip(ordered, variants, ranks)),
+        protocol=first.protocol,
     )
 
 

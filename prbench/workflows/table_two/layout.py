@@ -17,7 +17,7 @@ from prbench.evaluation.comparisons import Comparison, compare
 from prbench.evaluation.planning import Selection, select
 from prbench.leaderboard import collect_runs, make_leaderboard
 from prbench.leaderboard.comparison import paired_scores
-from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS, TableRow, hides
+from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS, DatasetTable, TableRow, hides
 from prbench.metrics import MetricInfo
 from prbench.runs.cost import RunCost
 from prbench.runs.folder import RunFolder
@@ -129,7 +129,9 @@ class DatasetLayout:
     synthetic: bool
     redistribution: str
     sequences: int
-    """n of every line."""
+    """n of every line: the chosen ones, or those of them that every method can generate."""
+    chosen: int
+    """Number of sequences that were asked for."""
     recordings: int
     blocks: tuple[BlockLayout, ...]
 
@@ -182,15 +184,23 @@ def lay_out(
     """
     folders = [outcome.folder for outcome in outcomes if outcome.folder is not None]
     found = make_leaderboard(collect_runs(folders)).tables if folders else ()
-    rows = {(part.dataset, row.entry.run): row for part in found for row in part.rows}
-    datasets = tuple(_dataset(outcomes, select(table, split=split, limit=limit), rows) for table in tables)
+    # A table of the common sequences comes behind that of all, and takes its place: one line, one set of sequences.
+    parts: dict[str, DatasetTable] = {}
+    for part in found:
+        if part.common is not None or part.dataset not in parts:
+            parts[part.dataset] = part
+    datasets = tuple(
+        _dataset(outcomes, select(table, split=split, limit=limit), parts.get(table.info.dataset)) for table in tables
+    )
     return TableLayout(split, limit, minutes, datasets)
 
 
-def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, rows: dict[tuple[str, str], TableRow]) -> DatasetLayout:
+def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, part: DatasetTable | None) -> DatasetLayout:
     info = chosen.table.info
+    rows = {} if part is None else {row.entry.run: row for row in part.rows}
+    common = None if part is None else part.common
     folders = {outcome.planned.name: outcome.folder for outcome in outcomes if outcome.folder is not None}
-    lines = [(outcome.planned, _line(outcome, rows.get((info.dataset, outcome.planned.name)))) for outcome in outcomes]
+    lines = [(outcome.planned, _line(outcome, rows.get(outcome.planned.name))) for outcome in outcomes]
     under: dict[str, list[Line]] = defaultdict(list)
     for planned, line in lines:
         under[_CONTROL if planned.is_control else planned.condition.value].append(line)
@@ -200,14 +210,21 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, rows: dict[tuple
         title=info.title,
         synthetic=info.synthetic,
         redistribution=info.redistribution,
-        sequences=len(chosen),
-        recordings=len(set(chosen.recording_ids)),
+        sequences=len(chosen) if common is None else len(common),
+        chosen=len(chosen),
+        recordings=len(_recordings(chosen, common)),
         blocks=tuple(
-            BlockLayout(title, name, tuple(under[name]), _order(under[name], folders, info.dataset))
+            BlockLayout(title, name, tuple(under[name]), _order(under[name], folders, info.dataset, common))
             for name, title in titles.items()
             if name in under
         ),
     )
+
+
+def _recordings(chosen: Selection, common: frozenset[str] | None) -> set[str]:
+    """Recordings of the chosen sequences, or of the common ones among them."""
+    pairs = zip(chosen.sequence_ids, chosen.recording_ids)
+    return {recording for name, recording in pairs if common is None or name in common}
 
 
 def _line(outcome: RowOutcome, row: TableRow | None) -> Line:
@@ -225,7 +242,7 @@ def _line(outcome: RowOutcome, row: TableRow | None) -> Line:
         state=outcome.state,
         reason=outcome.reason,
         cells={info.id: _cell(row, info) for info in MAIN_METRICS},
-        unsupported=row.entry.summary.unsupported if row is not None else 0,
+        unsupported=row.entry.table.unsupported if row is not None else 0,
         cost=_line_cost(outcome.folder, row),
     )
 
@@ -259,13 +276,16 @@ def _passes(cost: RunCost) -> float | None:
     return cost.network_passes_declared / motions if cost.network_passes_declared and motions else None
 
 
-def _order(lines: Sequence[Line], folders: Mapping[str, Path], dataset: str) -> tuple[Step, ...]:
+def _order(
+    lines: Sequence[Line], folders: Mapping[str, Path], dataset: str, common: frozenset[str] | None
+) -> tuple[Step, ...]:
     """Compare each ranked method of a block with the next worse one, sequence by sequence.
 
     Args:
         lines: The block; lines with the same number keep their order.
         folders: Run folders of these lines, all scored on the same sequences.
         dataset: Of the runs.
+        common: Ids of the sequences that every method generated; None where all generated all.
 
     Raises:
         RunError: if runs are damaged or do not belong together.
@@ -275,7 +295,7 @@ def _order(lines: Sequence[Line], folders: Mapping[str, Path], dataset: str) -> 
     ordered = sorted(means, key=lambda name: -means[name])
     runs = {name: RunFolder.open(folders[name]) for name in ordered}
     pairs = {
-        (better, worse): paired_scores(runs[better], runs[worse], dataset)[f"{dataset}\n{DECIDING.id}"]
+        (better, worse): paired_scores(runs[better], runs[worse], dataset, only=common)[f"{dataset}\n{DECIDING.id}"]
         for better, worse in pairwise(ordered)
     }
     # All steps of a block go through one comparison, so that Holm's correction counts them together.
