@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -22,10 +22,9 @@ from prbench.curation.options import DEFAULTS
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.manifests import BenchmarkProtocol, load_manifest, load_protocol
-from prbench.metrics import METRICS
 from prbench.own_protocol import FILE_NAME
 from prbench.recording import Recording
-from prbench.runs.summary import DatasetSummary
+from prbench.runs import read_scores
 from prbench.sequences import SequenceTable
 from prbench.synthetic.layouts import layout_for
 from prbench.workflows.first_run import RECORDINGS, SEED
@@ -38,6 +37,7 @@ STUDY_LENGTH = 150
 """N of the study (Prime and Reach, section 5.1), frames."""
 EARLY = 1.8
 """Seconds by which a prime precedes the intended look, to be counted as another look."""
+_SAME = 1e-6  # seconds
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ VARIANTS = (
 
 
 def main() -> None:
-    """Build, score and print every variant."""
+    """Build, score and print every variant, and what a limit of 150 frames leaves."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--recordings", type=int, default=RECORDINGS, help="synthetic recordings (default: embedded)")
     count = parser.parse_args().recordings
@@ -130,49 +130,85 @@ def main() -> None:
     acted: dict[str, Recording] = {}
     sources = [CachedSource(synthetic_source(staging, index), acted) for index in range(count)]
     planned = _intended_looks(staging, count, acted)
-    header = ("variant", "sequences", "test", "gap", f"above {STUDY_LENGTH}", "other look")
-    rates = [info for info in METRICS if info.unit == "rate"]
-    print("| " + " | ".join((*header, *(info.id for info in rates))) + " |")
-    print("|" + " --- |" * (len(header) + len(rates)))
-    primes: dict[str, float] = {}
+    print(_line("variant", *ABOUT, *SHOWN))
+    print(_line(*["---"] * (1 + len(ABOUT) + len(SHOWN))))
+    first: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as folder:
         for number, variant in enumerate(VARIANTS):
             at = Path(folder) / str(number)
             build_from_sources(sources, at / "table", options=variant.options)
             table = SequenceTable.open(at / "table")
-            found = _primes(table)
-            primes = primes or found
-            summary = _recorded(table, at / "run")
-            means = {metric.metric: metric.mean for metric in summary.metrics}
-            scores = [f"{100 * means[info.id]:.1f}" if info.id in means else "–" for info in rates]
-            print("| " + " | ".join((variant.name, *_about(table, planned), *scores)) + " |", flush=True)
-            shared = [name for name in found if name in primes]
-            moved = sum(abs(found[name] - primes[name]) > 1e-6 for name in shared)
-            print(f"  {len(shared)} of {len(primes)} shared with the first, {moved} with another prime", flush=True)
+            first = first or _primes(table)
+            _run(table, "ground-truth", at / "ground-truth")
+            scores = _means(at / "ground-truth")
+            print(_line(variant.name, *_about(table, planned, first), *scores), flush=True)
+        print()
+        _print_length(SequenceTable.open(Path(folder) / "0" / "table"), Path(folder) / "0")
 
 
-def _about(table: SequenceTable, planned: Mapping[str, float]) -> tuple[str, ...]:
-    rows = table.scalars()
-    test = np.asarray(rows["split"]) == "test"
-    gaps = np.asarray(rows["prime_gap"])[test]
-    too_long = int((np.asarray(rows["n_frames"])[test] > STUDY_LENGTH).sum())
+ABOUT = ("sequences", "in test", "gap", f"above {STUDY_LENGTH} frames", "kept", "other prime", "prime on another look")
+SHOWN = ("prime_success", "prime_success_onset", "prime_success_gaze", "reach_success", "reach_success_final")
+
+
+def _line(*cells: str) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _print_length(table: SequenceTable, folder: Path) -> None:
+    """Print what a limit of 150 frames leaves of the test sequences, and the scores of what is left."""
+    rows = table.scalars(split="test")
+    lengths = dict(zip(rows["sequence_id"].to_pylist(), rows["n_frames"].to_pylist(), strict=True))
+    short = {name for name, length in lengths.items() if length <= STUDY_LENGTH}
+    print(_line("method", "sequences", *SHOWN))
+    print(_line(*["---"] * (2 + len(SHOWN))))
+    for method in ("ground-truth", "scripted"):
+        _run(table, method, folder / method)
+        print(_line(f"{method}, all", str(len(lengths)), *_means(folder / method)))
+        print(_line(f"{method}, at most {STUDY_LENGTH} frames", str(len(short)), *_means(folder / method, only=short)))
+
+
+def _run(table: SequenceTable, method: str, out: Path) -> None:
+    """Score a control on the test sequences; a table of its own protocol is scored by that one."""
+    own = table.folder / FILE_NAME
+    run_method(
+        RunRequest(method=method, data=(table.folder,), protocol=own if own.is_file() else None, out=out),
+    )
+
+
+def _means(run: Path, only: Collection[str] | None = None) -> list[str]:
+    """Means in % over the sequences of a run, or over some of them."""
+    values: dict[str, list[float]] = {}
+    for row in read_scores(run / "scores.parquet").to_pylist():
+        if only is None or row["sequence_id"] in only:
+            values.setdefault(row["metric"], []).append(row["value"])
+    return [f"{100 * np.mean(values[name]):.1f}" if name in values else "–" for name in SHOWN]
+
+
+def _about(table: SequenceTable, planned: Mapping[str, float], first: Mapping[str, float]) -> list[str]:
+    """Counts of the table, of what it shares with version 1, and of primes that come before the intended look."""
+    rows = table.scalars(split="test")
+    gaps = np.asarray(rows["prime_gap"])
+    too_long = int((np.asarray(rows["n_frames"]) > STUDY_LENGTH).sum())
     primes = _primes(table)
+    shared = [name for name in primes if name in first]
+    moved = sum(abs(primes[name] - first[name]) > _SAME for name in shared)
     known = [name for name in primes if name in planned]
     early = sum(primes[name] < planned[name] - EARLY for name in known)
-    other = f"{early} of {len(known)}"
-    return str(len(test)), str(test.sum()), f"{gaps.mean():.2f} ± {gaps.std():.2f} s", str(too_long), other
+    return [
+        str(table.scalars().num_rows),
+        str(len(primes)),
+        f"{gaps.mean():.2f} ± {gaps.std():.2f} s",
+        str(too_long),
+        f"{len(shared)} of {len(first)}",
+        str(moved),
+        f"{early} of {len(known)}",
+    ]
 
 
 def _primes(table: SequenceTable) -> dict[str, float]:
+    """Map the id of each test sequence to its prime time."""
     rows = table.scalars(split="test")
     return dict(zip(rows["sequence_id"].to_pylist(), rows["prime_time"].to_pylist(), strict=True))
-
-
-def _recorded(table: SequenceTable, out: Path) -> DatasetSummary:
-    """Score the recorded motion of the test sequences."""
-    own = table.folder / FILE_NAME
-    request = RunRequest(method="ground-truth", data=(table.folder,), protocol=own if own.is_file() else None, out=out)
-    return run_method(request).summaries[0]
 
 
 def _intended_looks(staging: Staging, count: int, acted: dict[str, Recording]) -> dict[str, float]:
