@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import importlib.util
 
-from benchmarks.speed import bench_curation, bench_meshes, bench_metrics, bench_reading, bench_remote, bench_trajectory
+from benchmarks.speed import (
+    bench_curation,
+    bench_meshes,
+    bench_metrics,
+    bench_reading,
+    bench_remote,
+    bench_startup,
+    bench_trajectory,
+)
 
 
 def main() -> None:
-    """Reading, long trajectories, curation, meshes, metrics, methods as programs."""
+    """Time reading, long trajectories, curation, meshes, metrics, methods as programs, and start-up."""
     bench_reading.main()
     bench_trajectory.main()
     bench_curation.main()
@@ -18,6 +26,7 @@ def main() -> None:
         bench_meshes.main()
     bench_metrics.main()
     bench_remote.main()
+    bench_startup.main()
 
 
 if __name__ == "__main__":

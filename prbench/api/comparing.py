@@ -26,7 +26,7 @@ _COLUMNS = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """Where two runs differ, sequence by sequence, and whether the data support it."""
+    """The differences of two runs, sequence by sequence, and the support that the data give them."""
 
     first: Path
     """Folder of the first run."""

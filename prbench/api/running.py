@@ -48,7 +48,7 @@ class Run:
 
     @property
     def record(self) -> RunRecord:
-        """What ``run.json`` says: method, version, weights, condition, seed, tables, packages."""
+        """The content of ``run.json``: method, version, weights, condition, seed, tables, packages."""
         return self._folder.record
 
     @property
@@ -89,7 +89,7 @@ class Run:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the command says beside the scores, one line each: work taken over, crashes, names that were claimed."""
+        """Remarks beside the scores, one line each: work taken over, crashes, names that are refused."""
         notes = []
         if self._batches_found:
             notes.append(f"{self._batches_found} batches were taken over from an earlier run.")

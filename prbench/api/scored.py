@@ -1,4 +1,4 @@
-"""What runs and scored motions have in common: long-form scores, means with intervals, and how both are shown."""
+"""The common part of runs and scored motions: long-form scores, means with intervals, and how both are shown."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ class Scores:
 
     @property
     def summaries(self) -> tuple[DatasetSummary, ...]:
-        """What each ``summary.json`` holds, one a dataset."""
+        """The content of each ``summary.json``, one a dataset."""
         return tuple(report.summary for report in self._reports)
 
     @property

@@ -30,7 +30,7 @@ _AXES = ("x", "y", "z")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Goal:
-    """Where the object is at the event: for a pick where it lies, for a put where it will lie."""
+    """The place of the object at the event: for a pick where it lies, for a put where it will lie."""
 
     location: Float[np.ndarray, "3"]
     """Centre of the object's box, canonical frame, metres (column ``goal_location``)."""
@@ -48,7 +48,7 @@ class Goal:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Gaze:
-    """Where the eyes look: one ray a frame."""
+    """The direction of the eyes: one ray a frame."""
 
     origin: Float[np.ndarray, "n 3"]
     """Start of each ray, between the eyes, canonical frame, metres (column ``gaze_origin``)."""

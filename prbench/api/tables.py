@@ -48,7 +48,7 @@ class Table:
 
     @property
     def info(self) -> DatasetInfo:
-        """What ``dataset.json`` says: title, licence, citation, versions, options, counts and digests."""
+        """The content of ``dataset.json``: title, licence, citation, versions, options, counts and digests."""
         return self._table.info
 
     @property

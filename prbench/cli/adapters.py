@@ -35,7 +35,7 @@ adapters = Group(
 
 
 class MethodDetails(msgspec.Struct, frozen=True, kw_only=True):
-    """What a method declares, found by importing it in a process of its own.
+    """The declarations of a method, found by importing it in a process of its own.
 
     Attributes:
         conditions: Conditions that it can be given, of ``none``, ``text``, ``goal-pose`` and ``goal-loc``.

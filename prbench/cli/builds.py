@@ -1,4 +1,4 @@
-"""What the commands that build tables report, their plan, and what they say of recordings left out."""
+"""The reports of the commands that build tables, their plan, and their remarks on recordings left out."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class NotBuilt(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Plan(msgspec.Struct, frozen=True, kw_only=True):
-    """What a build would read, from ``--dry-run``.
+    """The recordings that a build would read, from ``--dry-run``.
 
     Attributes:
         dataset: Name of the dataset.
@@ -118,7 +118,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BuildsReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What a command that builds tables did, or would do.
+    """The work of a command that builds tables, done or planned.
 
     Attributes:
         built: One entry for each table that was written.

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class ProposedPick(msgspec.Struct, frozen=True, kw_only=True):
-    """What is proposed for one segment of a recording.
+    """The proposal for one segment of a recording.
 
     Attributes:
         recording: Its id.

@@ -44,7 +44,7 @@ class Session:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command found or did."""
+    """The result of a command."""
 
     report: Any
     """An instance of the command's documented shape."""

@@ -69,7 +69,7 @@ class DatasetsReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class CiteReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What has to be cited.
+    """The citations and terms of tables.
 
     Attributes:
         bibtex: BibTeX entries; the licence terms of each dataset stand above them as comments.

@@ -37,7 +37,7 @@ class DiagnosedFault(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DoctorReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What a file of motions looks like.
+    """The findings about a file of motions.
 
     Attributes:
         path: The file, or the folder.

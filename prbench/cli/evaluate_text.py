@@ -82,7 +82,7 @@ class TextRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TextReport(msgspec.Struct, frozen=True, kw_only=True):
-    """How well motions match texts. Rows compare within a report, and with reports of the same evaluator and settings.
+    """The match of motions and texts; rows compare within a report, and with those of the same evaluator and settings.
 
     Attributes:
         out: The file that the numbers were written to.

@@ -51,7 +51,7 @@ class OtherEvent(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ExplainReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What became of one event, and why.
+    """The outcome of one event, and the reasons.
 
     Attributes:
         event_id: Id of the event.

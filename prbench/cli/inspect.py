@@ -71,7 +71,7 @@ class UnlistedFolder(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class InspectReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What a folder holds.
+    """The content of a folder.
 
     Attributes:
         datasets: Datasets that were found.

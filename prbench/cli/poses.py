@@ -39,7 +39,7 @@ class RecordingBody(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class EstimatedBody(msgspec.Struct, frozen=True, kw_only=True):
-    """What running EgoAllo gave for one recording.
+    """The result of EgoAllo for one recording.
 
     Attributes:
         recording: Its id.

@@ -111,7 +111,7 @@ class NotImported(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ImportReleaseReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What was imported.
+    """The result of an import.
 
     Attributes:
         tables: One entry for each table that was written.
@@ -139,7 +139,7 @@ class ExportedTable(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ExportReleaseReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What was exported.
+    """The result of an export.
 
     Attributes:
         datasets: One entry for each table.

@@ -78,7 +78,7 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
-    """What was run.
+    """The runs of one command.
 
     Attributes:
         runs: The runs asked for, in their order.

@@ -69,7 +69,7 @@ class FoundHands(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SensorCheck(msgspec.Struct, frozen=True, kw_only=True):
-    """What curation finds with sensors of one kind, against what was acted out.
+    """The events that curation finds with sensors of one kind, against those that were acted out.
 
     Events within the sensors' resolution of a threshold and lost tracks are not counted. Numbers without a sample are
     null.
@@ -114,7 +114,7 @@ class SensorCheck(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What was written and drawn.
+    """The recordings and pictures that were written.
 
     Attributes:
         folder: The native files; null if none were asked for.
@@ -138,7 +138,7 @@ class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class _Request:
-    """What is to be written."""
+    """The recordings that are to be written."""
 
     layout: str
     out: Path | None
@@ -156,7 +156,7 @@ class _Request:
 
 @dataclass(frozen=True)
 class _Written:
-    """What was written, and how it is printed."""
+    """The recordings that were written, and how they are printed."""
 
     show: Callable[[], None]
     folder: Path | None = None

@@ -64,7 +64,7 @@ class PrimeGaps(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ActionAgreement(msgspec.Struct, frozen=True, kw_only=True):
-    """How the dataset and the rule agree on the events of one action.
+    """The agreement of dataset and rule on the events of one action.
 
     Attributes:
         action: ``pick``, ``put`` or both together.

@@ -55,7 +55,7 @@ class ShownSequence(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
-    """What was drawn.
+    """The pictures that were drawn.
 
     Attributes:
         out: The picture, film or page.

@@ -40,7 +40,7 @@ Info = TypeVar("Info", bound=Provenance)
 
 @dataclass(frozen=True)
 class BuiltTable(Generic[Info]):
-    """What the tables of a dataset and of a corpus have in common: a folder, its provenance, and rows on demand."""
+    """The common part of the tables of a dataset and of a corpus: a folder, its provenance, and rows on demand."""
 
     folder: Path
     info: Info

@@ -73,6 +73,7 @@ class ProgramProcess:
         self.log = ProgramLog(stderr, program.name, self._popen.pid)
         self._outbox = Outbox(stdin)
         self._inbox = Inbox(stdout, self._ended, self._outbox)
+        self._has_answered = False
         self.over = False
         """It was closed or killed."""
         self.exit_status: int | None = None
@@ -99,9 +100,14 @@ class ProgramProcess:
         """
         deadline = Deadline(timeout)
         try:
-            self._inbox.require_silence()
+            # What a program writes before the first question is taken for its answer, however early or late it comes:
+            # the message must not depend on which of the two processes was faster.
+            if self._has_answered:
+                self._inbox.require_silence()
             self._outbox.send(encode_message(header, payload), deadline)
-            return self._inbox.receive(answer_limit, deadline)
+            answer = self._inbox.receive(answer_limit, deadline)
+            self._has_answered = True
+            return answer
         except BaseException:
             self.kill()
             raise
