@@ -11,14 +11,16 @@ from prbench.cli.main import program
 
 
 def parsed(words: Sequence[str]) -> click.Context:
-    """The parsed command line of one command.
+    """The parsed command line of one command; ``--help``, which ends a program at once, is passed over.
 
     Raises:
         click.UsageError: as ``prbench`` would.
     """
     context = click.Context(program, info_name="prbench", obj=Session())
     command: click.Command = program
-    rest = list(words)
+    rest = [word for word in words if word != "--help"]
+    if not rest:
+        return context
     while isinstance(command, click.Group):
         name, found, rest = command.resolve_command(context, rest)
         assert found is not None
