@@ -156,10 +156,10 @@ class TextTemplates(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class MetricConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Constants of the six metrics; metres and seconds.
+    """Constants of the metrics: metres, seconds, and degrees where a name says so.
 
     ``threshold_tolerance`` is how close to a threshold a distance lies *on* it: the table stores positions as float32.
-    ``foot_tolerance`` is the same for the heights and speeds of Foot Skating.
+    ``foot_tolerance`` is the same for the heights and speeds of Foot Skating and slow slides.
     """
 
     prime_window: float
@@ -174,6 +174,30 @@ class MetricConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     foot_height: float
     foot_speed: float
     foot_window: float
+    prime_angle_deg: float
+    arrival_margin: float
+    slide_speed: float
+    largest_slide_share: float
+    lowest_pelvis: float
+    largest_trunk_tilt_deg: float
+    largest_floating: float
+    largest_penetration: float
+    largest_bone_change: float
+    largest_jerk: float
+    largest_speed: float
+
+
+class BreakdownConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Bins of the goal's place, by which scores are broken down: the upper ends of all but the last, ascending.
+
+    ``fewest_recordings`` and ``fewest_expected`` (sequences) are what an agreement's interval needs.
+    """
+
+    bearing: tuple[float, ...]
+    distance: tuple[float, ...]
+    height: tuple[float, ...]
+    fewest_recordings: int
+    fewest_expected: float
 
 
 class Citations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -195,6 +219,7 @@ class BenchmarkProtocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     splits: SplitRule
     text: TextTemplates
     metrics: MetricConstants
+    breakdown: BreakdownConstants
 
     @property
     def digest(self) -> str:

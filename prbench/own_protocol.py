@@ -35,7 +35,7 @@ OPTION = "protocol"
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 _ABOVE_ZERO = ("fps", "curation.priming_window", "metrics.prime_window")
 _SHARES = ("splits.test_from", "splits.validation_below")
-_SCORING = ("name", "version", "metrics")
+_SCORING = ("name", "version", "metrics", "breakdown")
 """Parts that may differ between a table's protocol and a run's: nothing of the table depends on them."""
 _START = "Start from a copy of benchmarks/prime_and_reach/protocol.toml and give it a name."
 
@@ -103,6 +103,14 @@ def _require_sense(path: Path, protocol: BenchmarkProtocol) -> None:
         if not is_possible or not math.isfinite(value) or value > most:
             expected = "a share from 0 to 1" if key in _SHARES else f"a finite number {least}"
             raise InputFileError(path, key, expected=expected, found=f"{value:g}")
+    for key in ("bearing", "distance", "height"):
+        ends = getattr(protocol.breakdown, key)
+        if not all(math.isfinite(end) and end > 0 for end in ends) or list(ends) != sorted(set(ends)):
+            expected = "finite numbers above 0, ascending"
+            raise InputFileError(path, f"breakdown.{key}", expected=expected, found=str(list(ends)))
+    if protocol.breakdown.fewest_recordings < 2:
+        found = str(protocol.breakdown.fewest_recordings)
+        raise InputFileError(path, "breakdown.fewest_recordings", expected="2 or more", found=found)
     if protocol.splits.validation_below > protocol.splits.test_from:
         raise InputFileError(
             path,
@@ -193,7 +201,8 @@ def require_fits_table(wanted: BenchmarkProtocol, table: BenchmarkProtocol | Non
         if key in found and found[key] != value:
             raise UsageError(
                 f"--protocol {wanted.label}, {key}: {_shown(value)}, but the table {folder} was built with"
-                f" {_shown(found[key])}. Build it again with the same --protocol; only [metrics] may differ."
+                f" {_shown(found[key])}. Build it again with the same --protocol; only [metrics] and [breakdown] may"
+                " differ."
             )
 
 

@@ -1,11 +1,23 @@
-"""The study's printed figures for its sequences (*Prime and Reach*, Table 1 and Table S2)."""
+"""The study's printed numbers (*Prime and Reach*), typed again, with their tables and notes.
+
+The files stand in ``benchmarks/prime_and_reach/published``; ``notes.toml`` there says which table each comes from, and
+what the study leaves open that could explain a difference to a measured number.
+"""
 
 from __future__ import annotations
 
 import csv
+import tomllib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from typing import Any
+
+DATASETS = ("hd-epic", "mogaze", "hot3d", "adt", "gimo")
+"""The five datasets in the study's order."""
+_PACKAGE = "prbench_benchmarks.prime_and_reach.published"
+_ABLATED_METRICS = ("prime_success", "reach_success", "location_error", "mpjpe")
 
 
 @dataclass(frozen=True)
@@ -33,14 +45,143 @@ class PublishedRow:
     hand_movement: Spread
 
 
+@dataclass(frozen=True)
+class PublishedNumber:
+    """One cell of a table of the study."""
+
+    table: str
+    """Number of the table, such as ``S3``."""
+    dataset: str
+    condition: str
+    """A condition of the protocol or, in Table 3, the study's words for what the model is given."""
+    method: str
+    """Id of the method; ``real`` for recorded motion in Table S8."""
+    variant: str
+    """What tells two rows of one method apart, in words."""
+    metric: str
+    """Id of the metric."""
+    printed: str
+    """The digits as printed: rates in %, lengths in metres; empty for a dash."""
+    plus_minus: str = ""
+    """The number after ±, in Table S8 only."""
+    note: str = ""
+    """What is known to be odd about the cell."""
+
+    @property
+    def value(self) -> float | None:
+        """The number in the printed unit; None for a dash."""
+        return float(self.printed) if self.printed else None
+
+    @property
+    def source(self) -> str:
+        """Where it is printed."""
+        return f"published: {cite(self.table)}"
+
+
+@dataclass(frozen=True)
+class PublishedTable:
+    """What is known of one table of the study."""
+
+    number: str
+    title: str
+    section: str
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """A choice that the study leaves open, which could explain a difference to a published number."""
+
+    id: str
+    metrics: tuple[str, ...]
+    text: str
+
+
 @cache
 def load_table_one() -> dict[str, PublishedRow]:
     """The published rows by dataset."""
-    file = resources.files("prbench_benchmarks.prime_and_reach.published") / "table_1_and_s2.csv"
-    lines = file.read_text(encoding="utf-8").splitlines()
-    return {row["dataset"]: _row(row) for row in csv.DictReader(lines)}
+    return {row["dataset"]: _row(row) for row in _csv_rows("table_1_and_s2.csv")}
 
 
-def _row(row: dict[str, str]) -> PublishedRow:
+@cache
+def load_published(table: str) -> tuple[PublishedNumber, ...]:
+    """Read the numbers of a table of scores in printed order.
+
+    Args:
+        table: ``2``, ``3``, ``4``, ``S1`` or ``S3`` to ``S8``; Tables 1 and S2 are :func:`load_table_one`.
+
+    Raises:
+        ValueError: for a table that holds no scores, or that the study does not have.
+    """
+    known = _notes()["tables"]
+    if table not in known or table in ("1", "S2"):
+        scores = [name for name in known if name not in ("1", "S2")]
+        raise ValueError(f"no table of scores '{table}'; those of the study are: {', '.join(scores)}")
+    file = known[table]["file"]
+    if file == "ablations.csv":
+        return tuple(_ablated(table))
+    return tuple(
+        PublishedNumber(
+            table=table,
+            dataset=row["dataset"],
+            condition=row["condition"],
+            method=row["method"],
+            variant=row["variant"],
+            metric=row["metric"],
+            printed=row["value"],
+            plus_minus=row.get("plus_minus", ""),
+            note=row["note"],
+        )
+        for row in _csv_rows(file)
+    )
+
+
+def published_table(table: str) -> PublishedTable:
+    """Return title, section and notes of a table of the study."""
+    entry = _notes()["tables"][table]
+    return PublishedTable(table, entry["title"], entry["section"], tuple(entry["notes"]))
+
+
+def cite(table: str) -> str:
+    """Return the reference of a table in words."""
+    return f"Prime and Reach, Table {table} (section {published_table(table).section})"
+
+
+@cache
+def load_assumptions() -> tuple[Assumption, ...]:
+    """Read what the study leaves open, in the order of the file."""
+    return tuple(Assumption(row["id"], tuple(row["metrics"]), row["text"]) for row in _notes()["assumptions"])
+
+
+def assumptions_for(metrics: Iterable[str]) -> tuple[Assumption, ...]:
+    """Return the open choices that concern one of these metrics."""
+    wanted = set(metrics)
+    return tuple(each for each in load_assumptions() if wanted & set(each.metrics))
+
+
+def _row(row: Mapping[str, str]) -> PublishedRow:
     spreads = {name: Spread(float(row[f"{name}_mean"]), float(row[f"{name}_sd"])) for name in QUANTITIES}
     return PublishedRow(int(row["sequences"]), int(row["train"]), int(row["test"]), **spreads)
+
+
+def _ablated(table: str) -> Iterable[PublishedNumber]:
+    """Yield the cells of a table of ablations, whose file has a column a metric."""
+    for row in _csv_rows("ablations.csv"):
+        if row["table"] != table:
+            continue
+        condition = row["condition"]
+        for metric in _ABLATED_METRICS:
+            yield PublishedNumber(table, row["dataset"], condition, "pr", row["variant"], metric, row[metric])
+
+
+def _csv_rows(name: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(_read(name).splitlines()))
+
+
+@cache
+def _notes() -> dict[str, Any]:
+    return tomllib.loads(_read("notes.toml"))
+
+
+def _read(name: str) -> str:
+    return (resources.files(_PACKAGE) / name).read_text(encoding="utf-8")

@@ -95,6 +95,56 @@ _FORMULA_STARTS = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 _NUMBER = re.compile(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?")
 
 
+def latex(text: object) -> str:
+    r"""Return a text that LaTeX sets letter by letter: no command, formula, comment or table cell.
+
+    A letter beyond those of Western Europe is spelt out as its number, because the usual fonts lack it.
+
+    >>> latex("50% of {a_b} & \\input{x}")
+    '50\\% of \\{a\\_b\\} \\& \\textbackslash{}input\\{x\\}'
+    """
+    return "".join(_LATEX.get(character, _latex_letter(character)) for character in clean(text))
+
+
+def _latex_letter(character: str) -> str:
+    # Latin-1 letters are in every font that `inputenc` and `fontenc` choose; no others are certain.
+    if character.isascii() or (character.isalpha() and ord(character) < 256):
+        return character
+    return f"[U+{ord(character):04X}]"
+
+
+_LATEX = {
+    "\\": r"\textbackslash{}",
+    "{": r"\{",
+    "}": r"\}",
+    "$": r"\$",
+    "&": r"\&",
+    "%": r"\%",
+    "#": r"\#",
+    "_": r"\_",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"$<$",
+    ">": r"$>$",
+    "|": r"$|$",
+    '"': r"\textquotedbl{}",
+    "±": r"$\pm$",
+    "×": r"$\times$",
+    "−": r"$-$",
+    "–": "--",
+    "↑": r"$\uparrow$",
+    "↓": r"$\downarrow$",
+    "†": r"\dag{}",
+    "‡": r"\ddag{}",
+    "δ": r"$\delta$",
+    "σ": r"$\sigma$",
+    "…": r"\ldots{}",
+    "≥": r"$\geq$",
+    "≤": r"$\leq$",
+}
+"""What LaTeX would take for markup, and the signs that tables of prbench use."""
+
+
 def html(text: object) -> str:
     """Return a text for the body or an attribute of an HTML page."""
     return escape(clean(text))

@@ -47,6 +47,7 @@ class Inputs:
         gimo_sample.write_root(made.gimo, gimo_sample.readings())
         for name in ("run", "run-of-conditions"):
             run(made.folder, *_RUN, "--data", made.table, "--out", folder / name)
+        run(made.folder, *_STATIC, "--data", made.table, "--out", folder / "static")
         run(made.folder, "export-release", made.table, "--out", made.release)
         run(made.folder, *_CONDITIONS, "--data", made.table, "--out", folder / "conditions.npz")
         _make_bodiless(made)
@@ -149,6 +150,7 @@ def run(folder: Path, *arguments: object, expected: int | None = 0, said: io.Str
 
 
 _RUN = ("run", "--method", "ground-truth", "--limit", 2, "--batch-size", 1)
+_STATIC = ("run", "--method", "static", "--condition", "none", "--limit", 2)
 _CONDITIONS = ("export-conditions", "--condition", "goal-loc", "--limit", 2)
 _TRAIN = ("train", "--method", "toy", "--set", "training.steps=2", "--set", "training.save_every=1")
 
@@ -159,6 +161,7 @@ _HEAVY = {
     "synthesize --gallery",
     "synthesize --histograms",
     "run --view",
+    "audit --out",
     "run --method all --out",
     "view --out png",
     "view --out html",
@@ -244,6 +247,21 @@ WRITING = (
         "export-release --out",
         lambda given, out: ("export-release", given.table, "--out", out),
         held="result/synthetic-adt",
+    ),
+    Writing(
+        "audit --out",
+        lambda given, out: ("audit", "--data", given.table, "--limit", 2, "--out", out),
+        varies=("cost.json",),
+    ),
+    Writing("agreement --out", lambda given, out: ("agreement", given.run, "--out", out), "a.json"),
+    Writing(
+        "leaderboard pareto --out",
+        lambda given, out: ("leaderboard", "pareto", given.static, "--out", out),
+        "p.svg",
+    ),
+    Writing(
+        "split-dataset --out",
+        lambda given, out: ("split-dataset", given.table, "--fold", "1/2", "--out", out),
     ),
     Writing("leaderboard export --out", lambda given, out: ("leaderboard", "export", given.run, "--out", out), "l.md"),
     Writing(

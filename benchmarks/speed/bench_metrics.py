@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from benchmarks.speed.naive_metrics import naive_metrics
 from benchmarks.speed.timing import Row, print_rows, timed
 from prbench.manifests import load_protocol
-from prbench.metrics import METRICS, MotionBatch, ScoringTargets, score
+from prbench.metrics import STUDY_METRICS, MotionBatch, ScoringTargets, score
 from prbench.runs.scores import PREDICTIONS
 from prbench.sequences.write import write_table
 from prbench.skeleton import N_JOINTS
@@ -38,7 +38,7 @@ def main() -> None:
 
     values = score(predicted, recorded, targets, constants)
     ours = timed(lambda: score(predicted, recorded, targets, constants), options.repeats)
-    main_ids = [info.id for info in METRICS if info.main]
+    main_ids = [info.id for info in STUDY_METRICS]
     six = timed(lambda: score(predicted, recorded, targets, constants, metrics=main_ids), options.repeats)
     naive = time_naive(predicted, recorded, targets, {metric: values[metric].value for metric in main_ids})
     with tempfile.TemporaryDirectory() as folder:

@@ -16,7 +16,7 @@ from prbench.api.frames import frozen
 from prbench.errors import UsageError, did_you_mean
 from prbench.manifests import load_protocol
 from prbench.methods.coordinates import coordinate_problem
-from prbench.metrics import METRICS, UNKNOWN_HAND, MotionBatch, ScoringTargets, printed_unit
+from prbench.metrics import METRICS, STUDY_METRICS, UNKNOWN_HAND, MotionBatch, ScoringTargets, printed_unit
 from prbench.metrics import score as score_metrics
 from prbench.shown import html
 from prbench.skeleton import N_JOINTS
@@ -29,7 +29,9 @@ _GOAL = "goal_location (or goal_box)"
 _TIME_TOLERANCE = 1e-6  # seconds
 _NEEDS: dict[str, tuple[str, ...]] = {
     "prime_success": (_GOAL, "prime_time", "head_tilt_deg", "fps"),
+    "prime_success_arrival": (_GOAL, "prime_time", "head_tilt_deg", "fps"),
     "prime_success_onset": (_GOAL, "prime_time", "head_tilt_deg", "fps"),
+    "prime_success_angle": (_GOAL, "prime_time", "head_tilt_deg", "fps"),
     "reach_success": (_GOAL,),
     "reach_success_final": (_GOAL,),
     "reach_wrist": ("recorded", _GOAL),
@@ -40,6 +42,14 @@ _NEEDS: dict[str, tuple[str, ...]] = {
     "foot_skating": ("fps",),
     "contact_share": (),
     "bone_length_change": (),
+    "first_frame_error": ("recorded",),
+    "first_step": (),
+    "floating": (),
+    "penetration": (),
+    "slow_slides": ("fps",),
+    "largest_jerk": ("fps",),
+    "largest_speed": ("fps",),
+    "plausible": ("fps",),
 }
 """Arguments beside the predicted motion that a metric needs."""
 _EVERYTHING = ("recorded", _GOAL, "prime_time", "head_tilt_deg", "fps")
@@ -139,7 +149,7 @@ def measure(
         hand: The recorded reaching hand, ``left`` or ``right``, or one for each motion; None where it is unknown. Only
             the variant ``reach_wrist`` asks for it.
         n_frames: Frames of each motion of a padded batch, (batch,); what stands behind them leaves no trace.
-        metrics: Ids of other metrics than the six, for example ``reach_success_final``
+        metrics: Ids of other metrics than the six, for example ``prime_success_arrival`` or ``plausible``
             (the table in docs/specification/metrics.md).
 
     Returns:
@@ -214,7 +224,7 @@ def _wanted(metrics: Collection[str] | None) -> list[str]:
     """
     known = [info.id for info in METRICS if info.id != "prime_success_gaze"]
     if metrics is None:
-        return [info.id for info in METRICS if info.main]
+        return [info.id for info in STUDY_METRICS]
     asked = [metrics] if isinstance(metrics, str) else list(metrics)
     for name in asked:
         if name not in known:

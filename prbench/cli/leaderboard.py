@@ -11,10 +11,12 @@ import msgspec
 
 from prbench.cli.commands import Answer, Group, command, note
 from prbench.cli.options import PATH, data_option, out_file_option, workers_option
+from prbench.cli.summaries import DatasetScores, dataset_scores, print_summary
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.leaderboard.comparison import ComparedMetric
+    from prbench.leaderboard.tables import Leaderboard
     from prbench.submitted.verification import RunChecker
 
 _EXAMPLE = "prbench leaderboard export runs/static runs/ground-truth --format md --out leaderboard.md"
@@ -25,6 +27,8 @@ leaderboard = Group(
         "commands": {
             "export": "prbench.cli.leaderboard:export",
             "compare": "prbench.cli.leaderboard:compare",
+            "pareto": "prbench.cli.pareto:pareto",
+            "merge": "prbench.cli.leaderboard:merge",
         }
     },
     example=_EXAMPLE,
@@ -48,6 +52,9 @@ class BoardMetric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         recordings: Number of recordings that they come from.
         marks: What a reader of the interval needs to know: ``few_recordings``, ``one_recording``, ``all_equal``.
         flags: Number of motions that carry each remark.
+        detectable: Smallest difference to an unrelated method of the same spread that is found with 80 % power, among
+            the main metrics; null where nothing can be tested.
+        uncertainty: Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``.
     """
 
     metric: str
@@ -62,6 +69,24 @@ class BoardMetric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     recordings: int
     marks: list[str]
     flags: dict[str, int]
+    detectable: float | None
+    uncertainty: dict[str, float]
+
+
+class BoardCost(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The cost of a motion, on the machine of the run; null where nothing was measured or declared.
+
+    Attributes:
+        seconds_per_motion: Seconds a motion, batched as the run was.
+        passes_per_motion: Network passes a motion, as the method declares.
+        memory_mebibytes: Largest memory of the device, else of the process, in MiB.
+        parameters: Parameters of the method's networks.
+    """
+
+    seconds_per_motion: float | None
+    passes_per_motion: float | None
+    memory_mebibytes: float | None
+    parameters: int | None
 
 
 class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -85,8 +110,11 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         verified: Whether the scores were held against the motions.
         why_unverified: The reason why not; empty if they were.
         unsupported: Number of sequences that are longer than the method can generate.
-        ranks: Maps ids of metrics to ranks, from 1; empty where nothing is ranked.
+        ranks: Maps ids of metrics to ranks: one more than the number of methods that are better by a supported
+            difference; empty where nothing is ranked.
+        leads: Ids of metrics in which it is better than every other method, each by a supported difference.
         metrics: The scores.
+        cost: Cost of a motion.
         says_nothing: Ids of metrics that say nothing about this method, because it stands still.
     """
 
@@ -108,7 +136,9 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     why_unverified: str
     unsupported: int
     ranks: dict[str, int]
+    leads: list[str]
     metrics: list[BoardMetric]
+    cost: BoardCost
     says_nothing: list[str]
 
 
@@ -131,6 +161,7 @@ class BoardTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         left_sequences_out: Methods that left chosen sequences out, with how many.
         sequences: Number of sequences.
         recordings: Number of recordings that they come from.
+        undecided: Sentences on what the data cannot decide, and the smallest differences that they can.
         rows: The runs, sorted by condition, controls last.
     """
 
@@ -148,6 +179,7 @@ class BoardTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     left_sequences_out: list[str]
     sequences: int
     recordings: int
+    undecided: list[str]
     rows: list[BoardRow]
 
 
@@ -191,7 +223,53 @@ class MacroMeans(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     rows: list[MacroMean]
 
 
-class Board(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class PublishedDifference(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A measured number beside the one that the study prints: rates in %, lengths in metres.
+
+    Attributes:
+        table: Table of the study, such as ``2``.
+        dataset: Name of the dataset.
+        condition: What the method was given.
+        method: Name of the method.
+        variant: Of the measured row.
+        published_variant: Of the study's row that it stands beside.
+        metric: Id of the metric.
+        unit: ``%``, ``m`` or ``ratio``.
+        measured: The measured number.
+        published: The study's number.
+        difference: measured - published.
+        low: Lower bound of the difference's 95 % interval; null where the measured number has none.
+        high: Upper bound of the interval.
+        sequences: Number of sequences behind the measured number.
+        published_sequences: Number of sequences in the study's test split.
+        verified: Whether the measured scores were held against the motions.
+        assumptions: Ids of what the study leaves open and could explain the difference.
+        remarks: What else could.
+        source: Where the study prints the number.
+    """
+
+    table: str
+    dataset: str
+    condition: str
+    method: str
+    variant: str
+    published_variant: str
+    metric: str
+    unit: str
+    measured: float
+    published: float
+    difference: float
+    low: float | None
+    high: float | None
+    sequences: int
+    published_sequences: int
+    verified: bool
+    assumptions: list[str]
+    remarks: list[str]
+    source: str
+
+
+class Board(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """A leaderboard; ``--format json`` writes the same.
 
     Attributes:
@@ -199,12 +277,19 @@ class Board(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         tables: One table for each dataset and way of scoring it.
         macro_means: Means over datasets, for each protocol with two datasets or more.
         notes: What was left out, and which tables must not be compared.
+        published: With ``--with-published``: differences to the study's numbers, on real recordings only; absent if
+            there are none.
+        assumptions: Maps the ids that they name to what the study leaves open; absent if there are none.
+        not_beside_published: A sentence for each run beside which no published number stands; absent without.
     """
 
     schema_version: int
     tables: list[BoardTable]
     macro_means: list[MacroMeans]
     notes: list[str]
+    published: list[PublishedDifference] = []
+    assumptions: dict[str, str] = {}
+    not_beside_published: list[str] = []
 
 
 class BoardReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -252,9 +337,11 @@ class MetricDifference(msgspec.Struct, frozen=True, kw_only=True):
         sequences: Number of sequences.
         recordings: Number of recordings that they come from.
         marks: What a reader of the interval needs to know: ``few_recordings``, ``one_recording``, ``all_equal``.
-        p_value: Two-sided, by flipping signs of whole recordings; null below six recordings.
+        p_value: Two-sided, from the spread between recordings; null where it cannot be tested.
         adjusted_p_value: The same after Holm's correction for everything compared here.
-        conclusion: ``higher``, ``lower`` or ``not supported by the data``: of the first run.
+        detectable: Smallest true difference that is found with 80 % power at Holm's first step; null where it cannot be
+            tested.
+        conclusion: ``higher``, ``lower``, ``not supported by the data`` or ``cannot be tested``: of the first run.
     """
 
     dataset: str
@@ -270,6 +357,7 @@ class MetricDifference(msgspec.Struct, frozen=True, kw_only=True):
     marks: list[str]
     p_value: float | None
     adjusted_p_value: float | None
+    detectable: float | None
     conclusion: str
 
 
@@ -306,9 +394,16 @@ def _tables_option(function: Callable) -> Callable:
     help="Markdown (default), CSV or JSON.",
 )
 @out_file_option("Write the leaderboard to this file instead of printing it.")
+@click.option(
+    "--with-published",
+    is_flag=True,
+    help="Show the study's numbers behind the measured ones, and how far runs on real recordings are from them.",
+)
 @_tables_option
 @workers_option()
-def export(runs: tuple[Path, ...], format: str, out: Path | None, data: tuple[Path, ...], workers: int) -> Answer:
+def export(
+    runs: tuple[Path, ...], format: str, out: Path | None, with_published: bool, data: tuple[Path, ...], workers: int
+) -> Answer:
     """Write a leaderboard of finished runs.
 
     RUN are run folders, or folders that hold some.
@@ -324,13 +419,25 @@ def export(runs: tuple[Path, ...], format: str, out: Path | None, data: tuple[Pa
         if row.unverified:
             note(f"unverified: {row.run}: {row.unverified}")
     board = boards.make_leaderboard(collected)
-    text = boards.export(board, format)
+    text = _exported(board, format, with_published=with_published)
     if out is not None:
         with sole_writer(out):
             write_text(out, text)
-    exported = msgspec.json.decode(boards.export(board, "json"), type=Board)
+    exported = msgspec.json.decode(_exported(board, "json", with_published=with_published), type=Board)
     report = BoardReport(format=format, out=out, board=exported)
     return Answer(report, lambda: print(text, end="") if out is None else print(f"leaderboard: {out}"))
+
+
+def _exported(board: Leaderboard, format: str, *, with_published: bool) -> str:
+    """Write a leaderboard in a format, with the study's numbers behind it if asked for."""
+    from prbench import leaderboard as boards
+
+    text = boards.export(board, format)
+    if not with_published:
+        return text
+    from prbench.workflows.study.beside import add_published
+
+    return add_published(text, board, format)
 
 
 @command(
@@ -399,6 +506,7 @@ def _metric_difference(row: ComparedMetric) -> MetricDifference:
         marks=list(difference.marks),
         p_value=row.comparison.p_value,
         adjusted_p_value=row.comparison.adjusted_p_value,
+        detectable=row.comparison.detectable,
         conclusion=row.comparison.conclusion,
     )
 
@@ -407,10 +515,11 @@ def _print_comparison(report: CompareReport) -> None:
     first = report.first.path.name
     print_table(
         f"{first} against {report.second.path.name}, sequence by sequence",
-        ("dataset", "metric", "difference", "95 % interval", "p (Holm)", ""),
+        ("dataset", "metric", "difference", "95 % interval", "p (Holm)", "detectable", ""),
         [_difference_row(first, row) for row in report.differences],
-        numbers=(2, 3, 4),
+        numbers=(2, 3, 4, 5),
     )
+    print("detectable: smallest true difference that is found in four of five repetitions, at Holm's first step.")
     for run in (report.first, report.second):
         print(f"{run.path.name}: {run.method}, {run.origin}")
         for dataset, mark in run.marks.items():
@@ -424,13 +533,55 @@ def _difference_row(first: str, row: MetricDifference) -> tuple[str, ...]:
 
     scale = printed_scale(row.unit)
     unit = " points" if row.unit == "rate" else printed_unit(row.unit)
-    if "all_equal" in row.marks:
-        bounds = "all equal"  # a bootstrap of equal differences would claim certainty
-    elif row.low is None or row.high is None:
-        bounds = "–"
+    if row.low is None or row.high is None:
+        bounds = "all equal" if "all_equal" in row.marks else "cannot be given"
     else:
         bounds = f"[{row.low * scale:+.2f}, {row.high * scale:+.2f}]"
-    said = row.conclusion if row.conclusion.startswith("not") else f"{first} is {row.conclusion}"
+    said = f"{first} is {row.conclusion}" if row.conclusion in ("higher", "lower") else row.conclusion
     change = "–" if row.difference is None else f"{row.difference * scale:+.2f}{unit}"
     p_value = "–" if row.adjusted_p_value is None else f"{row.adjusted_p_value:.4f}"
-    return (row.dataset, row.title, change, bounds, p_value, said)
+    detectable = "–" if row.detectable is None else f"{row.detectable * scale:.2f}{unit}"
+    return (row.dataset, row.title, change, bounds, p_value, detectable, said)
+
+
+class MergeReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The runs of all folds as one.
+
+    Attributes:
+        runs: Their folders.
+        scores: The merged scores.
+        unverified: A sentence for each run whose scores could not be held against the motions.
+    """
+
+    runs: list[Path]
+    scores: DatasetScores
+    unverified: list[str]
+
+
+@command(
+    "merge",
+    example="prbench leaderboard merge runs/fold-1 runs/fold-2 runs/fold-3",
+    report=MergeReport,
+)
+@click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")
+@_tables_option
+@workers_option()
+def merge(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> Answer:
+    """Put the scores of a method's runs on the folds of one dataset together (see `prbench split-dataset`)."""
+    from prbench.leaderboard.merging import merge_folds
+    from prbench.runs import RunFolder
+
+    summary, unverified = merge_folds(runs, checker=_checker(data, workers))
+    first = RunFolder.open(runs[0])
+    if first.protocol is not None and first.protocol.is_own:
+        note(f"scored under a protocol of your own, {first.protocol.label}: no number here is the study's")
+    method = first.record.method
+    scores = dataset_scores(summary, None, motionless=method.motionless)
+    report = MergeReport(runs=list(runs), scores=scores, unverified=list(unverified))
+
+    def show() -> None:
+        print_summary(summary, origin=method.origin, motionless=method.motionless)
+        for reason in unverified:
+            print(f"unverified: {reason}")
+
+    return Answer(report, show)

@@ -37,6 +37,7 @@ _COMMANDS = {
         "candidates": "prbench.cli.candidates:candidates",
         "build-dataset": "prbench.cli.build_dataset:build_dataset",
         "build-corpus": "prbench.cli.build_corpus:build_corpus",
+        "split-dataset": "prbench.cli.split_dataset:split_dataset",
         "validate": "prbench.cli.validate:validate",
         "import-release": "prbench.cli.release:import_release",
         "export-release": "prbench.cli.release:export_release",
@@ -53,6 +54,10 @@ _COMMANDS = {
     },
     "board: runs side by side": {
         "leaderboard": "prbench.cli.leaderboard:leaderboard",
+        "agreement": "prbench.cli.agreement:agreement",
+        "audit": "prbench.cli.audit:audit",
+        "study": "prbench.cli.study:study",
+        "ablation": "prbench.cli.ablation:ablation",
     },
     "look: at tables, events and motions": {
         "stats": "prbench.cli.stats:stats",

@@ -36,6 +36,7 @@ from prbench.cli.progress import progress
 from prbench.cli.summaries import (
     DatasetScores,
     dataset_scores,
+    print_agreement,
     print_sequence_scores,
     print_side_by_side,
     print_summary,
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from prbench.evaluation.request import RunRequest
     from prbench.evaluation.run import RunReport
     from prbench.runs import RunFolder
+    from prbench.runs.agreement import DatasetAgreement
     from prbench.workflows.experiment import Experiment, ExperimentMethod
 
 _FIRST_RUN_WORKERS = 2
@@ -104,7 +106,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
     metavar="NAME|cmd:…|FILE",
     shell_complete=complete_method,
     help="An installed method; a program: 'cmd:python glide.py', or a .toml file that describes one; or a control:"
-    " ground-truth, ground-truth-resampled, scripted; all: the rows of the study's Table 2.",
+    " ground-truth, scripted, nearest-neighbour, stare, … (docs/audit.md); all: the rows of the study's Table 2.",
 )
 @click.option(
     "--condition",
@@ -436,8 +438,17 @@ def _made(report: RunReport) -> MadeRun:
         condition=record.condition,
         seed=record.seed,
         batches_found=report.batches_found,
-        datasets=[dataset_scores(summary, motionless=record.method.motionless) for summary in report.summaries],
+        datasets=[
+            dataset_scores(summary, _agreement(report, summary.dataset), motionless=record.method.motionless)
+            for summary in report.summaries
+        ],
     )
+
+
+def _agreement(report: RunReport, dataset: str) -> DatasetAgreement:
+    from prbench.runs.agreement import DatasetAgreement
+
+    return DatasetAgreement.read(report.folder.dataset(dataset).path)
 
 
 def _print_run(report: RunReport, *, single: bool) -> None:
@@ -447,6 +458,7 @@ def _print_run(report: RunReport, *, single: bool) -> None:
     method = report.folder.record.method
     for summary in report.summaries:
         print_summary(summary, origin=method.origin, motionless=method.motionless)
+        print_agreement(_agreement(report, summary.dataset))
 
 
 def _print_company(reports: list[RunReport]) -> None:

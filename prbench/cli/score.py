@@ -24,7 +24,7 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.progress import progress
-from prbench.cli.summaries import DatasetScores, dataset_scores, print_summary
+from prbench.cli.summaries import DatasetScores, dataset_scores, print_agreement, print_summary
 
 if TYPE_CHECKING:
     from prbench.submitted.score_predictions import ScoreReport as Scored
@@ -133,7 +133,9 @@ def score(
             progress=lambda step: show(step.done, step.total, step.dataset),
         )
     datasets = [
-        ScoredMotions(origin=each.origin, scores=dataset_scores(each.summary, motionless=each.motionless))
+        ScoredMotions(
+            origin=each.origin, scores=dataset_scores(each.summary, each.agreement, motionless=each.motionless)
+        )
         for each in scored
     ]
     return Answer(ScoreReport(datasets=datasets, out=out), lambda: _print(scored, out))
@@ -144,6 +146,7 @@ def _print(scored: Sequence[Scored], out: Path | None) -> None:
 
     for each in scored:
         print_summary(each.summary, origin=each.origin, motionless=each.motionless)
+        print_agreement(each.agreement)
     if out is not None:
         print(f"scores: {out}")
         if any(each.summary.condition == UNSTATED for each in scored):

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from prbench.runs import RunFolder
+    from prbench.runs.agreement import DatasetAgreement, RateAgreement
     from prbench.runs.summary import DatasetSummary, MetricSummary
 
 _MARKS = {
@@ -36,6 +37,9 @@ class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
         recordings: Number of recordings that they come from.
         marks: What a reader of the interval has to know: ``few_recordings``, ``one_recording``, ``all_equal``.
         flags: Number of motions that carry each remark.
+        detectable: Smallest difference to an unrelated method of the same spread that is found with 80 % power, among
+            the main metrics; null where nothing can be tested.
+        uncertainty: Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``.
         means_nothing: The method stands still, so that this metric says nothing about it.
     """
 
@@ -50,7 +54,77 @@ class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
     recordings: int
     marks: list[str]
     flags: dict[str, int]
+    detectable: float | None
+    uncertainty: dict[str, float]
     means_nothing: bool
+
+
+class RateOfPeople(msgspec.Struct, frozen=True, kw_only=True):
+    """One rate: the method's success beside that of recorded people on the same sequences.
+
+    Attributes:
+        metric: Id of the metric.
+        title: Its name as printed.
+        phi: Phi coefficient, from -1 to 1; null where one side has a single outcome.
+        low: Lower bound of its 95 % interval; null where the data allow none.
+        high: Upper bound of the interval.
+        sequences: Number of sequences.
+        recordings: Number of recordings that they come from.
+        people: Share of the sequences on which recorded people succeed.
+        remark: Why there is no coefficient or no interval; empty if there are both.
+    """
+
+    metric: str
+    title: str
+    phi: float | None
+    low: float | None
+    high: float | None
+    sequences: int
+    recordings: int
+    people: float
+    remark: str
+
+
+class RateInBin(msgspec.Struct, frozen=True, kw_only=True):
+    """One rate on the sequences whose goal lies in one bin.
+
+    Attributes:
+        metric: Id of the metric.
+        title: Its name as printed.
+        by: ``bearing`` (degrees), ``distance`` or ``height`` (metres).
+        begin: Lower end of the bin, included.
+        end: Upper end, excluded; null for the last bin.
+        sequences: Number of sequences in it.
+        recordings: Number of recordings that they come from.
+        mean: The method's rate; null without sequences.
+        low: Lower bound of its 95 % interval; null where the data allow none.
+        high: Upper bound of the interval.
+        people: The rate of recorded people on the same sequences; null without sequences.
+    """
+
+    metric: str
+    title: str
+    by: str
+    begin: float
+    end: float | None
+    sequences: int
+    recordings: int
+    mean: float | None
+    low: float | None
+    high: float | None
+    people: float | None
+
+
+class AgreementReport(msgspec.Struct, frozen=True, kw_only=True):
+    """How a method's successes go with those of recorded people, and with where the goal is.
+
+    Attributes:
+        rates: Agreement with recorded people, one entry a rate.
+        breakdown: Rates by the goal's bearing, distance and height.
+    """
+
+    rates: list[RateOfPeople]
+    breakdown: list[RateInBin]
 
 
 class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
@@ -70,6 +144,8 @@ class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
         samples: Motions a sequence.
         remark: That recorded motions were handed in; empty if there are none.
         metrics: One entry a metric.
+        agreement: Agreement with recorded people, and rates by the goal's place; null for runs of earlier versions and
+            for merged folds.
     """
 
     dataset: str
@@ -85,13 +161,17 @@ class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
     samples: int
     remark: str
     metrics: list[MetricScore]
+    agreement: AgreementReport | None
 
 
-def dataset_scores(summary: DatasetSummary, *, motionless: bool = False) -> DatasetScores:
+def dataset_scores(
+    summary: DatasetSummary, agreement: DatasetAgreement | None, *, motionless: bool = False
+) -> DatasetScores:
     """Turn a summary into the shape that ``--json`` prints.
 
     Args:
         summary: Scores of a method on a dataset.
+        agreement: How they go with recorded people's; None for a run of an earlier version.
         motionless: The method's motions stand still.
     """
     metrics = [
@@ -107,6 +187,8 @@ def dataset_scores(summary: DatasetSummary, *, motionless: bool = False) -> Data
             recordings=metric.recordings,
             marks=list(metric.marks),
             flags=metric.flags,
+            detectable=metric.detectable,
+            uncertainty=metric.uncertainty,
             means_nothing=metric.metric in _irrelevant(motionless),
         )
         for metric in summary.metrics
@@ -125,7 +207,32 @@ def dataset_scores(summary: DatasetSummary, *, motionless: bool = False) -> Data
         samples=summary.samples,
         remark=summary.recorded_motion_mark,
         metrics=metrics,
+        agreement=agreement and agreement_report(agreement),
     )
+
+
+def agreement_report(agreement: DatasetAgreement) -> AgreementReport:
+    """Turn the file of a run into the shape that ``--json`` prints."""
+    values = msgspec.to_builtins(agreement)
+    return msgspec.convert({"rates": values["rates"], "breakdown": values["breakdown"]}, AgreementReport)
+
+
+def print_agreement(agreement: DatasetAgreement | None) -> None:
+    """Print the agreement of the main rates in one line, if there is any."""
+    from prbench.metrics import METRICS
+
+    main = {info.id for info in METRICS if info.main}
+    parts = [f"{rate.title} {phi_cell(rate)}" for rate in agreement.rates if rate.metric in main] if agreement else []
+    if parts:
+        print(f"agreement with recorded people (phi): {', '.join(parts)}")
+
+
+def phi_cell(rate: RateOfPeople | RateAgreement) -> str:
+    """Return a coefficient with its interval as far as there is one."""
+    if rate.phi is None:
+        return "–"
+    bounds = "" if rate.low is None or rate.high is None else f" [{rate.low:+.2f}, {rate.high:+.2f}]"
+    return f"{rate.phi:+.2f}{bounds}"
 
 
 def _irrelevant(motionless: bool) -> frozenset[str]:
@@ -157,6 +264,8 @@ def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = Fa
         for metric in summary.metrics
     ]
     print_table(title, ("metric", "mean", "95 % interval", ""), rows, numbers=(1, 2))
+    for line in _design_lines(summary):
+        print(line)
     if summary.unsupported:
         print(f"{summary.unsupported} sequences are longer than the method can generate and were not scored.")
     if summary.recorded_motion_mark:
@@ -165,22 +274,38 @@ def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = Fa
         print("These are scores on synthetic data: never compare them with published ones.")
 
 
+def _design_lines(summary: DatasetSummary) -> list[str]:
+    """Say what the data cannot decide, and what makes the first metric uncertain."""
+    from prbench.leaderboard.decidable import undecided
+
+    lines = list(undecided(summary.dataset, summary.sequences, summary.recordings, [summary.metrics]))
+    metric = next((metric for metric in summary.metrics if any(metric.uncertainty.values())), None)
+    if metric is not None:
+        source, share = max(metric.uncertainty.items(), key=lambda item: item[1])
+        lines.append(
+            f"{metric.title}: {100 * share:.0f} % of the uncertainty comes from the choice of {source};"
+            f" more {source} reduce it."
+        )
+    return lines
+
+
 def print_side_by_side(
     summaries: Sequence[DatasetSummary], *, origins: Sequence[str], motionless: frozenset[str]
 ) -> None:
-    """Print the six metrics of several methods on the same sequences, one column a method.
+    """Print the main metrics of several methods on the same sequences, one column a method.
 
     Args:
         summaries: Of one dataset each, the same.
         origins: Whose methods they are, in words, one a summary.
         motionless: Names of methods that stand still, which get no Foot Skating and the like.
     """
-    from prbench.metrics import METRICS
+    from prbench.leaderboard.decidable import undecided
+    from prbench.metrics import MAIN_METRICS
     from prbench.runs.summary import TWICE_DAGGER
 
     first = summaries[0]
     rows = []
-    for info in (info for info in METRICS if info.main):
+    for info in MAIN_METRICS:
         cells = []
         for summary in summaries:
             found = next((metric for metric in summary.metrics if metric.metric == info.id), None)
@@ -193,6 +318,8 @@ def print_side_by_side(
         header.append(f"{summary.method}{mark}\n({summary.condition})\n{origin}")
     title = f"{first.title}, {first.sequences} sequences of {first.recordings} recordings, split {first.split}"
     print_table(f"{title}: means and 95 % intervals", header, rows, numbers=range(1, len(header)), spaced=True)
+    for line in undecided(first.dataset, first.sequences, first.recordings, [summary.metrics for summary in summaries]):
+        print(line)
     for summary in summaries:
         if summary.recorded_motion_mark:
             print(f"{summary.method} {summary.recorded_motion_mark}.")

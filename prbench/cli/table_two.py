@@ -31,7 +31,7 @@ _WORKERS = 2
 _SINGLE_RUN = {"sequences": "sequence", "isolate": "isolate", "timeout": "timeout"}
 _WIDE = 180
 """Columns that the whole layout takes."""
-_RANKS = {1: "¹", 2: "²"}
+_LEADS = "¹"
 
 
 class TableTwoAnswer(msgspec.Struct, frozen=True, kw_only=True):
@@ -131,30 +131,31 @@ def _width() -> float:
 
 
 def _print_dataset(dataset: DatasetLayout, title: str) -> None:
-    from prbench.leaderboard.tables import MAIN_METRICS
+    from prbench.metrics import STUDY_METRICS
     from prbench.workflows.table_two.as_markdown import COST_TITLES, cost_cells
     from prbench.workflows.table_two.layout import metric_title
 
-    header = ("Condition", "Method", *(metric_title(info) for info in MAIN_METRICS), *COST_TITLES)
+    header = ("Condition", "Method", *(metric_title(info) for info in STUDY_METRICS), *COST_TITLES)
     rows = []
     for block in dataset.blocks:
         for i, line in enumerate(block.lines):
-            cells = (_cell(line.cells[info.id]) for info in MAIN_METRICS)
+            cells = (_cell(line.cells[info.id]) for info in STUDY_METRICS)
             rows.append((block.title if i == 0 else "", line.label, *cells, *cost_cells(line.cost)))
     print_table(title, header, rows, numbers=range(2, len(header)))
 
 
 def _print_narrow(dataset: DatasetLayout, title: str) -> None:
     """Print a dataset's part on a terminal of 80 columns: blocks one below the other, costs below their numbers."""
-    from prbench.leaderboard.tables import MAIN_METRICS
+    from prbench.metrics import STUDY_METRICS
     from prbench.workflows.table_two.as_markdown import COST_TITLES, cost_cells
     from prbench.workflows.table_two.layout import metric_title
 
     print(title)
-    metrics = ("Method", *(metric_title(info).replace(" ", "\n", 1) for info in MAIN_METRICS))
+    metrics = ("Method", *(metric_title(info).replace(" ", "\n", 1) for info in STUDY_METRICS))
     for block in dataset.blocks:
         rows = [
-            (_folded(line.label), *(_cell(line.cells[info.id], ",\n") for info in MAIN_METRICS)) for line in block.lines
+            (_folded(line.label), *(_cell(line.cells[info.id], ",\n") for info in STUDY_METRICS))
+            for line in block.lines
         ]
         print_table(block.title, metrics, rows, numbers=range(1, len(metrics)))
         costs = [(_folded(line.label), *cost_cells(line.cost)) for line in block.lines if line.cost.seconds is not None]
@@ -171,7 +172,7 @@ def _cell(cell: Cell | None, between: str = ", ") -> str:
     """Write a mean with its place, and the interval below."""
     if cell is None:
         return "–"
-    mean = f"{cell.mean:.2f}{_RANKS.get(cell.rank or 0, '')}"
+    mean = f"{cell.mean:.2f}{_LEADS if cell.leads else ''}"
     return f"{mean}\n{cell.interval.replace(', ', between)}".rstrip()
 
 

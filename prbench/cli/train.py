@@ -71,6 +71,11 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
     metavar="TABLE.KEY=VALUE",
     help="Override a key, such as training.steps=1000 or model.width=256; repeatable.",
 )
+@click.option(
+    "--refit",
+    is_flag=True,
+    help="Learn from the split 'validation' as well, once nothing is chosen by it; needs validation.every=0.",
+)
 @click.option("--init", type=PATH, metavar="FILE", help="Weights to start from.")
 @click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1, mps.")
 @click.option("--devices", type=POSITIVE, default=1, metavar="N", help="Processes to train in (default 1).")
@@ -84,6 +89,7 @@ def train(
     out: Path | None,
     config: Path,
     overrides: tuple[tuple[str, str], ...],
+    refit: bool,
     init: Path | None,
     device: str,
     devices: int,
@@ -105,6 +111,7 @@ def train(
         method=method,
         data=data,
         out=out,
+        refit=refit,
         stage=stage,
         configuration=str(config),
         overrides=overrides,

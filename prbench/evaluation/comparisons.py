@@ -12,18 +12,12 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from prbench.evaluation.intervals import EQUAL_WITHIN, Estimate, Ids, clustered, mean_interval
-from prbench.randomness import named_generator
+from prbench.evaluation.clusters import SIGNIFICANCE, detectable_difference, p_values
+from prbench.evaluation.intervals import EQUAL_WITHIN, Estimate, Ids, clustered, difference_interval
 
-_FEWEST_FOR_P_VALUE = 6
-"""Recordings: with five, the smallest two-sided p-value of a sign-flip test is 2/32, above 5 %."""
-LARGEST_ENUMERATION = 36
-"""Recordings up to which all sign patterns are counted; beyond, random ones."""
-_PERMUTATIONS = 100_000
-_PATTERNS_AT_ONCE = 10_000
-_SIGNIFICANCE = 0.05
+_POWER = 0.8  # with which the smallest detectable difference would be found
 
-Conclusion = Literal["higher", "lower", "not supported by the data"]
+Conclusion = Literal["higher", "lower", "not supported by the data", "cannot be tested"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +27,8 @@ class PairedValues:
     first: Float[np.ndarray, " sequences"]
     second: Float[np.ndarray, " as_many"]
     recording_ids: Ids
+    rate: bool = False
+    """The values are rates, from 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +37,18 @@ class Comparison:
 
     difference: Estimate
     p_value: float | None
-    """Two-sided; None below six recordings."""
+    """Two-sided; None where it cannot be tested."""
     adjusted_p_value: float | None
     """After Holm's correction for all comparisons made together."""
+    detectable: float | None = None
+    """Smallest difference that is found with 80 % power at Holm's first step; None where none can be."""
 
     @property
     def conclusion(self) -> Conclusion:
         """Words for the result: is the first method higher or lower than the second at a family-wise 5 %?"""
-        if self.adjusted_p_value is None or self.adjusted_p_value > _SIGNIFICANCE:
+        if self.adjusted_p_value is None:
+            return "cannot be tested"
+        if self.adjusted_p_value > SIGNIFICANCE:
             return "not supported by the data"
         return "higher" if self.difference.mean > 0 else "lower"
 
@@ -65,34 +65,77 @@ def compare(pairs: Mapping[str, PairedValues]) -> dict[str, Comparison]:
     for name, pair in pairs.items():
         if len(pair.first) != len(pair.second):
             raise ValueError(f"{name}: {len(pair.first)} values of the first method, {len(pair.second)} of the second")
-    differences = [pair.first - pair.second for pair in pairs.values()]
-    recordings = [pair.recording_ids for pair in pairs.values()]
-    p_values = [sign_flip_p_value(difference, ids) for difference, ids in zip(differences, recordings, strict=True)]
-    found = zip(pairs, differences, recordings, p_values, holm(p_values), strict=True)
-    return {name: Comparison(mean_interval(difference, ids), p, q) for name, difference, ids, p, q in found}
+    values = list(pairs.values())
+    unadjusted = [paired_p_value(pair.first - pair.second, pair.recording_ids) for pair in values]
+    adjusted = holm(unadjusted)
+    family = sum(p is not None for p in unadjusted)
+    found = {}
+    for name, pair, p_value, adjusted_p_value in zip(pairs, values, unadjusted, adjusted, strict=True):
+        found[name] = Comparison(
+            difference=difference_interval(pair.first, pair.second, pair.recording_ids, rate=pair.rate),
+            p_value=p_value,
+            adjusted_p_value=adjusted_p_value,
+            detectable=smallest_detectable(pair.first - pair.second, pair.recording_ids, comparisons=max(family, 1)),
+        )
+    return found
 
 
-def sign_flip_p_value(differences: Float[np.ndarray, " sequences"], recording_ids: Ids) -> float | None:
-    """Two-sided p-value of the mean difference, if the sign of each recording's differences were a coin's.
+def smallest_detectable(
+    differences: Float[np.ndarray, " sequences"], recording_ids: Ids, *, comparisons: int
+) -> float | None:
+    """Smallest difference that would be found with 80 % power at Holm's first step, from the recordings' spread.
 
-    All sign patterns are counted up to 36 recordings, otherwise 100,000 random ones, which depend on the names of the
-    recordings alone. Mean differences that agree within 10 µm (or as little of another unit) are ties.
+    Args:
+        differences: Of two methods, one a sequence; only their spread counts.
+        recording_ids: One a sequence.
+        comparisons: Number of comparisons made together.
 
     Returns:
-        None below six recordings, where no result could be significant.
+        In the unit of the differences; None where nothing can be tested or the values are equal.
     """
     data = clustered(differences, recording_ids)
-    totals = data.totals
-    if len(totals) < _FEWEST_FOR_P_VALUE:
+    if "all_equal" in data.marks:
         return None
-    # The tolerance makes ties of differences that rounding alone tells apart.
-    reached = abs(float(totals.sum())) - EQUAL_WITHIN * len(data.samples)
-    if reached <= 0:
+    found = float(detectable_difference(data.spread, comparisons=comparisons, power=_POWER))
+    return None if np.isnan(found) else found
+
+
+def smallest_detectable_unpaired(
+    values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids, *, comparisons: int
+) -> float | None:
+    """Like :func:`smallest_detectable`, for the difference to an unrelated method of the same spread as this one.
+
+    Args:
+        values: Of one method, one a row.
+        recording_ids: One a row.
+        sequence_ids: One a row; a sequence with several samples has several rows.
+        comparisons: Number of comparisons made together.
+    """
+    data = clustered(values, recording_ids, sequence_ids)
+    if "all_equal" in data.marks:
+        return None
+    found = np.sqrt(2) * float(detectable_difference(data.spread, comparisons=comparisons, power=_POWER))
+    return None if np.isnan(found) else float(found)
+
+
+def paired_p_value(differences: Float[np.ndarray, " sequences"], recording_ids: Ids) -> float | None:
+    """Two-sided p-value of the mean difference being 0, from the spread between recordings.
+
+    Differences that agree within 10 µm (or as little of another unit) show no spread. Then each recording is one coin:
+    the p-value is that of a sign test. Mean differences as small are none.
+
+    Returns:
+        None where it cannot be tested: below six recordings, or where one recording outweighs all others.
+    """
+    data = clustered(differences, recording_ids)
+    p_value = float(p_values(data.spread))
+    if np.isnan(p_value):
+        return None
+    if abs(data.mean) <= EQUAL_WITHIN:
         return 1.0
-    if len(totals) <= LARGEST_ENUMERATION:
-        return _patterns_that_reach(reached, totals) / 2 ** len(totals)
-    # One is added to both: the observed pattern is itself one of the draws, so p is never 0.
-    return (1 + _random_patterns_that_reach(reached, totals, data.recordings)) / (1 + _PERMUTATIONS)
+    if "all_equal" in data.marks:
+        return 2.0 ** (1 - len(data.sequences))
+    return p_value
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
@@ -104,35 +147,3 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
         largest = max(largest, min(1.0, p * (len(present) - rank)))
         adjusted[i] = largest
     return adjusted
-
-
-def _patterns_that_reach(least: float, totals: Float[np.ndarray, " recordings"]) -> int:
-    """Number of sign patterns whose sum has at least this absolute value, which is above 0.
-
-    Every pattern is one of the first half of the recordings joined to one of the second half, so that the sums of the
-    halves are all that has to be made: the pairs are counted among sorted numbers.
-    """
-    half = len(totals) // 2
-    first = np.sort(_sums_of_all_signs(totals[:half]))
-    second = np.sort(_sums_of_all_signs(totals[half:]))
-    below = np.searchsorted(first, -least - second, side="right")
-    not_above = np.searchsorted(first, least - second, side="left")
-    return int(below.sum() + (len(first) - not_above).sum())
-
-
-def _sums_of_all_signs(totals: Float[np.ndarray, " recordings"]) -> Float[np.ndarray, " patterns"]:
-    sums = np.zeros(1)
-    for total in totals:
-        sums = np.concatenate([sums + total, sums - total])
-    return sums
-
-
-def _random_patterns_that_reach(
-    least: float, totals: Float[np.ndarray, " recordings"], recordings: Sequence[str]
-) -> int:
-    generator = named_generator("sign-flips", *recordings)
-    found = 0
-    for _ in range(_PERMUTATIONS // _PATTERNS_AT_ONCE):
-        signs = generator.choice(np.array([-1.0, 1.0]), size=(_PATTERNS_AT_ONCE, len(totals)))
-        found += int((np.abs(signs @ totals) >= least).sum())
-    return found

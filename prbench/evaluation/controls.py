@@ -2,7 +2,10 @@
 
 As ``--method``, under any condition: ``ground-truth`` (the recorded motion through the same code: the ceiling),
 ``ground-truth-resampled`` (the same after a round trip through the features that models learn from: what the
-representation alone costs) and ``scripted`` (clockwork: the floor that a method has to beat).
+representation alone costs), ``ground-truth-20fps`` and ``ground-truth-30fps`` (the same through another frame rate and
+back, as the motions of a method with a rate of its own go), ``scripted`` (clockwork: the floor that a method has to
+beat), the cheats of :mod:`prbench.evaluation.cheats` (what a metric is worth, ``docs/audit.md``) and
+``nearest-neighbour`` (the most similar training motion).
 
 As ``--control shuffled-goal`` beside any method: it gets another sequence's goal and is scored on its own, so that a
 method whose score does not drop ignores its goal; the recorded motion, which gets no goal, is scored against another
@@ -18,16 +21,35 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.contract import Motions
+from prbench.evaluation.cheats import CHEATS, cheating_motions
 from prbench.evaluation.conditions import ConditionSource
+from prbench.evaluation.nearest_neighbour import retrieved_motions
 from prbench.evaluation.planning import WINDOW, Selection
 from prbench.evaluation.scripted import ScriptedStart, scripted_motions
-from prbench.methods.names import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
+from prbench.methods.motions import native_frames, resampled
+from prbench.methods.names import (
+    FLOAT,
+    GROUND_TRUTH,
+    GROUND_TRUTH_20_FPS,
+    GROUND_TRUTH_30_FPS,
+    GROUND_TRUTH_RESAMPLED,
+    NEAREST_NEIGHBOUR,
+    SCRIPTED,
+    SHUFFLED_GOAL,
+    STARE,
+    STARE_LATE,
+    TELEPORT,
+    TREMOR,
+)
 from prbench.representation import decode, encode
 from prbench.sequences.chunk import SequenceChunk
 from prbench.skeleton import N_JOINTS
 
-RECORDED_MOTION = frozenset({GROUND_TRUTH, GROUND_TRUTH_RESAMPLED})
+_ROUND_TRIP_FPS = {GROUND_TRUTH_20_FPS: 20.0, GROUND_TRUTH_30_FPS: 30.0}
+RECORDED_MOTION = frozenset({GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, *_ROUND_TRIP_FPS})
 """Controls whose motion is the recorded one: it gets no goal, has gaze, and stands under the data's own terms."""
+HOLDS_RECORDINGS = RECORDED_MOTION | {NEAREST_NEIGHBOUR}
+"""Controls whose motions are people's, those of training sequences too: they stand under the data's own terms."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +65,22 @@ class _ControlInfo:
 CONTROLS = (
     _ControlInfo(GROUND_TRUTH, "--method", "the recorded motion itself: the ceiling of every metric"),
     _ControlInfo(GROUND_TRUTH_RESAMPLED, "--method", "the recorded motion through the features that models learn from"),
+    _ControlInfo(GROUND_TRUTH_20_FPS, "--method", "the recorded motion at 20 frames per second and back"),
+    _ControlInfo(GROUND_TRUTH_30_FPS, "--method", "the recorded motion at 30 frames per second and back"),
     _ControlInfo(SCRIPTED, "--method", "clockwork: faces the goal at 2.0 s, then glides there and reaches"),
+    _ControlInfo(STARE, "--method", "cheat: faces the goal from the first frame on and never moves"),
+    _ControlInfo(STARE_LATE, "--method", "cheat: turns to the goal just before 2.0 s and stares, without a step"),
+    _ControlInfo(TREMOR, "--method", "cheat: stare, with a head that trembles by 0.1 mm"),
+    _ControlInfo(TELEPORT, "--method", "cheat: is at the goal from one frame to the next"),
+    _ControlInfo(FLOAT, "--method", "cheat: scripted, 10 cm above the floor"),
+    _ControlInfo(NEAREST_NEIGHBOUR, "--method", "the training motion of the most similar task, laid on the goal"),
     _ControlInfo(SHUFFLED_GOAL, "--control", "gives a method another sequence's goal and scores it on its own"),
 )
+
+
+def round_trip_fps(name: str) -> float | None:
+    """Return the frame rate that a control takes recorded motion through; None for all other controls."""
+    return _ROUND_TRIP_FPS.get(name)
 
 
 def control_motions(
@@ -59,12 +94,29 @@ def control_motions(
         source: Their conditions; ``scripted`` takes its goals from here.
         plan: Of :func:`prbench.evaluation.planning.plan_batches`.
     """
+    if name in _ROUND_TRIP_FPS:
+        for motions in _recorded(selection, plan, through_features=False):
+            yield _through_rate(motions, fps=selection.fps, other_fps=_ROUND_TRIP_FPS[name])
+        return
     if name in RECORDED_MOTION:
         yield from _recorded(selection, plan, through_features=name == GROUND_TRUTH_RESAMPLED)
         return
+    if name == NEAREST_NEIGHBOUR:
+        yield from retrieved_motions(selection, source, plan)
+        return
     for rows in plan:
         start = ScriptedStart(source.initial_joints[rows], source.goal_location[rows], source.head_tilt_deg[rows])
-        yield scripted_motions(start, source.n_frames[rows], source.fps)
+        if name in CHEATS:
+            yield cheating_motions(name, start, source.n_frames[rows], source.fps)
+        else:
+            yield scripted_motions(start, source.n_frames[rows], source.fps)
+
+
+def _through_rate(motions: Motions, *, fps: float, other_fps: float) -> Motions:
+    """Recorded motions at another rate and back, both by linear interpolation, as motions of ``native_fps`` go."""
+    n_frames = native_frames(motions.n_frames, fps=fps, native_fps=other_fps)
+    there = resampled(motions, n_frames, step=fps / other_fps)
+    return resampled(there, motions.n_frames, step=other_fps / fps)
 
 
 def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]], *, through_features: bool) -> Iterator[Motions]:

@@ -14,6 +14,7 @@ import psutil
 from prbench.contract import ConditionBatch, Motions
 from prbench.methods.loaded_methods import MethodSpec
 from prbench.methods.motions import generate_checked
+from prbench.methods.parameters import count_parameters
 from prbench.methods.users_environment import computing_threads
 from prbench.runs.cost import BatchCost
 from prbench.runs.predictions import PredictionRows, write_part
@@ -84,7 +85,8 @@ def _generated(task: BatchTask) -> tuple[list[Motions], BatchCost]:
     method.warmed_up = True
     declared = [motions.cost.network_passes for motions in samples if motions.cost is not None]
     cost = _cost(task, samples, seconds, warm_up, halvings, peak, sum(declared) if declared else None)
-    return samples, msgspec.structs.replace(cost, restarts=method.restarts - crashes_before)
+    restarts = method.restarts - crashes_before
+    return samples, msgspec.structs.replace(cost, restarts=restarts, parameters=count_parameters(method.adapter))
 
 
 def _controlled(task: BatchTask) -> tuple[list[Motions], BatchCost]:

@@ -3,44 +3,45 @@
 Source: docs/specification/protocol.md#intervals.
 
 Every estimate is the mean over sequences (of the mean over samples, where a sequence has several), and every interval
-is that of this estimator: its spread is measured by leaving out, or drawing anew, whole recordings.
+is that of this estimator: its spread is that between recordings, which holds what sequences and samples add to it.
 
-* **Rates** get Wilson's score interval with an effective sample size. The design effect is the variance of the mean
-  between recordings (jackknife) over its variance if all sequences were independent, and at least 1; few recordings
-  cost degrees of freedom as in Korn and Graubard (1998). However correlated the sequences, n recordings count for no
-  less than n independent sequences of their sizes (Kish). Where all values are equal, nothing is known about the
-  correlation; then the interval is that of Clopper and Pearson with one trial a recording, so that 0 % and 100 % never
-  claim certainty.
-* **Metres and ratios** get a percentile bootstrap over recordings, with samples drawn anew inside their sequences. It
-  is computed instead of drawn (:mod:`prbench.evaluation.bootstrap`), so that no seed moves a printed digit.
-  Percentiles of few recordings lie too close together; they are taken further out by as much as Student's interval is
-  wider than the normal one (Hesterberg 2015, "expanded percentiles"). Below ten recordings the interval is Student's
-  itself, from the jackknife over recordings with recordings - 1 degrees of freedom. With recordings of one size this
-  is the t interval of the recording means.
-* With a single recording, a mean has no interval; a rate has that of one trial.
+* **Rates** get Clopper's and Pearson's interval with an effective number of sequences. Where all values are equal,
+  nothing is known about the correlation; then every recording is one trial, so that 0 % and 100 % never claim
+  certainty.
+* **Metres and ratios** get Student's interval with the CR2 variance and Satterthwaite's degrees of freedom, joined with
+  Hall's, which allows for skewness. Where too few recordings or equal values allow none, none is given.
+* **Differences of rates** get the latter, joined with an interval that is made of those of gains and losses, since few
+  sequences that differ do not show the spread of many.
+
+The formulas stand in :mod:`prbench.evaluation.clusters`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import special
 
-from prbench.evaluation.bootstrap import RecordingTotals
+from prbench.evaluation.clusters import CONFIDENCE, Spread, mean_bounds, measure_spread, rate_bounds
 from prbench.metrics import MetricInfo
 
 Ids = Sequence[str] | np.ndarray
 """One name a row."""
-CONFIDENCE = 0.95
-_FEWEST_FOR_BOOTSTRAP = 10
+_MANY_RECORDINGS = 10
 EQUAL_WITHIN = 1e-5
 """Values no farther apart are equal: what arithmetic alone makes of them is never printed, and decides nothing."""
 _FEW_RECORDINGS = "few_recordings"
 _ONE_RECORDING = "one_recording"
 _ALL_EQUAL = "all_equal"
+RATE_INTERVAL = "clopper-pearson-cluster"
+EQUAL_RATES_INTERVAL = "clopper-pearson-recordings"
+MEAN_INTERVAL = "student-hall-cluster"
+DIFFERENCE_INTERVAL = "student-hall-newcombe-cluster"
+NO_INTERVAL = "none"
+INTERVALS = (RATE_INTERVAL, EQUAL_RATES_INTERVAL, MEAN_INTERVAL, DIFFERENCE_INTERVAL, NO_INTERVAL)
+"""Names of all estimators of intervals."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Estimate:
     n_sequences: int
     n_recordings: int
     method: str
-    """Name of the interval: wilson-cluster, clopper-pearson-recordings, bootstrap, t-jackknife or none."""
+    """Name of the interval: one of :data:`INTERVALS`."""
     marks: tuple[str, ...]
     """``few_recordings`` (below ten), ``one_recording``, ``all_equal``."""
 
@@ -81,11 +82,15 @@ class ClusteredValues:
         return np.add.reduceat(self.sequence_means, _starts(self.sequences))
 
     @property
-    def inner_variances(self) -> Float[np.ndarray, " recordings"]:
-        """Variance of each total, if as many samples of each of its sequences are drawn anew from them."""
-        about_mean = self.values - np.repeat(self.sequence_means, self.samples)
-        of_means = np.add.reduceat(about_mean**2, _starts(self.samples)) / self.samples.astype(np.float64) ** 2
-        return np.add.reduceat(of_means, _starts(self.sequences))
+    def sequence_variance(self) -> float:
+        """Variance between all sequences, whatever their recordings; 0 of a single one."""
+        means = self.sequence_means
+        return float(means.var(ddof=1)) if len(means) > 1 else 0.0
+
+    @property
+    def spread(self) -> Spread:
+        """What is known about the error of the mean."""
+        return measure_spread(self.totals, self.sequences, self.sequence_variance)
 
     @property
     def mean(self) -> float:
@@ -98,7 +103,7 @@ class ClusteredValues:
         count = len(self.sequences)
         found = {
             _ONE_RECORDING: count == 1,
-            _FEW_RECORDINGS: count < _FEWEST_FOR_BOOTSTRAP,
+            _FEW_RECORDINGS: count < _MANY_RECORDINGS,
             _ALL_EQUAL: bool(np.ptp(self.values) <= EQUAL_WITHIN),
         }
         return tuple(mark for mark, holds in found.items() if holds)
@@ -158,16 +163,16 @@ def metric_interval(
 
 
 def rate_interval(values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None) -> Estimate:
-    """Mean of a rate (values from 0 to 1) over sequences, with a score interval; arguments as :func:`clustered`."""
+    """Mean of a rate (values from 0 to 1) over sequences; arguments as :func:`clustered`."""
     if ((values < 0) | (values > 1)).any():
         raise ValueError("a rate has values from 0 to 1")
     data = clustered(values, recording_ids, sequence_ids)
     # All values are equal: their spread says nothing about how alike sequences of one recording are.
     if min(data.mean, 1 - data.mean) <= EQUAL_WITHIN:
         low, high = _clopper_pearson_of_recordings(float(round(data.mean)), len(data.sequences))
-        return data.estimate(low, high, "clopper-pearson-recordings")
-    low, high = _wilson(data.mean, effective_sample_size(data))
-    return data.estimate(low, high, "wilson-cluster")
+        return data.estimate(low, high, EQUAL_RATES_INTERVAL)
+    low, high = rate_bounds(data.totals, data.sequences)
+    return data.estimate(float(low), float(high), RATE_INTERVAL)
 
 
 def mean_interval(
@@ -186,67 +191,127 @@ def mean_interval(
         nonnegative: The quantity cannot fall below 0, so its interval is cut there.
     """
     data = clustered(values, recording_ids, sequence_ids)
-    if len(data.sequences) == 1:
-        return data.estimate(None, None, "none")
-    if len(data.sequences) < _FEWEST_FOR_BOOTSTRAP:
-        reach = special.stdtrit(len(data.sequences) - 1, 0.5 + CONFIDENCE / 2) * np.sqrt(_jackknife_variance(data))
-        low = data.mean - reach
-        high = data.mean + reach
-        method = "t-jackknife"
-    else:
-        low, high = _bootstrap(data)
-        method = "bootstrap"
-    return data.estimate(max(float(low), 0.0) if nonnegative else float(low), float(high), method)
+    bounds = _mean_bounds(data)
+    if bounds is None:
+        return data.estimate(None, None, NO_INTERVAL)
+    low, high = bounds
+    return data.estimate(max(low, 0.0) if nonnegative else low, high, MEAN_INTERVAL)
 
 
-def _jackknife_variance(data: ClusteredValues) -> float:
-    """Variance of the mean over sequences, from leaving out one recording (of two or more) at a time."""
-    count = len(data.sequences)
-    n = data.sequences.sum()
-    without = (data.totals.sum() - data.totals) / (n - data.sequences)
-    return float((count - 1) / count * ((without - data.mean) ** 2).sum())
+def difference_interval(
+    first: Float[np.ndarray, " rows"], second: Float[np.ndarray, " rows"], recording_ids: Ids, *, rate: bool
+) -> Estimate:
+    """Mean of first - second over sequences, with an interval; both methods on the same sequences.
+
+    Where few sequences differ, the spread of a rate's differences is unknown, as that of a rate near 0 is. So the
+    interval reaches at least as far as that of the share of gains minus the share of losses, made of the intervals of
+    both (Newcombe 1998, "square and add").
+
+    Args:
+        first: One a sequence.
+        second: One a sequence.
+        recording_ids: One a sequence.
+        rate: The values are rates, from 0 to 1.
+    """
+    difference = first - second
+    plain = mean_interval(difference, recording_ids)
+    if not rate:
+        return plain
+    gains = rate_interval(np.maximum(difference, 0.0), recording_ids)
+    losses = rate_interval(np.maximum(-difference, 0.0), recording_ids)
+    # Gains and losses exclude one another, so they are correlated below 0, which widens their difference.
+    odds = gains.mean / max(1 - gains.mean, EQUAL_WITHIN) * losses.mean / max(1 - losses.mean, EQUAL_WITHIN)
+    correlation = min(np.sqrt(odds), 1.0)
+    fewer_gains, more_gains = _reaches(gains)
+    fewer_losses, more_losses = _reaches(losses)
+    low = plain.mean - _joined(fewer_gains, more_losses, correlation)
+    high = plain.mean + _joined(more_gains, fewer_losses, correlation)
+    if plain.low is not None and plain.high is not None:
+        low = min(low, plain.low)
+        high = max(high, plain.high)
+    return replace(plain, low=max(float(low), -1.0), high=min(float(high), 1.0), method=DIFFERENCE_INTERVAL)
 
 
-def effective_sample_size(data: ClusteredValues) -> float:
-    """The number of independent sequences whose rate would be known as well as this one (rate neither 0 nor 1)."""
-    count = len(data.sequences)
-    n = int(data.sequences.sum())
-    at_least = n**2 / float((data.sequences.astype(np.float64) ** 2).sum())
-    if count == 1:
-        return at_least
-    design_effect = max(_jackknife_variance(data) / (data.mean * (1 - data.mean) / (n - 1)), 1.0)
-    upper = 0.5 + CONFIDENCE / 2
-    few_recordings = (special.stdtrit(n - 1, upper) / special.stdtrit(count - 1, upper)) ** 2
-    return max(float(n / design_effect * few_recordings), at_least)
+@dataclass(frozen=True)
+class UncertaintySources:
+    """Shares of the variance of a mean over sequences; they add up to 1, or are all 0 where nothing varies."""
+
+    recordings: float
+    sequences: float
+    """With one sample a sequence, what samples add is among this share."""
+    samples: float
+
+    @property
+    def largest(self) -> str:
+        """``recordings``, ``sequences`` or ``samples``."""
+        shares = {"recordings": self.recordings, "sequences": self.sequences, "samples": self.samples}
+        return max(shares, key=lambda name: shares[name])
+
+    @property
+    def sentence(self) -> str:
+        """What would make the interval narrower."""
+        share = round(100 * max(self.recordings, self.sequences, self.samples))
+        if share == 0:
+            return "nothing varies"
+        return f"{share} % of the uncertainty comes from the choice of {self.largest}: more {self.largest} reduce it"
 
 
-def _wilson(rate: float, n: float) -> tuple[float, float]:
-    # Wilson (1927): the interval of all rates whose score test does not reject the observed one.
-    z = special.ndtri(0.5 + CONFIDENCE / 2)
-    centre = (rate + z**2 / (2 * n)) / (1 + z**2 / n)
-    reach = z / (1 + z**2 / n) * np.sqrt(rate * (1 - rate) / n + z**2 / (4 * n**2))
-    return float(centre - reach), float(centre + reach)
+def uncertainty_sources(
+    values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None
+) -> UncertaintySources:
+    """Divide the variance of the mean among recordings, sequences and samples; arguments as :func:`clustered`.
+
+    Variance components of the nested analysis of variance with unequal numbers (Searle, Casella and McCulloch 1992,
+    chapter 5); a component that comes out below 0 counts as 0.
+    """
+    data = clustered(values, recording_ids, sequence_ids)
+    samples = data.samples.astype(np.float64)
+    sequences = data.sequences.astype(np.float64)
+    means = data.sequence_means
+    repeats = samples.sum() - len(samples)
+    inside = ((data.values - np.repeat(means, data.samples)) ** 2).sum()
+    of_samples = inside / repeats if repeats else 0.0
+    deviations = means - np.repeat(data.totals / sequences, data.sequences)
+    free = len(samples) - len(sequences)
+    # Sequence means vary by the samples, too; that part is taken off.
+    within = (deviations**2).sum() / free if free else 0.0
+    from_samples = of_samples * float((1 / samples).mean())
+    of_sequences = max(within - from_samples, 0.0)
+    n = float(sequences.sum())
+    of_recordings = 0.0
+    if len(sequences) > 1:
+        between = (sequences * (data.totals / sequences - data.mean) ** 2).sum() / (len(sequences) - 1)
+        usual_size = (n - (sequences**2).sum() / n) / (len(sequences) - 1)
+        of_recordings = max((between - of_sequences - from_samples) / usual_size, 0.0)
+    parts = np.array([of_recordings * (sequences**2).sum() / n**2, of_sequences / n, from_samples / n])
+    total = parts.sum()
+    if total <= EQUAL_WITHIN**2:
+        return UncertaintySources(0.0, 0.0, 0.0)
+    return UncertaintySources(*(float(part / total) for part in parts))
+
+
+def _mean_bounds(data: ClusteredValues) -> tuple[float, float] | None:
+    """The bounds, or None where none can be given; equal values do not show their spread."""
+    if _ALL_EQUAL in data.marks:
+        return None
+    low, high = mean_bounds(data.spread)
+    return None if np.isnan(low) else (float(low), float(high))
+
+
+def _reaches(rate: Estimate) -> tuple[float, float]:
+    """How far an interval reaches down and up from the mean; that of a rate always exists."""
+    assert rate.low is not None
+    assert rate.high is not None
+    return rate.mean - rate.low, rate.high - rate.mean
+
+
+def _joined(first: float, second: float, correlation: float) -> float:
+    return float(np.sqrt(first**2 + second**2 + 2 * correlation * first * second))
 
 
 def _clopper_pearson_of_recordings(rate: float, count: int) -> tuple[float, float]:
     bound = ((1 - CONFIDENCE) / 2) ** (1 / count)
     return (0.0, 1 - bound) if rate == 0 else (bound, 1.0)
-
-
-def _bootstrap(data: ClusteredValues) -> tuple[float, float]:
-    drawn = RecordingTotals(data.totals, data.sequences, data.inner_variances)
-    lowest = float(data.values.min())
-    highest = float(data.values.max())
-    tail = _expanded_tail(len(data.sequences))
-    low = drawn.percentile(tail, lowest=lowest, highest=highest)
-    high = drawn.percentile(1 - tail, lowest=lowest, highest=highest)
-    return low, high
-
-
-def _expanded_tail(count: int) -> float:
-    # Hesterberg (2015): percentiles as far out as Student's interval is wider than the normal one.
-    reach = special.stdtrit(count - 1, 0.5 + CONFIDENCE / 2) * np.sqrt(count / (count - 1))
-    return float(special.ndtr(-reach))
 
 
 def _starts(counts: np.ndarray) -> np.ndarray:

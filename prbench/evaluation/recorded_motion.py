@@ -5,11 +5,15 @@ rate nor a shift in time hides it; and after the first frames, or all frames, we
 offset, a turn or a scale does not. What a method may know of a sequence (its first pose, its last one) makes the
 straight way between the two at most. A motion is called recorded only where it follows the recording several times
 closer than that straight way does; a body that stands still, or recordings in which hardly anything happens, never are.
+
+The same is asked of the lower and of the upper body alone, so that recorded motion with other arms, or on other legs,
+is noticed, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -23,14 +27,49 @@ _SHARE = 0.2
 """A copy is off by less than this share of what the straight way from first to last pose is off by."""
 _LEAST_TOLERANCE = 1e-3
 """Metres; where the recording departs less from that straight way, nothing can be told."""
-_REACH = 0.08
-"""Metres by which the extreme distances between hands, feet, head and pelvis of a copy may differ at most."""
-_PAIRS = (
-    (Joint.PELVIS, Joint.LEFT_WRIST),
-    (Joint.PELVIS, Joint.RIGHT_WRIST),
-    (Joint.LEFT_WRIST, Joint.RIGHT_WRIST),
-    (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE),
-    (Joint.HEAD, Joint.LEFT_ANKLE),
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A part of the body that may be a copy by itself."""
+
+    joints: tuple[int, ...]
+    pairs: tuple[tuple[int, int], ...]
+    """Joints whose smallest and largest distances a copy shares."""
+    reach: float
+    """Metres by which these extremes may differ at most, once both bodies are of one size."""
+
+
+_WHOLE = _Part(
+    tuple(Joint),
+    (
+        (Joint.PELVIS, Joint.LEFT_WRIST),
+        (Joint.PELVIS, Joint.RIGHT_WRIST),
+        (Joint.LEFT_WRIST, Joint.RIGHT_WRIST),
+        (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE),
+        (Joint.HEAD, Joint.LEFT_ANKLE),
+    ),
+    0.08,
+)
+_LOWER = _Part(
+    (Joint.PELVIS, *(joint for joint in Joint if joint.name.endswith(("_HIP", "_KNEE", "_ANKLE", "_FOOT")))),
+    (
+        (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE),
+        (Joint.LEFT_KNEE, Joint.RIGHT_KNEE),
+        (Joint.PELVIS, Joint.LEFT_ANKLE),
+        (Joint.PELVIS, Joint.RIGHT_ANKLE),
+    ),
+    0.04,  # fewer joints look alike more easily
+)
+_UPPER = _Part(
+    tuple(joint for joint in Joint if joint not in _LOWER.joints),
+    (
+        (Joint.LEFT_WRIST, Joint.RIGHT_WRIST),
+        (Joint.SPINE3, Joint.LEFT_WRIST),
+        (Joint.SPINE3, Joint.RIGHT_WRIST),
+        (Joint.HEAD, Joint.RIGHT_WRIST),
+    ),
+    0.04,
 )
 
 
@@ -42,28 +81,33 @@ def is_recorded_motion(predicted: MotionBatch, recorded: MotionBatch) -> Bool[np
         recorded: The recorded motions of the same sequences.
     """
     found = np.zeros(recorded.n_sequences, dtype=bool)
-    for row in np.flatnonzero(_same_reach(predicted, recorded)):
-        motion = predicted.values[predicted.offsets[row] : predicted.offsets[row + 1]].astype(np.float64)
-        original = recorded.values[recorded.offsets[row] : recorded.offsets[row + 1]].astype(np.float64)
-        found[row] = _is_copy(motion, original)
+    for part in (_WHOLE, _LOWER, _UPPER):
+        for row in np.flatnonzero(~found & _same_reach(predicted, recorded, part)):
+            motion = predicted.values[predicted.offsets[row] : predicted.offsets[row + 1], part.joints]
+            original = recorded.values[recorded.offsets[row] : recorded.offsets[row + 1], part.joints]
+            found[row] = _is_copy(motion.astype(np.float64), original.astype(np.float64))
     return found
 
 
-def _same_reach(predicted: MotionBatch, recorded: MotionBatch) -> Bool[np.ndarray, " sequences"]:
+def _same_reach(predicted: MotionBatch, recorded: MotionBatch, part: _Part) -> Bool[np.ndarray, " sequences"]:
     """Return True where a copy is possible at all: a quick look spares nearly all motions the close one."""
-    off = np.abs(_extremes(predicted) - _extremes(recorded)).max(axis=0)
-    return np.less(off, _REACH)
+    found = _extremes(predicted, part)
+    expected = _extremes(recorded, part)
+    # A body of another size is a copy, too.
+    scale = expected.sum(axis=0) / np.maximum(found.sum(axis=0), 1e-9)
+    off = np.minimum(np.abs(scale * found - expected).max(axis=0), np.abs(found - expected).max(axis=0))
+    return np.less(off, part.reach)
 
 
-def _extremes(motions: MotionBatch) -> Float[np.ndarray, "pairs_and_ends sequences"]:
+def _extremes(motions: MotionBatch, part: _Part) -> Float[np.ndarray, "pairs_and_ends sequences"]:
     """Smallest and largest distance of each pair of joints in each motion: the same wherever and whenever it moves."""
-    apart = [np.linalg.norm(motions.values[:, one] - motions.values[:, other], axis=1) for one, other in _PAIRS]
+    apart = [np.linalg.norm(motions.values[:, one] - motions.values[:, other], axis=1) for one, other in part.pairs]
     ends = [end.reduceat(distances, motions.first) for distances in apart for end in (np.minimum, np.maximum)]
     return np.stack(ends)
 
 
 def _is_copy(motion: np.ndarray, original: np.ndarray) -> bool:
-    """Compare two motions, (frames, 22, 3) float64."""
+    """Compare two motions of some joints, (frames, joints, 3) float64."""
     tolerance = min(_FARTHEST, _SHARE * _distance(original, original[[0, -1]]))
     # A recording in which nothing happens is followed by any motion that stands still.
     if tolerance < _LEAST_TOLERANCE:

@@ -26,9 +26,9 @@ class RunRequest:
     """
 
     method: str
-    """Name of an installed adapter; of a control: ``ground-truth``, ``ground-truth-resampled``, ``scripted``; ``cmd:``
-    and a command; or path of a TOML file that describes a program. What is recorded and shown is never this text but
-    the method's own name (``RunRecord.method.name``)."""
+    """Name of an installed adapter; of a control (``prbench.methods.names.METHOD_CONTROLS``); ``cmd:`` and a command;
+    or path of a TOML file that describes a program. What is recorded and shown is never this text but the method's own
+    name (``RunRecord.method.name``)."""
     data: tuple[Path, ...]
     """Dataset folders."""
     condition: Condition | None = None

@@ -11,7 +11,8 @@ import numpy as np
 import pyarrow as pa
 
 from prbench.errors import RunError
-from prbench.evaluation.intervals import CONFIDENCE, metric_interval
+from prbench.evaluation.comparisons import smallest_detectable_unpaired
+from prbench.evaluation.intervals import CONFIDENCE, metric_interval, uncertainty_sources
 from prbench.metrics import METRICS, MetricInfo
 from prbench.metrics.scoring import LENGTH_MISMATCH
 from prbench.runs import summary as run_summary
@@ -21,9 +22,10 @@ from prbench.runs.summary import DatasetSummary, MetricSummary
 from prbench.sequences import DatasetInfo
 
 _VALUES_WITHIN = 1e-6  # metres, or as little of another unit: what other processors may make of the same motion
-_DRAWN = "bootstrap"
-_DRAWN_WITHIN = 0.1  # of the width: version 0.5.0 drew 2,000 replicates, whose bounds are as uncertain
-_OF_RECORDINGS = frozenset({"recordings", "low", "high", "interval", "marks"})
+_SHARES_WITHIN = 1e-3  # of the variance, whose small shares are differences of large numbers
+_FORMER_INTERVALS = ("wilson-cluster", "bootstrap", "t-jackknife")  # up to 0.7.0
+_OF_RECORDINGS = frozenset({"recordings", "low", "high", "interval", "marks", "detectable", "uncertainty"})
+_MAIN_METRICS = sum(info.main for info in METRICS)
 _KEYS = ("sequence_id", "sample", "metric", "flag")
 _AGAIN = "Delete it and run the same command again, which scores anew what was generated."
 
@@ -43,9 +45,12 @@ def require_summary(files: DatasetFolder, made: DatasetSummary, *, grouped: bool
     for key, expected, found in _differences(made, stored):
         if not grouped and key.rpartition(".")[2] in _OF_RECORDINGS:
             continue
+        cause = "One of the two was edited."
+        if key.endswith(".interval") and found in _FORMER_INTERVALS:
+            cause = "An earlier version of prbench wrote it, whose intervals covered too little."
         raise RunError(
             f"{files.path / run_summary.FILE_NAME}, {key}: expected {expected}, which follows from"
-            f" {files.scores.name}, found {found}. One of the two was edited. {_AGAIN}"
+            f" {files.scores.name}, found {found}. {cause} {_AGAIN}"
         )
 
 
@@ -101,17 +106,18 @@ def _differences(made: DatasetSummary, stored: DatasetSummary) -> Iterator[tuple
 
 
 def metric_differences(made: MetricSummary, stored: MetricSummary) -> Iterator[tuple[str, object, object]]:
-    """Key, expected and found value of what an entry says otherwise than the scores; drawn bounds may be inexact."""
+    """Key, expected and found value of what an entry says otherwise than the scores."""
     within = 1e-9 + _VALUES_WITHIN * abs(made.mean)
-    if made.interval == _DRAWN and made.low is not None and made.high is not None:
-        bounds_within = within + _DRAWN_WITHIN * (made.high - made.low)
-    else:
-        bounds_within = within
-    limits = {"mean": within, "low": bounds_within, "high": bounds_within}
+    limits = {"mean": within, "low": within, "high": within, "detectable": within}
     found = msgspec.structs.asdict(stored)
-    for name, value in msgspec.structs.asdict(made).items():
+    # The estimator first: bounds of another one differ, too, and say less about the cause.
+    for name, value in sorted(msgspec.structs.asdict(made).items(), key=lambda item: item[0] != "interval"):
         if name == "marks":  # since 0.5.0, values that only arithmetic tells apart are marked as equal, too
             same = set(value) - {"all_equal"} == set(found[name]) - {"all_equal"}
+        elif name == "uncertainty":
+            same = value.keys() == found[name].keys() and all(
+                abs(share - found[name][source]) <= _SHARES_WITHIN for source, share in value.items()
+            )
         elif name in limits and value is not None and found[name] is not None:
             same = abs(value - found[name]) <= limits[name]
         else:
@@ -181,7 +187,10 @@ def _metrics(scores: pa.Table, recording_of: Mapping[str, str]) -> tuple[MetricS
 def _summarised(info: MetricInfo, rows: pa.Table, recording_of: Mapping[str, str]) -> MetricSummary:
     sequence_ids = rows["sequence_id"].to_pylist()
     recording_ids = [recording_of[name] for name in sequence_ids]
-    estimate = metric_interval(info, rows["value"].to_numpy(), recording_ids, sequence_ids)
+    values = rows["value"].to_numpy()
+    estimate = metric_interval(info, values, recording_ids, sequence_ids)
+    sources = uncertainty_sources(values, recording_ids, sequence_ids)
+    shares = {"recordings": sources.recordings, "sequences": sources.sequences, "samples": sources.samples}
     flags = Counter(flag for text in rows["flag"].to_pylist() if text for flag in text.split(";"))
     return MetricSummary(
         metric=info.id,
@@ -196,4 +205,6 @@ def _summarised(info: MetricInfo, rows: pa.Table, recording_of: Mapping[str, str
         recordings=estimate.n_recordings,
         marks=estimate.marks,
         flags=dict(sorted(flags.items())),
+        detectable=smallest_detectable_unpaired(values, recording_ids, sequence_ids, comparisons=_MAIN_METRICS),
+        uncertainty={name: round(share, 4) for name, share in shares.items()},
     )

@@ -16,8 +16,9 @@ import pyarrow as pa
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import AdapterError, MemoryFullError
+from prbench.evaluation.agreement import agreement_with_people, require_agreement
 from prbench.evaluation.conditions import run_salt
-from prbench.evaluation.controls import RECORDED_MOTION, control_motions
+from prbench.evaluation.controls import HOLDS_RECORDINGS, RECORDED_MOTION, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
 from prbench.evaluation.request import Progress, ProgressCallback, RunRequest, silent
@@ -191,7 +192,7 @@ class _Part:
 
     def write_notice(self) -> None:
         """Say beside the predictions what the data's terms ask, so that it travels with a folder that is passed on."""
-        recorded = self.prepared.request.method in RECORDED_MOTION
+        recorded = self.prepared.request.method in HOLDS_RECORDINGS
         text = run_notice(self.dataset.selection.table.info, recorded_motion=recorded)
         if text and not self.files.notice.is_file():
             write_text(self.files.notice, text)
@@ -203,13 +204,19 @@ class _Part:
             stored = read_scores(files.scores)
             require_scores(files, stored, pa.concat_tables(self._windows()))
             require_summary(files, summarise(stored, self._scored_set()))
+            agreement = agreement_with_people(self.dataset.selection, stored, protocol=self.prepared.protocol)
+            require_agreement(files, agreement)
+            if not files.agreement.is_file():  # a run of an earlier version
+                agreement.write(files.path)
         else:
             write_scores(files.scores, self._windows())
             measured = files.batch_costs()
             if measured or not files.cost.is_file():  # else only scores were lost, and what was measured still holds
                 total_cost(read_batch_costs(measured), batches=len(self.dataset.plan)).write(files.cost)
+            stored = read_scores(files.scores)
+            agreement_with_people(self.dataset.selection, stored, protocol=self.prepared.protocol).write(files.path)
             # The summary comes last: where it stands, everything else does.
-            summarise(read_scores(files.scores), self._scored_set()).write(files.path)
+            summarise(stored, self._scored_set()).write(files.path)
         files.forget_batch_costs()
         return DatasetSummary.read(files.path)
 

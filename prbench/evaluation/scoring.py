@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from prbench.limits import FARTHEST_COORDINATE
 from prbench.manifests import MetricConstants
 from prbench.methods.coordinates import coordinate_problem, impossible_frames
 from prbench.methods.motions import at_table_rate, native_frames
-from prbench.metrics import METRICS, UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
+from prbench.metrics import FAMILIES, METRICS, UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
 from prbench.metrics.registry import MetricValues
 from prbench.runs.predictions import Predictions
 from prbench.runs.scores import SCORES
@@ -104,6 +104,30 @@ def score_selection(
     yield from engine.map(_score_window, _windows(selection, opened, tuple(samples), rules))
 
 
+def score_recorded(
+    selection: Selection, constants: MetricConstants, metrics: Collection[str]
+) -> tuple[dict[str, Float[np.ndarray, " n"]], Float[np.ndarray, "n 3"]]:
+    """Score the recorded motion of each chosen sequence against its own goal.
+
+    Args:
+        selection: The sequences.
+        constants: Of the protocol.
+        metrics: Ids of the wanted metrics; those that need gaze are left out.
+
+    Returns:
+        The values by metric id, and the goals (canonical frame, metres), both in the order of the selection.
+    """
+    wanted = [info.id for family in FAMILIES if not family.needs_gaze for info in family.metrics if info.id in metrics]
+    parts: list[dict[str, np.ndarray]] = []
+    goals: list[np.ndarray] = []
+    for _, chunk in selection.windows(_COLUMNS):
+        recorded = MotionBatch(chunk.joints, chunk.offsets)
+        goals.append(chunk.vectors("goal_location"))
+        values = score(recorded, recorded, _targets_of(chunk, goals[-1], None), constants, metrics=wanted)
+        parts.append({name: column.value for name, column in values.items()})
+    return {name: np.concatenate([part[name] for part in parts]) for name in wanted}, np.concatenate(goals)
+
+
 def reported(windows: Iterator[pa.Table], selection: Selection, progress: ProgressCallback) -> Iterator[pa.Table]:
     """Pass the scores of windows on, and report after each how many sequences are done."""
     done = 0
@@ -152,8 +176,12 @@ def _targets(chunk: SequenceChunk, window: _Window) -> ScoringTargets:
             chunk.frames("gaze_direction").astype(np.float64),
             chunk.frames("gaze_valid"),
         )
+    return _targets_of(chunk, window.goals, gaze)
+
+
+def _targets_of(chunk: SequenceChunk, goals: Float[np.ndarray, "n 3"], gaze: GazeRays | None) -> ScoringTargets:
     return ScoringTargets(
-        goal_location=window.goals.astype(np.float64),
+        goal_location=goals.astype(np.float64),
         prime_time=chunk.numbers("prime_time") - chunk.numbers("start_time"),
         hand=np.array([_SIDES.get(side, UNKNOWN_HAND) for side in chunk.strings("hand")]),
         head_tilt_deg=chunk.numbers("head_tilt_deg"),

@@ -1,20 +1,21 @@
-"""A leaderboard as Markdown: the study's six metrics, a table a dataset."""
+"""A leaderboard as Markdown: the main metrics, a table a dataset."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from prbench.leaderboard.costs import COST_TITLES
 from prbench.leaderboard.tables import (
     FEWEST_RANKED,
-    MAIN_METRICS,
     DatasetTable,
     Leaderboard,
     MacroRow,
     MacroTable,
     TableRow,
     hides,
+    undecided_lines,
 )
-from prbench.metrics import MetricInfo, printed_unit
+from prbench.metrics import MAIN_METRICS, MetricInfo, printed_unit
 from prbench.runs.record import CONTROL
 from prbench.runs.summary import TWICE_DAGGER
 from prbench.shown import markdown, markdown_code
@@ -46,13 +47,14 @@ def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
         # Two tables of one dataset differ in a digest at most, so their titles have to show digests.
         protocol, identity, content, _, chosen = (part[:8] for part in table.key)
         title += f" (protocol {protocol}, table {identity}/{content}, chosen {chosen})"
-    header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), "Kind"]
+    header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), *COST_TITLES, "Kind"]
     rows = [
         [
             "control" if row.entry.record.method.kind == CONTROL else markdown(row.entry.record.condition),
             _marked(row.entry.method, row.entry.mark),
             _variant(row.variant, unverified=bool(row.entry.unverified)),
             *(_cell(row, info) for info in MAIN_METRICS),
+            *row.entry.cost.cells,
             markdown(row.entry.origin),
         ]
         for row in table.rows
@@ -69,7 +71,7 @@ def _marked(method: str, mark: str) -> str:
 
 
 def _cell(row: TableRow, info: MetricInfo) -> str:
-    """Mean and interval in the printed unit; the best of a condition in bold."""
+    """Mean and interval in the printed unit, in bold where it is better than all others of its condition."""
     metric = row.entry.metric(info.id)
     if metric is None:
         return ""
@@ -77,7 +79,7 @@ def _cell(row: TableRow, info: MetricInfo) -> str:
         return _DASH
     scale = info.scale
     mean = f"{scale * metric.mean:.2f}"
-    text = f"**{mean}**" if row.ranks.get(info.id) == 1 else mean
+    text = f"**{mean}**" if info.id in row.leads else mean
     if metric.low is not None and metric.high is not None:
         text += f" [{scale * metric.low:.2f}, {scale * metric.high:.2f}]"
     return text + (f" {_FEW}" if "few_recordings" in metric.marks else "")
@@ -85,6 +87,10 @@ def _cell(row: TableRow, info: MetricInfo) -> str:
 
 def _legend(table: DatasetTable) -> Iterable[str]:
     yield "Rates in %, with 95 % intervals over recordings in brackets."
+    yield (
+        "Cost as the harness measured it on the machine of each run, batched as it was; memory of the device, else of"
+        " the process; passes as the method declares them. A dash: not measured."
+    )
     if table.synthetic:
         yield "These are scores on synthetic data; they say nothing about real people."
     if any("few_recordings" in metric.marks for row in table.rows for metric in row.entry.summary.metrics):
@@ -99,7 +105,12 @@ def _legend(table: DatasetTable) -> Iterable[str]:
     if table.sequences < FEWEST_RANKED:
         yield f"Nothing is ranked: fewer than {FEWEST_RANKED} sequences."
     elif any(row.ranks for row in table.rows):
-        yield "Bold: the best of two or more methods under one condition; controls are not ranked."
+        yield (
+            "Bold: better than every other method under its condition, each by a difference that the data support"
+            " (Holm's correction for all pairs and metrics of the condition); controls are not ranked."
+        )
+        yield from _groups(table)
+    yield from map(markdown, undecided_lines(table))
     for row in table.rows:
         # Remarks stand under the table, because a cell has no room for a sentence.
         if row.entry.mark:
@@ -118,6 +129,29 @@ def _legend(table: DatasetTable) -> Iterable[str]:
         yield "The data may not be passed on; this page holds scores only, no recorded motion and no goals."
 
 
+def _groups(table: DatasetTable) -> Iterable[str]:
+    """Yield the metrics of each condition in which the data separate no two methods, and the order of the others."""
+    for condition in dict.fromkeys(row.entry.record.condition for row in table.rows if row.ranks):
+        rows = [row for row in table.rows if row.entry.record.condition == condition and row.ranks]
+        alike = []
+        for info in MAIN_METRICS:
+            ranks = {row.ranks[info.id] for row in rows if info.id in row.ranks}
+            if ranks == {1}:
+                alike.append(info.title)
+        if alike:
+            yield f"{markdown(condition)}: the data separate no two methods in {', '.join(alike)}."
+        for info in MAIN_METRICS:
+            if info.title in alike or not any(info.id in row.ranks for row in rows):
+                continue
+            groups: dict[int, list[str]] = {}
+            for row in rows:
+                if info.id in row.ranks:
+                    name = " ".join(part for part in (row.entry.method, row.variant) if part)
+                    groups.setdefault(row.ranks[info.id], []).append(markdown(name))
+            parts = [f"{rank}. {', '.join(names)}" for rank, names in sorted(groups.items())]
+            yield f"{markdown(condition)}, {info.title}: {'; '.join(parts)} (methods of one group are not separated)."
+
+
 def _macro_blocks(macro: MacroTable) -> list[str]:
     word = " (synthetic data among them)" if macro.synthetic else ""
     title = f"## Mean over datasets: {', '.join(map(markdown, macro.datasets))}{word}"
@@ -133,7 +167,10 @@ def _macro_blocks(macro: MacroTable) -> list[str]:
         ]
         for row in macro.rows
     ]
-    legend = "- Every dataset counts alike. Place in its condition in parentheses; none for methods without a dataset."
+    legend = (
+        "- Every dataset counts alike. In parentheses: one more than the number of methods of its condition that are"
+        " better on every dataset by a supported difference; none for methods without a dataset."
+    )
     return [title, _grid(header, rows), legend]
 
 
@@ -150,7 +187,8 @@ def _column(info: MetricInfo) -> str:
 
 
 def _grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    rule = ["---"] * 3 + ["---:"] * len(MAIN_METRICS) + ["---"] * (len(header) - 3 - len(MAIN_METRICS))
+    numbers = {*map(_column, MAIN_METRICS), *COST_TITLES}
+    rule = ["---:" if name in numbers else "---" for name in header]
     return "\n".join("| " + " | ".join(line) + " |" for line in [header, rule, *rows])
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from prbench.boundary import foreign_input
 from prbench.errors import RunError
+from prbench.leaderboard.costs import UNMEASURED, MotionCost, cost_of
 from prbench.methods.names import BUILT_IN_METHODS, METHOD_CONTROLS, name_problem
 from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
@@ -32,6 +33,11 @@ class LeaderboardRow:
     """What its numbers on some of the sequences are made from."""
     protocol: str = ""
     """Name and version of a user's own protocol; empty for prbench's."""
+    scores: Path | None = None
+    """Its ``scores.parquet``."""
+    only: frozenset[str] | None = None
+    """Ids of the sequences that its summary is of, and that it is compared on; None for all that were scored."""
+    cost: MotionCost = UNMEASURED
 
     @property
     def method(self) -> str:
@@ -122,17 +128,19 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> Collec
             continue
         for table in run.record.tables:
             checked = (check or RunChecker().check)(run, table)
-            rows.append(
-                LeaderboardRow(
-                    folder.name,
-                    run.record,
-                    table,
-                    checked.summary,
-                    checked.unverified,
-                    checked.scored,
-                    _own_protocol(run),
-                )
+            files = run.dataset(table.dataset)
+            row = LeaderboardRow(
+                folder.name,
+                run.record,
+                table,
+                checked.summary,
+                checked.unverified,
+                sequences=checked.scored,
+                protocol=_own_protocol(run),
+                scores=files.scores,
+                cost=cost_of(files),
             )
+            rows.append(row)
     return CollectedRuns(tuple(rows), tuple(left_out))
 
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.compute as pc
 
 from prbench.errors import RunError
 from prbench.evaluation.comparisons import Comparison, PairedValues, compare
-from prbench.metrics import METRICS, MetricInfo
+from prbench.metrics import METRICS, RANKED_METRICS, MetricInfo
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import TableRecord
 from prbench.runs.scores import read_scores
@@ -41,7 +40,7 @@ class RunComparison:
 def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker | None = None) -> RunComparison:
     """Compare two runs sequence by sequence, on all the datasets that both were scored on.
 
-    Signs are flipped by recording, and p-values corrected after Holm for everything compared here
+    Recordings are the independent units, and p-values are corrected after Holm for everything compared here
     (docs/specification/protocol.md#comparisons).
 
     Args:
@@ -57,7 +56,10 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
     second = Path(second)
     runs = RunFolder.open(first), RunFolder.open(second)
     if runs[0].record.protocol_digest != runs[1].record.protocol_digest:
-        raise RunError(f"{first} and {second} follow different protocols, so their numbers cannot be compared.")
+        raise RunError(
+            f"{first} and {second} follow different protocols, so their numbers cannot be compared. Run the method of"
+            " the older one again, into another folder."
+        )
     names = [table.dataset for table in runs[0].record.tables]
     # In the order of the second run; every dataset of both is compared, and all p-values are corrected together.
     shared = [table.dataset for table in runs[1].record.tables if table.dataset in names]
@@ -106,7 +108,7 @@ def _unverified(run: RunFolder, dataset: str, checker: RunChecker) -> str:
 def paired_scores(
     first: RunFolder, second: RunFolder, dataset: str, *, only: frozenset[str] | None = None
 ) -> dict[str, PairedValues]:
-    """The main metrics that both runs have, by dataset and metric (``dataset`` and ``metric`` on two lines).
+    """The ranked metrics that both runs have, by dataset and metric (``dataset`` and ``metric`` on two lines).
 
     Args:
         first: A run on the dataset.
@@ -117,32 +119,73 @@ def paired_scores(
     Raises:
         RunError: if they were run on different tables, or scored on different sequences.
     """
-    tables = [_sequence_means(read_scores(run.dataset(dataset).scores)) for run in (first, second)]
-    if only is not None:
-        tables = [table.filter(pc.field("sequence_id").isin(sorted(only))) for table in tables]
+    scores = [sequence_scores(run.dataset(dataset).scores, only=only) for run in (first, second)]
     if _table_of(first, dataset).content_digest != _table_of(second, dataset).content_digest:
         raise RunError(f"{first.path} and {second.path} were run on different tables of {dataset}.")
     pairs = {}
-    for metric in (info.id for info in METRICS if info.main):
-        rows = [table.filter(pc.field("metric") == metric).sort_by("sequence_id") for table in tables]
-        if not all(row.num_rows for row in rows):
-            continue
-        if not rows[0]["sequence_id"].equals(rows[1]["sequence_id"]):
+    for info in RANKED_METRICS:
+        try:
+            pair = paired_values(scores[0], scores[1], info)
+        except ValueError as error:
             raise RunError(
                 f"{first.path} and {second.path} were scored on different sequences of {dataset}"
-                f" ({rows[0].num_rows} and {rows[1].num_rows}). Run both with the same --split and --limit."
-            )
-        values = [np.asarray(row["value_mean"]) for row in rows]
-        # Sequences of one recording are not independent, so signs are flipped for a whole recording at once.
-        recordings = [recording_key(name) for name in rows[0]["sequence_id"].to_pylist()]
-        pairs[f"{dataset}\n{metric}"] = PairedValues(values[0], values[1], recordings)
+                f" ({error}). Run both with the same --split and --limit."
+            ) from error
+        if pair is not None:
+            pairs[f"{dataset}\n{info.id}"] = pair
     return pairs
+
+
+@dataclass(frozen=True, eq=False)
+class SequenceScores:
+    """Scores of one run on one dataset: each metric's mean over the samples of every sequence."""
+
+    sequence_ids: dict[str, list[str]]
+    """Maps a metric to the sequences that have it, sorted."""
+    values: dict[str, np.ndarray]
+
+
+def sequence_scores(path: Path, *, only: frozenset[str] | None = None) -> SequenceScores:
+    """Read the main metrics of ``scores.parquet``.
+
+    Args:
+        path: The file.
+        only: Ids of the sequences to read; None for all.
+
+    Raises:
+        RunError: if the file is missing or damaged.
+    """
+    # Several samples of a sequence are averaged first: they are no further sequences.
+    scores = read_scores(path)
+    if only is not None:
+        scores = scores.filter(pc.field("sequence_id").isin(sorted(only)))
+    means = scores.group_by(["sequence_id", "metric"]).aggregate([("value", "mean")])
+    names: dict[str, list[str]] = {}
+    values: dict[str, np.ndarray] = {}
+    for metric in (info.id for info in METRICS if info.main):
+        rows = means.filter(pc.field("metric") == metric).sort_by("sequence_id")
+        if rows.num_rows:
+            names[metric] = rows["sequence_id"].to_pylist()
+            values[metric] = np.asarray(rows["value_mean"])
+    return SequenceScores(names, values)
+
+
+def paired_values(first: SequenceScores, second: SequenceScores, info: MetricInfo) -> PairedValues | None:
+    """Put the values of two runs side by side; None where one of them lacks the metric.
+
+    Raises:
+        ValueError: if they were scored on different sequences, with the numbers of both.
+    """
+    if info.id not in first.values or info.id not in second.values:
+        return None
+    names = first.sequence_ids[info.id]
+    others = second.sequence_ids[info.id]
+    if names != others:
+        raise ValueError(f"{len(names)} and {len(others)}")
+    # Sequences of one recording are not independent, so their spread is that between recordings.
+    recordings = [recording_key(name) for name in names]
+    return PairedValues(first.values[info.id], second.values[info.id], recordings, rate=info.unit == "rate")
 
 
 def _table_of(run: RunFolder, dataset: str) -> TableRecord:
     return next(table for table in run.record.tables if table.dataset == dataset)
-
-
-def _sequence_means(scores: pa.Table) -> pa.Table:
-    # Several samples of a sequence are averaged first: they are no further sequences.
-    return scores.group_by(["sequence_id", "metric"]).aggregate([("value", "mean")])

@@ -11,7 +11,8 @@ import msgspec
 
 from prbench.errors import UsageError
 from prbench.leaderboard.as_markdown import as_markdown
-from prbench.leaderboard.tables import DatasetTable, Leaderboard, MacroTable, TableRow, hides
+from prbench.leaderboard.costs import MotionCost
+from prbench.leaderboard.tables import DatasetTable, Leaderboard, MacroTable, TableRow, hides, undecided_lines
 from prbench.metrics import METRICS, exported_unit, printed_scale
 from prbench.shown import csv_text
 
@@ -33,6 +34,10 @@ _CSV_COLUMNS: tuple[str, ...] = (
     "verified",
     "note",
     "kind",
+    "seconds_per_motion",
+    "passes_per_motion",
+    "memory_mebibytes",
+    "parameters",
 )
 _TEXT_COLUMNS = ("dataset", "condition", "method", "variant", "metric", "note")
 _INFOS = {info.id: info for info in METRICS}
@@ -105,7 +110,14 @@ def _csv_dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, st
                 "verified": "unverified" if row.entry.unverified else "verified",
                 "note": "; ".join(notes),
                 "kind": row.entry.origin,
+                **_csv_cost(row.entry.cost),
             }
+
+
+def _csv_cost(cost: MotionCost) -> dict[str, str]:
+    values = (cost.seconds, cost.network_passes, cost.memory_mebibytes, cost.parameters)
+    columns = ("seconds_per_motion", "passes_per_motion", "memory_mebibytes", "parameters")
+    return {name: "" if value is None else _csv_number(value) for name, value in zip(columns, values, strict=True)}
 
 
 def _csv_macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
@@ -169,6 +181,7 @@ def _json_table(table: DatasetTable) -> dict[str, object]:
         "left_sequences_out": list(table.shortest),
         "sequences": table.sequences,
         "recordings": table.recordings,
+        "undecided": list(undecided_lines(table)),
         "rows": [_json_row(row) for row in table.rows],
     }
 
@@ -194,7 +207,14 @@ def _json_row(row: TableRow) -> dict[str, object]:
         "why_unverified": entry.unverified,
         "unsupported": entry.summary.unsupported,
         "ranks": row.ranks,
+        "leads": sorted(row.leads),
         "metrics": msgspec.to_builtins(entry.summary.metrics),
+        "cost": {
+            "seconds_per_motion": entry.cost.seconds,
+            "passes_per_motion": entry.cost.network_passes,
+            "memory_mebibytes": entry.cost.memory_mebibytes,
+            "parameters": entry.cost.parameters,
+        },
         "says_nothing": [info.id for info in METRICS if hides(entry, info)],
     }
 

@@ -1,25 +1,26 @@
 """Rows that compare, in one table; rows that do not, in tables of their own with the reason.
 
 Two runs compare on a dataset if protocol, table (both digests), split and chosen sequences agree. Methods are ranked
-within their condition, on the main metrics, where at least 50 sequences were scored; controls and motions that are the
-recorded ones are shown without rank. A method that left sequences out because they are longer than it can generate
-stands in a second table only: there all methods are scored on the sequences that every one of them generated. The macro
-mean weighs every dataset alike and exists only for methods that have all of them.
+within their condition, on all main metrics but ``plausible``, where at least 50 sequences were scored; controls and
+motions that are the recorded ones are shown without rank. A rank is one more than the number of methods that are better
+by a supported difference, so methods that the data cannot separate share one. A method that left sequences out because
+they are longer than it can generate stands in a second table only: there all methods are scored, compared and ranked on
+the sequences that every one of them generated. The macro mean weighs every dataset alike and exists only for methods
+that have all of them.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from prbench.leaderboard.collect import CollectedRuns, LeaderboardRow
-from prbench.metrics import METRICS, MetricInfo
+from prbench.leaderboard.decidable import FEWEST_RANKED, undecided
+from prbench.leaderboard.separation import Separate, separate_by_comparison
+from prbench.metrics import MAIN_METRICS, RANKED_METRICS, MetricInfo
 from prbench.runs.record import CONTROL
 
-FEWEST_RANKED = 50
-"""Sequences below which no method is ranked."""
-MAIN_METRICS: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.main)
 _CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
 _KEYS = ("protocol", "table identity", "table content", "split", "chosen sequences")
 
@@ -32,7 +33,11 @@ class TableRow:
     variant: str
     """Unique among the rows of one method and condition in one table."""
     ranks: dict[str, int]
-    """Maps main metrics to ranks; empty where nothing is ranked."""
+    """Maps ranked metrics to ranks, which methods share that the data cannot separate; empty where none is ranked."""
+    leads: frozenset[str] = frozenset()
+    """Ranked metrics in which it is better than every other method, each by a supported difference."""
+    beaten_by: Mapping[str, frozenset[int]] = field(default_factory=dict)
+    """Maps ranked metrics to the places of the rows in the table that are better by a supported difference."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +107,13 @@ class Leaderboard:
     notes: tuple[str, ...]
 
 
-def make_leaderboard(collected: CollectedRuns) -> Leaderboard:
-    """Sort rows into comparable tables, rank them, and take means over datasets."""
+def make_leaderboard(collected: CollectedRuns, *, separate: Separate = separate_by_comparison) -> Leaderboard:
+    """Sort rows into comparable tables, rank them, and take means over datasets.
+
+    Args:
+        collected: The runs.
+        separate: Finds out which differences are supported; by default from the scores of the sequences.
+    """
     groups: dict[tuple[str, ...], list[LeaderboardRow]] = defaultdict(list)
     for row in collected.rows:
         groups[(row.summary.dataset, *_comparison_key(row))].append(row)
@@ -112,14 +122,14 @@ def make_leaderboard(collected: CollectedRuns) -> Leaderboard:
     for _, rows in sorted(groups.items()):
         whole = [row for row in rows if not row.summary.unsupported]
         if whole:
-            tables.append(_dataset_table(whole))
+            tables.append(_dataset_table(whole, separate))
         if len(whole) == len(rows):
             continue
-        common = _common_table(rows)
+        common = _common_table(rows, separate)
         if common is not None:
             tables.append(common)
         else:
-            tables += [_dataset_table([row]) for row in rows if row.summary.unsupported]
+            tables += [_dataset_table([row], separate) for row in rows if row.summary.unsupported]
             notes.append(f"{rows[0].summary.dataset}: there is no sequence that every method generated.")
     # Means over datasets are of all sequences; a dataset that no method generated as a whole gives its common ones.
     complete = {table.key for table in tables if not table.of}
@@ -128,7 +138,7 @@ def make_leaderboard(collected: CollectedRuns) -> Leaderboard:
     return Leaderboard(tuple(tables), tuple(_macro_tables(counted)), tuple(notes))
 
 
-def _common_table(rows: list[LeaderboardRow]) -> DatasetTable | None:
+def _common_table(rows: list[LeaderboardRow], separate: Separate) -> DatasetTable | None:
     """All runs on the sequences that every one of them scored; None if there is no such sequence."""
     scored = [row.sequences for row in rows]
     known = [sequences for sequences in scored if sequences is not None]
@@ -137,9 +147,11 @@ def _common_table(rows: list[LeaderboardRow]) -> DatasetTable | None:
     common = frozenset.intersection(*(sequences.ids for sequences in known))
     if not common:
         return None
-    restricted = [replace(row, summary=sequences.summary_over(common)) for row, sequences in zip(rows, known)]
+    restricted = [
+        replace(row, summary=sequences.summary_over(common), only=common) for row, sequences in zip(rows, known)
+    ]
     left_out = dict.fromkeys(f"{row.method} ({row.summary.unsupported})" for row in rows if row.summary.unsupported)
-    table = _dataset_table(restricted)
+    table = _dataset_table(restricted, separate)
     return replace(table, of=rows[0].summary.sequences, shortest=tuple(left_out), common=common)
 
 
@@ -158,18 +170,28 @@ def _separations(tables: Sequence[DatasetTable]) -> Iterable[str]:
             yield f"{dataset} has {len(keys)} tables that must not be compared: they differ in {', '.join(different)}."
 
 
-def _dataset_table(entries: list[LeaderboardRow]) -> DatasetTable:
+def _dataset_table(entries: list[LeaderboardRow], separate: Separate) -> DatasetTable:
     first = entries[0]
     ordered = sorted(entries, key=_place)
     variants = _unique_variants(ordered)
     ranks = [dict[str, int]() for _ in ordered]
+    leads = [set[str]() for _ in ordered]
+    beaten_by = [dict[str, frozenset[int]]() for _ in ordered]
     for condition in _CONDITIONS:
         ranked = [i for i, entry in enumerate(ordered) if entry.record.condition == condition and _is_ranked(entry)]
-        for info in MAIN_METRICS:
-            values = {i: ordered[i].metric(info.id) for i in ranked if not hides(ordered[i], info)}
-            means = {i: metric.mean for i, metric in values.items() if metric is not None}
-            for i, rank in _ranks(means, info).items():
-                ranks[i][info.id] = rank
+        beaten = separate([ordered[i] for i in ranked], RANKED_METRICS)
+        for info in RANKED_METRICS:
+            shown = {place for place, i in enumerate(ranked) if _is_shown(ordered[i], info)}
+            # Being first of one is no distinction.
+            if len(shown) < 2 or info.higher_is_better is None:
+                continue
+            losses = {place: beaten.get((place, info.id), frozenset()) & shown for place in shown}
+            for place in shown:
+                row = ranked[place]
+                ranks[row][info.id] = 1 + len(losses[place])
+                beaten_by[row][info.id] = frozenset(ranked[other] for other in losses[place])
+                if all(place in losses[other] for other in shown - {place}):
+                    leads[row].add(info.id)
     return DatasetTable(
         dataset=first.summary.dataset,
         title=first.summary.title,
@@ -179,9 +201,13 @@ def _dataset_table(entries: list[LeaderboardRow]) -> DatasetTable:
         synthetic=first.summary.synthetic,
         redistribution=first.summary.redistribution,
         key=_comparison_key(first),
-        rows=tuple(TableRow(*row) for row in zip(ordered, variants, ranks)),
+        rows=tuple(TableRow(*row) for row in zip(ordered, variants, ranks, map(frozenset, leads), beaten_by)),
         protocol=first.protocol,
     )
+
+
+def _is_shown(entry: LeaderboardRow, info: MetricInfo) -> bool:
+    return entry.metric(info.id) is not None and not hides(entry, info)
 
 
 def _unique_variants(entries: list[LeaderboardRow]) -> list[str]:
@@ -231,14 +257,22 @@ def hides(entry: LeaderboardRow, info: MetricInfo) -> bool:
     return entry.record.method.motionless and info.irrelevant_if_motionless
 
 
-def _ranks(values: dict[int, float], info: MetricInfo) -> dict[int, int]:
-    """Rank each value, from 1; equal values share the better place. A single value has none."""
-    # Being first of one is no distinction.
-    if len(values) < 2 or info.higher_is_better is None:
-        return {}
-    sign = -1 if info.higher_is_better else 1
-    # Competition ranking: two firsts are followed by a third.
-    return {i: 1 + sum(sign * other < sign * value for other in values.values()) for i, value in values.items()}
+def of_all_methods(tables: Iterable[DatasetTable]) -> tuple[DatasetTable, ...]:
+    """Leave out tables of all sequences beside which one of the common sequences stands: the latter has every run."""
+    tables = tuple(tables)
+    common = {(table.dataset, table.key) for table in tables if table.common is not None}
+    return tuple(table for table in tables if table.common is not None or (table.dataset, table.key) not in common)
+
+
+def undecided_lines(table: DatasetTable) -> tuple[str, ...]:
+    """Return sentences on what the data of a table cannot decide, and the smallest differences that they can."""
+    entries = [row.entry for row in table.rows if not row.entry.is_control] or [row.entry for row in table.rows]
+    metrics = [[metric for metric in entry.summary.metrics if metric.metric not in _hidden(entry)] for entry in entries]
+    return tuple(undecided(table.dataset, table.sequences, table.recordings, metrics))
+
+
+def _hidden(entry: LeaderboardRow) -> set[str]:
+    return {info.id for info in MAIN_METRICS if hides(entry, info)}
 
 
 def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
@@ -254,19 +288,29 @@ def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
 
 def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
     found: dict[tuple[str, str, str, str], dict[str, LeaderboardRow]] = defaultdict(dict)
+    places: dict[tuple[str, str, str, str], list[int]] = defaultdict(list)  # of a method's rows, a table each
     for table in tables:
-        for row in table.rows:
+        for place, row in enumerate(table.rows):
             entry = row.entry
-            found[entry.record.condition, entry.method, row.variant, entry.origin][table.dataset] = entry
+            key = (entry.record.condition, entry.method, row.variant, entry.origin)
+            found[key][table.dataset] = entry
+            places[key].append(place)
     names = [table.dataset for table in tables]
     means = {key: _macro_means(entries, names) for key, entries in found.items()}
     ranks: dict[tuple[str, str, str, str], dict[str, int]] = {key: {} for key in found}
     for condition in _CONDITIONS:
         keys = [key for key in found if key[0] == condition and all(_is_ranked(entry) for entry in found[key].values())]
-        for info in MAIN_METRICS:
-            values = {i: means[key][info.id] for i, key in enumerate(keys) if info.id in means[key]}
-            for i, rank in _ranks(values, info).items():
-                ranks[keys[i]][info.id] = rank
+        for info in RANKED_METRICS:
+            shown = [key for key in keys if info.id in means[key]]
+            if len(shown) < 2 or info.higher_is_better is None:
+                continue
+            for key in shown:
+                # Better on each dataset is better in the mean, whatever the weights; less is not known to be.
+                better = [
+                    table.rows[own].beaten_by.get(info.id, frozenset()) for table, own in zip(tables, places[key])
+                ]
+                wins = [all(place in rows for place, rows in zip(places[other], better)) for other in shown]
+                ranks[key][info.id] = 1 + sum(wins)
     for key in sorted(found, key=lambda key: min(_place(entry) for entry in found[key].values())):
         condition, method, variant, origin = key
         entries = found[key].values()

@@ -87,14 +87,25 @@ def at_table_rate(motions: Motions, batch: ConditionBatch, *, native_fps: float)
         native_fps: Frames per second of ``motions``.
     """
     # The last native frame lies at or after the end, so nothing is extrapolated.
-    place = np.arange(int(batch.n_frames.max())) * (native_fps / batch.fps)  # in native frames
+    return resampled(motions, batch.n_frames, step=native_fps / batch.fps)
+
+
+def resampled(motions: Motions, n_frames: Int[np.ndarray, " n"], *, step: float) -> Motions:
+    """Interpolate motions linearly at evenly spaced times; times after their end show their last frame.
+
+    Args:
+        motions: At their own rate.
+        n_frames: Frames that each shall have.
+        step: Frames of ``motions`` from one new frame to the next.
+    """
+    place = np.arange(int(n_frames.max())) * step
     last = motions.n_frames[:, None] - 1
     left = np.minimum(np.floor(place + 1e-9).astype(np.int64), last)  # (batch, frames)
     right = np.minimum(left + 1, last)
     weight = np.clip(place - left, 0.0, 1.0)[..., None, None]
-    row = np.arange(len(batch))[:, None]
+    row = np.arange(len(n_frames))[:, None]
     joints = motions.joints[row, left] * (1 - weight) + motions.joints[row, right] * weight
-    return Motions(joints.astype(np.float32), batch.n_frames, motions.cost)
+    return Motions(joints.astype(np.float32), n_frames, motions.cost)
 
 
 def _generate(

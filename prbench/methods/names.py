@@ -12,10 +12,30 @@ from prbench.shown import quoted
 
 GROUND_TRUTH = "ground-truth"
 GROUND_TRUTH_RESAMPLED = "ground-truth-resampled"
+GROUND_TRUTH_20_FPS = "ground-truth-20fps"
+GROUND_TRUTH_30_FPS = "ground-truth-30fps"
 SCRIPTED = "scripted"
+STARE = "stare"
+STARE_LATE = "stare-late"
+TREMOR = "tremor"
+TELEPORT = "teleport"
+FLOAT = "float"
+NEAREST_NEIGHBOUR = "nearest-neighbour"
 SHUFFLED_GOAL = "shuffled-goal"
 
-METHOD_CONTROLS = (GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED)
+METHOD_CONTROLS = (
+    GROUND_TRUTH,
+    GROUND_TRUTH_RESAMPLED,
+    GROUND_TRUTH_20_FPS,
+    GROUND_TRUTH_30_FPS,
+    SCRIPTED,
+    STARE,
+    STARE_LATE,
+    TREMOR,
+    TELEPORT,
+    FLOAT,
+    NEAREST_NEIGHBOUR,
+)
 """Controls that ``--method`` takes."""
 BUILT_IN_METHODS = ("dart", "dno", "gmd", "mdm", "pr", "static", "wandr")
 """Methods that come with prbench, installed or not."""

@@ -1,4 +1,4 @@
-"""The six metrics of the study and their variants: pure functions over ragged batches, one value a sequence.
+"""The study's six metrics, their variants and plausibility: pure functions over ragged batches, one value a sequence.
 
 Definitions: docs/specification/metrics.md; *Prime and Reach*, section 5.2. Constants come from the protocol.
 """
@@ -26,10 +26,19 @@ METRICS: tuple[MetricInfo, ...] = tuple(
     sorted((info for family in FAMILIES for info in family.metrics), key=lambda info: info.position)
 )
 """All metrics in the order in which they are printed."""
+MAIN_METRICS: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.main)
+"""The columns of leaderboards."""
+RANKED_METRICS: tuple[MetricInfo, ...] = tuple(info for info in MAIN_METRICS if info.ranked)
+"""The main metrics by which methods are ranked and compared."""
+STUDY_METRICS: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.in_study)
+"""The six columns of the study's Table 2."""
 
 __all__ = [
     "FAMILIES",
+    "MAIN_METRICS",
     "METRICS",
+    "RANKED_METRICS",
+    "STUDY_METRICS",
     "UNKNOWN_HAND",
     "GazeRays",
     "MetricFamily",

@@ -51,7 +51,7 @@ FAMILY = MetricFamily(
             "ratio",
             higher_is_better=False,
             main=False,
-            position=16,
+            position=18,
             compares_with_recorded=False,
         ),
     ),

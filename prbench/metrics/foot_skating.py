@@ -48,6 +48,22 @@ def contact_share(motion: MotionBatch, constants: MetricConstants) -> Float[np.n
     return _share_of_transitions(_contact(motion, constants), motion)
 
 
+def slow_slides(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> Float[np.ndarray, " n"]:
+    """Share of frame transitions in which a toe that stays below ``foot_height`` moves faster than ``slide_speed``.
+
+    No average damps it, and its limit lies below that of Foot Skating, which a body that glides slowly does not reach
+    (docs/specification/metrics.md#slow-slides).
+
+    Args:
+        motion: Canonical frame, metres, two frames or more.
+        fps: Frames per second.
+        constants: Of the protocol.
+    """
+    steps = toe_steps(motion, fps, constants)
+    sliding = steps.contact & (steps.speed > constants.slide_speed + constants.foot_tolerance)
+    return _share_of_transitions(sliding, motion)
+
+
 def toe_steps(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> ToeSteps:
     """Speeds and contacts of the toe joints (``TOES``).
 
@@ -111,7 +127,8 @@ FAMILY = MetricFamily(
             "ratio",
             higher_is_better=False,
             main=True,
-            position=6,
+            in_study=True,
+            position=7,
             compares_with_recorded=False,
             irrelevant_if_motionless=True,
         ),
@@ -121,7 +138,7 @@ FAMILY = MetricFamily(
             "ratio",
             higher_is_better=None,
             main=False,
-            position=15,
+            position=17,
             compares_with_recorded=False,
         ),
     ),

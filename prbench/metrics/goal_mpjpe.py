@@ -33,7 +33,14 @@ def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:
 FAMILY = MetricFamily(
     (
         MetricInfo(
-            "goal_mpjpe", "Goal MPJPE", "m", higher_is_better=False, main=True, position=3, compares_with_recorded=True
+            "goal_mpjpe",
+            "Goal MPJPE",
+            "m",
+            higher_is_better=False,
+            main=True,
+            in_study=True,
+            position=4,
+            compares_with_recorded=True,
         ),
     ),
     _compute,

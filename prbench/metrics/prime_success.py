@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from prbench.manifests import MetricConstants
 from prbench.metrics.batch import MotionBatch, ranges
-from prbench.metrics.ray_track import CandidateFrames, RayTrack, candidate_frames, head_track
+from prbench.metrics.ray_track import CandidateFrames, RayTrack, candidate_frames, head_track, untrusted
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair, ScoringTargets
 
-Variant = Literal["equation", "onset"]
+Variant = Literal["equation", "arrival", "onset", "angle"]
 
 
 def prime_success(
@@ -25,6 +25,10 @@ def prime_success(
     within ``prime_distance`` of the goal for ``prime_duration`` from t on, and the head decelerates at t:
 
     * ``equation``: the turning speed at t is below that of the frame before.
+    * ``arrival``: as ``equation``, and in one of the frames of ``prime_window`` before t, frame 0 included, the ray was
+      farther than ``prime_distance`` from the goal. A body that looks at the goal from the start arrives nowhere.
+    * ``angle``: as ``equation``, with an angle of at most ``prime_angle_deg`` between the ray and the direction to the
+      goal in place of the distance.
     * ``onset``: frame t - 1 is off target, and the mean speed of the K turns after t is below that of the K turns
       up to t. This is what the study's prose asks for.
 
@@ -32,18 +36,25 @@ def prime_success(
         motion: Canonical frame, metres.
         targets: Goal, prime time, head tilt and frame rate of each sequence.
         constants: Of the protocol.
-        variant: Which of the two readings.
+        variant: Which of the readings.
     """
     candidates, track = _evidence(motion, targets, constants)
     return primed(track, candidates, constants, variant)
 
 
 def primed(
-    track: RayTrack, candidates: CandidateFrames, constants: MetricConstants, variant: Variant
+    track: RayTrack, candidates: CandidateFrames, constants: MetricConstants, variant: Variant, *, margin: float = 0.0
 ) -> Float[np.ndarray, " n"]:
-    """Apply the conditions of :func:`prime_success` to the track of any ray."""
-    # The tolerance puts a distance on the threshold inside: tables hold positions as float32.
-    on_target = track.usable & (track.distance <= constants.prime_distance + constants.threshold_tolerance)
+    """Apply the conditions of :func:`prime_success` to the track of any ray.
+
+    Args:
+        track: Of the ray.
+        candidates: Frames at which priming may begin.
+        constants: Of the protocol.
+        variant: Which of the readings.
+        margin: Metres beyond ``prime_distance`` from which on a ray counts as having been elsewhere (``arrival``).
+    """
+    on_target = track.usable & _near(track, constants, variant)
     sequence = np.repeat(np.arange(len(candidates.count)), candidates.count)
     frame = ranges(candidates.first, candidates.count)
     row = track.row_of_frame_0[sequence] + frame
@@ -52,6 +63,11 @@ def primed(
     # Turning speed has no value in frame 0, so the mean of K speeds up to t needs t >= max(2, K).
     if variant == "onset":
         chosen &= (frame >= np.maximum(2, hold)) & ~on_target[row - 1]
+    if variant == "arrival":
+        # Where the head has no defined direction, nobody can say that it looked elsewhere.
+        earliest = np.maximum(frame - candidates.before[sequence], 0)
+        elsewhere = track.usable & (track.distance > constants.prime_distance + constants.threshold_tolerance + margin)
+        chosen &= _latest(elsewhere)[row] >= track.row_of_frame_0[sequence] + earliest
     row = row[chosen]
     hold = hold[chosen]
     sequence = sequence[chosen]
@@ -60,6 +76,20 @@ def primed(
     success = np.zeros(len(candidates.count))
     success[sequence[change < -constants.deceleration_tolerance]] = 1.0
     return success
+
+
+def _near(track: RayTrack, constants: MetricConstants, variant: Variant) -> Bool[np.ndarray, " rows"]:
+    """Return True for each row whose ray is near enough to the goal."""
+    # The tolerance puts a value on the threshold inside: tables hold positions as float32.
+    if variant == "angle":
+        return track.angle <= constants.prime_angle_deg + np.rad2deg(constants.threshold_tolerance)
+    return track.distance <= constants.prime_distance + constants.threshold_tolerance
+
+
+def _latest(mask: Bool[np.ndarray, " rows"]) -> Int[np.ndarray, " rows"]:
+    """Return for each row the last row up to it where the mask is True; -1 where there is none."""
+    rows = np.where(mask, np.arange(len(mask)), -1)
+    return np.maximum.accumulate(rows)
 
 
 def _stays(on_target: np.ndarray, row: np.ndarray, hold: np.ndarray) -> Bool[np.ndarray, " candidates"]:
@@ -95,14 +125,20 @@ def _evidence(
     return candidates, track
 
 
-def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, MetricValues]:
+def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, ...]:
     candidates, track = _evidence(pair.predicted, pair.targets, constants)
-    degenerate = np.zeros(pair.predicted.n_sequences, dtype=bool)
-    degenerate[track.sequence[~track.usable]] = True
-    flags = {"no_candidate_frames": candidates.count == 0, "degenerate_head_frames": degenerate}
+    flags = {
+        "no_candidate_frames": candidates.count == 0,
+        "degenerate_head_frames": untrusted(track, candidates),
+    }
+    arrival = primed(track, candidates, constants, "arrival")
+    from_afar = primed(track, candidates, constants, "arrival", margin=constants.arrival_margin)
+    edge = {"arrived_from_the_edge": arrival > from_afar}
     return (
         MetricValues("prime_success", primed(track, candidates, constants, "equation"), flags),
+        MetricValues("prime_success_arrival", arrival, flags | edge),
         MetricValues("prime_success_onset", primed(track, candidates, constants, "onset"), flags),
+        MetricValues("prime_success_angle", primed(track, candidates, constants, "angle"), flags),
     )
 
 
@@ -114,7 +150,17 @@ FAMILY = MetricFamily(
             "rate",
             higher_is_better=True,
             main=True,
+            in_study=True,
             position=1,
+            compares_with_recorded=False,
+        ),
+        MetricInfo(
+            "prime_success_arrival",
+            "Prime Success (arrival)",
+            "rate",
+            higher_is_better=True,
+            main=True,
+            position=2,
             compares_with_recorded=False,
         ),
         MetricInfo(
@@ -124,6 +170,15 @@ FAMILY = MetricFamily(
             higher_is_better=True,
             main=False,
             position=11,
+            compares_with_recorded=False,
+        ),
+        MetricInfo(
+            "prime_success_angle",
+            "Prime Success (fixed angle)",
+            "rate",
+            higher_is_better=True,
+            main=False,
+            position=12,
             compares_with_recorded=False,
         ),
     ),

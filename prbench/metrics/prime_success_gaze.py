@@ -8,7 +8,7 @@ from jaxtyping import Float
 from prbench.manifests import MetricConstants
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.prime_success import primed
-from prbench.metrics.ray_track import CandidateFrames, RayTrack, candidate_frames, gaze_track
+from prbench.metrics.ray_track import CandidateFrames, RayTrack, candidate_frames, gaze_track, untrusted
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair, ScoringTargets
 
@@ -43,9 +43,10 @@ def _evidence(
 
 def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues]:
     candidates, track = _evidence(pair.recorded, pair.targets, constants)
-    unseen = np.zeros(pair.recorded.n_sequences, dtype=bool)
-    unseen[track.sequence[~track.usable]] = True
-    flags = {"no_candidate_frames": candidates.count == 0, "invalid_gaze_samples": unseen}
+    flags = {
+        "no_candidate_frames": candidates.count == 0,
+        "invalid_gaze_samples": untrusted(track, candidates),
+    }
     return (MetricValues("prime_success_gaze", primed(track, candidates, constants, "equation"), flags),)
 
 
@@ -57,7 +58,7 @@ FAMILY = MetricFamily(
             "rate",
             higher_is_better=True,
             main=False,
-            position=17,
+            position=28,
             compares_with_recorded=False,
         ),
     ),

@@ -28,6 +28,8 @@ class CandidateFrames:
     """Inclusive; before ``first`` where a sequence has no candidate."""
     hold: Int[np.ndarray, " n"]
     """K: the ray must stay on the target in frame t and the K frames after it."""
+    before: Int[np.ndarray, " n"]
+    """Frames before t that an arrival may have begun in: those of ``prime_window`` seconds."""
 
     @property
     def count(self) -> Int[np.ndarray, " n"]:
@@ -46,7 +48,8 @@ def candidate_frames(
     hold = np.ceil(constants.prime_duration * fps - 1e-9).astype(np.int64)
     begin = np.ceil((prime_time - constants.prime_window - _TIME_TOLERANCE) * fps).astype(np.int64)
     end = np.floor((prime_time + constants.prime_window + _TIME_TOLERANCE) * fps).astype(np.int64)
-    return CandidateFrames(np.maximum(begin, 2), np.minimum(end, n_frames - 1 - hold), hold)
+    before = np.floor((constants.prime_window + _TIME_TOLERANCE) * fps).astype(np.int64)
+    return CandidateFrames(np.maximum(begin, 2), np.minimum(end, n_frames - 1 - hold), hold, before)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +58,8 @@ class RayTrack:
 
     distance: Float[np.ndarray, " rows"]
     """From the goal to the ray (not the line), metres."""
+    angle: Float[np.ndarray, " rows"]
+    """Between the ray and the direction from its origin to the goal, degrees."""
     speed: Float[np.ndarray, " rows"]
     """Turn since the frame before, rad/s; NaN where that is unknown."""
     usable: Bool[np.ndarray, " rows"]
@@ -86,9 +91,12 @@ def head_track(
     values = motion.values if constants.head_smoothing == 0 else _smoothed(motion, fps, constants.head_smoothing)
     joints = values[rows].astype(np.float64)
     direction, degenerate = head_forward(joints, head_tilt_deg[sequence])
-    distance = ray_distance(joints[:, Joint.HEAD], direction, goal_location[sequence])
+    origin = joints[:, Joint.HEAD]
+    goal = goal_location[sequence]
+    distance = ray_distance(origin, direction, goal)
+    angle = ray_angle_deg(origin, direction, goal)
     speed = _turning_speed(direction, sequence, fps)
-    return RayTrack(distance, speed, ~degenerate, sequence, row_of_frame_0)
+    return RayTrack(distance, angle, speed, ~degenerate, sequence, row_of_frame_0)
 
 
 def gaze_track(
@@ -113,12 +121,14 @@ def gaze_track(
     origin = gaze.origin[rows].astype(np.float64)
     direction = gaze.direction[rows].astype(np.float64)
     valid = gaze.valid[rows]
-    distance = ray_distance(origin, direction, goal_location[sequence])
+    goal = goal_location[sequence]
+    distance = ray_distance(origin, direction, goal)
+    angle = ray_angle_deg(origin, direction, goal)
     speed = _turning_speed(direction, sequence, fps)
     # A turn has two ends: both the one into an invalid sample and the one out of it are unknown.
     speed[~valid] = np.nan
     speed[1:][~valid[:-1]] = np.nan
-    return RayTrack(distance, speed, valid, sequence, row_of_frame_0)
+    return RayTrack(distance, angle, speed, valid, sequence, row_of_frame_0)
 
 
 def ray_distance(
@@ -129,6 +139,16 @@ def ray_distance(
     to_point = point - origin
     along = np.maximum((to_point * direction).sum(axis=-1, keepdims=True), 0.0)
     return np.linalg.norm(to_point - along * direction, axis=-1)
+
+
+def ray_angle_deg(
+    origin: Float[np.ndarray, "rows 3"], direction: Float[np.ndarray, "rows 3"], point: Float[np.ndarray, "rows 3"]
+) -> Float[np.ndarray, " rows"]:
+    """Angle between each ray and the direction from its origin to its point, degrees; 0 for a point at the origin."""
+    to_point = point - origin
+    sine = np.linalg.norm(np.cross(direction, to_point), axis=-1)
+    cosine = (direction * to_point).sum(axis=-1)
+    return np.rad2deg(np.arctan2(sine, cosine))
 
 
 def _turning_speed(direction: np.ndarray, sequence: np.ndarray, fps: np.ndarray) -> np.ndarray:
@@ -145,12 +165,26 @@ def _turning_speed(direction: np.ndarray, sequence: np.ndarray, fps: np.ndarray)
 
 def _rows_looked_at(motion: MotionBatch, candidates: CandidateFrames) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows of the motion that some candidate depends on, the sequence of each, and where frame 0 would lie."""
-    before = np.maximum(candidates.hold, 2)  # turning speeds reach back this far
+    before = np.maximum(_speeds_reach_back(candidates), candidates.before)
     begin = np.maximum(candidates.first - before, 0)
     count = np.where(candidates.count > 0, candidates.last + candidates.hold + 1 - begin, 0)
     rows = ranges(motion.first + begin, count)
     sequence = np.repeat(np.arange(motion.n_sequences), count)
     return rows, sequence, np.cumsum(count) - count - begin
+
+
+def _speeds_reach_back(candidates: CandidateFrames) -> Int[np.ndarray, " n"]:
+    """Frames before a candidate that its turning speeds depend on."""
+    return np.maximum(candidates.hold, 2)
+
+
+def untrusted(track: RayTrack, candidates: CandidateFrames) -> Bool[np.ndarray, " n"]:
+    """Return True for each sequence with a frame that is not usable among those that decide stay and deceleration."""
+    frame = np.arange(len(track.sequence)) - track.row_of_frame_0[track.sequence]
+    begin = (candidates.first - _speeds_reach_back(candidates))[track.sequence]
+    found = np.zeros(len(candidates.count), dtype=bool)
+    found[track.sequence[~track.usable & (frame >= begin)]] = True
+    return found
 
 
 def _smoothed(motion: MotionBatch, fps: np.ndarray, seconds: float) -> np.ndarray:

@@ -87,7 +87,8 @@ FAMILY = MetricFamily(
             "rate",
             higher_is_better=True,
             main=True,
-            position=2,
+            in_study=True,
+            position=3,
             compares_with_recorded=False,
         ),
         MetricInfo(
@@ -96,7 +97,7 @@ FAMILY = MetricFamily(
             "rate",
             higher_is_better=True,
             main=False,
-            position=12,
+            position=14,
             compares_with_recorded=False,
         ),
         MetricInfo(
@@ -105,7 +106,7 @@ FAMILY = MetricFamily(
             "rate",
             higher_is_better=True,
             main=False,
-            position=13,
+            position=15,
             compares_with_recorded=True,
         ),
     ),

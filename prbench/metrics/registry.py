@@ -36,7 +36,7 @@ class MetricInfo:
     higher_is_better: bool | None
     """None where neither direction is a merit."""
     main: bool
-    """One of the six of the study; the others stand beside them."""
+    """Stands in leaderboards and other tables of several methods; the others stand in the scores of single runs."""
     position: int
     """Place in a printed table."""
     compares_with_recorded: bool
@@ -51,8 +51,15 @@ class MetricInfo:
     """The value says nothing of a body that stands still: tables print a dash and rank nobody."""
     carries_copy_remark: bool = False
     """The remark on motions that are copies of the recorded one stands beside this metric."""
+    in_study: bool = False
+    """One of the six columns of the study's Table 2."""
     title_in_study: str = ""
     """Title in the study's Table 2; empty where it is ``title``."""
+    ranked: bool = True
+    """Methods are ranked and compared by this metric, if it is a main one.
+
+    False for a condition that a motion has to meet, which no method meets better than a body that stands still.
+    """
 
     @property
     def scale(self) -> float:

@@ -31,6 +31,8 @@ class BatchCost(msgspec.Struct, frozen=True, kw_only=True):
     network_passes: int | None
     restarts: int = 0
     """Number of times that the method's program crashed and was started again."""
+    parameters: int | None = None
+    """Parameters of the method's networks, where they are in this process."""
 
     def write(self, path: Path) -> None:
         """Write as JSON."""
@@ -58,6 +60,8 @@ class RunCost(msgspec.Struct, frozen=True, kw_only=True):
     """Fewer than ``batches`` if measurements were lost."""
     restarts: dict[str, int] = {}
     """Crashes after which the method's program was started again, by planned batch."""
+    parameters: int | None = None
+    """Parameters of the method's networks; None for a program, and in runs of earlier versions."""
 
     def write(self, path: Path) -> None:
         """Write as JSON."""
@@ -103,6 +107,7 @@ def total_cost(costs: list[BatchCost], *, batches: int) -> RunCost:
     motions = sum(cost.motions for cost in timed)
     seconds = sum(cost.seconds for cost in timed)
     device = [cost.peak_device_bytes for cost in costs if cost.peak_device_bytes is not None]
+    parameters = [cost.parameters for cost in costs if cost.parameters is not None]
     passes = [cost.network_passes for cost in costs if cost.network_passes is not None]
     return RunCost(
         motions=motions,
@@ -118,4 +123,5 @@ def total_cost(costs: list[BatchCost], *, batches: int) -> RunCost:
         batches=batches,
         batches_measured=len(costs),
         restarts={f"{cost.batch:05d}": cost.restarts for cost in costs if cost.restarts},
+        parameters=max(parameters, default=None),
     )

@@ -16,7 +16,7 @@ from prbench.manifests import BenchmarkProtocol
 from prbench.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.own_protocol import protocol_beside, write_protocol
 from prbench.parquet_files import read_parquet
-from prbench.runs import record, summary
+from prbench.runs import agreement, record, summary
 from prbench.runs.record import RunRecord
 from prbench.sequences.redistribution import NOTICE_FILE
 from prbench.storage import inside, remove_half_written, remove_leftovers
@@ -42,6 +42,11 @@ class DatasetFolder:
     def cost(self) -> Path:
         """Seconds and memory."""
         return self.path / "cost.json"
+
+    @property
+    def agreement(self) -> Path:
+        """Agreement with recorded people, and rates by the goal's place; absent in runs of earlier versions."""
+        return self.path / agreement.FILE_NAME
 
     @property
     def notice(self) -> Path:

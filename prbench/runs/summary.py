@@ -41,6 +41,11 @@ class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Remarks that a reader of the interval needs: ``few_recordings``, ``one_recording``, ``all_equal``."""
     flags: dict[str, int]
     """Number of motions that carry each remark."""
+    detectable: float | None = None
+    """Smallest difference to an unrelated method of the same spread that is found with 80 % power at Holm's first step
+    among the main metrics; None where nothing can be tested."""
+    uncertainty: dict[str, float] = msgspec.field(default_factory=dict)
+    """Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``."""
 
 
 class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):

@@ -11,10 +11,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import msgspec
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from prbench.engine import Engine, InProcess
+from prbench.errors import RunError
+from prbench.evaluation.agreement import agreement_with_people, require_agreement
 from prbench.evaluation.request import silent
 from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
 from prbench.runs.folder import RunFolder
@@ -22,8 +25,14 @@ from prbench.runs.record import RunRecord, TableRecord
 from prbench.runs.scores import read_scores
 from prbench.runs.summary import DatasetSummary
 from prbench.sequences import SequenceTable
-from prbench.submitted.score_predictions.again import scored_again
+from prbench.shown import quoted
+from prbench.submitted.score_predictions.again import scored_again, scored_sequences
 from prbench.submitted.score_predictions.scored import Work
+
+_OTHER_PROTOCOL = (
+    "it was scored under another protocol than this version's, so metrics and limits that are newer are missing;"
+    " `prbench score RUN --data DIR` scores its motions by this version's"
+)
 
 
 @dataclass(frozen=True)
@@ -85,13 +94,15 @@ class RunChecker:
         made = _require_summary_of(run, record, scores, recording_of, grouped=grouped)
         scored = ScoredSequences(run, record, recording_of)
         if not any(files.predictions.glob("part-*.parquet")):
+            _require_agreement_of(run, scores, table)
             return CheckedSummary(made, "its folder holds no motions", scored)
         if run.protocol is None:
-            return CheckedSummary(made, "it was scored under another protocol than this version's", scored)
+            return CheckedSummary(made, _OTHER_PROTOCOL, scored)
         if table is None:
             why = f"its table of {record.dataset} is not at hand: name it with --data DIR"
             return CheckedSummary(made, why, scored)
         require_scores(files, scores, scored_again(run, table, Work(self.engine, silent)).scores)
+        _require_agreement_of(run, scores, table)
         return CheckedSummary(made, "", scored)
 
 
@@ -114,6 +125,25 @@ def _require_summary_of(
     made = summary_of(run.record, record, scores, recording_of)
     require_summary(files, made, grouped=grouped)
     return made if grouped else DatasetSummary.read(files.path)
+
+
+def _require_agreement_of(run: RunFolder, scores: pa.Table, table: SequenceTable | None) -> None:
+    """Compare the agreement with recorded people with what follows from the scores, where the table is at hand.
+
+    Raises:
+        RunError: if it says something else, or the scores are of sequences that the run was not made on.
+    """
+    protocol = run.protocol
+    if table is None or protocol is None:
+        return
+    files = run.dataset(table.info.dataset)
+    selection = scored_sequences(run, table)
+    scored = frozenset(scores["sequence_id"].to_pylist())
+    unknown = sorted(scored - frozenset(selection.sequence_ids))
+    if unknown:
+        raise RunError(f"{files.scores}: expected sequences that the run was made on, found {quoted(unknown[0])}.")
+    selection = selection.chosen(np.array([name in scored for name in selection.sequence_ids]))
+    require_agreement(files, agreement_with_people(selection, scores, protocol=protocol))
 
 
 def summary_of(

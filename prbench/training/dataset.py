@@ -19,7 +19,17 @@ from prbench.storage import cache_folder
 from prbench.training.configuration import TrainingConfiguration
 from prbench.training.feature_store import FeatureStore
 from prbench.training.items import ConditionStatistics, Goal, MotionItem, condition_statistics
-from prbench.training.motions import Motion, Table, cut, encoded, frame_rate, holds_mirrored, open_table
+from prbench.training.motions import (
+    REFIT,
+    Motion,
+    Table,
+    cut,
+    encoded,
+    frame_rate,
+    holds_mirrored,
+    open_table,
+    parts_of,
+)
 from prbench.training.store_building import Crop, Encoding, LeftOut, table_store
 
 
@@ -43,7 +53,7 @@ class SequenceDataset(Dataset[MotionItem]):
 
     Args:
         tables: Folders of built datasets or corpora, or opened tables; one or several, of one frame rate.
-        split: ``train``, ``validation`` or ``test``.
+        split: ``train``, ``validation``, ``test``, or ``train+validation`` for both.
         max_frames: The longest item; longer rows are cut.
         crop: What is kept of a longer row: its ``end`` with the goal, or a part at a ``random`` start. Either way it is
             encoded anew in the canonical frame of its first kept frame, and the frame before that is its predecessor
@@ -71,7 +81,7 @@ class SequenceDataset(Dataset[MotionItem]):
         seed: int = 0,
         cache: Path | None = None,
     ) -> None:
-        _require(split, SPLITS, "split")
+        _require(split, (*SPLITS, REFIT), "split")
         _require(crop, ("end", "random"), "crop")
         _require(mode, ("continuous", "reference"), "mode")
         if max_frames < 2:
@@ -85,10 +95,11 @@ class SequenceDataset(Dataset[MotionItem]):
         self._stores: list[FeatureStore] = []
         left_out: list[LeftOut] = []
         for table in opened:
-            encoding = Encoding(split, mode, max_frames, crop, mirrored and not holds_mirrored(table))
-            store, unusable = table_store(table, encoding, cache or cache_folder() / "training")
-            self._stores.append(store)
-            left_out += unusable
+            for part in _filled_parts(table, split):
+                encoding = Encoding(part, mode, max_frames, crop, mirrored and not holds_mirrored(table))
+                store, unusable = table_store(table, encoding, cache or cache_folder() / "training")
+                self._stores.append(store)
+                left_out += unusable
         self.left_out: tuple[LeftOut, ...] = tuple(left_out)
         """Rows that cannot be encoded, with the reason of each."""
         self._starts = np.concatenate(([0], np.cumsum([len(store) for store in self._stores])))
@@ -167,7 +178,7 @@ def configured_dataset(
         max_frames=wanted.max_frames,
         crop=wanted.crop,
         mode=wanted.mode,
-        mirrored=wanted.mirrored and split == "train",
+        mirrored=wanted.mirrored and split in ("train", REFIT),
         seed=configuration.training.seed,
     )
 
@@ -190,6 +201,15 @@ def _item(motion: Motion, features: np.ndarray, text: str, fps: float, sequence_
 def _require(value: str, known: tuple[str, ...], what: str) -> None:
     if value not in known:
         raise UsageError(f"{what} '{value}' is not known; it is one of {', '.join(known)}.")
+
+
+def _filled_parts(table: Table, split: str) -> list[str]:
+    """The splits to read; of several, an empty one is left out (MoGaze has no validation sequences)."""
+    parts = parts_of(split)
+    if len(parts) == 1:
+        return list(parts)
+    present = set(table.scalars()["split"].to_pylist())
+    return [part for part in parts if part in present]
 
 
 def _common_frame_rate(tables: list[Table], split: str) -> float:

@@ -152,15 +152,24 @@ def read_rows(table: Table, split: str) -> Iterator[list[Row]]:
         yield _rows(chunk, corpus=isinstance(table, CorpusTable))
 
 
+REFIT = "train+validation"
+"""Both splits learnt from together, once nothing is chosen by the validation split any more."""
+
+
+def parts_of(split: str) -> tuple[str, ...]:
+    """The table's own splits that are meant: two for :data:`REFIT`, otherwise the one itself."""
+    return tuple(split.split("+"))
+
+
 def frame_rate(table: Table, split: str) -> float:
-    """Frames per second of all rows of a split.
+    """Frames per second of all rows of a split, which may be :data:`REFIT`.
 
     Raises:
         TableError: if the split has no rows, or rows of several rates.
     """
     scalars = table.scalars()
     splits = np.array(scalars["split"].to_pylist())
-    rates = np.unique(scalars["fps"].to_numpy()[splits == split])
+    rates = np.unique(scalars["fps"].to_numpy()[np.isin(splits, parts_of(split))])
     if not len(rates):
         found = ", ".join(f"{np.sum(splits == name)} of '{name}'" for name in sorted(set(splits)))
         raise TableError(f"{table.folder}: expected rows of split '{split}', found {found}.")

@@ -15,11 +15,14 @@ import msgspec
 import torch
 
 import prbench
+from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
 from prbench.errors import StorageError, TrainingError
 from prbench.evaluation.preparation import package_versions
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.storage import read_json, remove_leftovers, write_json
 from prbench.training.configuration import TrainingConfiguration
+from prbench.training.motions import parts_of
 from prbench.training.state import Row, TrainingState
 
 RECORD = "training.json"
@@ -54,6 +57,8 @@ class TrainingRecord(msgspec.Struct, frozen=True, kw_only=True):
     data: tuple[TableRecord, ...]
     initial_weights_sha256: str | None
     devices: int
+    refit: bool = False
+    """The validation split was learnt from, too, so that scores on it say nothing."""
 
 
 def table_records(tables: Iterable[SequenceTable | CorpusTable], *, split: str) -> tuple[TableRecord, ...]:
@@ -66,7 +71,7 @@ def table_records(tables: Iterable[SequenceTable | CorpusTable], *, split: str) 
             licence=table.info.licence,
             identity_digest=table.info.identity_digest,
             content_digest=table.info.content_digest,
-            sequences=table.scalars(split=split).num_rows,
+            sequences=sum(table.scalars(split=part).num_rows for part in parts_of(split)),
         )
         for table in tables
     )
@@ -91,7 +96,9 @@ def require_same_training(out: Path, record: TrainingRecord) -> None:
     found = read_json(path)
     if not isinstance(found, Mapping):
         raise TrainingError(f"{path}: expected the record of a training. Choose another folder for --out.")
-    difference = _first_difference(_flat(msgspec.to_builtins(record)), _flat(found))
+    difference = _first_difference(
+        _flat(msgspec.to_builtins(record)), _flat({"refit": False, **found})
+    )  # no key up to 0.7.0
     if difference is not None:
         key, now, then = difference
         raise TrainingError(
@@ -107,6 +114,22 @@ def write_record(out: Path, record: TrainingRecord) -> None:
         StorageError: if it cannot be written.
     """
     write_json(out / RECORD, msgspec.to_builtins(record))
+
+
+@foreign_input()
+def read_record(out: Path) -> TrainingRecord:
+    """Read what decides a training that stands in a folder.
+
+    Raises:
+        TrainingError: if the folder holds none, or it is damaged.
+    """
+    path = out / RECORD
+    try:
+        return msgspec.json.decode(read_whole(path), type=TrainingRecord)
+    except FileNotFoundError as error:
+        raise TrainingError(f"{path}: expected the record of a training, found no file.") from error
+    except (msgspec.ValidationError, msgspec.DecodeError) as error:
+        raise TrainingError(f"{path}: not a valid {RECORD}: {error}. Train again in another folder.") from error
 
 
 def _first_difference(asked: Mapping[str, str], found: Mapping[str, str]) -> tuple[str, str, str] | None:
@@ -155,6 +178,7 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
         "packages": package_versions(_PACKAGES),
         "configuration": msgspec.to_builtins(record.configuration),
         "data": msgspec.to_builtins(record.data),
+        "refit": record.refit,
         "initial_weights_sha256": record.initial_weights_sha256,
         "learned_from": list(state.module.learned_from()),
         "learning_curve": thinned(state.rows, _CURVE_POINTS),

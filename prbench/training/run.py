@@ -17,6 +17,7 @@ from prbench.training.configuration import DEFAULT_STAGES, TrainingConfiguration
 from prbench.training.dataset import SequenceDataset, configured_dataset
 from prbench.training.installed import load_task
 from prbench.training.loop import Progress, fit, silent
+from prbench.training.motions import REFIT
 from prbench.training.outputs import WEIGHTS
 from prbench.training.processes import make_fabric
 from prbench.training.record import TrainingRecord, require_same_training, table_records, training_card, write_record
@@ -41,6 +42,8 @@ class TrainRequest:
     """Folders of built datasets or corpora; their split ``train`` is learnt from."""
     out: Path
     """The training folder; goes on with the same training, refuses another."""
+    refit: bool = False
+    """Learn from the split ``validation`` as well, once nothing is chosen by it any more."""
     stage: str | None = None
     """Stage of the training; by default the task's first."""
     configuration: str = _DEFAULT_CONFIGURATION
@@ -84,6 +87,11 @@ def train(request: TrainRequest, *, report: Callable[[Progress], None] = silent)
     """
     task = load_task(request.method)
     stage, configuration = resolved(task, request.configuration, stage=request.stage, overrides=request.overrides)
+    if request.refit and configuration.validation.every:
+        raise UsageError(
+            "--refit: the validation split is learnt from, so measuring on it would say nothing; add"
+            " --set validation.every=0."
+        )
     fabric = make_fabric(request.device, devices=request.devices, precision=configuration.training.precision)
     torch.set_num_threads(request.threads)
     fabric.launch()
@@ -137,7 +145,7 @@ def _run(
     report: Callable[[Progress], None],
 ) -> TrainReport:
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
-        data = configured_dataset(request.data, configuration, split="train")
+        data = configured_dataset(request.data, configuration, split=_split(request))
         record = _record(request, stage, configuration, data)
         require_same_training(request.out, record)
         module = _module(request, task, stage, configuration, data)
@@ -173,6 +181,10 @@ def _run(
     return TrainReport(request.out / WEIGHTS, state.step, state.seconds, state.waiting, fabric.is_global_zero)
 
 
+def _split(request: TrainRequest) -> str:
+    return REFIT if request.refit else "train"
+
+
 def _record(
     request: TrainRequest, stage: str, configuration: TrainingConfiguration, data: SequenceDataset
 ) -> TrainingRecord:
@@ -180,9 +192,10 @@ def _record(
         method=request.method,
         stage=stage,
         configuration=configuration,
-        data=table_records(data.tables, split="train"),
+        data=table_records(data.tables, split=_split(request)),
         initial_weights_sha256=read_weights(request.initial).digest if request.initial else None,
         devices=request.devices,
+        refit=request.refit,
     )
 
 

@@ -28,7 +28,7 @@ from prbench.evaluation.scoring import ScoringRules, score_selection
 from prbench.manifests import load_protocol
 from prbench.methods.declared import Declared
 from prbench.methods.motions import generate_checked
-from prbench.metrics import METRICS
+from prbench.metrics import MAIN_METRICS
 from prbench.runs.predictions import PredictionRows, write_part
 from prbench.sequences import SequenceTable
 from prbench.sequences.table import smallest_by_hash
@@ -40,7 +40,7 @@ from prbench.training.state import Row
 from prbench.training.task import TrainingModule
 
 _SPLIT = "validation"
-_SCORES = tuple(info.id for info in METRICS if info.main)
+_SCORES = tuple(info.id for info in MAIN_METRICS)
 
 
 @dataclass(frozen=True)

@@ -8,34 +8,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from prbench.errors import UsageError
-from prbench.locks import sole_file
 from prbench.published import Spread, load_table_one
 from prbench.sequences.table_one import TableStatistics
 from prbench.shown import figure_text
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.statistics import TARGETS, clips_of
-from prbench.viewing.figures import new_figure, write_png
+from prbench.viewing.figures import new_figure, require_drawable, write_figure, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-FORMATS = (".png", ".svg")
 _BINS = 30
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple")
 _COLUMNS = (("duration", "s", 14.0), ("gap", "s", 12.0), ("body", "m", 6.0), ("hand", "m", 1.5))
-
-
-def require_drawable(path: Path) -> None:
-    """Refuse kinds of files that the figure is not written as, before anything is computed.
-
-    Raises:
-        UsageError: for any but PNG and SVG.
-    """
-    if path.suffix.lower() not in FORMATS:
-        raise UsageError(f"{path}: the figure is written as {' or '.join(FORMATS)}, not as '{path.suffix}'.")
 
 
 def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: int = 110) -> None:
@@ -54,16 +41,7 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: in
         StorageError: if the file cannot be written.
     """
     require_drawable(path)
-    import matplotlib as mpl
-
-    # A fixed salt for the ids in an SVG, and no date below: equal statistics are equal bytes.
-    with mpl.rc_context({"svg.hashsalt": "prbench", "svg.fonttype": "none"}):
-        figure = _figure(statistics, dpi)
-        if path.suffix.lower() == ".png":
-            write_png(figure, path)
-            return
-        with sole_file(path) as draft:
-            figure.savefig(draft, format="svg", metadata={"Date": None, "Creator": None})
+    write_figure(_figure(statistics, dpi), path)
 
 
 def _figure(statistics: Sequence[TableStatistics], dpi: int) -> Figure:

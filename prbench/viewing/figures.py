@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from prbench.errors import UsageError
 from prbench.locks import sole_file
 from prbench.skeleton import CHAINS, WRISTS, Joint, head_forward
 
@@ -50,6 +51,38 @@ def write_png(figure: Figure, path: Path | str) -> None:
     with sole_file(Path(path)) as draft:
         # Without matplotlib's version in the file, equal pictures are equal bytes.
         figure.savefig(draft, format="png", metadata={"Software": None})
+
+
+FORMATS = (".png", ".svg")
+"""Kinds of files that figures of the study are written as."""
+
+
+def require_drawable(path: Path) -> None:
+    """Refuse kinds of files that a figure is not written as, before anything is computed.
+
+    Raises:
+        UsageError: for any but PNG and SVG.
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise UsageError(f"{path}: the figure is written as {' or '.join(FORMATS)}, not as '{path.suffix}'.")
+
+
+def write_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG or SVG, by the suffix of the file; a file that exists is replaced.
+
+    Raises:
+        UsageError: for another kind of file.
+        StorageError: if the file cannot be written.
+    """
+    require_drawable(path)
+    if path.suffix.lower() == ".png":
+        write_png(figure, path)
+        return
+    import matplotlib as mpl
+
+    # A fixed salt for the ids in an SVG, and no date: equal pictures are equal bytes.
+    with mpl.rc_context({"svg.hashsalt": "prbench", "svg.fonttype": "none"}), sole_file(path) as draft:
+        figure.savefig(draft, format="svg", metadata={"Date": None, "Creator": None})
 
 
 def grid_shape(n: int, columns: int) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from prbench.api import measuring
 from prbench.metrics import METRICS
 from tests.fakes import smooth_motion
 
-SIX = [info.id for info in METRICS if info.main]
+SIX = [info.id for info in METRICS if info.in_study]
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +128,33 @@ def test_what_is_not_given_is_left_out_by_name(table, names, computed):
         title = next(info.title for info in METRICS if info.id == metric)
         assert f"{title} left out: {why}" in repr(measures)
         assert f"{title} left out: {why}" in measures._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("metric", "names"),
+    [
+        ("prime_success_arrival", ("goal_location", "prime_time", "head_tilt_deg", "fps")),
+        ("prime_success_angle", ("goal_location", "prime_time", "head_tilt_deg", "fps")),
+        ("first_frame_error", ("recorded",)),
+        ("first_step", ()),
+        ("floating", ()),
+        ("penetration", ()),
+        ("slow_slides", ("fps",)),
+        ("largest_jerk", ("fps",)),
+        ("largest_speed", ("fps",)),
+        ("plausible", ("fps",)),
+    ],
+)
+def test_a_metric_beside_the_six_needs_no_more_than_it_reads(table, metric, names):
+    sequence = table[0]
+    moved = sequence.joints + 0.02
+    everything = _everything(sequence)
+    given = {name: value for name, value in everything.items() if name in names}
+    expected = prbench.measure(moved, **everything, metrics=[metric])[metric]
+    assert prbench.measure(moved, **given, metrics=[metric])[metric] == expected
+    for name in names:
+        fewer = {key: value for key, value in given.items() if key != name}
+        assert metric in prbench.measure(moved, **fewer, metrics=[metric]).left_out
 
 
 def test_a_metric_that_somebody_adds_is_taken_to_need_everything():

@@ -222,6 +222,7 @@ def test_scores_that_follow_are_compared(table, runs, motions, tmp_path):
     frame = found.to_pandas()
     assert set(frame.metric) <= {
         "prime_success",
+        "prime_success_arrival",
         "reach_success",
         "goal_mpjpe",
         "location_error",

@@ -20,8 +20,9 @@ from tests.fakes import fake_dataset
 from tests.parsing import all_commands, parsed
 
 ROOT = Path(__file__).parents[2]
-DIFFER = {"--out", "--condition"}
-"""Options whose value is a file in one command and a folder in another, or that one command offers ``all`` for, too."""
+DIFFER = {"--out", "--condition", "--split"}
+"""Options whose value is a file in one command and a folder in another, or that one command offers ``all`` for, too.
+``--split`` chooses a split, but in `split-dataset` it says what a new split keeps together."""
 
 
 @pytest.fixture

@@ -14,8 +14,12 @@ import pytest
 
 from prbench.cli import main
 from prbench.cli.train import TrainReport
+from prbench.errors import TrainingError, UsageError
+from prbench.sequences import SequenceTable
 from prbench.storage import file_digest, read_json
 from prbench.training import installed
+from prbench.training.dataset import SequenceDataset
+from prbench.training.motions import REFIT
 from prbench.training.outputs import draw_curves
 from prbench.training.weights import read_weights
 from tests.cli.reports import refused, reported
@@ -271,3 +275,26 @@ def test_help_imports_neither_torch_nor_numpy():
     text, _, modules = done.stdout.partition("MODULES")
     assert "example:\n  prbench train " in text
     assert not {"torch", "numpy", "lightning_fabric", "prbench_adapters"} & set(modules.split())
+
+
+def test_refit_learns_from_train_and_validation(data, tmp_path, capsys):
+    table = SequenceTable.open(data).with_sequences()
+    rows = {split: table.scalars(split=split).num_rows for split in ("train", "validation")}
+    assert all(rows.values()), "the fake table has sequences in both"
+    both = command(data, tmp_path / "both", "--refit", "--set", "validation.every=0")
+    assert main(both) == 0
+    record = read_json(tmp_path / "both/training.json")
+    assert record["refit"] is True
+    assert record["data"][0]["sequences"] == sum(rows.values())
+    assert main(command(data, tmp_path / "alone", "--set", "validation.every=0")) == 0
+    assert read_json(tmp_path / "alone/training.json")["data"][0]["sequences"] == rows["train"]
+    both_ids = set(SequenceDataset(table, split=REFIT).sequence_ids)
+    parts = [set(SequenceDataset(table, split=split).sequence_ids) for split in rows]
+    assert both_ids == parts[0] | parts[1]
+    # The folder of one is never gone on with as the other.
+    refused(both[:-3] + both[-2:], capsys, code=TrainingError.exit_code, message="holds another training")
+
+
+def test_refit_and_validation_exclude_one_another(data, tmp_path, capsys):
+    words = command(data, tmp_path / "out", "--refit", *VALIDATED)
+    refused(words, capsys, code=UsageError.exit_code, message="measuring on it would say nothing")

@@ -288,7 +288,7 @@ def test_every_constant_has_a_source():
     sources = text_of(SPECIFICATION / "constants.md")
     protocol = tomllib.loads(text_of(ROOT / "benchmarks" / "prime_and_reach" / "protocol.toml"))
     names = set(protocol) - {"version"}
-    for table in ("curation", "splits", "text", "metrics"):
+    for table in ("curation", "splits", "text", "metrics", "breakdown"):
         names = (names - {table}) | set(protocol[table])
     for path in (ROOT / "data_manifests").glob("*.toml"):
         manifest = tomllib.loads(text_of(path))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,10 @@ from prbench.evaluation.run import run_method
 from prbench.metrics import MotionBatch
 from prbench.randomness import named_generator
 from prbench.runs import DatasetSummary, read_scores
+from prbench.sequences import SequenceTable
+from prbench.skeleton import Joint
 from prbench.submitted.score_predictions import ScoreRequest, score_predictions
+from prbench.workflows.synthetic_table import build_synthetic_table
 from tests.evaluation.test_run import request
 from tests.fakes import STANDING, fake_sequence
 from tests.submitted.test_score_predictions import write
@@ -52,6 +57,17 @@ def turned(motion: np.ndarray) -> np.ndarray:
     return motion @ np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
 
 
+ARMS = [Joint.LEFT_ELBOW, Joint.RIGHT_ELBOW, Joint.LEFT_WRIST, Joint.RIGHT_WRIST]
+LEGS = [Joint.LEFT_KNEE, Joint.RIGHT_KNEE, Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, Joint.LEFT_FOOT, Joint.RIGHT_FOOT]
+
+
+def with_other(motion: np.ndarray, joints: list[Joint]) -> np.ndarray:
+    """The motion with some joints led up to 30 cm elsewhere."""
+    changed = motion.copy()
+    changed[:, joints] += np.linspace(0, 1, len(motion))[:, None, None] * [0.1, 0.3, 0.0]
+    return changed
+
+
 @pytest.mark.parametrize(
     "disguise",
     [
@@ -65,8 +81,27 @@ def turned(motion: np.ndarray) -> np.ndarray:
         lambda m: at_times(m, 89 * np.linspace(0, 1, 90) ** 1.3),
         lambda m: np.concatenate([m[:1], m[:1], m[:-2]]),
         lambda m: noisy(np.concatenate([m[:1], m[:-1]]), 0.003) + 0.05,
+        lambda m: np.concatenate([m[1:], m[-1:]]),
+        lambda m: 1.1 * m,
+        lambda m: with_other(m, ARMS),
+        lambda m: with_other(m, LEGS),
     ],
-    ids=["same", "noise", "offset", "turn", "scale", "half rate", "other length", "time warp", "delay", "all together"],
+    ids=[
+        "same",
+        "noise",
+        "offset",
+        "turn",
+        "scale",
+        "half rate",
+        "other length",
+        "time warp",
+        "delay",
+        "all together",
+        "ahead",
+        "a tenth larger",
+        "other arms",
+        "other legs",
+    ],
 )
 def test_the_recorded_motion_is_noticed_however_it_is_disguised(disguise):
     assert marked(disguise) == len(MOTIONS)
@@ -114,3 +149,28 @@ def test_a_file_of_recorded_motions_is_marked_and_the_control_is_not(table, tmp_
     for control in ("ground-truth", "ground-truth-resampled", "scripted", "static"):
         run = run_method(request(table, tmp_path / control, control))
         assert run.summaries[0].recorded_motion_mark == ""
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda m: np.concatenate([m[:1], m[:-1]]), lambda m: 1.01 * m, lambda m: noisy(m, 0.001)],
+    ids=["a frame late", "1 % larger", "1 mm of noise"],
+)
+def test_near_copies_that_are_handed_in_as_a_file_are_marked(tmp_path, change):
+    folder = tmp_path / "table"
+    table = build_synthetic_people(folder)
+    selection = select(table, split="train", limit=None)
+    motions = {}
+    for _, chunk in selection.windows(["joints"]):
+        for name, joints in zip(chunk.sequence_ids, np.split(chunk.joints, chunk.offsets[1:-1]), strict=True):
+            motions[name] = change(joints.astype(np.float64)).astype(np.float32)
+    file = write(tmp_path / "mine.parquet", motions)
+    (report,) = score_predictions(ScoreRequest(predictions=file, data=(folder,), split="train"))
+    assert report.summary.recorded_motions == len(motions) > 0
+    assert report.summary.hands_in_recordings
+
+
+def build_synthetic_people(folder: Path) -> SequenceTable:
+    """A few synthetic people, who walk and reach as recorded ones do."""
+    build_synthetic_table("adt", recordings=4, seed=0, out=folder, n_events=4)
+    return SequenceTable.open(folder)

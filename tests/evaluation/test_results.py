@@ -8,12 +8,19 @@ import pytest
 from prbench.evaluation.results import metric_differences
 from prbench.runs.summary import MetricSummary
 
+ENTRY = MetricSummary(
+    metric="mpjpe", title="MPJPE", unit="m", mean=0.25, low=0.2, high=0.3, level=0.95, interval="student-hall-cluster",
+    sequences=48, recordings=12, marks=(), flags={},
+)  # fmt: skip
 
-@pytest.mark.parametrize(("low", "differs"), [(0.2, False), (0.206, False), (0.22, True), (0.0, True)])
-def test_intervals_that_0_5_0_drew_are_no_edits(low: float, differs: bool) -> None:
-    entry = MetricSummary(
-        metric="mpjpe", title="MPJPE", unit="m", mean=0.25, low=0.2, high=0.3, level=0.95, interval="bootstrap",
-        sequences=48, recordings=12, marks=(), flags={},
-    )  # fmt: skip
-    found = list(metric_differences(entry, msgspec.structs.replace(entry, low=low)))
+
+# Bounds of 0.206 passed here while version 0.5.0 drew its bootstrap; no bound is drawn any more.
+@pytest.mark.parametrize(("low", "differs"), [(0.2, False), (0.2 + 1e-8, False), (0.206, True), (0.0, True)])
+def test_bounds_follow_from_the_scores(low: float, differs: bool) -> None:
+    found = list(metric_differences(ENTRY, msgspec.structs.replace(ENTRY, low=low)))
     assert found == ([("mpjpe.low", 0.2, low)] if differs else [])
+
+
+def test_another_estimator_is_named_before_its_bounds() -> None:
+    stored = msgspec.structs.replace(ENTRY, low=0.21, interval="bootstrap")
+    assert next(iter(metric_differences(ENTRY, stored)))[0] == "mpjpe.interval"

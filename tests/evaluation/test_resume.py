@@ -100,7 +100,8 @@ def test_a_run_stopped_at_any_of_its_writes_ends_with_the_same_bytes(table, tmp_
         assert not list(out.rglob("*partial*"))
         run_method(request(table, out, **asked))
         assert reproducible_bytes(out) == expected
-    assert stop_at == 1 + 2 * 2 + 3 + 1  # run.json, two batches with their costs, scores, cost, summary; then none
+        # run.json, two batches with their costs, scores, cost, agreement, summary; then none
+    assert stop_at == 1 + 2 * 2 + 4 + 1
 
 
 def test_what_a_killed_process_left_half_written_is_removed_and_never_read(table, tmp_path, install):

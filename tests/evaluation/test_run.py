@@ -46,6 +46,7 @@ def request(table, out, method="static", **changes) -> RunRequest:
 def test_static_on_a_dataset_leaves_the_run_folder_of_the_design(table, tmp_path):
     report = run_method(request(table, tmp_path / "out", samples=2, seed=5))
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "agreement.json",
         "cost.json",
         "predictions",
         "run.json",

@@ -12,7 +12,9 @@ from prbench.cli.leaderboard import BoardReport, CompareReport
 from prbench.errors import RunError
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
-from prbench.leaderboard import compare_runs
+from prbench.leaderboard import collect_runs, compare_runs
+from prbench.leaderboard.separation import separate_by_comparison
+from prbench.metrics import METRICS
 from prbench.submitted.verification import recording_key
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
@@ -22,7 +24,7 @@ from tests.fakes import fake_dataset
 def folder(tmp_path_factory):
     """Runs of two controls on one table, of one on another table, and of one on fewer sequences."""
     root = tmp_path_factory.mktemp("comparison")
-    table = fake_dataset(root / "table", 64, recordings=32).folder
+    table = fake_dataset(root / "table", 64, recordings=36).folder
     other = fake_dataset(root / "other", 60, recordings=32).folder
     for name, method, data, limit in (
         ("truth", "ground-truth", table, None),
@@ -38,14 +40,31 @@ def test_the_difference_is_that_of_the_means_and_has_a_sign(folder):
     rows = {row.info.id: row.comparison for row in compare_runs(folder / "truth", folder / "scripted").metrics}
     back = {row.info.id: row.comparison for row in compare_runs(folder / "scripted", folder / "truth").metrics}
     assert set(rows) == {
-        "prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe", "foot_skating",
+        "prime_success", "prime_success_arrival", "reach_success", "goal_mpjpe", "location_error", "mpjpe",
+        "foot_skating",
     }  # fmt: skip
     assert rows["mpjpe"].difference.mean < 0, "the recorded motion has no error"
     assert rows["mpjpe"].conclusion == "lower"
-    assert rows["mpjpe"].difference.n_recordings == 8, "signs are flipped by recording"
+    assert rows["mpjpe"].difference.n_recordings == 8, "recordings are the units"
     for metric, comparison in rows.items():
         assert comparison.difference.mean == pytest.approx(-back[metric].difference.mean)
         assert comparison.adjusted_p_value == pytest.approx(back[metric].adjusted_p_value)
+
+
+def test_only_supported_differences_separate_the_rows_of_a_board(folder):
+    rows = collect_runs([folder / "truth", folder / "scripted"]).rows
+    truth = next(i for i, row in enumerate(rows) if row.method == "ground-truth")
+    beaten = separate_by_comparison(rows, [info for info in METRICS if info.main])
+    assert beaten[1 - truth, "mpjpe"] == {truth}
+    supported = {
+        row.info.id
+        for row in compare_runs(folder / "truth", folder / "scripted").metrics
+        if row.comparison.conclusion in ("higher", "lower")
+    }
+    assert {metric for _, metric in beaten} == supported
+    assert separate_by_comparison(rows[:1], METRICS) == {}
+    same = separate_by_comparison([rows[0], rows[0]], METRICS)
+    assert same == {}
 
 
 def test_a_run_does_not_differ_from_itself(folder):

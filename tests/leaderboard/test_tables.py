@@ -96,7 +96,20 @@ def write_run(
 
 
 def leaderboard(*folders: Path):
-    return make_leaderboard(collect_runs(folders, check=as_stored))
+    """A board of summaries without scores, as if the data supported every difference of means."""
+    return make_leaderboard(collect_runs(folders, check=as_stored), separate=by_means)
+
+
+def by_means(rows, metrics):
+    beaten = {}
+    for i, row in enumerate(rows):
+        for info in metrics:
+            sign = 1 if info.higher_is_better else -1
+            own = row.metric(info.id).mean
+            beaten[i, info.id] = frozenset(
+                j for j, other in enumerate(rows) if sign * other.metric(info.id).mean > sign * own
+            )
+    return beaten
 
 
 def as_stored(run: RunFolder, table: TableRecord) -> CheckedSummary:
@@ -123,22 +136,28 @@ def test_two_runs_stand_in_one_table_by_condition_with_controls_last(tmp_path):
     assert [row.entry.method for row in table.rows] == ["static", "pr", "ground-truth"]
 
 
-def test_the_printed_table_holds_the_six_metrics_in_percent_and_metres(tmp_path):
+def test_the_printed_table_holds_the_main_metrics_in_percent_and_metres(tmp_path):
     write_run(tmp_path / "a", prime_success=0.3542, goal_mpjpe=0.0249, foot_skating=0.111)
     text = export(leaderboard(tmp_path), "md")
     header, _, row = cells(text, "synthetic-adt title")
     assert header[3:] == [
         "Prime Success ↑ (%)",
+        "Prime Success (arrival) ↑ (%)",
         "Reach Success ↑ (%)",
         "Goal MPJPE ↓ (m)",
         "Location Error ↓ (%)",
         "MPJPE ↓ (m)",
         "Foot Skating ↓",
+        "Plausible ↑ (%)",
+        "s/motion",
+        "Passes/motion",
+        "Memory (MiB)",
+        "Parameters",
         "Kind",
     ]
     assert row[3] == "35.42 [31.88, 38.96]"
-    assert row[5] == "0.02 [0.02, 0.03]"
-    assert row[8] == "0.11 [0.10, 0.12]"
+    assert row[6] == "0.02 [0.02, 0.03]"
+    assert row[9] == "0.11 [0.10, 0.12]"
 
 
 def test_synthetic_data_are_called_so(tmp_path):
@@ -158,9 +177,9 @@ def test_a_body_that_stands_still_has_a_dash_for_foot_skating_everywhere(tmp_pat
     board = leaderboard(tmp_path)
     text = export(board, "md")
     by_method = {row[1]: row for row in cells(text, "adt title")[2:]}
-    assert by_method["still"][8] == "–"
-    assert by_method["pr"][8].startswith("0.20")  # and is not best of one
-    assert {row[1]: row[8] for row in cells(text, "Mean over")[2:]}["still"] == "–"
+    assert by_method["still"][9] == "–"
+    assert by_method["pr"][9].startswith("0.20")  # and is not best of one
+    assert {row[1]: row[9] for row in cells(text, "Mean over")[2:]}["still"] == "–"
     rows = [row for row in csv.DictReader(io.StringIO(export(board, "csv"))) if row["metric"] == "foot_skating"]
     assert {row["value"] for row in rows if row["method"] == "still"} == {""}
 
@@ -291,17 +310,46 @@ def test_the_macro_mean_weighs_datasets_alike_and_needs_all_of_them(tmp_path):
     assert rows["two"].means["prime_success"] == pytest.approx(0.3)
     assert rows["three"].means == {}
     assert rows["three"].missing == ("gimo",)
-    assert (rows["one"].ranks["prime_success"], rows["two"].ranks["prime_success"]) == (1, 2)
+    # "two" is better on adt and "one" on gimo: the means alone, which made ranks 1 and 2 here, separate no methods.
+    assert (rows["one"].ranks["prime_success"], rows["two"].ranks["prime_success"]) == (1, 1)
     assert rows["three"].ranks == {}
     printed = {row[1]: row for row in cells(export(board, "md"), "Mean over")[2:]}
     assert printed["one"][3] == "40.00 (1)"
-    assert printed["three"][3:-1] == [""] * 6 + ["gimo"]
+    assert printed["three"][3:-1] == [""] * 8 + ["gimo"]
 
 
 def test_no_macro_mean_over_tables_that_do_not_compare(tmp_path):
     write_run(tmp_path / "a", "one", datasets=("adt", "gimo"))
     write_run(tmp_path / "b", "two", datasets=("adt",), table={"content_digest": "e" * 64})
     assert leaderboard(tmp_path).macro == ()
+
+
+def test_plausible_stands_in_the_table_and_ranks_nobody(tmp_path):
+    write_run(tmp_path / "a", "one", datasets=("adt", "gimo"), plausible=1.0, prime_success_arrival=0.2)
+    write_run(tmp_path / "b", "two", datasets=("adt", "gimo"), plausible=0.1, prime_success_arrival=0.3)
+    board = leaderboard(tmp_path)
+    ranks = {row.entry.method: row.ranks for row in board.tables[0].rows}
+    assert (ranks["one"]["prime_success_arrival"], ranks["two"]["prime_success_arrival"]) == (2, 1)
+    assert "plausible" not in ranks["one"]
+    assert "plausible" not in only(board.macro).rows[0].ranks
+    by_method = {row[1]: row for row in cells(export(board, "md"), "adt title")[2:]}
+    assert by_method["one"][10].startswith("100.00")  # printed, and not bold
+    assert by_method["two"][4].startswith("**30.00**")
+
+
+def test_a_run_from_before_a_metric_has_an_empty_cell_and_no_rank_by_it(tmp_path):
+    old = tuple(metric for metric in metrics() if metric.metric not in ("prime_success_arrival", "plausible"))
+    write_run(tmp_path / "a", "old", summary={"metrics": old})
+    write_run(tmp_path / "b", "new")
+    write_run(tmp_path / "c", "newer")
+    table = only(leaderboard(tmp_path).tables)
+    assert {row.entry.method: "prime_success_arrival" in row.ranks for row in table.rows} == {
+        "new": True,
+        "newer": True,
+        "old": False,
+    }
+    by_method = {row[1]: row for row in cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")[2:]}
+    assert (by_method["old"][4], by_method["old"][10]) == ("", "")
 
 
 def test_variants_tell_runs_of_one_method_apart(tmp_path):
@@ -329,7 +377,7 @@ def test_csv_has_one_number_a_row_and_a_unique_key(tmp_path):
     rows = list(csv.DictReader(io.StringIO(text)))
     key = ("table", "dataset", "condition", "method", "variant", "metric")
     assert list(rows[0])[:9] == [*key, "value", "unit", "higher_is_better"]
-    assert len({tuple(row[name] for name in key) for row in rows}) == len(rows) == 3 * 2 * 6
+    assert len({tuple(row[name] for name in key) for row in rows}) == len(rows) == 3 * 2 * 8
     first = next(row for row in rows if row["method"] == "one" and row["metric"] == "prime_success")
     assert (first["value"], first["unit"], first["higher_is_better"]) == ("33.333333", "%", "true")
     assert all(float(row["value"]) >= 0 for row in rows)
@@ -346,7 +394,7 @@ def test_json_holds_everything_with_rates_from_0_to_1(tmp_path):
 def test_text_from_a_run_cannot_break_the_table(tmp_path):
     write_run(tmp_path / "a", "one|two", options={"note": "a|b\nc"})
     rows = cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")
-    assert {len(row) for row in rows} == {10}
+    assert {len(row) for row in rows} == {16}
     assert rows[2][1] == r"one\|two"
 
 
@@ -470,3 +518,49 @@ def test_methods_of_one_name_and_two_kinds_are_two_rows_of_the_mean(tmp_path):
     rows = only(leaderboard(tmp_path).macro).rows
     assert sorted(row.origin for row in rows) == ["package x 1", "program x"]
     assert all(row.missing == () for row in rows)
+
+
+def test_a_method_that_is_better_on_every_dataset_is_better_in_the_mean(tmp_path):
+    write_run(tmp_path / "a", "one", datasets=("adt", "gimo"), prime_success=0.2)
+    write_run(tmp_path / "b", "two", datasets=("adt", "gimo"), prime_success=0.3)
+    rows = {row.method: row for row in only(leaderboard(tmp_path).macro).rows}
+    assert (rows["one"].ranks["prime_success"], rows["two"].ranks["prime_success"]) == (2, 1)
+
+
+def test_methods_that_the_data_do_not_separate_share_a_rank_and_no_winner_is_bold(tmp_path):
+    for name, mean in (("one", 0.29), ("two", 0.19), ("three", 0.1)):
+        write_run(tmp_path / name, name, prime_success=mean)
+
+    def separate(rows, metrics):
+        place = {row.method: i for i, row in enumerate(rows)}
+        if not rows:
+            return {}
+        return {(place["three"], "prime_success"): frozenset({place["one"]})}
+
+    board = make_leaderboard(collect_runs([tmp_path], check=as_stored), separate=separate)
+    rows = {row.entry.method: row for row in only(board.tables).rows}
+    assert [rows[name].ranks["prime_success"] for name in ("one", "two", "three")] == [1, 1, 2]
+    assert not any(row.leads for row in rows.values())
+    text = export(board, "md")
+    assert "**" not in text
+    assert "Prime Success: 1. one, two; 2. three (methods of one group are not separated)" in text
+    assert "the data separate no two methods in Reach Success" in text
+
+
+@pytest.mark.parametrize(("recordings", "sequences", "reason"), [(3, 300, "3 recordings"), (11, 22, "22 sequences")])
+def test_a_dataset_that_cannot_be_decided_says_so(tmp_path, recordings, sequences, reason):
+    write_run(tmp_path / "a", "one", sequences=sequences, summary={"recordings": recordings})
+    write_run(tmp_path / "b", "two", sequences=sequences, summary={"recordings": recordings})
+    board = leaderboard(tmp_path)
+    assert f"synthetic-adt cannot be decided: {reason}" in export(board, "md")
+    assert any(reason in line for line in json.loads(export(board, "json"))["tables"][0]["undecided"])
+
+
+def test_the_smallest_detectable_difference_stands_below_the_table(tmp_path):
+    known = {"prime_success": 0.27, "mpjpe": 0.034, "reach_success": 1.3}
+    entries = tuple(msgspec.structs.replace(entry, detectable=known.get(entry.metric)) for entry in metrics())
+    write_run(tmp_path / "a", "one", summary={"metrics": entries})
+    text = export(leaderboard(tmp_path), "md")
+    assert "Prime Success 27 points" in text
+    assert "Reach Success none (not even 100 points)" in text
+    assert "MPJPE 0.034 m" in text

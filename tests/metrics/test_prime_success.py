@@ -77,7 +77,7 @@ def test_a_longer_stay_needs_more_frames_on_target() -> None:
     assert both(glance, prime_duration=0.101) == (0, 0)
 
 
-@pytest.mark.parametrize("variant", ["equation", "onset"])
+@pytest.mark.parametrize("variant", ["equation", "arrival", "onset", "angle"])
 def test_rounding_of_a_constant_sweep_is_no_deceleration(variant) -> None:
     sweeps = [looking(20 - speed * np.arange(30)) for speed in np.linspace(0.05, 6, 40)]
     assert not prime_success(batch(*sweeps), targets(40, prime_time=0.7), CONSTANTS, variant=variant).any()
@@ -138,7 +138,7 @@ def test_success_grows_with_distance_and_window(seed: int) -> None:
     by_distance = np.stack([at(d, 1.0, "equation") for d in np.linspace(0, 1, 11)])
     assert (np.diff(by_distance, axis=0) >= 0).all()
     assert by_distance[0].sum() < by_distance[-1].sum()
-    for variant in ("equation", "onset"):
+    for variant in ("equation", "arrival", "onset", "angle"):
         by_window = np.stack([at(0.4, w, variant) for w in (0, 0.25, 0.5, 0.75, 1, 1.25)])
         assert (np.diff(by_window, axis=0) >= 0).all()
         assert by_window[0].sum() < by_window[-1].sum()
@@ -150,13 +150,21 @@ def slow_prime_success(joints, goal, tilt, prime_time, fps, constants, variant) 
     forward, bad = head_forward(joints, tilt)
     offset = goal - joints[:, Joint.HEAD]
     near = [v - max(float(v @ h), 0) * h for v, h in zip(offset, forward, strict=True)]
-    on = [np.linalg.norm(d) <= constants.prime_distance and not b for d, b in zip(near, bad, strict=True)]
+    within = [np.linalg.norm(d) <= constants.prime_distance for d in near]
+    if variant == "angle":
+        cosine = [v @ h / np.linalg.norm(v) for v, h in zip(offset, forward, strict=True)]
+        within = [np.rad2deg(np.arccos(c)) <= constants.prime_angle_deg for c in cosine]
+    on = [w and not b for w, b in zip(within, bad, strict=True)]
     turn = [np.arctan2(np.linalg.norm(np.cross(g, h)), g @ h) * fps for g, h in pairwise(forward)]
     speed = [np.nan, *turn]
     for t in range(2, n - hold):
         if abs(t / fps - prime_time) > constants.prime_window + 1e-9 or not all(on[t : t + hold + 1]):
             continue
-        if variant == "equation" and speed[t] - speed[t - 1] < -constants.deceleration_tolerance:
+        slower = speed[t] - speed[t - 1] < -constants.deceleration_tolerance
+        if variant in ("equation", "angle") and slower:
+            return 1.0
+        before = [s for s in range(t) if (t - s) / fps <= constants.prime_window + 1e-9]
+        if variant == "arrival" and slower and any(not within[s] and not bad[s] for s in before):
             return 1.0
         if variant == "onset" and t >= hold and not on[t - 1]:
             change = np.mean(speed[t + 1 : t + hold + 1]) - np.mean(speed[t - hold + 1 : t + 1])
@@ -165,14 +173,14 @@ def slow_prime_success(joints, goal, tilt, prime_time, fps, constants, variant) 
     return 0.0
 
 
-@pytest.mark.parametrize("variant", ["equation", "onset"])
+@pytest.mark.parametrize("variant", ["equation", "arrival", "onset", "angle"])
 @pytest.mark.parametrize("seed", range(4))
 def test_agrees_with_the_definition_frame_by_frame(seed: int, variant) -> None:
     lengths = np.random.default_rng(seed).integers(2, 200, 80)
     predicted, _, where = random_problem(seed, lengths)
     fps = np.where(np.arange(80) % 3 == 0, 30.0, 20.0)
     where = targets(80, goal=where.goal_location, prime_time=where.prime_time, tilt=where.head_tilt_deg, fps=fps)
-    constants = msgspec.structs.replace(CONSTANTS, prime_distance=0.4)
+    constants = msgspec.structs.replace(CONSTANTS, prime_distance=0.4, prime_angle_deg=35.0)
     expected = [
         slow_prime_success(predicted.values[a:b], goal, 7.4, time, rate, constants, variant)
         for a, b, goal, time, rate in zip(

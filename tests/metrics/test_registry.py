@@ -11,7 +11,14 @@ from prbench.evaluation.intervals import metric_interval
 from prbench.metrics import METRICS, MetricInfo, exported_unit, printed_unit
 from prbench.metrics.registry import find_families
 
-COMPARED = {"goal_mpjpe", "mpjpe", "location_error", "location_error_horizontal", "reach_wrist"}
+COMPARED = {
+    "goal_mpjpe",
+    "mpjpe",
+    "location_error",
+    "location_error_horizontal",
+    "reach_wrist",
+    "first_frame_error",
+}
 
 FAMILY = """
 from prbench.metrics.registry import MetricFamily, MetricInfo

@@ -8,10 +8,31 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prbench.metrics import METRICS, GazeRays, MotionBatch, ScoringTargets, score
+from prbench.metrics import (
+    MAIN_METRICS,
+    METRICS,
+    RANKED_METRICS,
+    STUDY_METRICS,
+    GazeRays,
+    MotionBatch,
+    ScoringTargets,
+    score,
+)
 from tests.metrics.motions import CONSTANTS, batch, random_problem, standing, targets, turned
 
-EASIER = msgspec.structs.replace(CONSTANTS, prime_distance=0.4, reach_distance=0.2, location_error_distance=0.15)
+EASIER = msgspec.structs.replace(
+    CONSTANTS,
+    prime_distance=0.4,
+    prime_angle_deg=35.0,
+    reach_distance=0.2,
+    location_error_distance=0.15,
+    largest_floating=0.15,
+    largest_penetration=0.15,
+    largest_bone_change=2.5,
+    largest_slide_share=0.95,
+    largest_jerk=90.0,
+    largest_speed=1.9,
+)
 LENGTHS = (2, 3, 4, 5, 17, 60, 200, 31, 2, 120, 44, 7)
 
 
@@ -36,10 +57,22 @@ def reordered_targets(where: ScoringTargets, order) -> ScoringTargets:
 def test_the_metrics_stand_in_printed_order() -> None:
     assert len({info.position for info in METRICS}) == len(METRICS), "two metrics share a place in printed tables"
     main = [info.id for info in METRICS if info.main]
-    assert main == ["prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe", "foot_skating"]
+    study = ["prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe", "foot_skating"]
+    assert [info.id for info in STUDY_METRICS] == study, "the columns of the study's Table 2, in its order"
+    assert main == [study[0], "prime_success_arrival", *study[1:], "plausible"]
+    assert [info.id for info in MAIN_METRICS] == main
+    assert [info.id for info in RANKED_METRICS] == main[:-1], "a body that stands still is plausible"
     beside = {info.id for info in METRICS if not info.main}
     assert beside == {
         "prime_success_onset",
+        "prime_success_angle",
+        "first_frame_error",
+        "first_step",
+        "floating",
+        "penetration",
+        "slow_slides",
+        "largest_jerk",
+        "largest_speed",
         "reach_success_final",
         "reach_wrist",
         "location_error_horizontal",
@@ -50,10 +83,16 @@ def test_the_metrics_stand_in_printed_order() -> None:
     assert list(score(*random_problem(0, [5]), CONSTANTS)) == [m.id for m in METRICS if m.id != "prime_success_gaze"]
 
 
+def test_the_laws_are_tried_where_every_rate_takes_both_values() -> None:
+    found = [values(*random_problem(seed, LENGTHS * 3)) for seed in range(4)]
+    for info in (info for info in METRICS if info.unit == "rate" and info.id in found[0]):
+        assert {value for each in found for value in each[info.id]} == {0.0, 1.0}, info.id
+
+
 def test_recorded_motion_has_no_error_at_all() -> None:
     _, recorded, where = random_problem(1, LENGTHS, dtype=np.float32)
     found = values(recorded, recorded, where)
-    for metric in ("goal_mpjpe", "mpjpe", "location_error", "location_error_horizontal"):
+    for metric in ("goal_mpjpe", "mpjpe", "location_error", "location_error_horizontal", "first_frame_error"):
         assert found[metric] == [0.0] * len(LENGTHS), metric
     assert found["reach_wrist"] == [1.0] * len(LENGTHS)
 

@@ -72,6 +72,59 @@ def fit_summary_to_scores(folder: Path) -> None:
     summary_of(run.record, run.record.tables[0], scores, {name: recording_key(name) for name in names}).write(folder)
 
 
+NEWER = ("prime_success_arrival", "prime_success_angle", "plausible", "first_step", "largest_speed")
+
+
+def without_newer_metrics(folder: Path) -> None:
+    """Leave scores and summary as a version wrote them that did not know some of the metrics."""
+    scores = pq.read_table(folder / "scores.parquet")
+    older = ~np.isin(scores["metric"].to_pylist(), NEWER)
+    pq.write_table(scores.filter(pa.array(older)), folder / "scores.parquet")
+    fit_summary_to_scores(folder)
+
+
+def under_an_older_protocol(folder: Path) -> None:
+    record = json.loads((folder / "run.json").read_text())
+    record["protocol_digest"] = "c5c5" * 16
+    (folder / "run.json").write_text(json.dumps(record))
+
+
+def test_a_run_of_an_older_protocol_is_read_with_the_metrics_that_it_has(runs: Path) -> None:
+    without_newer_metrics(runs / "scripted")
+    under_an_older_protocol(runs / "scripted")
+    found = checked(runs / "scripted", runs / "table")
+    names = [metric.metric for metric in found.summary.metrics]
+    assert "prime_success" in names
+    assert not set(NEWER) & set(names)
+    assert "another protocol" in found.unverified
+    assert "`prbench score RUN --data DIR`" in found.unverified
+
+
+def test_the_motions_of_a_run_of_an_older_protocol_are_scored_by_todays(runs: Path, capsys) -> None:
+    before = {metric.metric: metric.mean for metric in checked(runs / "scripted", runs / "table").summary.metrics}
+    without_newer_metrics(runs / "scripted")
+    under_an_older_protocol(runs / "scripted")
+    out = runs / "again"
+    assert main(["score", str(runs / "scripted"), "--data", str(runs / "table"), "--out", str(out)]) == 0
+    assert "Prime Success (arrival)" in capsys.readouterr().out
+    means = read_scores(out / "scores.parquet").group_by("metric").aggregate([("value", "mean")])
+    assert dict(zip(means["metric"].to_pylist(), means["value_mean"].to_pylist())) == pytest.approx(before)
+
+
+def test_a_run_of_an_older_protocol_with_an_edited_summary_is_refused_all_the_same(runs: Path) -> None:
+    without_newer_metrics(runs / "scripted")
+    under_an_older_protocol(runs / "scripted")
+    edit_summary(runs / "scripted", mean=0.123)
+    with pytest.raises(RunError, match=r"prime_success\.mean"):
+        checked(runs / "scripted", runs / "table")
+
+
+def test_under_todays_protocol_no_metric_may_be_left_out(runs: Path) -> None:
+    without_newer_metrics(runs / "scripted")
+    with pytest.raises(RunError, match="prime_success_arrival"):
+        checked(runs / "scripted", runs / "table")
+
+
 def test_a_run_that_nobody_touched_is_verified_on_its_table_only(made: Path) -> None:
     found = checked(made / "scripted", made / "table")
     assert found.unverified == ""

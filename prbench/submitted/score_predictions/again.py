@@ -43,7 +43,8 @@ def score_run(
     folders = (None,) * len(scored) if request.out is None else write_plain(request.out, scored, protocol)
     method = run.record.method
     return tuple(
-        ScoreReport(one.scores, one.summary, at, method.origin, method.motionless) for one, at in zip(scored, folders)
+        ScoreReport(one.scores, one.summary, at, method.origin, one.agreement, method.motionless)
+        for one, at in zip(scored, folders)
     )
 
 
@@ -56,6 +57,16 @@ def scored_again(run: RunFolder, table: SequenceTable, work: Work) -> Scored:
     """
     request = ScoreRequest(predictions=run.path, data=(table.folder,))
     return _scored(run, table, request, work, run.protocol or load_protocol())
+
+
+def scored_sequences(run: RunFolder, table: SequenceTable) -> Selection:
+    """The sequences that a run was scored on.
+
+    Raises:
+        RunError: if it is of another table.
+    """
+    _require_same_table(run, table)
+    return _selections(ScoreRequest(predictions=run.path, data=(table.folder,)), run.record, table)[1]
 
 
 def _protocol_file(run: RunFolder, request: ScoreRequest) -> Path | None:
@@ -83,7 +94,9 @@ def _scored(
     samples = require_complete(predictions, wanted)
     rules = _rules(request, run.record, selection, protocol)
     about = About(method=run.record.method.name, condition=run.record.condition, control=run.record.control)
-    return Scored.of(chosen, selection, predictions, samples=samples, rules=rules, about=about, work=work)
+    return Scored.of(
+        chosen, selection, predictions, samples=samples, rules=rules, protocol=protocol, about=about, work=work
+    )
 
 
 def _require_plain(request: ScoreRequest) -> None:

@@ -11,6 +11,7 @@ import pyarrow as pa
 from prbench.contract import Condition
 from prbench.errors import PredictionsError, UsageError
 from prbench.methods.names import SHUFFLED_GOAL, name_problem
+from prbench.runs.agreement import DatasetAgreement
 from prbench.runs.predictions import Predictions
 from prbench.runs.summary import DatasetSummary
 from prbench.sequences import SequenceTable
@@ -92,6 +93,8 @@ class ScoreReport:
     """Folder that they were written to; None if nowhere."""
     origin: str
     """Origin of the motions, in words: ``MethodRecord.origin``."""
+    agreement: DatasetAgreement
+    """Agreement with recorded people, and rates by the goal's place."""
     motionless: bool = False
     """The run declares that its motions stand still, so that Foot Skating says nothing."""
 

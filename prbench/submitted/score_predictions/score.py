@@ -101,7 +101,7 @@ def _score_submission(
     condition = stated.condition.value if stated.condition else UNSTATED
     about = About(method=name, condition=condition, control=stated.control)
     scored = tuple(
-        Scored.of(each, selection, predictions, samples=samples, rules=rules, about=about, work=work)
+        Scored.of(each, selection, predictions, samples=samples, rules=rules, protocol=protocol, about=about, work=work)
         for each, selection in zip(chosen, selections)
     )
     folders: tuple[Path | None, ...] = (None,) * len(scored)
@@ -112,7 +112,7 @@ def _score_submission(
         )
         folders = write_submission(request.out, record, scored, protocol)
     origin = f"file {clean(request.predictions.name)}"
-    return tuple(ScoreReport(one.scores, one.summary, at, origin) for one, at in zip(scored, folders))
+    return tuple(ScoreReport(one.scores, one.summary, at, origin, one.agreement) for one, at in zip(scored, folders))
 
 
 def _stated(tables: list[SequenceTable], request: ScoreRequest) -> tuple[Stated, Numbering | None]:

@@ -11,6 +11,7 @@ import pyarrow as pa
 import prbench
 from prbench.engine import Engine
 from prbench.errors import StorageError
+from prbench.evaluation.agreement import agreement_with_people
 from prbench.evaluation.planning import Selection
 from prbench.evaluation.preparation import table_record
 from prbench.evaluation.request import ProgressCallback
@@ -19,6 +20,7 @@ from prbench.evaluation.scoring import ScoringRules, reported, score_selection
 from prbench.manifests import BenchmarkProtocol
 from prbench.own_protocol import write_protocol
 from prbench.runs import record as run_record
+from prbench.runs.agreement import DatasetAgreement
 from prbench.runs.cost import total_cost
 from prbench.runs.folder import RunFolder
 from prbench.runs.predictions import Predictions
@@ -62,6 +64,7 @@ class Scored:
     """The chosen sequences that were scored."""
     scores: pa.Table
     summary: DatasetSummary
+    agreement: DatasetAgreement
 
     @classmethod
     def of(
@@ -72,6 +75,7 @@ class Scored:
         *,
         samples: Sequence[int],
         rules: ScoringRules,
+        protocol: BenchmarkProtocol,
         about: About,
         work: Work,
     ) -> Scored:
@@ -88,7 +92,8 @@ class Scored:
             split=selection.split,
             samples=len(samples),
         )
-        return cls(chosen, selection, scores, summarise(scores, scored))
+        agreement = agreement_with_people(selection, scores, protocol=protocol)
+        return cls(chosen, selection, scores, summarise(scores, scored), agreement)
 
 
 def offline_record(
@@ -160,6 +165,7 @@ def write_submission(
     for part, one in zip(parts, scored):
         write_scores(part.scores, [one.scores])
         total_cost([], batches=0).write(part.cost)  # nothing was measured
+        one.agreement.write(part.path)
         one.summary.write(part.path)
     return tuple(part.path for part in parts)
 
@@ -175,6 +181,7 @@ def write_plain(folder: Path, scored: tuple[Scored, ...], protocol: BenchmarkPro
     parts = [folder if len(scored) == 1 else folder / one.summary.dataset for one in scored]
     for part, one in zip(parts, scored):
         write_scores(part / "scores.parquet", [one.scores])
+        one.agreement.write(part)
         one.summary.write(part)
     write_protocol(folder, protocol)
     return tuple(parts)

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from prbench.metrics import METRICS, MetricInfo
+from prbench.metrics import STUDY_METRICS, MetricInfo
 from prbench.metrics.ray_track import ray_distance
 from prbench.skeleton import WRISTS, Joint, head_forward
 from prbench.viewing.replay.scene import Gaze, Goal, Scene, ShownMotion
 
 # Rates are shown as yes or no, metres as lengths; a ratio such as Foot Skating says little of one sequence.
-_SHOWN = sorted((info for info in METRICS if info.main and info.unit in ("rate", "m")), key=lambda i: i.unit != "rate")
+_SHOWN = sorted((info for info in STUDY_METRICS if info.unit in ("rate", "m")), key=lambda i: i.unit != "rate")
 _OF_ONE_MOTION = tuple(info for info in _SHOWN if not info.compares_with_recorded)
 _OF_TWO_MOTIONS = tuple(info for info in _SHOWN if info.compares_with_recorded)
 HEADER = (

@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 
-from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS
-from prbench.metrics import exported_unit
+from prbench.leaderboard.tables import FEWEST_RANKED
+from prbench.metrics import STUDY_METRICS, exported_unit
 from prbench.shown import markdown
 from prbench.workflows.table_two.layout import (
+    ARRIVAL,
     DECIDING,
     BlockLayout,
     Cell,
@@ -49,11 +50,13 @@ def heading(dataset: DatasetLayout, layout: TableLayout) -> str:
 
 
 def orders(dataset: DatasetLayout) -> Iterable[str]:
-    """Yield each block's order, with the difference at each step and whether the data support it."""
-    for block in (block for block in dataset.blocks if block.order):
+    """Yield each block's orders, with the difference at each step and whether the data support it."""
+    for block in dataset.blocks:
         labels = {line.name: line.label for line in block.lines}
-        steps = [labels[block.order[0].better], *(f"{labels[step.worse]} ({_step(step)})" for step in block.order)]
-        yield f"{block.title}, by {DECIDING.title}: {' > '.join(steps)}"
+        for info, order in ((DECIDING, block.order), (ARRIVAL, block.arrival_order)):
+            if order:
+                steps = [labels[order[0].better], *(f"{labels[step.worse]} ({_step(step)})" for step in order)]
+                yield f"{block.title}, by {info.title}: {' > '.join(steps)}"
 
 
 def _step(step: Step) -> str:
@@ -74,7 +77,10 @@ def notes(layout: TableLayout) -> Iterable[str]:
     if few:
         yield f"Nothing is ranked on {', '.join(few)}: fewer than {FEWEST_RANKED} sequences."
     if len(few) < len(layout.datasets):
-        yield "Bold or ¹: best of two or more methods of a block; underlined or ²: second. Controls are not ranked."
+        yield (
+            "Bold or ¹: better than every other method of the block, each by a supported difference. Controls are not"
+            " ranked."
+        )
     if any(dataset.synthetic for dataset in layout.datasets):
         yield "Scores on synthetic data: they say nothing about real people; never compare them with published ones."
     stand_ins = [f"{line.label} ({line.weights_used})" for line in lines if line.stands_in and line.state == "run"]
@@ -96,15 +102,15 @@ def notes(layout: TableLayout) -> Iterable[str]:
 
 
 def _grid(dataset: DatasetLayout) -> str:
-    header = ["Condition", "Method", *(metric_title(info) for info in MAIN_METRICS), *COST_TITLES]
-    rule = ["---"] * 2 + ["---:"] * (len(MAIN_METRICS) + len(COST_TITLES))
+    header = ["Condition", "Method", *(metric_title(info) for info in STUDY_METRICS), *COST_TITLES]
+    rule = ["---"] * 2 + ["---:"] * (len(STUDY_METRICS) + len(COST_TITLES))
     rows = [row for block in dataset.blocks for row in _rows(block)]
     return "\n".join("| " + " | ".join(line) + " |" for line in (header, rule, *rows))
 
 
 def _rows(block: BlockLayout) -> Iterable[Sequence[str]]:
     for i, line in enumerate(block.lines):
-        cells = (_cell(line.cells[info.id]) for info in MAIN_METRICS)
+        cells = (_cell(line.cells[info.id]) for info in STUDY_METRICS)
         yield [markdown(block.title) if i == 0 else "", markdown(line.label), *cells, *cost_cells(line.cost)]
 
 
@@ -112,7 +118,7 @@ def _cell(cell: Cell | None) -> str:
     if cell is None:
         return _DASH
     mean = f"{cell.mean:.2f}"
-    marked = {1: f"**{mean}**", 2: f"<u>{mean}</u>"}.get(cell.rank or 0, mean)
+    marked = f"**{mean}**" if cell.leads else mean
     return f"{marked} {cell.interval}".rstrip()
 
 
@@ -130,7 +136,7 @@ def as_builtins(layout: TableLayout) -> dict[str, object]:
         "table": "2",
         "metrics": [
             {"id": info.id, "unit": exported_unit(info.unit), "higher_is_better": info.higher_is_better}
-            for info in MAIN_METRICS
+            for info in STUDY_METRICS
         ],
         "ranked_from": FEWEST_RANKED,
         **asdict(layout),

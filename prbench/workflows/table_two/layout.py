@@ -17,16 +17,18 @@ from prbench.evaluation.comparisons import Comparison, compare
 from prbench.evaluation.planning import Selection, select
 from prbench.leaderboard import collect_runs, make_leaderboard
 from prbench.leaderboard.comparison import paired_scores
-from prbench.leaderboard.tables import FEWEST_RANKED, MAIN_METRICS, DatasetTable, TableRow, hides
-from prbench.metrics import MetricInfo
+from prbench.leaderboard.tables import FEWEST_RANKED, DatasetTable, TableRow, hides, of_all_methods
+from prbench.metrics import METRICS, STUDY_METRICS, MetricInfo
 from prbench.runs.cost import RunCost
 from prbench.runs.folder import RunFolder
 from prbench.sequences import SequenceTable
 from prbench.workflows.table_two.plan import PlannedRow
 from prbench.workflows.table_two.request import load_table_two
 
-DECIDING = MAIN_METRICS[0]
+DECIDING = STUDY_METRICS[0]
 """The metric that orders a block: the study's first, Prime Success, which is what the benchmark is about."""
+ARRIVAL = next(info for info in METRICS if info.id == "prime_success_arrival")
+"""Orders a block a second time: a body that stares at the goal from the start is first by :data:`DECIDING`."""
 _CONTROLS_TITLE = "Controls"
 _CONTROL = "control"
 _MEBIBYTE = 2**20
@@ -52,6 +54,9 @@ class Cell:
     low: float | None
     high: float | None
     rank: int | None
+    """One more than the number of methods that are better by a supported difference; None where nothing is ranked."""
+    leads: bool = False
+    """It is better than every other method, each by a supported difference."""
 
     @property
     def interval(self) -> str:
@@ -87,7 +92,9 @@ class Line:
     state: Literal["run", "skipped", "failed"]
     reason: str
     cells: dict[str, Cell | None]
-    """Maps each main metric to its cell; None is a dash."""
+    """Maps each of the study's metrics to its cell; None is a dash."""
+    arrival: Cell | None
+    """The cell of :data:`ARRIVAL`, which is no column of the study's table."""
     unsupported: int
     """Sequences that are longer than the method can generate, and were left out."""
     cost: LineCost
@@ -104,7 +111,7 @@ class Step:
     low: float | None
     high: float | None
     p: float | None
-    """p-value of sign flips by recording, after Holm's correction for the steps of the block."""
+    """p-value, after Holm's correction for the steps of the block."""
     supported: bool
 
 
@@ -118,6 +125,8 @@ class BlockLayout:
     lines: tuple[Line, ...]
     order: tuple[Step, ...] = ()
     """Steps from the best to the worst by :data:`DECIDING`; empty where nothing is ranked."""
+    arrival_order: tuple[Step, ...] = ()
+    """The same by :data:`ARRIVAL`; empty, too, where runs were scored before it was known."""
 
 
 @dataclass(frozen=True)
@@ -184,11 +193,10 @@ def lay_out(
     """
     folders = [outcome.folder for outcome in outcomes if outcome.folder is not None]
     found = make_leaderboard(collect_runs(folders)).tables if folders else ()
-    # A table of the common sequences comes behind that of all, and takes its place: one line, one set of sequences.
+    # A table of the common sequences takes the place of that of all: one line, one set of sequences.
     parts: dict[str, DatasetTable] = {}
-    for part in found:
-        if part.common is not None or part.dataset not in parts:
-            parts[part.dataset] = part
+    for part in of_all_methods(found):
+        parts.setdefault(part.dataset, part)
     datasets = tuple(
         _dataset(outcomes, select(table, split=split, limit=limit), parts.get(table.info.dataset)) for table in tables
     )
@@ -214,7 +222,7 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, part: DatasetTab
         chosen=len(chosen),
         recordings=len(_recordings(chosen, common)),
         blocks=tuple(
-            BlockLayout(title, name, tuple(under[name]), _order(under[name], folders, info.dataset, common))
+            BlockLayout(title, name, tuple(under[name]), *_orders(under[name], folders, info.dataset, common))
             for name, title in titles.items()
             if name in under
         ),
@@ -241,7 +249,8 @@ def _line(outcome: RowOutcome, row: TableRow | None) -> Line:
         stands_in=planned.stands_in,
         state=outcome.state,
         reason=outcome.reason,
-        cells={info.id: _cell(row, info) for info in MAIN_METRICS},
+        cells={info.id: _cell(row, info) for info in STUDY_METRICS},
+        arrival=_cell(row, ARRIVAL),
         unsupported=row.entry.table.unsupported if row is not None else 0,
         cost=_line_cost(outcome.folder, row),
     )
@@ -253,7 +262,7 @@ def _cell(row: TableRow | None, info: MetricInfo) -> Cell | None:
         return None
     # Stored values are fractions and metres; cells are as printed.
     low, high = (None if bound is None else info.scale * bound for bound in (metric.low, metric.high))
-    return Cell(info.scale * metric.mean, low, high, row.ranks.get(info.id))
+    return Cell(info.scale * metric.mean, low, high, row.ranks.get(info.id), info.id in row.leads)
 
 
 def _line_cost(folder: Path | None, row: TableRow | None) -> LineCost:
@@ -276,13 +285,28 @@ def _passes(cost: RunCost) -> float | None:
     return cost.network_passes_declared / motions if cost.network_passes_declared and motions else None
 
 
-def _order(
+def _orders(
     lines: Sequence[Line], folders: Mapping[str, Path], dataset: str, common: frozenset[str] | None
+) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
+    """Both orders of a block: by :data:`DECIDING` and by :data:`ARRIVAL`."""
+    return (
+        _order({line.name: line.cells[DECIDING.id] for line in lines}, DECIDING, folders, dataset, common),
+        _order({line.name: line.arrival for line in lines}, ARRIVAL, folders, dataset, common),
+    )
+
+
+def _order(
+    cells: Mapping[str, Cell | None],
+    deciding: MetricInfo,
+    folders: Mapping[str, Path],
+    dataset: str,
+    common: frozenset[str] | None,
 ) -> tuple[Step, ...]:
     """Compare each ranked method of a block with the next worse one, sequence by sequence.
 
     Args:
-        lines: The block; lines with the same number keep their order.
+        cells: Maps the lines of a block to their cells; lines with the same number keep their order.
+        deciding: The metric of the cells.
         folders: Run folders of these lines, all scored on the same sequences.
         dataset: Of the runs.
         common: Ids of the sequences that every method generated; None where all generated all.
@@ -290,25 +314,24 @@ def _order(
     Raises:
         RunError: if runs are damaged or do not belong together.
     """
-    cells = {line.name: line.cells[DECIDING.id] for line in lines}
     means = {name: cell.mean for name, cell in cells.items() if cell is not None and cell.rank is not None}
     ordered = sorted(means, key=lambda name: -means[name])
     runs = {name: RunFolder.open(folders[name]) for name in ordered}
     pairs = {
-        (better, worse): paired_scores(runs[better], runs[worse], dataset, only=common)[f"{dataset}\n{DECIDING.id}"]
+        (better, worse): paired_scores(runs[better], runs[worse], dataset, only=common)[f"{dataset}\n{deciding.id}"]
         for better, worse in pairwise(ordered)
     }
     # All steps of a block go through one comparison, so that Holm's correction counts them together.
     found = compare({"\n".join(names): pair for names, pair in pairs.items()})
-    return tuple(_step(names, comparison) for names, comparison in zip(pairs, found.values(), strict=True))
+    return tuple(
+        _step(names, comparison, deciding.scale) for names, comparison in zip(pairs, found.values(), strict=True)
+    )
 
 
-def _step(names: Sequence[str], comparison: Comparison) -> Step:
+def _step(names: Sequence[str], comparison: Comparison, scale: float) -> Step:
     better, worse = names
     estimate = comparison.difference
     bounds = (estimate.low, estimate.high)
-    if "all_equal" in estimate.marks:
-        bounds = (None, None)  # a bootstrap of equal differences would claim certainty
-    low, high = (None if bound is None else DECIDING.scale * bound for bound in bounds)
+    low, high = (None if bound is None else scale * bound for bound in bounds)
     supported = comparison.conclusion == "higher"
-    return Step(better, worse, DECIDING.scale * estimate.mean, low, high, comparison.adjusted_p_value, supported)
+    return Step(better, worse, scale * estimate.mean, low, high, comparison.adjusted_p_value, supported)

@@ -214,13 +214,20 @@ def test_nothing_is_ranked_below_fifty_sequences_and_controls_never(large_table,
     enough = run_table(request(large_table, out=tmp_path / "enough", limit=FEWEST_RANKED, **asked))
     ranked = {name for name, line in lines(enough).items() if any(c and c.rank for c in line.cells.values())}
     assert ranked == {"goal-loc-reacher-pretrained", "goal-loc-reacher-finetuned"}
-    (step,) = enough.layout.datasets[0].blocks[0].order
+    block = enough.layout.datasets[0].blocks[0]
+    (step,) = block.order
     assert {step.better, step.worse} == ranked
     assert not step.supported  # the same method twice
+    (step,) = block.arrival_order
+    assert {step.better, step.worse} == ranked
+    assert all(line.arrival is not None and line.arrival.rank for line in block.lines if line.name in ranked)
     page = (tmp_path / "enough/table_2.md").read_text()
     assert "by Prime Success: Reacher" in page
+    assert "by Prime Success (arrival): Reacher" in page
+    (header,) = {row for row in page.splitlines() if row.startswith("| Condition")}
+    assert header.count("|") - 1 == 2 + 6 + 3, "the study's six columns, and three of cost"
     assert "not supported by the data" in page
-    assert "**" in page
+    assert "**" not in page  # the best mean was bold here, though the data support no difference
 
 
 def test_every_line_is_scored_on_the_sequences_that_all_can_generate(large_table, made_up, tmp_path):

@@ -1,0 +1,1 @@
+"""Simulations that measure what the printed intervals and p-values are worth."""

@@ -1,0 +1,59 @@
+"""What the data of a table can decide, and what not.
+
+Source: docs/specification/protocol.md#comparisons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from statistics import median
+
+from prbench.evaluation.clusters import FEWEST_FOR_TEST
+from prbench.metrics import METRICS, MetricInfo, printed_unit
+from prbench.runs.summary import MetricSummary
+
+FEWEST_RANKED = 50
+"""Sequences below which no method is ranked."""
+
+
+def undecided(
+    dataset: str, sequences: int, recordings: int, methods: Sequence[Iterable[MetricSummary]]
+) -> Iterator[str]:
+    """Yield sentences on what the data cannot decide, and the smallest differences that they can.
+
+    Args:
+        dataset: Its name.
+        sequences: Number of sequences that were scored.
+        recordings: Number of recordings that they come from.
+        methods: The scores of each method.
+    """
+    if recordings < FEWEST_FOR_TEST:
+        plural = "" if recordings == 1 else "s"
+        yield (
+            f"{dataset} cannot be decided: {recordings} recording{plural}, where a comparison of methods needs"
+            f" {FEWEST_FOR_TEST}."
+        )
+        return
+    if sequences < FEWEST_RANKED:
+        yield f"{dataset} cannot be decided: {sequences} sequences, where a ranking needs {FEWEST_RANKED}."
+    found: dict[str, list[float]] = {}
+    for metrics in methods:
+        for metric in metrics:
+            if metric.detectable is not None:
+                found.setdefault(metric.metric, []).append(metric.detectable)
+    main = [info for info in METRICS if info.main]
+    texts = [_detectable_text(info, median(found[info.id])) for info in main if info.id in found]
+    if texts:
+        yield (
+            "Smallest difference between two unrelated methods of this spread that would be found in four of five"
+            f" repetitions, at the first step of Holm's correction for {len(main)} metrics: {', '.join(texts)}."
+        )
+
+
+def _detectable_text(info: MetricInfo, detectable: float) -> str:
+    """A metric with its smallest detectable difference, or that there is none."""
+    if info.unit == "rate" and detectable > 1:
+        return f"{info.title} none (not even 100 points)"
+    if info.unit == "rate":
+        return f"{info.title} {info.scale * detectable:.0f} points"
+    return f"{info.title} {info.scale * detectable:.2g}{printed_unit(info.unit)}"

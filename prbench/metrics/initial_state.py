@@ -1,0 +1,72 @@
+"""First frame error and first step: whether a motion goes on from the state that it was given."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.manifests import MetricConstants
+from prbench.metrics.batch import MotionBatch
+from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.targets import ScoringPair
+
+
+def first_frame_error(predicted: MotionBatch, recorded: MotionBatch) -> Float[np.ndarray, " n"]:
+    """Mean distance of the 22 joints in frame 0 from the given initial state, which is the recorded frame 0; metres.
+
+    Source: docs/specification/metrics.md#first-frame-error-and-first-step.
+
+    Args:
+        predicted: Canonical frame, metres.
+        recorded: Same frame and unit.
+    """
+    difference = predicted.values[predicted.first].astype(np.float64) - recorded.values[recorded.first]
+    return np.linalg.norm(difference, axis=-1).mean(axis=-1)
+
+
+def first_step(motion: MotionBatch) -> Float[np.ndarray, " n"]:
+    """Largest way of a joint from frame 0 to frame 1, metres.
+
+    Source: docs/specification/metrics.md#first-frame-error-and-first-step.
+
+    Args:
+        motion: Metres, any frame.
+
+    Raises:
+        ValueError: if a sequence has fewer than two frames.
+    """
+    motion.require_frames(2)
+    step = motion.values[motion.first + 1].astype(np.float64) - motion.values[motion.first]
+    return np.linalg.norm(step, axis=-1).max(axis=-1)
+
+
+def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues, MetricValues]:
+    return (
+        MetricValues("first_frame_error", first_frame_error(pair.predicted, pair.recorded), {}),
+        MetricValues("first_step", first_step(pair.predicted), {}),
+    )
+
+
+FAMILY = MetricFamily(
+    (
+        MetricInfo(
+            "first_frame_error",
+            "First frame error",
+            "m",
+            higher_is_better=False,
+            main=False,
+            position=19,
+            compares_with_recorded=True,
+        ),
+        MetricInfo(
+            "first_step",
+            "First step",
+            "m",
+            higher_is_better=None,
+            main=False,
+            position=20,
+            compares_with_recorded=False,
+        ),
+    ),
+    _compute,
+)

@@ -1,0 +1,117 @@
+"""Splits by participant: cross-validation in which nobody is learnt from and tested on.
+
+Source: docs/specification/protocol.md#participant-folds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from prbench.errors import TableError, UsageError
+from prbench.sequences.dataset_info import DatasetInfo
+from prbench.sequences.table import SequenceTable
+from prbench.sequences.write import write_dataset
+
+_UNKNOWN = ("", "unknown")
+OPTION = "participant_fold"
+"""Key of the options of a table that holds the fold, such as ``2/6``."""
+
+
+def participant_folds(table: SequenceTable, folds: int) -> dict[str, int]:
+    """Assign every participant to a fold, from 1.
+
+    Participants who share a split group (recorded together) stay together. Groups are dealt out from the largest number
+    of sequences to the smallest, each to the fold that has the fewest sequences so far, so that folds differ little.
+
+    Args:
+        table: The whole table.
+        folds: Number of folds, 2 or more.
+
+    Raises:
+        TableError: if a participant is unknown, or there are fewer groups of participants than folds.
+    """
+    rows = table.scalars()
+    people = rows["participant_id"].to_pylist()
+    unknown = sum(name in _UNKNOWN for name in people)
+    if unknown:
+        raise TableError(
+            f"{table.folder}: expected a participant of every sequence, found {unknown} of {len(people)} without."
+            " Folds of participants need to know who is who."
+        )
+    names, place = np.unique(np.array(people, dtype=str), return_inverse=True)
+    _, group = np.unique(np.array(rows["split_group"].to_pylist(), dtype=str), return_inverse=True)
+    # Participants and split groups are the nodes of a graph, and each sequence is an edge between two of them.
+    nodes = len(names) + len(set(group.tolist()))
+    edges = coo_array((np.ones(len(place)), (place, len(names) + group)), shape=(nodes, nodes))
+    component = connected_components(edges, directed=False)[1][: len(names)]
+    counts = np.bincount(component[place])
+    if np.count_nonzero(counts) < folds:
+        raise TableError(
+            f"{table.folder}: expected at least {folds} participants who were recorded apart, found"
+            f" {np.count_nonzero(counts)}. Choose fewer folds: --fold 1/{max(np.count_nonzero(counts), 2)}."
+        )
+    first_name = {int(each): min(names[component == each]) for each in np.unique(component)}
+    load = [0] * folds
+    fold_of: dict[int, int] = {}
+    for each in sorted(first_name, key=lambda each: (-counts[each], first_name[each])):
+        fold = load.index(min(load))
+        load[fold] += int(counts[each])
+        fold_of[each] = fold + 1
+    return {str(name): fold_of[int(each)] for name, each in zip(names, component)}
+
+
+def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> DatasetInfo:
+    """Write a copy of a table that is split by participants: those of one fold are tested on, all others learnt from.
+
+    Sequences of the others that stood in the split ``validation`` stay there. Nothing else changes, and the name of the
+    fold stands in the options of ``dataset.json``.
+
+    Args:
+        table: The whole table.
+        out: Folder of the copy.
+        fold: From 1 to ``folds``.
+        folds: Number of folds.
+
+    Raises:
+        UsageError: for a fold that does not exist, or a table that is one fold already.
+        TableError: see :func:`participant_folds`.
+        StorageError: if the folder holds something else, or cannot be written.
+    """
+    if folds < 2 or not 1 <= fold <= folds:
+        raise UsageError(f"--fold {fold}/{folds}: expected k/n with n of at least 2 and k from 1 to n.")
+    if OPTION in table.info.options:
+        raise UsageError(f"{table.folder}: is fold {table.info.options[OPTION]} already; name the whole table.")
+    table.require_unchanged()
+    fold_of = participant_folds(table, folds)
+
+    def split(batch: pa.RecordBatch) -> pa.RecordBatch:
+        pairs = zip(batch["participant_id"].to_pylist(), batch["split"].to_pylist())
+        new = [_split(fold_of.get(person) == fold, old) for person, old in pairs]
+        return batch.set_column(batch.schema.get_field_index("split"), batch.schema.field("split"), pa.array(new))
+
+    info = msgspec.structs.replace(table.info, options={**table.info.options, OPTION: f"{fold}/{folds}"})
+    return write_dataset(
+        out,
+        info,
+        sequences=map(split, _rows(table)),
+        events=table.events().to_batches(),
+        recordings=map(split, table.recordings().to_batches()),
+    )
+
+
+def _rows(table: SequenceTable) -> Iterator[pa.RecordBatch]:
+    names = table.schemas[table.main].names
+    return (chunk.batch.select(names) for chunk in table.chunks(columns=names))
+
+
+def _split(tested: bool, before: str) -> str:
+    if tested:
+        return "test"
+    return "validation" if before == "validation" else "train"

@@ -1,0 +1,168 @@
+"""The rows of the study's ablations as configurations (*Prime and Reach*, tables 3, 4 and S4 to S7).
+
+``prbench ablation table-3`` trains and runs the rows of a table; ``python -m prbench_adapters.pr.ablations [TABLE …]``
+prints the commands.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shlex
+import sys
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any, Literal
+
+from prbench.metrics import METRICS
+
+_Pretraining = Literal["none", "nymeria", "humanml3d"]
+
+_ONLY_IN_FINE_TUNING = frozenset({"goal", "dropped", "injection", "joint_loss_weight"})
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """One row of a table: what is changed in the full model."""
+
+    table: str
+    condition: str
+    variant: str
+    model: Mapping[str, Any]
+    """Keys of ``[model]`` for fine-tuning."""
+    options: Mapping[str, str]
+    """Options of ``prbench run --method pr``."""
+    pretraining: _Pretraining
+
+    @property
+    def name(self) -> str:
+        """Name for folders: letters, digits and hyphens."""
+        return _slug(f"table {self.table} {self.condition} {self.variant}")
+
+    @property
+    def prior_name(self) -> str:
+        """Folder name of the pre-training; rows with the same one share it. Empty without pre-training."""
+        if self.pretraining == "none":
+            return ""
+        return _folder_name("mdm", self.pretraining, self.pretrained_model)
+
+    @property
+    def training_name(self) -> str:
+        """Folder name of the fine-tuning; rows with the same one share it."""
+        return _folder_name("pr", self.pretraining, self.model)
+
+    @property
+    def run_name(self) -> str:
+        """Folder name of the run: rows that change the same share one, as the full model does in every table."""
+        return _slug(" ".join([self.training_name, *(f"{key} {value}" for key, value in sorted(self.options.items()))]))
+
+    @property
+    def pretrained_model(self) -> dict[str, Any]:
+        """Keys of ``[model]`` that pre-training shares, because fine-tuning cannot change them."""
+        # Rows that differ only in fine-tuning share one pre-training, which is most of the time.
+        shared = {key: value for key, value in self.model.items() if key not in _ONLY_IN_FINE_TUNING}
+        return shared | ({"uniform_skeleton": True} if self.pretraining == "humanml3d" else {})
+
+    def published(self) -> dict[str, dict[str, float]]:
+        """The study's numbers by dataset and metric; rates from 0 to 1, metres."""
+        return _published()[self.table, self.condition, self.variant]
+
+    def commands(self, *, config: str = "paper", folder: str = "ablations") -> list[str]:
+        """The command lines that pre-train, fine-tune and run this row; rows that share a training share its folder.
+
+        Args:
+            config: Of ``prbench train``.
+            folder: Where trainings and runs go.
+        """
+        start = []
+        steps = []
+        if self.pretraining != "none":
+            shared = self.pretrained_model
+            prior = f"{folder}/{self.prior_name}"
+            steps.append(_train("mdm", "pretrain", config, f"corpora/{self.pretraining}", prior, shared))
+            start = ["--init", f"{prior}/weights.safetensors"]
+        trained = f"{folder}/{self.training_name}"
+        steps.append(_train("pr", "finetune", config, "tables/*", trained, self.model, start))
+        options = [part for key, value in self.options.items() for part in ("--option", f"{key}={value}")]
+        run = ["prbench", "run", "--method", "pr", "--condition", "goal-loc", "--data", "tables/*"]
+        weights = ["--weights", f"{trained}/weights.safetensors"]
+        return [*steps, _line([*run, *weights, *options, "--out", f"{folder}/runs/{self.run_name}"])]
+
+
+def load_ablations() -> tuple[Ablation, ...]:
+    """All rows, in the order of the study's tables."""
+    content = tomllib.loads(_read("prbench_benchmarks.prime_and_reach", "ablations.toml"))
+    full = content["full"]
+    return tuple(
+        Ablation(
+            row["table"],
+            row.get("condition", full["condition"]),
+            row["variant"],
+            full["model"] | row.get("model", {}),
+            full["options"] | row.get("options", {}),
+            row.get("pretraining", full["pretraining"]),
+        )
+        for row in content["row"]
+    )
+
+
+@cache
+def _published() -> dict[tuple[str, str, str], dict[str, dict[str, float]]]:
+    found: dict[tuple[str, str, str], dict[str, dict[str, float]]] = {}
+    lines = _read("prbench_benchmarks.prime_and_reach.published", "ablations.csv").splitlines()
+    for row in csv.DictReader(lines):
+        numbers = {info.id: float(row[info.id]) / info.scale for info in METRICS if info.id in row}
+        found.setdefault((row["table"], row["condition"], row["variant"]), {})[row["dataset"]] = numbers
+    return found
+
+
+def _read(package: str, name: str) -> str:
+    return resources.files(package).joinpath(name).read_text(encoding="utf-8")
+
+
+def _train(
+    method: str, stage: str, config: str, data: str, out: str, model: Mapping[str, Any], start: Sequence[str] = ()
+) -> str:
+    settings = [part for key, value in overrides(model) for part in ("--set", f"{key}={value}")]
+    words = ["prbench", "train", "--method", method, "--stage", stage, "--config", config, "--data", data]
+    return _line([*words, *settings, *start, "--out", out])
+
+
+def overrides(model: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+    """Return keys of ``[model]`` as ``prbench train --set`` takes them."""
+    return tuple((f"model.{key}", _toml(value)) for key, value in model.items())
+
+
+def _folder_name(method: str, pretraining: _Pretraining, model: Mapping[str, Any]) -> str:
+    return _slug(" ".join([method, pretraining, *(f"{key} {_toml(value)}" for key, value in sorted(model.items()))]))
+
+
+def _slug(words: str) -> str:
+    return "-".join(re.findall(r"[a-z0-9]+", words.lower()))
+
+
+def _toml(value: Any) -> str:
+    """Write a value as ``--set`` takes it; plain words need no quotes."""
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _line(words: Sequence[str]) -> str:
+    # The shell has to expand this one, so it stands without quotes.
+    return " ".join(word if word == "tables/*" else shlex.quote(word) for word in words)
+
+
+def main(tables: Sequence[str]) -> None:
+    """Print the commands of some tables, of all of them if none is named; a shared training once."""
+    shown: set[str] = set()
+    for row in load_ablations():
+        if tables and row.table not in tables:
+            continue
+        sys.stdout.write(f"# table {row.table}: {row.condition}; {row.variant}\n")
+        for line in row.commands():
+            if line not in shown:
+                sys.stdout.write(f"{line}\n")
+            shown.add(line)

@@ -1,0 +1,142 @@
+"""Run every control on a table, to see what each metric pays for (``docs/audit.md``).
+
+The controls are runs like any other: the same scoring, the same summaries, the same folders. What is new here is the
+list of them and the comparison with recorded people.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.contract import Condition
+from prbench.engine import Engine
+from prbench.evaluation.controls import CONTROLS, GROUND_TRUTH, RECORDED_MOTION, SHUFFLED_GOAL, round_trip_fps
+from prbench.evaluation.planning import open_tables, select
+from prbench.evaluation.request import RunRequest
+from prbench.evaluation.run import run_method
+from prbench.locks import sole_writer
+from prbench.metrics import METRICS, MetricInfo
+from prbench.runs.agreement import DatasetAgreement
+from prbench.runs.summary import DatasetSummary
+
+_ONLY_METHOD = "--method"
+
+Progress = Callable[[int, int, str], None]
+"""Called with finished runs, all of them, and the one that was finished last."""
+
+
+@dataclass(frozen=True)
+class AuditedControl:
+    """What one control earned on one table."""
+
+    name: str
+    """Name of the control; ``ground-truth, shuffled-goal`` is scored against other sequences' goals."""
+    use: str
+    """Sentence on what it does."""
+    is_recorded: bool
+    """The motions are the recorded ones, through another form at most."""
+    summary: DatasetSummary
+    agreement: DatasetAgreement
+
+
+@dataclass(frozen=True)
+class TableAudit:
+    """All controls on one table."""
+
+    controls: tuple[AuditedControl, ...]
+
+    @property
+    def recorded(self) -> DatasetSummary:
+        """Scores of the recorded motion."""
+        return next(control.summary for control in self.controls if control.name == GROUND_TRUTH)
+
+    def not_worse_than_people(self, info: MetricInfo) -> tuple[str, ...]:
+        """Return the controls that are no recorded motion and score as well as it does, or better.
+
+        A metric that compares with the recorded motion is never won this way, and one without a direction by nobody.
+        """
+        people = _mean(self.recorded, info)
+        if info.higher_is_better is None or info.compares_with_recorded or people is None:
+            return ()
+        sign = 1 if info.higher_is_better else -1
+        means = {each.name: _mean(each.summary, info) for each in self.controls if not each.is_recorded}
+        return tuple(name for name, mean in means.items() if mean is not None and sign * mean >= sign * people)
+
+
+def audit(
+    data: Sequence[Path],
+    *,
+    split: str,
+    limit: int | None,
+    out: Path | None,
+    engine: Engine,
+    progress: Progress,
+) -> tuple[TableAudit, ...]:
+    """Score all controls on some tables.
+
+    Args:
+        data: Dataset folders.
+        split: Split of the tables.
+        limit: Sequences of each table; None for all.
+        out: Folder that keeps the run folders; without it they are thrown away.
+        engine: Where the work is done.
+        progress: Called after every run.
+
+    Returns:
+        One audit a table, in the order of the tables.
+
+    Raises:
+        TableError: if a table is missing, empty or of an unknown version, or holds no training sequences to retrieve.
+        StorageError: if the folder cannot be written.
+    """
+    tables = open_tables(data)
+    rates = {select(table, split=split, limit=limit).fps for table in tables}
+    wanted = list(_wanted(rates))
+    by_table: list[list[AuditedControl]] = [[] for _ in tables]
+    with (
+        nullcontext() if out is None else sole_writer(out),
+        tempfile.TemporaryDirectory(prefix="prbench-audit-") as thrown_away,
+    ):
+        parent = out or Path(thrown_away)
+        for done, (name, control, use) in enumerate(wanted):
+            label = name if control is None else f"{name}, {control}"
+            request = RunRequest(
+                method=name,
+                data=tuple(data),
+                condition=Condition.NONE,
+                control=control,
+                split=split,
+                limit=limit,
+                out=parent / label.replace(", ", "-"),
+            )
+            report = run_method(request, engine=engine)
+            for audited, summary in zip(by_table, report.summaries, strict=True):
+                agreement = DatasetAgreement.read(report.folder.dataset(summary.dataset).path)
+                audited.append(AuditedControl(label, use, name in RECORDED_MOTION, summary, agreement))
+            progress(done + 1, len(wanted), label)
+    return tuple(TableAudit(tuple(audited)) for audited in by_table)
+
+
+def _wanted(rates: set[float]) -> Iterator[tuple[str, str | None, str]]:
+    """Yield method, control and what it does; recorded motion stands last."""
+    methods = [control for control in CONTROLS if control.use == _ONLY_METHOD]
+    for control in sorted(methods, key=lambda control: control.name in RECORDED_MOTION):
+        if control.name == GROUND_TRUTH:
+            yield control.name, SHUFFLED_GOAL, "the recorded motion, scored against another sequence's goal"
+        # A round trip through the table's own rate is the recorded motion itself.
+        if round_trip_fps(control.name) not in rates:
+            yield control.name, None, control.summary
+
+
+def metrics_of(audited: TableAudit) -> list[MetricInfo]:
+    """Return the metrics that any control has a value of, in printed order."""
+    present = {metric.metric for control in audited.controls for metric in control.summary.metrics}
+    return [info for info in METRICS if info.id in present]
+
+
+def _mean(summary: DatasetSummary, info: MetricInfo) -> float | None:
+    return next((metric.mean for metric in summary.metrics if metric.metric == info.id), None)

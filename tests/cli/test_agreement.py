@@ -1,0 +1,27 @@
+"""``prbench agreement``: on which sequences a run succeeds, printed and as JSON."""
+
+from __future__ import annotations
+
+from prbench.cli import main
+from prbench.cli.agreement import AgreementsReport
+from prbench.cli.run import RunAnswer
+from tests.cli.reports import reported
+from tests.fakes import fake_dataset
+
+
+def test_agreement_of_runs_is_printed_and_reported(tmp_path, capsys):
+    table = str(fake_dataset(tmp_path / "table", 48).folder)
+    run = str(tmp_path / "run")
+    words = ["run", "--method", "nearest-neighbour", "--data", table, "--out", run]
+    (made,) = reported(words, RunAnswer, capsys).runs
+    assert made.datasets[0].agreement is not None
+    assert main(words) == 0
+    assert "agreement with recorded people (phi): Prime Success" in capsys.readouterr().out
+    (found,) = reported(["agreement", run, "--data", table], AgreementsReport, capsys).runs
+    assert found.agreement == made.datasets[0].agreement
+    assert found.unverified == ""
+    assert main(["agreement", run]) == 0
+    shown = capsys.readouterr().out
+    assert "bearing 30 to 90°" in shown
+    assert "height from 1.4 m" in shown
+    assert "unverified: its table of synthetic-adt is not at hand" in shown
