@@ -20,6 +20,7 @@ from prbench.leaderboard import collect_runs, compare_runs, export, make_leaderb
 from prbench.manifests import BenchmarkProtocol, digest_of, load_protocol
 from prbench.own_protocol import FILE_NAME, read_protocol, write_protocol
 from prbench.runs import RunFolder, read_scores
+from prbench.runs.agreement import DatasetAgreement
 from prbench.sequences import SequenceTable
 from prbench.submitted.score_predictions import ScoreRequest, score_predictions
 from prbench.submitted.verification import RunChecker
@@ -77,6 +78,13 @@ def test_a_file_with_every_key_is_read_and_written_back(tmp_path: Path) -> None:
         ('name = "mine"', "", "name: expected every key"),
         ("version = 1", "version = 0", "version: expected 1 or more"),
         ("[metrics]", "[metrics", "expected a TOML file"),
+        (
+            "bearing = [30.0, 90.0]",
+            "bearing = [90.0, 30.0]",
+            r"breakdown\.bearing: expected finite numbers .*ascending",
+        ),
+        ("height = [0.7, 1.4]", "height = [0.7, nan]", r"breakdown\.height: expected finite numbers"),
+        ("fewest_recordings = 6", "fewest_recordings = 1", r"breakdown\.fewest_recordings: expected 2 or more"),
     ],
 )
 def test_a_file_that_is_no_protocol_is_refused_by_key(tmp_path: Path, before: str, after: str, message: str) -> None:
@@ -148,6 +156,22 @@ def test_a_run_is_scored_by_it_in_every_worker_stamped_and_verified(table: Seque
     assert again.scores.equals(read_scores(mine.dataset(name).scores))
     other = score_predictions(ScoreRequest(predictions=plain.path, data=(table.folder,), protocol=strict))[0]
     assert other.scores.equals(again.scores)
+
+
+def test_the_agreement_with_people_follows_it_and_is_verified(table: SequenceTable, tmp_path: Path) -> None:
+    changes = (("distance = [0.8, 2.0] ", "distance = [0.5] "), ("reach_distance = 0.10", "reach_distance = 9.0"))
+    mine = run(table, tmp_path / "mine", own(tmp_path, *changes))
+    agreement = DatasetAgreement.read(mine.dataset(table.info.dataset).path)
+    assert {one.end for one in agreement.breakdown if one.by == "distance"} == {0.5, None}
+    # Recorded people reach within nine metres always, within ten centimetres seldom.
+    assert {one.people for one in agreement.rates if one.metric == "reach_success"} == {1.0}
+    checker = RunChecker(lambda _: table)
+    assert checker.check(mine, mine.record.tables[0]).unverified == ""
+    run(table, tmp_path / "mine", own(tmp_path, *changes))
+    path = mine.dataset(table.info.dataset).agreement
+    path.write_text(path.read_text().replace('"end": 0.5', '"end": 0.6'))
+    with pytest.raises(RunError, match=r"agreement\.json, breakdown"):
+        checker.check(mine, mine.record.tables[0])
 
 
 def test_runs_of_two_protocols_stand_in_two_tables_and_are_not_compared(table: SequenceTable, tmp_path: Path) -> None:

@@ -18,7 +18,9 @@ from prbench.errors import RunError, UsageError
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.leaderboard import collect_runs, compare_runs, export, make_leaderboard
-from prbench.leaderboard.tables import FEWEST_RANKED
+from prbench.leaderboard.comparison import sequence_scores
+from prbench.leaderboard.separation import separate_by_comparison
+from prbench.leaderboard.tables import FEWEST_RANKED, of_all_methods
 from prbench.metrics import METRICS
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import RunRecord, TableRecord
@@ -232,6 +234,41 @@ def test_a_method_that_left_sequences_out_stands_in_no_table_of_all_sequences(tm
     ]
     assert found == [{"two": 1, "three": 2}, {"one": None}]
     assert "one: 5 sequences are longer than it can generate" in export(leaderboard(tmp_path), "md")
+
+
+def test_ranks_on_common_sequences_follow_from_these_alone(tmp_path):
+    table = fake_dataset(tmp_path / "table", 240, recordings=32)
+    lengths = dict(zip(*(table.scalars(split="test")[name].to_pylist() for name in ("sequence_id", "n_frames"))))
+    limit = sorted(lengths.values())[-3]
+    for method, most in (("one", None), ("two", None), ("brief", limit)):
+        motions = {}
+        for chunk in table.chunks(split="test", columns=["joints"]):
+            for name, start, length in zip(chunk.sequence_ids, chunk.offsets, chunk.n_frames):
+                # "one" and "two" differ on the long sequences only, where "one" is out by metres.
+                off = 5.0 if method == "one" and length > limit else 0.0
+                if most is None or length <= most:
+                    motions[name] = np.repeat(chunk.joints[start : start + 1] + off, length, axis=0)
+        prbench.score(
+            motions, table.folder, name=method, condition="text", max_frames=most, out=tmp_path / "runs" / method
+        )
+    seen = []
+
+    def separate(rows, metrics):
+        seen.append({row.method: row.only for row in rows})
+        return separate_by_comparison(rows, metrics)
+
+    _, common = make_leaderboard(collect_runs([tmp_path / "runs"]), separate=separate).tables
+    assert {"one": common.common, "two": common.common, "brief": common.common} in seen
+    assert {"one": None, "two": None} in seen
+    assert {row.entry.method: row.ranks["mpjpe"] for row in common.rows} == {"one": 1, "two": 1, "brief": 1}
+    short = {name for name, length in lengths.items() if length <= limit}
+    scores = {
+        name: sequence_scores(tmp_path / "runs" / name / "scores.parquet", only=common.common)
+        for name in ("one", "two")
+    }
+    assert set(scores["one"].sequence_ids["mpjpe"]) == short
+    assert np.array_equal(scores["one"].values["mpjpe"], scores["two"].values["mpjpe"])
+    assert of_all_methods(make_leaderboard(collect_runs([tmp_path / "runs"])).tables)[0].common == common.common
 
 
 def test_all_methods_are_scored_on_the_sequences_that_every_one_generated(tmp_path):
