@@ -167,6 +167,7 @@ _HEAVY = {
     "view --out html",
     "view --out mp4",
     "stats --draw",
+    "study figure-s2 --out",
     "explain --draw",
     "synthesize nymeria --out",
     "adapters check --out",
@@ -259,6 +260,8 @@ WRITING = (
         lambda given, out: ("leaderboard", "pareto", given.static, "--out", out),
         "p.svg",
     ),
+    Writing("study table-1 --out", lambda given, out: ("study", "table-1", given.table, "--out", out), "t.csv"),
+    Writing("study figure-s2 --out", lambda given, out: ("study", "figure-s2", given.table, "--out", out), "f.svg"),
     Writing(
         "split-dataset --out",
         lambda given, out: ("split-dataset", given.table, "--fold", "1/2", "--out", out),

@@ -144,8 +144,8 @@ class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
         samples: Motions a sequence.
         remark: That recorded motions were handed in; empty if there are none.
         metrics: One entry a metric.
-        agreement: Agreement with recorded people, and rates by the goal's place; null for runs of earlier versions and
-            for merged folds.
+        agreement: Agreement with recorded people, and rates by the goal's place; null for merged folds and for runs of
+            earlier versions.
     """
 
     dataset: str

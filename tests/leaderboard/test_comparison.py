@@ -45,7 +45,7 @@ def test_the_difference_is_that_of_the_means_and_has_a_sign(folder):
     }  # fmt: skip
     assert rows["mpjpe"].difference.mean < 0, "the recorded motion has no error"
     assert rows["mpjpe"].conclusion == "lower"
-    assert rows["mpjpe"].difference.n_recordings == 8, "recordings are the units"
+    assert rows["mpjpe"].difference.n_recordings == 9, "recordings are the units"
     for metric, comparison in rows.items():
         assert comparison.difference.mean == pytest.approx(-back[metric].difference.mean)
         assert comparison.adjusted_p_value == pytest.approx(back[metric].adjusted_p_value)

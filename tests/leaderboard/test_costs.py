@@ -65,7 +65,7 @@ def test_files_controls_and_lost_measurements_have_dashes(tmp_path):
     run = write_run(tmp_path / "file", "mine", kind=FILE)
     total_cost([], batches=0).write(run / "cost.json")
     _, _, *rows = cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")
-    assert [row[9:13] for row in rows] == [["–"] * 4] * 2
+    assert [row[11:15] for row in rows] == [["–"] * 4] * 2
 
 
 def test_parameters_of_networks_are_counted_once_wherever_they_are_held():

@@ -107,9 +107,12 @@ def by_means(rows, metrics):
     for i, row in enumerate(rows):
         for info in metrics:
             sign = 1 if info.higher_is_better else -1
-            own = row.metric(info.id).mean
+            own = row.metric(info.id)
+            others = {j: other.metric(info.id) for j, other in enumerate(rows)}
+            if own is None:
+                continue
             beaten[i, info.id] = frozenset(
-                j for j, other in enumerate(rows) if sign * other.metric(info.id).mean > sign * own
+                j for j, found in others.items() if found is not None and sign * found.mean > sign * own.mean
             )
     return beaten
 
@@ -581,7 +584,7 @@ def test_methods_that_the_data_do_not_separate_share_a_rank_and_no_winner_is_bol
     text = export(board, "md")
     assert "**" not in text
     assert "Prime Success: 1. one, two; 2. three (methods of one group are not separated)" in text
-    assert "the data separate no two methods in Reach Success" in text
+    assert re.search(r"the data separate no two methods in .*Reach Success", text)
 
 
 @pytest.mark.parametrize(("recordings", "sequences", "reason"), [(3, 300, "3 recordings"), (11, 22, "22 sequences")])

@@ -147,7 +147,9 @@ def test_an_edited_summary_is_refused_with_what_differs(runs: Path, changes: dic
 
 def test_edited_scores_beside_the_old_summary_are_refused_without_a_table(runs: Path) -> None:
     edit_scores(runs / "scripted", lambda values: values * 0)
-    with pytest.raises(RunError, match=r"summary\.json, mpjpe\.mean: expected 0\.0, .* found 0\."):
+    with pytest.raises(
+        RunError, match=r"summary\.json, mpjpe\.(mean: expected 0\.0|interval: expected none), .* found (0\.|student)"
+    ):
         checked(runs / "scripted", None)
 
 
@@ -221,7 +223,7 @@ def test_a_comparison_refuses_forged_scores_and_says_what_is_unverified(runs: Pa
     assert "unverified" not in capsys.readouterr().out
     edit_scores(runs / "scripted", np.ones_like, "prime_success")
     assert main(compared) == RunError.exit_code
-    assert "summary.json, prime_success.mean" in capsys.readouterr().err
+    assert "summary.json, prime_success." in capsys.readouterr().err
 
 
 def test_a_view_shows_no_edited_scores(runs: Path, capsys) -> None:
@@ -230,5 +232,5 @@ def test_a_view_shows_no_edited_scores(runs: Path, capsys) -> None:
     assert (
         main(["view", str(runs / "scripted"), "--data", str(runs / "table"), "--out", str(out)]) == RunError.exit_code
     )
-    assert "summary.json, mpjpe.mean" in capsys.readouterr().err
+    assert "summary.json, mpjpe." in capsys.readouterr().err
     assert not out.exists()

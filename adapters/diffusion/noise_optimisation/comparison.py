@@ -141,7 +141,9 @@ def prime_difference_interval(
     spread = math.sqrt(gained + lost + 1.0 - (gained - lost) ** 2 / (n + 2)) / (n + 2)
     reach = NormalDist().inv_cdf(0.975) * spread
     if own.low is None or own.high is None:
-        return None, None
+        # Equal differences of several recordings have no interval of their own, and Agresti and Min's stands alone.
+        equal = "all_equal" in own.marks and own.n_recordings > 1
+        return (centre - reach, centre + reach) if equal else (None, None)
     return min(own.low, centre - reach), max(own.high, centre + reach)
 
 

@@ -30,7 +30,7 @@ def test_a_method_that_draws_gives_the_same_bytes_in_process_and_isolated(fence,
     install("made", adapter_source())
     run_method(request(table, tmp_path / "here", "made", samples=2))
     run_method(request(table, tmp_path / "apart", "made", samples=2, isolate=True))
-    assert len(results(tmp_path / "apart")) == 6
+    assert len(results(tmp_path / "apart")) == 7
     assert results(tmp_path / "apart") == results(tmp_path / "here")
     record = RunRecord.read(tmp_path / "apart").method
     assert (record.name, record.kind, record.package, record.version) == ("made", "package", "prbench_made", "1.2")

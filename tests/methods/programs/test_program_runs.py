@@ -85,7 +85,7 @@ def test_a_program_and_the_same_method_in_process_give_the_same_bytes(own, table
     run_method(request(table, tmp_path / "in", "made", samples=2))
     run_method(request(table, tmp_path / "out", own.method, samples=2), engine=ProcessPool(2))
     predictions = {name: content for name, content in parts(tmp_path / "in").items() if name != "summary.json"}
-    assert len(predictions) == 5
+    assert len(predictions) == 6
     assert {name: parts(tmp_path / "out")[name] for name in predictions} == predictions
 
 

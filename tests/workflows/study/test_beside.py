@@ -14,7 +14,7 @@ from prbench.leaderboard import collect_runs, export, make_leaderboard
 from prbench.published import load_published, load_table_one
 from prbench.submitted.verification import CheckedSummary
 from prbench.workflows.study.beside import add_published, differences, published_variant, why_not_beside
-from tests.leaderboard.test_tables import as_stored, write_run
+from tests.leaderboard.test_tables import as_stored, by_means, write_run
 
 REAL = {"synthetic": False, "title": "Aria Digital Twin"}
 
@@ -39,7 +39,7 @@ def write_real(folder, method="pr", *, dataset="adt", condition="goal-loc", weig
 
 
 def board_of(path):
-    return make_leaderboard(collect_runs([path], check=as_stored))
+    return make_leaderboard(collect_runs([path], check=as_stored), separate=by_means)
 
 
 def rows_of(path):
