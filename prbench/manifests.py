@@ -17,6 +17,8 @@ from prbench.errors import InputFileError, UsageError
 from prbench.shown import quoted
 
 Redistribution = Literal["none", "non-commercial", "yes"]
+PROTOCOL_NAME = "prime-and-reach"
+"""Name of the rules that come with prbench; a user's own have another one (:mod:`prbench.own_protocol`)."""
 
 
 class BodySource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -135,6 +137,8 @@ class CurationConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     minimum_movement: float
     ray_origin: Literal["eye", "camera"]
     largest_interpolated_gap: float
+    minimum_prime: float = 0.0
+    """Seconds that a look must last to prime; 0 = a single gaze sample primes."""
 
 
 class SplitRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -206,6 +210,8 @@ class Citations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 class BenchmarkProtocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One version of the benchmark's rules."""
 
+    name: str = PROTOCOL_NAME
+    """``prime-and-reach``, which stands in no file and no digest, or the name of a user's own rules."""
     version: int
     fps: float
     conditions: tuple[str, ...]
@@ -220,10 +226,27 @@ class BenchmarkProtocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         """SHA-256 of the values; equal rules have equal digests, however the file is laid out."""
         return digest_of(self)
 
+    @property
+    def is_own(self) -> bool:
+        """Return True for a user's own rules, False for those that come with prbench."""
+        return self.name != PROTOCOL_NAME
+
+    @property
+    def label(self) -> str:
+        """Name and version, as tables and messages show them."""
+        return f"{self.name} {self.version}"
+
 
 def digest_of(constants: msgspec.Struct) -> str:
     """SHA-256 of a manifest's, rule's or protocol's values."""
-    return hashlib.sha256(msgspec.json.encode(constants, order="sorted")).hexdigest()
+    values = msgspec.to_builtins(constants)
+    if isinstance(constants, BenchmarkProtocol):
+        # Keys that later versions added count where they change something, so that old rules keep their digest.
+        if not constants.is_own:
+            del values["name"]
+        if constants.curation.minimum_prime == 0:
+            del values["curation"]["minimum_prime"]
+    return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
 
 
 @cache

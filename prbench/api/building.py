@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from prbench.api.arguments import PathLike, as_options, as_path, as_texts, require_positive
+from prbench.api.arguments import PathLike, as_optional_path, as_options, as_path, as_texts, require_positive
 from prbench.api.frames import frame_from_rows, notebook_table
 from prbench.api.progress import progress
 from prbench.api.tables import Table, open_table
@@ -120,6 +120,8 @@ def build_dataset(
     priming: Literal["rule", "published"] = "rule",
     occlusion: Literal["off", "mark", "require"] = "off",
     minimum_movement: str = "wrist_to_goal",
+    minimum_prime: float | None = None,
+    protocol: PathLike | None = None,
     on_error: Literal["skip", "fail"] = "skip",
     poses: str | None = None,
     option: Mapping[str, object] | None = None,
@@ -144,6 +146,8 @@ def build_dataset(
             (needs the extra ``open3d``).
         minimum_movement: What must be at least 20 cm: ``wrist_to_goal``, ``pelvis_displacement`` or
             ``object_displacement``.
+        minimum_prime: Seconds that a look must last to prime; by default a single gaze sample primes.
+        protocol: Your own ``protocol.toml``, stamped into the table; by default prbench's.
         on_error: Go on without a recording that cannot be read (``skip``), or ``fail`` at once.
         poses: Where bodies come from, for example ``egoallo`` in place of ADT's suit.
         option: Options of the dataset's reader, by name.
@@ -163,6 +167,7 @@ def build_dataset(
     from prbench.curation import build_dataset as build
     from prbench.curation.options import CurationOptions
     from prbench.engine import engine_for
+    from prbench.own_protocol import read_protocol
 
     if dataset == _EVERYTHING:
         raise UsageError(
@@ -178,7 +183,9 @@ def build_dataset(
         minimum_movement=minimum_movement,
         priming=priming,
         occlusion=occlusion,
+        minimum_prime=minimum_prime,
     )
+    own = as_optional_path(protocol)
     reader = _meshes(dataset, in_hand, occlusion) | as_options(option)
     if poses is not None:
         reader["poses"] = poses
@@ -188,6 +195,7 @@ def build_dataset(
         limit=max_recordings,
         reader=tuple(sorted(reader.items())),
         on_error=on_error,
+        protocol=None if own is None else read_protocol(own),
         replace=replace,
     )
     with progress(f"building {dataset}") as show:

@@ -268,6 +268,7 @@ def run(
     batch_size: int | None = None,
     isolate: bool = False,
     timeout: float | None = None,
+    protocol: PathLike | None = None,
     workers: int = 1,
 ) -> Run:
     """Run a method over tables and score what it generates, as ``prbench run`` does.
@@ -296,6 +297,7 @@ def run(
         batch_size: Sequences a batch; 64 by default, 12 without ``data``.
         isolate: Run the method in a process that is given neither paths, objects nor environment.
         timeout: Seconds for each batch of a program or an isolated method; 600 by default.
+        protocol: Your own ``protocol.toml``, stamped into the run; by default prbench's.
         workers: Processes to use; changes no result. A script that asks for several needs
             ``if __name__ == "__main__":``.
 
@@ -340,6 +342,7 @@ def run(
         out=as_optional_path(out),
         isolate=isolate,
         timeout=timeout,
+        protocol=as_optional_path(protocol),
     )
     if condition is not None:
         request = replace(request, condition=condition_of(condition))

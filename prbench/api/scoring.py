@@ -89,6 +89,7 @@ def score(
     max_frames: int | None = None,
     native_fps: float | None = None,
     allow_length_mismatch: bool = False,
+    protocol: PathLike | None = None,
     out: PathLike | None = None,
     workers: int = 1,
 ) -> Scores:
@@ -115,6 +116,7 @@ def score(
         max_frames: Longer sequences count as unsupported.
         native_fps: Frames per second of the motions, if it is not the table's.
         allow_length_mismatch: Score motions of another length than the recorded one.
+        protocol: Your own ``protocol.toml``; by default that of the run, else prbench's.
         out: Write ``scores.parquet``, ``summary.json`` and so on there; nothing is written without it.
         workers: Processes to use; changes no result. A script that asks for several needs
             ``if __name__ == "__main__":``.
@@ -148,6 +150,7 @@ def score(
         native_fps=native_fps,
         name=name,
         allow_length_mismatch=allow_length_mismatch,
+        protocol=as_optional_path(protocol),
         out=as_optional_path(out),
     )
     with progress("scoring") as show:

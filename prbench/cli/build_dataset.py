@@ -25,6 +25,7 @@ from prbench.cli.commands import Answer, command
 from prbench.cli.options import (
     on_error_option,
     out_folder_option,
+    protocol_option,
     reader_options,
     recordings_options,
     replace_option,
@@ -75,6 +76,13 @@ EVERYTHING = "all"
     metavar="MEASURE",
     help="What must be at least 20 cm: wrist_to_goal (default), pelvis or object displacement.",
 )
+@click.option(
+    "--minimum-prime",
+    type=float,
+    metavar="SECONDS",
+    help="How long a look must last to prime (default 0: a single gaze sample primes, as in the study).",
+)
+@protocol_option("every number of the curation, stamped into the table (docs/protocol-choices.md).")
 @on_error_option()
 @click.option(
     "--poses",
@@ -97,6 +105,8 @@ def build_dataset(
     priming: Literal["rule", "published"],
     occlusion: Literal["off", "mark", "require"],
     minimum_movement: str,
+    minimum_prime: float | None,
+    protocol: Path | None,
     on_error: Literal["skip", "fail"],
     poses: str | None,
     options: tuple[tuple[str, str], ...],
@@ -107,6 +117,7 @@ def build_dataset(
     DATASET is its name, for example adt (`prbench datasets` lists them), or 'all' for whatever lies below --root.
     """
     from prbench.curation.options import BuildOptions, CurationOptions
+    from prbench.own_protocol import read_protocol
 
     source = _meshes(dataset, in_hand=in_hand, occlusion=occlusion) | dict(options)
     if poses is not None:
@@ -118,7 +129,9 @@ def build_dataset(
             minimum_movement=minimum_movement,
             priming=priming,
             occlusion=occlusion,
+            minimum_prime=minimum_prime,
         ),
+        protocol=read_protocol(protocol) if protocol is not None else None,
         recordings=recordings,
         limit=max_recordings,
         reader=tuple(sorted(source.items())),

@@ -155,6 +155,10 @@ class BoardTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         content_digest: Digest of the table's content.
         split: Split of the table.
         selection_digest: Digest of the chosen sequences.
+        own_protocol: Name and version of a protocol of the user's own; empty for prbench's.
+        chosen_sequences: Number of the chosen sequences; above ``sequences`` where the table is of those alone that
+            every method generated.
+        left_sequences_out: Methods that left chosen sequences out, with how many.
         sequences: Number of sequences.
         recordings: Number of recordings that they come from.
         undecided: Sentences on what the data cannot decide, and the smallest differences that they can.
@@ -170,6 +174,9 @@ class BoardTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     content_digest: str
     split: str
     selection_digest: str
+    own_protocol: str
+    chosen_sequences: int
+    left_sequences_out: list[str]
     sequences: int
     recordings: int
     undecided: list[str]
@@ -448,6 +455,8 @@ def compare(first: Path, second: Path, data: tuple[Path, ...], workers: int) -> 
     from prbench.leaderboard import compare_runs
 
     compared = compare_runs(first, second, checker=_checker(data, workers))
+    for line in compared.left_out:
+        note(line)
     datasets = sorted({row.dataset for row in compared.metrics})
     report = CompareReport(
         first=_compared_run(first, datasets),
@@ -563,7 +572,10 @@ def merge(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> Answe
     from prbench.runs import RunFolder
 
     summary, unverified = merge_folds(runs, checker=_checker(data, workers))
-    method = RunFolder.open(runs[0]).record.method
+    first = RunFolder.open(runs[0])
+    if first.protocol is not None and first.protocol.is_own:
+        note(f"scored under a protocol of your own, {first.protocol.label}: no number here is the study's")
+    method = first.record.method
     scores = dataset_scores(summary, None, motionless=method.motionless)
     report = MergeReport(runs=list(runs), scores=scores, unverified=list(unverified))
 

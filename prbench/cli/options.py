@@ -226,6 +226,11 @@ def permission_option(function: _Function) -> _Function:
     )(function)
 
 
+def protocol_option(help: str) -> _Decorator:
+    """Add ``--protocol FILE``, a protocol of the user's own."""
+    return click.option("--protocol", type=PATH, metavar="FILE", help=f"Your own protocol.toml: {help}")
+
+
 def on_error_option(*, what: str = "a recording", them: str = "it") -> _Decorator:
     """Add ``--on-error skip|fail``."""
     return click.option(

@@ -126,6 +126,7 @@ def _rows(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> tuple
     """
     from prbench import leaderboard as boards
     from prbench.engine import engine_for
+    from prbench.leaderboard.tables import of_all_methods
     from prbench.submitted.verification import RunChecker
     from prbench.workflows.first_run import table_finder
 
@@ -133,16 +134,21 @@ def _rows(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> tuple
     for reason in collected.left_out:
         note(f"left out: {reason}")
     board = boards.make_leaderboard(collected)
-    if len(board.tables) != 1:
+    # Where a method left sequences out, all are shown on those that every one generated.
+    tables = of_all_methods(board.tables)
+    if len(tables) != 1:
         raise UsageError(
-            f"expected runs on the same sequences of one dataset, found {len(board.tables)} tables."
+            f"expected runs on the same sequences of one dataset, found {len(tables)} tables."
             f" {' '.join(board.notes)} Name runs that compare."
         )
-    table = board.tables[0]
+    table = tables[0]
     for row in table.rows:
         if row.entry.unverified:
             note(f"unverified: {row.entry.run}: {row.entry.unverified}")
-    return [row.entry for row in table.rows], f"{table.title}: {table.sequences} sequences, split {table.split}"
+    of = f" of {table.of} that every method here generated" if table.of else ""
+    own = f", own protocol {table.protocol}" if table.protocol else ""
+    title = f"{table.title}: {table.sequences} sequences{of}, split {table.split}{own}"
+    return [row.entry for row in table.rows], title
 
 
 def _scored(row: LeaderboardRow, info: MetricInfo, against: str) -> ScoredMethod | None:

@@ -26,6 +26,7 @@ from prbench.cli.options import (
     method_settings,
     out_folder_option,
     permission_option,
+    protocol_option,
     seed_option,
     sequence_option,
     split_option,
@@ -132,6 +133,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
 )
 @sequence_option("Run this one only")
 @click.option("--view", type=PATH, metavar="FILE", help="Show the motions as .png, .mp4 or .html.")
+@protocol_option("the numbers of the metrics, stamped into the run; the table must have been built by the same rules.")
 @permission_option
 @method_settings
 @control_option("Give every sequence another one's goal.")
@@ -234,7 +236,20 @@ def _experiment(config: Path | None, given: Mapping[str, Any]) -> tuple[RunFolde
     return repeated, msgspec.structs.replace(experiment, **own)
 
 
-_SHARED = ("data", "out", "split", "limit", "samples", "batch_size", "device", "threads", "isolate", "timeout", "seed")
+_SHARED = (
+    "data",
+    "out",
+    "split",
+    "limit",
+    "samples",
+    "batch_size",
+    "device",
+    "threads",
+    "isolate",
+    "timeout",
+    "seed",
+    "protocol",
+)
 """Options that all runs of an experiment share; their names are its keys, but for ``seeds``."""
 
 
@@ -248,8 +263,9 @@ def _said_on_the_command_line(given: Mapping[str, Any]) -> dict[str, Any]:
     }
     if "data" in said:
         said["data"] = tuple(str(folder) for folder in said["data"])
-    if "out" in said:
-        said["out"] = str(said["out"])
+    for name in ("out", "protocol"):
+        if name in said:
+            said[name] = str(said[name])
     if "seed" in said:
         said["seeds"] = (said.pop("seed"),)
     return said

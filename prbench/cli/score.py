@@ -18,6 +18,7 @@ from prbench.cli.options import (
     data_option,
     limit_option,
     out_folder_option,
+    protocol_option,
     seed_option,
     split_option,
     workers_option,
@@ -80,6 +81,7 @@ class ScoreReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option(
     "--allow-length-mismatch", is_flag=True, help="Score motions of another length than the recorded one, too."
 )
+@protocol_option("the numbers of the metrics; the table must have been built by the same rules.")
 @out_folder_option("Write scores.parquet, summary.json … into this folder.")
 @workers_option()
 def score(
@@ -95,6 +97,7 @@ def score(
     max_frames: int | None,
     native_fps: float | None,
     allow_length_mismatch: bool,
+    protocol: Path | None,
     out: Path | None,
     workers: int,
 ) -> Answer:
@@ -120,6 +123,7 @@ def score(
         native_fps=native_fps,
         name=name,
         allow_length_mismatch=allow_length_mismatch,
+        protocol=protocol,
         out=out,
     )
     with progress("scoring") as show:

@@ -106,6 +106,7 @@ def _table_request(given: Mapping[str, Any], data: tuple[Path, ...], minutes: in
         batch_size=given["batch_size"],
         device=given["device"],
         threads=given["threads"],
+        protocol=given["protocol"],
         shuffled_goal=given["control"] is not None,
         out=given["out"],
     )

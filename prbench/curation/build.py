@@ -111,7 +111,7 @@ def build_from_sources(
     dataset = sources[0].dataset
     _require_same_dataset(out, dataset)
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
-    protocol = load_protocol()
+    protocol = options.protocol or load_protocol()
     options.curation.require_fits(manifest)
     job = CurationJob(manifest, protocol, options.curation, options.on_error == "fail", work_folder(out))
     with sole_writer(out), working_in_parts(out):
@@ -130,6 +130,7 @@ def build_from_sources(
             recordings=read_batches(folders, "recordings"),
             replace=options.replace,
             incomplete=[receipt.record.recording_id for receipt in receipts if receipt.record.shortfalls],
+            protocol=protocol,
         )
     reused = sum(receipt.reused for receipt in receipts)
     return BuildReport(out, info, tuple(receipt.record for receipt in receipts), reused)

@@ -140,7 +140,7 @@ def _follow(
         prime = published_prime(event.published_priming)
     else:
         view = surroundings and View(surroundings, event.object_id, options.occlusion == "require", rays)
-        prime = find_prime(*rays, event.place, event.event_time, protocol.curation, view)
+        prime = find_prime(*rays, event.place, event.event_time, options.constants(protocol), view)
     if isinstance(prime, Decision):
         return _Story(event, prime)
     piece = clip(recording, prime_time=prime.time, event_time=event.event_time, protocol=protocol)

@@ -5,10 +5,12 @@ Among them is the minimum-movement filter (*Prime and Reach*, section B.1) with 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+import msgspec
 import numpy as np
 
 from prbench.curation.clipping import Clip
@@ -16,7 +18,7 @@ from prbench.curation.events import Decision, PickPutEvent, Place
 from prbench.curation.occlusion import OcclusionMode
 from prbench.curation.priming import RAY_ORIGINS
 from prbench.errors import UsageError
-from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest, digest_of
+from prbench.manifests import BenchmarkProtocol, CurationConstants, InHandRule, Manifest, digest_of
 from prbench.meshes import import_open3d
 from prbench.sequences.table_one import body_movement
 from prbench.skeleton import WRISTS
@@ -68,6 +70,8 @@ class CurationOptions:
     """Prime times from gaze by the equations, or taken over from what the dataset itself publishes."""
     occlusion: OcclusionMode = "off"
     """Treatment of looks through meshes; see :data:`prbench.curation.occlusion.OcclusionMode`."""
+    minimum_prime: float | None = None
+    """Seconds that a look must last to prime; None = the protocol's."""
 
     def __post_init__(self) -> None:
         if self.occlusion not in get_args(OcclusionMode):
@@ -79,6 +83,15 @@ class CurationOptions:
         if self.priming not in get_args(_PrimingSource):
             raise UsageError(
                 f"unknown source of priming '{self.priming}'; known ones: {', '.join(get_args(_PrimingSource))}."
+            )
+        if self.minimum_prime is not None and not 0 <= self.minimum_prime < math.inf:
+            raise UsageError(f"--minimum-prime: expected seconds, 0 or more, found {self.minimum_prime:g}.")
+        if self.minimum_prime and self.priming == "published":
+            raise UsageError("--minimum-prime asks about gaze, --priming published takes no gaze: choose one of them.")
+        if self.minimum_prime and self.occlusion == "require":
+            raise UsageError(
+                "--minimum-prime and --occlusion require: which look is the first one that lasts and is unobstructed"
+                " is not defined; choose one of them."
             )
         if self.minimum_movement not in MEASURES:
             raise UsageError(
@@ -113,10 +126,19 @@ class CurationOptions:
                 " leave the option out: the rule applies the equations to its gaze."
             )
 
+    def constants(self, protocol: BenchmarkProtocol) -> CurationConstants:
+        """The protocol's numbers, with the user's choice in place of the minimum duration of a prime."""
+        if self.minimum_prime is None:
+            return protocol.curation
+        return msgspec.structs.replace(protocol.curation, minimum_prime=self.minimum_prime)
+
     def described(self, manifest: Manifest, protocol: BenchmarkProtocol) -> dict[str, str]:
         """The choices as text, as ``dataset.json`` holds them."""
         rule = self.in_hand_rule(manifest)
-        return {
+        # Named where it is asked for only: tables of the default keep their bytes.
+        shortest = self.constants(protocol).minimum_prime
+        lasting = {"minimum_prime": f"{shortest:g}"} if shortest > 0 else {}
+        return lasting | {
             "in_hand_rule": "none" if rule is None else self.in_hand or "default",
             "in_hand_rule_digest": "" if rule is None else digest_of(rule),
             "ray_origin": self.ray_origin or protocol.curation.ray_origin,
@@ -143,6 +165,8 @@ class BuildOptions:
     """Options of the dataset's reader as name and value, sorted by name (:mod:`prbench.readers.options`)."""
     on_error: Literal["skip", "fail"] = "skip"
     """``skip`` reports a recording that cannot be read while the others go on, ``fail`` ends the build."""
+    protocol: BenchmarkProtocol | None = None
+    """The user's own protocol (:func:`prbench.own_protocol.read_protocol`); None = prbench's."""
     replace: bool = False
     """Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from prbench.curation.events import Decision, Place
 from prbench.curation.occlusion import View
@@ -19,6 +19,7 @@ _PrimeKind = Literal["hit", "near_miss", "published"]
 RAY_ORIGINS = ("eye", "camera")
 PUBLISHED_STAGE = "published priming"
 OCCLUSION_STAGE = "occlusion"
+_SLACK = 1e-9  # seconds
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,8 @@ def find_prime(
 ) -> Prime | Decision:
     """The first gaze sample in ``[event_time - priming_window, event_time]`` that hits or nearly misses the box.
 
+    Where the constants ask for looks that last, it is the first sample of the first look that does.
+
     Args:
         times: Times of valid gaze samples, seconds, increasing.
         origins: Ray origins, metres.
@@ -88,7 +91,11 @@ def find_prime(
     misses = near_miss(*rays, *box)
     # A ray that points away passes the box behind the eye, which is no look at it.
     distance = np.where(hit, 0.0, np.where(misses.along[:, 0] >= 0, misses.distance[:, 0], np.inf))
-    primed = np.flatnonzero(hit | misses.within(constants.near_miss_distance)[:, 0])
+    seen = hit | misses.within(constants.near_miss_distance)[:, 0]
+    if constants.minimum_prime > 0:
+        longest_gap = constants.largest_interpolated_gap
+        seen = in_lasting_look(times[window], seen, shortest=constants.minimum_prime, longest_gap=longest_gap)
+    primed = np.flatnonzero(seen)
     if len(primed) == 0:
         nearest = float(distance.min(initial=np.inf))
         value = nearest if np.isfinite(nearest) else None
@@ -116,6 +123,37 @@ def find_prime(
         uncertainty=float(spacing),
         through=through,
     )
+
+
+def in_lasting_look(
+    times: Float[np.ndarray, " n"], seen: Bool[np.ndarray, " n"], *, shortest: float, longest_gap: float
+) -> Bool[np.ndarray, " n"]:
+    """Keep the samples of looks that last (docs/specification/curation.md#prime-time).
+
+    A look is a run of gaze samples that all meet the place. It ends at a sample that does not, and where valid samples
+    lie further apart than ``longest_gap``: nobody knows where the eye was in between.
+
+    Args:
+        times: Times of valid gaze samples, seconds, increasing.
+        seen: True where the sample meets the place.
+        shortest: Seconds from a look's first sample to its last.
+        longest_gap: Seconds.
+
+    Returns:
+        True for the samples of looks that last at least ``shortest``.
+    """
+    if not seen.any():
+        return seen
+    is_apart = np.diff(times, prepend=times[:1]) > longest_gap
+    begins = seen & (is_apart | ~np.concatenate([[False], seen[:-1]]))
+    look_of = np.cumsum(begins) - 1
+    first_of = times[np.flatnonzero(begins)]
+    rows = np.flatnonzero(seen)
+    last_of = np.full(len(first_of), -np.inf)
+    np.maximum.at(last_of, look_of[rows], times[rows])
+    # A nanosecond of slack: times of gaze samples are rounded, and 0.1 s of 30 Hz must count as 0.1 s.
+    lasting = last_of - first_of >= shortest - _SLACK
+    return seen & lasting[np.maximum(look_of, 0)]
 
 
 def published_prime(published: PublishedPriming | None) -> Prime | Decision:

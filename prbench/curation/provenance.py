@@ -13,6 +13,7 @@ import prbench
 from prbench.curation.job import PartReceipt
 from prbench.curation.options import BuildOptions
 from prbench.manifests import BenchmarkProtocol, Manifest, digest_of
+from prbench.own_protocol import OPTION
 from prbench.readers import SYNTHETIC_PREFIX, described_options, reader_for
 from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
 from prbench.sequences.schema import OUTCOMES, SCHEMA_VERSION
@@ -116,6 +117,8 @@ def _options(manifest: Manifest, protocol: BenchmarkProtocol, options: BuildOpti
     if options.reader:
         reader = reader_for(manifest.name, dict(options.reader))
         chosen |= {f"reader.{name}": value for name, value in described_options(reader.options).items()}
+    if protocol.is_own:  # tables of prbench's own protocol keep their bytes
+        chosen[OPTION] = protocol.label
     return chosen | options.curation.described(manifest, protocol)
 
 

@@ -19,7 +19,7 @@ from prbench.errors import RunError
 from prbench.evaluation.intervals import CONFIDENCE, metric_interval
 from prbench.evaluation.planning import Selection
 from prbench.evaluation.scoring import score_recorded
-from prbench.manifests import BenchmarkProtocol, load_protocol
+from prbench.manifests import BenchmarkProtocol
 from prbench.metrics import METRICS, MetricInfo
 from prbench.runs.agreement import FILE_NAME, BinRate, DatasetAgreement, RateAgreement
 from prbench.runs.folder import DatasetFolder
@@ -44,14 +44,14 @@ class _Rows:
         return sums / np.bincount(self.sequence, minlength=count)
 
 
-def agreement_with_people(selection: Selection, scores: pa.Table) -> DatasetAgreement:
+def agreement_with_people(selection: Selection, scores: pa.Table, *, protocol: BenchmarkProtocol) -> DatasetAgreement:
     """Make ``agreement.json`` of one dataset.
 
     Args:
         selection: The scored sequences.
         scores: Rows of ``scores.parquet``, of exactly these sequences.
+        protocol: Rules by which the scores were made.
     """
-    protocol = load_protocol()
     people, goals = score_recorded(selection, protocol.metrics, [info.id for info in RATES])
     recordings = np.array(selection.recording_ids, dtype=object)
     rates: list[RateAgreement] = []

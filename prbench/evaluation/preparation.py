@@ -28,13 +28,14 @@ from prbench.evaluation.planning import (
 )
 from prbench.evaluation.request import RunRequest
 from prbench.locks import in_turn
-from prbench.manifests import load_protocol
+from prbench.manifests import BenchmarkProtocol
 from prbench.methods.adapters import chosen_condition, find_adapter, require_weights, used_weights, weights_digest
 from prbench.methods.declared import Declared
 from prbench.methods.loaded_methods import LoadedMethod, MethodSpec, forget_loaded_methods
 from prbench.methods.methods import fitted_to, method_spec
 from prbench.methods.motions import native_frames
 from prbench.methods.remote.adapter import RemoteAdapter
+from prbench.own_protocol import protocol_for
 from prbench.runs.record import (
     BUILT_IN,
     CONTROL,
@@ -89,6 +90,7 @@ class PreparedRun:
     record: RunRecord
     datasets: tuple[PreparedDataset, ...]
     out: Path
+    protocol: BenchmarkProtocol
 
 
 def prepare_run(request: RunRequest) -> PreparedRun:
@@ -98,19 +100,21 @@ def prepare_run(request: RunRequest) -> PreparedRun:
         AdapterError: if the method is unknown, cannot be loaded, does not take the condition, or can generate none of
             the sequences.
         TableError: if a table is missing, empty, changed or of an unknown version.
-        UsageError: if datasets repeat, or a path or split does not exist.
+        UsageError: if datasets repeat, a path or split does not exist, or a table follows another protocol.
+        InputFileError: if the user's own protocol lacks a key or has one too many.
     """
     # A method that an earlier run of this process has loaded may hold its state.
     forget_loaded_methods()
     tables = open_tables(request.data)
+    protocol = protocol_for(request.protocol, (table.described_protocol for table in tables))
     spec = None if request.is_control else _spec(request)
     condition = _condition(request, spec)
     method = _control(request) if spec is None else _method(request, spec, condition)
     datasets = tuple(_dataset(request, chosen, spec, method) for chosen in _chosen_sequences(request, tables))
-    record = _record(request, condition, method, datasets)
+    record = _record(request, condition, method, datasets, protocol)
     if request.repeats is not None:
         record.require_same_inputs(request.repeats)
-    return PreparedRun(request, condition, record, datasets, request.out or _default_folder(record))
+    return PreparedRun(request, condition, record, datasets, request.out or _default_folder(record), protocol)
 
 
 def _spec(request: RunRequest) -> MethodSpec:
@@ -236,9 +240,12 @@ def supported(selection: Selection, *, max_frames: int | None, native_fps: float
 
 
 def _record(
-    request: RunRequest, condition: Condition, method: MethodRecord, datasets: tuple[PreparedDataset, ...]
+    request: RunRequest,
+    condition: Condition,
+    method: MethodRecord,
+    datasets: tuple[PreparedDataset, ...],
+    protocol: BenchmarkProtocol,
 ) -> RunRecord:
-    protocol = load_protocol()
     return RunRecord(
         schema_version=RUN_SCHEMA_VERSION,
         prbench_version=prbench.__version__,

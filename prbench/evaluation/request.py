@@ -56,11 +56,13 @@ class RunRequest:
     """Seconds until another process answers a batch; by default 600, or what its TOML file says."""
     repeats: RunRecord | None = None
     """An earlier run: other tables, sequences or weights than its are refused before anything is generated."""
+    protocol: Path | None = None
+    """The user's own protocol; None for prbench's (docs/specification/protocol.md#a-protocol-of-ones-own)."""
     out: Path | None = None
     """The run folder; by default one under ``runs`` whose name says what was run."""
 
     def __post_init__(self) -> None:
-        turn_into_paths(self, "data", "weights", "out")
+        turn_into_paths(self, "data", "weights", "protocol", "out")
         if not self.data:
             raise UsageError("a run needs one dataset folder or more (--data DIR).")
         for name, value in (

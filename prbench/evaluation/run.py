@@ -25,7 +25,6 @@ from prbench.evaluation.request import Progress, ProgressCallback, RunRequest, s
 from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
 from prbench.evaluation.scoring import ScoringRules, reported, score_selection
 from prbench.locks import sole_writer
-from prbench.manifests import load_protocol
 from prbench.methods.loaded_methods import forget_loaded_methods, unload_method
 from prbench.runs.cost import read_batch_costs, total_cost
 from prbench.runs.folder import DatasetFolder, RunFolder
@@ -69,7 +68,7 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
         try:
             prepared = prepare_run(request)
             held.enter_context(sole_writer(prepared.out))
-            folder = RunFolder.prepare(prepared.out, prepared.record)
+            folder = RunFolder.prepare(prepared.out, prepared.record, prepared.protocol)
             parts = [_Part(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
             made = _generate_all(parts, folder, engine)
         except Exception:
@@ -96,7 +95,7 @@ def missing_batches(request: RunRequest, *, engine: Engine) -> Iterator[BatchTas
         engine: Where the batches will be made.
     """
     prepared = prepare_run(request)
-    folder = RunFolder.prepare(prepared.out, prepared.record)
+    folder = RunFolder.prepare(prepared.out, prepared.record, prepared.protocol)
     if not isinstance(engine, InProcess):
         unload_method()  # every worker loads its own
     for dataset in prepared.datasets:
@@ -166,7 +165,6 @@ class _Part:
         """The work on some batches, in the order of the plan."""
         request = self.prepared.request
         dataset = self.dataset
-        protocol = load_protocol()
         salt = run_salt(request.seed, dataset.selection.table.identity)
         given = None
         if request.is_control:
@@ -189,7 +187,7 @@ class _Part:
                 given=motions,
                 part=self.files.part(index),
                 cost=self.files.batch_cost(index),
-                protocol_version=protocol.version,
+                protocol_version=self.prepared.protocol.version,
             )
 
     def write_notice(self) -> None:
@@ -206,7 +204,7 @@ class _Part:
             stored = read_scores(files.scores)
             require_scores(files, stored, pa.concat_tables(self._windows()))
             require_summary(files, summarise(stored, self._scored_set()))
-            agreement = agreement_with_people(self.dataset.selection, stored)
+            agreement = agreement_with_people(self.dataset.selection, stored, protocol=self.prepared.protocol)
             require_agreement(files, agreement)
             if not files.agreement.is_file():  # a run of an earlier version
                 agreement.write(files.path)
@@ -216,7 +214,7 @@ class _Part:
             if measured or not files.cost.is_file():  # else only scores were lost, and what was measured still holds
                 total_cost(read_batch_costs(measured), batches=len(self.dataset.plan)).write(files.cost)
             stored = read_scores(files.scores)
-            agreement_with_people(self.dataset.selection, stored).write(files.path)
+            agreement_with_people(self.dataset.selection, stored, protocol=self.prepared.protocol).write(files.path)
             # The summary comes last: where it stands, everything else does.
             summarise(stored, self._scored_set()).write(files.path)
         files.forget_batch_costs()
@@ -240,7 +238,7 @@ class _Part:
         """The scores of what was generated, a window of sequences at a time."""
         request = self.prepared.request
         rules = ScoringRules(
-            load_protocol().metrics,
+            self.prepared.protocol.metrics,
             recorded_motion=request.method in RECORDED_MOTION,
             other_goals=self.dataset.scored_goals,
             run_of=self.prepared.record.method.name,

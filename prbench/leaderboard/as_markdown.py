@@ -38,7 +38,11 @@ def as_markdown(leaderboard: Leaderboard) -> str:
 
 def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
     counts = f"{table.sequences} sequences, {table.recordings} recording{'' if table.recordings == 1 else 's'}"
+    if table.of:
+        counts += f" of {table.of} that every method here generated"
     title = f"## {markdown(table.title)}, {markdown_code(table.dataset)}: {markdown(table.split)}, {counts}"
+    if table.protocol:
+        title += f", own protocol {markdown(table.protocol)}"
     if shared_name:
         # Two tables of one dataset differ in a digest at most, so their titles have to show digests.
         protocol, identity, content, _, chosen = (part[:8] for part in table.key)
@@ -91,6 +95,13 @@ def _legend(table: DatasetTable) -> Iterable[str]:
         yield "These are scores on synthetic data; they say nothing about real people."
     if any("few_recordings" in metric.marks for row in table.rows for metric in row.entry.summary.metrics):
         yield f"{_FEW} few recordings (below ten): the interval says little."
+    if table.of:
+        yield (
+            f"Sequences of {table.of} that are longer than a method can generate are left out for all:"
+            f" {', '.join(map(markdown, table.shortest))}."
+        )
+    if table.protocol:
+        yield f"Scored under a protocol of the user's own, {markdown(table.protocol)}: no number here is the study's."
     if table.sequences < FEWEST_RANKED:
         yield f"Nothing is ranked: fewer than {FEWEST_RANKED} sequences."
     elif any(row.ranks for row in table.rows):

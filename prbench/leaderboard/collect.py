@@ -15,7 +15,7 @@ from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import MethodRecord, RunRecord, TableRecord
 from prbench.runs.summary import DatasetSummary, MetricSummary
-from prbench.submitted.verification import CheckedSummary, RunChecker
+from prbench.submitted.verification import CheckedSummary, RunChecker, ScoredSequences
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,14 @@ class LeaderboardRow:
     summary: DatasetSummary
     unverified: str = ""
     """The reason why its scores were not checked against its motions; empty where they were."""
+    sequences: ScoredSequences | None = None
+    """What its numbers on some of the sequences are made from."""
+    protocol: str = ""
+    """Name and version of a user's own protocol; empty for prbench's."""
     scores: Path | None = None
     """Its ``scores.parquet``."""
+    only: frozenset[str] | None = None
+    """Ids of the sequences that its summary is of, and that it is compared on; None for all that were scored."""
     cost: MotionCost = UNMEASURED
 
     @property
@@ -129,11 +135,23 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> Collec
                 table,
                 checked.summary,
                 checked.unverified,
+                sequences=checked.scored,
+                protocol=_own_protocol(run),
                 scores=files.scores,
                 cost=cost_of(files),
             )
             rows.append(row)
     return CollectedRuns(tuple(rows), tuple(left_out))
+
+
+def _own_protocol(run: RunFolder) -> str:
+    """Name and version of the user's own protocol that a run follows; empty for prbench's.
+
+    Raises:
+        RunError: if the copy in its folder is not the protocol that it records.
+    """
+    protocol = run.protocol
+    return protocol.label if protocol is not None and protocol.is_own else ""
 
 
 def _false_name(method: MethodRecord) -> str | None:

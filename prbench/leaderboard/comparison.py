@@ -31,6 +31,8 @@ class RunComparison:
     """All metrics of two runs, and what could not be verified of them."""
 
     metrics: tuple[ComparedMetric, ...]
+    left_out: tuple[str, ...]
+    """A line for each dataset of which only the sequences that both methods generated are compared."""
     unverified: tuple[str, ...]
     """A line for each run and dataset whose scores could not be held against the motions, with the reason."""
 
@@ -65,15 +67,36 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
         raise RunError(f"{first} and {second} have no dataset in common.")
     unverified = tuple(_unverified(run, name, checker or RunChecker()) for run in runs for name in shared)
     scores: dict[str, PairedValues] = {}
+    left_out = []
     for name in shared:
-        scores |= paired_scores(*runs, name)
+        common = _common_sequences(*runs, name)
+        scores |= paired_scores(*runs, name, only=common)
+        if common is not None:
+            chosen = _table_of(runs[0], name).sequences
+            left_out.append(f"{name}: compared on the {len(common)} of {chosen} sequences that both methods generated")
     found = compare(scores)
     infos = {info.id: info for info in METRICS}
     metrics = []
     for key, comparison in found.items():
         dataset, metric = key.split("\n")
         metrics.append(ComparedMetric(dataset, infos[metric], comparison))
-    return RunComparison(tuple(metrics), tuple(filter(None, unverified)))
+    return RunComparison(tuple(metrics), tuple(left_out), tuple(filter(None, unverified)))
+
+
+def _common_sequences(first: RunFolder, second: RunFolder, dataset: str) -> frozenset[str] | None:
+    """Ids that both generated, where both chose the same sequences and one could not generate all; else None.
+
+    Raises:
+        RunError: if there is no such sequence.
+    """
+    tables = [_table_of(run, dataset) for run in (first, second)]
+    if not any(table.unsupported for table in tables) or len({table.selection_digest for table in tables}) > 1:
+        return None
+    scored = [set(read_scores(run.dataset(dataset).scores)["sequence_id"].to_pylist()) for run in (first, second)]
+    common = frozenset(scored[0] & scored[1])
+    if not common:
+        raise RunError(f"{first.path} and {second.path}: there is no sequence of {dataset} that both generated.")
+    return common
 
 
 def _unverified(run: RunFolder, dataset: str, checker: RunChecker) -> str:
@@ -82,13 +105,21 @@ def _unverified(run: RunFolder, dataset: str, checker: RunChecker) -> str:
     return f"{run.path}: {why}" if why else ""
 
 
-def paired_scores(first: RunFolder, second: RunFolder, dataset: str) -> dict[str, PairedValues]:
+def paired_scores(
+    first: RunFolder, second: RunFolder, dataset: str, *, only: frozenset[str] | None = None
+) -> dict[str, PairedValues]:
     """The ranked metrics that both runs have, by dataset and metric (``dataset`` and ``metric`` on two lines).
+
+    Args:
+        first: A run on the dataset.
+        second: Another one, of the same chosen sequences.
+        dataset: Name of the dataset.
+        only: Ids of the sequences to compare; None for all that were scored.
 
     Raises:
         RunError: if they were run on different tables, or scored on different sequences.
     """
-    scores = [sequence_scores(run.dataset(dataset).scores) for run in (first, second)]
+    scores = [sequence_scores(run.dataset(dataset).scores, only=only) for run in (first, second)]
     if _table_of(first, dataset).content_digest != _table_of(second, dataset).content_digest:
         raise RunError(f"{first.path} and {second.path} were run on different tables of {dataset}.")
     pairs = {}
@@ -114,14 +145,21 @@ class SequenceScores:
     values: dict[str, np.ndarray]
 
 
-def sequence_scores(path: Path) -> SequenceScores:
+def sequence_scores(path: Path, *, only: frozenset[str] | None = None) -> SequenceScores:
     """Read the main metrics of ``scores.parquet``.
+
+    Args:
+        path: The file.
+        only: Ids of the sequences to read; None for all.
 
     Raises:
         RunError: if the file is missing or damaged.
     """
     # Several samples of a sequence are averaged first: they are no further sequences.
-    means = read_scores(path).group_by(["sequence_id", "metric"]).aggregate([("value", "mean")])
+    scores = read_scores(path)
+    if only is not None:
+        scores = scores.filter(pc.field("sequence_id").isin(sorted(only)))
+    means = scores.group_by(["sequence_id", "metric"]).aggregate([("value", "mean")])
     names: dict[str, list[str]] = {}
     values: dict[str, np.ndarray] = {}
     for metric in (info.id for info in METRICS if info.main):

@@ -83,6 +83,10 @@ def _csv_dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, st
             scale = printed_scale(metric.unit)
             hidden = info is not None and hides(row.entry, info)
             notes = [*metric.marks, *(["synthetic"] if table.synthetic else [])]
+            if table.of:
+                notes.append(f"common {table.sequences} of {table.of} sequences")
+            if table.protocol:
+                notes.append(f"own protocol {table.protocol}")
             if hidden:
                 notes.append("stands still")
             if row.entry.mark:
@@ -172,6 +176,9 @@ def _json_table(table: DatasetTable) -> dict[str, object]:
         "content_digest": content,
         "split": split,
         "selection_digest": chosen,
+        "own_protocol": table.protocol,
+        "chosen_sequences": table.of or table.sequences,
+        "left_sequences_out": list(table.shortest),
         "sequences": table.sequences,
         "recordings": table.recordings,
         "undecided": list(undecided_lines(table)),

@@ -24,7 +24,7 @@ def separate_by_comparison(rows: Sequence[LeaderboardRow], metrics: Sequence[Met
     """Compare every pair of rows sequence by sequence, on all metrics, corrected together after Holm.
 
     Args:
-        rows: On the same sequences of one dataset.
+        rows: On the same sequences of one dataset; where a row has ``only``, its other sequences do not count.
         metrics: The metrics that are ranked; those without a better direction are left out.
 
     Raises:
@@ -57,4 +57,4 @@ def _scores(row: LeaderboardRow) -> SequenceScores:
         raise RunError(
             f"{row.run}: expected the run's scores beside its summary, found none. Run it again: it resumes."
         )
-    return sequence_scores(row.scores)
+    return sequence_scores(row.scores, only=row.only)

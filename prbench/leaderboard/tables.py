@@ -1,17 +1,19 @@
 """Rows that compare, in one table; rows that do not, in tables of their own with the reason.
 
 Two runs compare on a dataset if protocol, table (both digests), split and chosen sequences agree. Methods are ranked
-within their condition, on all main metrics but ``plausible``, where at least 50 sequences were scored; controls,
-methods that left sequences out and motions that are the recorded ones are shown without rank. A rank is one more than
-the number of methods that are better by a supported difference, so methods that the data cannot separate share one. The
-macro mean weighs every dataset alike and exists only for methods that have all of them.
+within their condition, on all main metrics but ``plausible``, where at least 50 sequences were scored; controls and
+motions that are the recorded ones are shown without rank. A rank is one more than the number of methods that are better
+by a supported difference, so methods that the data cannot separate share one. A method that left sequences out because
+they are longer than it can generate stands in a second table only: there all methods are scored, compared and ranked on
+the sequences that every one of them generated. The macro mean weighs every dataset alike and exists only for methods
+that have all of them.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from prbench.leaderboard.collect import CollectedRuns, LeaderboardRow
 from prbench.leaderboard.decidable import FEWEST_RANKED, undecided
@@ -53,6 +55,14 @@ class DatasetTable:
     """Values of ``_KEYS``, on which the rows agree."""
     rows: tuple[TableRow, ...]
     """Sorted by condition, controls last."""
+    of: int = 0
+    """Number of the chosen sequences where the table is of the common ones alone; 0 where it is of all."""
+    shortest: tuple[str, ...] = ()
+    """Methods that left sequences out, with how many, where the table is of the common ones."""
+    common: frozenset[str] | None = None
+    """Ids of the common sequences; None where the table is of all."""
+    protocol: str = ""
+    """Name and version of a user's own protocol; empty for prbench's."""
 
     @property
     def protocol_digest(self) -> str:
@@ -107,9 +117,42 @@ def make_leaderboard(collected: CollectedRuns, *, separate: Separate = separate_
     groups: dict[tuple[str, ...], list[LeaderboardRow]] = defaultdict(list)
     for row in collected.rows:
         groups[(row.summary.dataset, *_comparison_key(row))].append(row)
-    tables = tuple(_dataset_table(rows, separate) for _, rows in sorted(groups.items()))
-    notes = [f"Left out: {reason}." for reason in collected.left_out] + list(_separations(tables))
-    return Leaderboard(tables, tuple(_macro_tables(tables)), tuple(notes))
+    tables: list[DatasetTable] = []
+    notes = [f"Left out: {reason}." for reason in collected.left_out]
+    for _, rows in sorted(groups.items()):
+        whole = [row for row in rows if not row.summary.unsupported]
+        if whole:
+            tables.append(_dataset_table(whole, separate))
+        if len(whole) == len(rows):
+            continue
+        common = _common_table(rows, separate)
+        if common is not None:
+            tables.append(common)
+        else:
+            tables += [_dataset_table([row], separate) for row in rows if row.summary.unsupported]
+            notes.append(f"{rows[0].summary.dataset}: there is no sequence that every method generated.")
+    # Means over datasets are of all sequences; a dataset that no method generated as a whole gives its common ones.
+    complete = {table.key for table in tables if not table.of}
+    counted = [table for table in tables if not table.of or table.key not in complete]
+    notes += _separations(tables)
+    return Leaderboard(tuple(tables), tuple(_macro_tables(counted)), tuple(notes))
+
+
+def _common_table(rows: list[LeaderboardRow], separate: Separate) -> DatasetTable | None:
+    """All runs on the sequences that every one of them scored; None if there is no such sequence."""
+    scored = [row.sequences for row in rows]
+    known = [sequences for sequences in scored if sequences is not None]
+    if len(known) < len(rows):
+        return None
+    common = frozenset.intersection(*(sequences.ids for sequences in known))
+    if not common:
+        return None
+    restricted = [
+        replace(row, summary=sequences.summary_over(common), only=common) for row, sequences in zip(rows, known)
+    ]
+    left_out = dict.fromkeys(f"{row.method} ({row.summary.unsupported})" for row in rows if row.summary.unsupported)
+    table = _dataset_table(restricted, separate)
+    return replace(table, of=rows[0].summary.sequences, shortest=tuple(left_out), common=common)
 
 
 def _comparison_key(row: LeaderboardRow) -> tuple[str, ...]:
@@ -159,6 +202,7 @@ def _dataset_table(entries: list[LeaderboardRow], separate: Separate) -> Dataset
         redistribution=first.summary.redistribution,
         key=_comparison_key(first),
         rows=tuple(TableRow(*row) for row in zip(ordered, variants, ranks, map(frozenset, leads), beaten_by)),
+        protocol=first.protocol,
     )
 
 
@@ -211,6 +255,13 @@ def _is_ranked(entry: LeaderboardRow) -> bool:
 def hides(entry: LeaderboardRow, info: MetricInfo) -> bool:
     """Return True where a metric says nothing of a motionless method, for which the study prints a dash."""
     return entry.record.method.motionless and info.irrelevant_if_motionless
+
+
+def of_all_methods(tables: Iterable[DatasetTable]) -> tuple[DatasetTable, ...]:
+    """Leave out tables of all sequences beside which one of the common sequences stands: the latter has every run."""
+    tables = tuple(tables)
+    common = {(table.dataset, table.key) for table in tables if table.common is not None}
+    return tuple(table for table in tables if table.common is not None or (table.dataset, table.key) not in common)
 
 
 def undecided_lines(table: DatasetTable) -> tuple[str, ...]:

@@ -12,6 +12,9 @@ import pyarrow.parquet as pq
 
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, RunError, StorageError
+from prbench.manifests import BenchmarkProtocol
+from prbench.own_protocol import FILE_NAME as PROTOCOL_FILE
+from prbench.own_protocol import protocol_beside, write_protocol
 from prbench.parquet_files import read_parquet
 from prbench.runs import agreement, record, summary
 from prbench.runs.record import RunRecord
@@ -115,8 +118,13 @@ class RunFolder:
     record: RunRecord
 
     @classmethod
-    def prepare(cls, path: Path, wanted: RunRecord) -> RunFolder:
+    def prepare(cls, path: Path, wanted: RunRecord, protocol: BenchmarkProtocol | None = None) -> RunFolder:
         """Make the folder, or go on in one that belongs to the very same run.
+
+        Args:
+            path: The folder.
+            wanted: Everything that decides the run.
+            protocol: Rules by which it is scored; a copy of a user's own ones lies in the folder.
 
         Raises:
             RunError: if the folder belongs to other inputs; names the key that differs.
@@ -135,6 +143,8 @@ class RunFolder:
             )
         else:
             wanted.write(path)
+        if protocol is not None:
+            write_protocol(path, protocol)
         return cls(path, wanted)
 
     @classmethod
@@ -147,6 +157,16 @@ class RunFolder:
         """
         path = Path(path)
         return cls(path, RunRecord.read(path))
+
+    @property
+    def protocol(self) -> BenchmarkProtocol | None:
+        """The rules by which it was scored; None for prbench's own of another version.
+
+        Raises:
+            RunError: if the copy in the folder is not the protocol that ``run.json`` records.
+            InputFileError: if the copy is no protocol.
+        """
+        return protocol_beside(self.path, digest=self.record.protocol_digest, wrong=RunError)
 
     def dataset(self, name: str) -> DatasetFolder:
         """The part of one dataset.
@@ -170,6 +190,7 @@ class RunFolder:
             for left in (folder.predictions, folder.path):
                 if left != self.path and left.is_dir() and not any(left.iterdir()):
                     left.rmdir()
+        (self.path / PROTOCOL_FILE).unlink(missing_ok=True)
         (self.path / record.FILE_NAME).unlink(missing_ok=True)
         if self.path.is_dir() and not any(self.path.iterdir()):
             self.path.rmdir()

@@ -16,6 +16,7 @@ import pyarrow.compute as pc
 
 from prbench.boundary import foreign_input
 from prbench.errors import TableError, UsageError
+from prbench.own_protocol import DescribedTable
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.dataset_info import DatasetInfo, Provenance
 from prbench.sequences.digests import ContentDigest, identity_digest, require_unchanged
@@ -67,6 +68,11 @@ class BuiltTable(Generic[Info]):
             others=[name for name in self.schemas if name != self.main],
             require_same_values=lambda: self.content,
         )
+
+    @property
+    def described_protocol(self) -> DescribedTable:
+        """What the table says of the protocol that it was built with."""
+        return DescribedTable(self.folder, self.info.protocol_digest, self.info.options)
 
     def part_paths(self, name: str) -> list[Path]:
         """The Parquet files of one of the tables, in order."""

@@ -13,6 +13,8 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from prbench.manifests import BenchmarkProtocol
+from prbench.own_protocol import write_protocol
 from prbench.sequences.croissant import write_croissant
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.digests import RowDigests, digests_of_files
@@ -152,6 +154,7 @@ def write_dataset(
     recordings: Iterable[pa.RecordBatch],
     replace: bool = False,
     incomplete: Collection[str] = (),
+    protocol: BenchmarkProtocol | None = None,
 ) -> DatasetInfo:
     """Write the folder whole or not at all; a dataset that was there is replaced, anything else is not touched.
 
@@ -163,6 +166,7 @@ def write_dataset(
         recordings: Rows of ``recordings``.
         replace: Replace a dataset that holds recordings which this one lacks.
         incomplete: Ids of recordings of which a part could not be read, or a file ends early.
+        protocol: Rules by which it was curated; a copy of a user's own ones is written beside the tables.
 
     Returns:
         The provenance as written.
@@ -180,6 +184,8 @@ def write_dataset(
     with atomic_folder(folder) as temporary:
         info = write_tables(temporary, info, tables, DATASET_TABLES, SequenceTable.identity_columns)
         write_croissant(temporary, info, DATASET_TABLES, _ROWS)
+        if protocol is not None:
+            write_protocol(temporary, protocol)
     return info
 
 

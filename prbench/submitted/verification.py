@@ -10,15 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError
 from prbench.evaluation.agreement import agreement_with_people, require_agreement
 from prbench.evaluation.request import silent
 from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
-from prbench.manifests import load_protocol
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import RunRecord, TableRecord
 from prbench.runs.scores import read_scores
@@ -41,6 +42,34 @@ class CheckedSummary:
     summary: DatasetSummary
     unverified: str
     """Reason why the scores could not be held against the motions; empty where they were."""
+    scored: ScoredSequences | None = None
+    """What a summary of some of the sequences is made from; None where a test gives a summary alone."""
+
+
+@dataclass(frozen=True)
+class ScoredSequences:
+    """The sequences behind a summary, to make one of some of them."""
+
+    run: RunFolder
+    record: TableRecord
+    recording_of: Mapping[str, str]
+    """Maps each sequence that was scored to its recording."""
+
+    @property
+    def ids(self) -> frozenset[str]:
+        """Ids of the sequences that were scored."""
+        return frozenset(self.recording_of)
+
+    def summary_over(self, ids: frozenset[str]) -> DatasetSummary:
+        """Summarise the scores of some sequences alone; none of them counts as unsupported.
+
+        Args:
+            ids: Sequences that were scored.
+        """
+        scores = read_scores(self.run.dataset(self.record.dataset).scores)
+        kept = scores.filter(pc.field("sequence_id").isin(sorted(ids)))
+        record = msgspec.structs.replace(self.record, sequences=len(ids), unsupported=0)
+        return summary_of(self.run.record, record, kept, {name: self.recording_of[name] for name in ids})
 
 
 @dataclass(frozen=True)
@@ -61,34 +90,39 @@ class RunChecker:
         files = run.dataset(record.dataset)
         scores = read_scores(files.scores)
         table = self.find_table(record)
-        made = _require_summary_of(run, record, scores, table)
+        recording_of, grouped = _recordings_of(scores, table)
+        made = _require_summary_of(run, record, scores, recording_of, grouped=grouped)
+        scored = ScoredSequences(run, record, recording_of)
         if not any(files.predictions.glob("part-*.parquet")):
             _require_agreement_of(run, scores, table)
-            return CheckedSummary(made, "its folder holds no motions")
-        if run.record.protocol_digest != load_protocol().digest:
-            return CheckedSummary(made, _OTHER_PROTOCOL)
+            return CheckedSummary(made, "its folder holds no motions", scored)
+        if run.protocol is None:
+            return CheckedSummary(made, _OTHER_PROTOCOL, scored)
         if table is None:
-            return CheckedSummary(made, f"its table of {record.dataset} is not at hand: name it with --data DIR")
+            why = f"its table of {record.dataset} is not at hand: name it with --data DIR"
+            return CheckedSummary(made, why, scored)
         require_scores(files, scores, scored_again(run, table, Work(self.engine, silent)).scores)
         _require_agreement_of(run, scores, table)
-        return CheckedSummary(made, "")
+        return CheckedSummary(made, "", scored)
+
+
+def _recordings_of(scores: pa.Table, table: SequenceTable | None) -> tuple[dict[str, str], bool]:
+    """Map each sequence that was scored to its recording; False where nothing says which ones belong together."""
+    names = sorted(set(scores["sequence_id"].to_pylist()))
+    if table is None:
+        # Without the table, ids tell which recording a sequence is of, and so which intervals follow.
+        return {name: recording_key(name) for name in names}, _name_their_recording(names)
+    rows = table.scalars()
+    known = dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
+    return {name: known.get(name, recording_key(name)) for name in names}, all(name in known for name in names)
 
 
 def _require_summary_of(
-    run: RunFolder, record: TableRecord, scores: pa.Table, table: SequenceTable | None
+    run: RunFolder, record: TableRecord, scores: pa.Table, recording_of: Mapping[str, str], *, grouped: bool
 ) -> DatasetSummary:
     """The summary that follows from the scores; the stored one where nothing says which sequences belong together."""
     files = run.dataset(record.dataset)
-    names = sorted(set(scores["sequence_id"].to_pylist()))
-    if table is not None:
-        rows = table.scalars()
-        recording_of = dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
-        grouped = all(name in recording_of for name in names)
-    else:
-        recording_of = {}
-        grouped = _name_their_recording(names)
-    # Without the table, ids tell which recording a sequence is of, and so which intervals follow.
-    made = summary_of(run.record, record, scores, {name: recording_of.get(name, recording_key(name)) for name in names})
+    made = summary_of(run.record, record, scores, recording_of)
     require_summary(files, made, grouped=grouped)
     return made if grouped else DatasetSummary.read(files.path)
 
@@ -99,7 +133,8 @@ def _require_agreement_of(run: RunFolder, scores: pa.Table, table: SequenceTable
     Raises:
         RunError: if it says something else, or the scores are of sequences that the run was not made on.
     """
-    if table is None or run.record.protocol_digest != load_protocol().digest:
+    protocol = run.protocol
+    if table is None or protocol is None:
         return
     files = run.dataset(table.info.dataset)
     selection = scored_sequences(run, table)
@@ -108,7 +143,7 @@ def _require_agreement_of(run: RunFolder, scores: pa.Table, table: SequenceTable
     if unknown:
         raise RunError(f"{files.scores}: expected sequences that the run was made on, found {quoted(unknown[0])}.")
     selection = selection.chosen(np.array([name in scored for name in selection.sequence_ids]))
-    require_agreement(files, agreement_with_people(selection, scores))
+    require_agreement(files, agreement_with_people(selection, scores, protocol=protocol))
 
 
 def summary_of(

@@ -20,6 +20,7 @@ from prbench.errors import InputFileError, RunError, UsageError
 from prbench.evaluation.preparation import DEFAULT_PARENT
 from prbench.evaluation.request import DEFAULT_BATCH_SIZE, RunRequest
 from prbench.limits import HARMLESS_SIZE
+from prbench.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.runs import RunFolder, read_scores
 from prbench.runs.record import FILE, FILE_NAME, PROGRAM, UNKNOWN
 from prbench.workflows.first_run import table_finder
@@ -69,6 +70,8 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     isolate: bool = False
     timeout: float | None = None
     """Seconds for each batch of a program or an isolated method."""
+    protocol: str | None = None
+    """File of the user's own protocol; absent for prbench's."""
     out: str | None = None
     """The run folder; of several runs the folder that gets one run folder for each."""
 
@@ -117,6 +120,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             control=method.control,
             isolate=self.isolate,
             timeout=self.timeout,
+            protocol=Path(self.protocol) if self.protocol else None,
             out=Path(self.out) if self.out else None,
         )
 
@@ -201,6 +205,7 @@ def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path |
         device=record.device,
         threads=record.threads,
         isolate=record.method.isolation is not None,
+        protocol=str(run.path / PROTOCOL_FILE) if (run.path / PROTOCOL_FILE).is_file() else None,
     )
 
 

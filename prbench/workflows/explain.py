@@ -55,7 +55,7 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
     recordings = table.recordings()
     index = pc.index(recordings["recording_id"], record.recording_id).as_py()
     chunk = _sequence(table, record.sequence_id)
-    protocol = load_protocol()
+    protocol = table.described_protocol.protocol() or load_protocol()
     return EventStory(
         event=record,
         dataset=table.info.dataset,

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
 
 from prbench.curation.events import Decision, Place
+from prbench.curation.options import CurationOptions
 from prbench.curation.priming import Prime, find_prime, gaze_rays
+from prbench.errors import UsageError
+from prbench.manifests import load_manifest
 from tests.curation.scenes import PROTOCOL, clock, gaze, scene
 
 CONSTANTS = PROTOCOL.curation
@@ -95,3 +99,55 @@ def test_the_ray_may_start_at_the_camera() -> None:
     camera = dataclasses.replace(recording.camera, position=recording.camera.position + np.array([0.05, 0, 0]))
     moved = dataclasses.replace(recording, camera=camera)
     np.testing.assert_allclose(gaze_rays(moved, "camera")[1] - gaze_rays(moved, "eye")[1], [[0.05, 0, 0]] * 901)
+
+
+def lasting(looks: list[tuple[float, float]], shortest: float, *, gap_at: float | None = None) -> Prime | Decision:
+    """Looks at the box, of which only those that last prime; gaze is lost for 0.2 s where ``gap_at`` says."""
+    direction = np.tile([0.0, 1.0, 0.0], (len(TIMES), 1))
+    for start, end in looks:
+        direction[(start - 1e-9 <= TIMES) & (end > TIMES)] = (0.0, 0.0, 1.0)
+    keep = np.ones(len(TIMES), dtype=bool) if gap_at is None else np.abs(TIMES - gap_at) > 0.1
+    constants = msgspec.structs.replace(CONSTANTS, minimum_prime=shortest)
+    return find_prime(TIMES[keep], np.zeros((keep.sum(), 3)), direction[keep], BOX, 15.0, constants)
+
+
+def test_a_look_that_is_too_short_does_not_prime_and_the_next_one_does() -> None:
+    found = lasting([(9.0, 9.05), (12.0, 13.0)], 0.1)
+    assert isinstance(found, Prime)
+    assert found.time == pytest.approx(12.0)
+    # From the first sample to the last: three periods of 30 Hz are 0.1 s.
+    found = lasting([(9.0, 9.0 + 3.5 / 30), (12.0, 13.0)], 0.1)
+    assert isinstance(found, Prime)
+    assert found.time == pytest.approx(9.0)
+    found = lasting([(9.0, 9.05)], 0.1)
+    assert isinstance(found, Decision)
+    assert found.outcome == "not_primed"
+
+
+def test_a_look_ends_where_gaze_is_lost() -> None:
+    found = lasting([(9.0, 9.5)], 0.3, gap_at=9.25)
+    assert isinstance(found, Decision), "0.1 s before the gap and 0.1 s behind it"
+    found = lasting([(9.0, 9.5)], 0.3)
+    assert isinstance(found, Prime)
+
+
+def test_without_a_minimum_a_single_sample_primes() -> None:
+    found = lasting([(9.0, 9.01), (12.0, 13.0)], 0.0)
+    assert isinstance(found, Prime)
+    assert found.time == pytest.approx(9.0)
+
+
+def test_the_minimum_of_a_build_replaces_the_protocols_and_is_written_down() -> None:
+    options = CurationOptions(minimum_prime=0.1)
+    assert options.constants(PROTOCOL).minimum_prime == 0.1
+    assert CurationOptions().constants(PROTOCOL) == CONSTANTS
+    manifest = load_manifest("adt")
+    assert options.described(manifest, PROTOCOL)["minimum_prime"] == "0.1"
+    assert "minimum_prime" not in CurationOptions().described(manifest, PROTOCOL)
+    for wrong in (-0.1, float("nan"), float("inf")):
+        with pytest.raises(UsageError, match="--minimum-prime: expected seconds, 0 or more"):
+            CurationOptions(minimum_prime=wrong)
+    with pytest.raises(UsageError, match="--priming published takes no gaze"):
+        CurationOptions(minimum_prime=0.1, priming="published")
+    with pytest.raises(UsageError, match="--occlusion require"):
+        CurationOptions(minimum_prime=0.1, occlusion="require")

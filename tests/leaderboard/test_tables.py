@@ -10,15 +10,24 @@ import re
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
+import prbench
 from prbench.errors import RunError, UsageError
-from prbench.leaderboard import collect_runs, export, make_leaderboard
+from prbench.evaluation.request import RunRequest
+from prbench.evaluation.run import run_method
+from prbench.leaderboard import collect_runs, compare_runs, export, make_leaderboard
+from prbench.leaderboard.comparison import sequence_scores
+from prbench.leaderboard.separation import separate_by_comparison
+from prbench.leaderboard.tables import FEWEST_RANKED, of_all_methods
 from prbench.metrics import METRICS
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import RunRecord, TableRecord
+from prbench.runs.scores import read_scores
 from prbench.runs.summary import DatasetSummary, MetricSummary
 from prbench.submitted.verification import CheckedSummary
+from tests.fakes import fake_dataset
 from tests.runs.test_record import METHOD, RECORD, SUMMARY, TABLE
 
 UNITS = {info.id: info.unit for info in METRICS}
@@ -217,13 +226,94 @@ def test_nothing_is_ranked_below_fifty_sequences(tmp_path, sequences, ranked):
     assert ("Nothing is ranked: fewer than 50" in export(board, "md")) is not ranked
 
 
-def test_a_method_that_left_sequences_out_is_shown_without_rank(tmp_path):
+def test_a_method_that_left_sequences_out_stands_in_no_table_of_all_sequences(tmp_path):
     write_run(tmp_path / "a", "one", prime_success=0.6, summary={"unsupported": 5})
     write_run(tmp_path / "b", "two", prime_success=0.4)
     write_run(tmp_path / "c", "three", prime_success=0.3)
-    ranks = {row.entry.method: row.ranks.get("prime_success") for row in only(leaderboard(tmp_path).tables).rows}
-    assert ranks == {"one": None, "two": 1, "three": 2}
+    # These summaries follow from no scores, so that there is nothing to make a common table from.
+    found = [
+        {row.entry.method: row.ranks.get("prime_success") for row in table.rows}
+        for table in leaderboard(tmp_path).tables
+    ]
+    assert found == [{"two": 1, "three": 2}, {"one": None}]
     assert "one: 5 sequences are longer than it can generate" in export(leaderboard(tmp_path), "md")
+
+
+def test_ranks_on_common_sequences_follow_from_these_alone(tmp_path):
+    table = fake_dataset(tmp_path / "table", 240, recordings=32)
+    lengths = dict(zip(*(table.scalars(split="test")[name].to_pylist() for name in ("sequence_id", "n_frames"))))
+    limit = sorted(lengths.values())[-3]
+    for method, most in (("one", None), ("two", None), ("brief", limit)):
+        motions = {}
+        for chunk in table.chunks(split="test", columns=["joints"]):
+            for name, start, length in zip(chunk.sequence_ids, chunk.offsets, chunk.n_frames):
+                # "one" and "two" differ on the long sequences only, where "one" is out by metres.
+                off = 5.0 if method == "one" and length > limit else 0.0
+                if most is None or length <= most:
+                    motions[name] = np.repeat(chunk.joints[start : start + 1] + off, length, axis=0)
+        prbench.score(
+            motions, table.folder, name=method, condition="text", max_frames=most, out=tmp_path / "runs" / method
+        )
+    seen = []
+
+    def separate(rows, metrics):
+        seen.append({row.method: row.only for row in rows})
+        return separate_by_comparison(rows, metrics)
+
+    _, common = make_leaderboard(collect_runs([tmp_path / "runs"]), separate=separate).tables
+    assert {"one": common.common, "two": common.common, "brief": common.common} in seen
+    assert {"one": None, "two": None} in seen
+    assert {row.entry.method: row.ranks["mpjpe"] for row in common.rows} == {"one": 1, "two": 1, "brief": 1}
+    short = {name for name, length in lengths.items() if length <= limit}
+    scores = {
+        name: sequence_scores(tmp_path / "runs" / name / "scores.parquet", only=common.common)
+        for name in ("one", "two")
+    }
+    assert set(scores["one"].sequence_ids["mpjpe"]) == short
+    assert np.array_equal(scores["one"].values["mpjpe"], scores["two"].values["mpjpe"])
+    assert of_all_methods(make_leaderboard(collect_runs([tmp_path / "runs"])).tables)[0].common == common.common
+
+
+def test_all_methods_are_scored_on_the_sequences_that_every_one_generated(tmp_path):
+    table = fake_dataset(tmp_path / "table", 240, recordings=32)
+    lengths = dict(zip(*(table.scalars(split="test")[name].to_pylist() for name in ("sequence_id", "n_frames"))))
+    limit = sorted(lengths.values())[-3]
+    short = {name for name, length in lengths.items() if length <= limit}
+    assert FEWEST_RANKED <= len(short) < len(lengths)
+    run_method(RunRequest(method="scripted", data=(table.folder,), out=tmp_path / "runs" / "truth"))
+    for method, most in (("whole", None), ("brief", limit)):
+        chunks = list(table.chunks(split="test", columns=["joints"]))
+        motions = {
+            name: np.repeat(chunk.joints[start : start + 1] + (0.5 if method == "whole" else 0.0), length, axis=0)
+            for chunk in chunks
+            for name, start, length in zip(chunk.sequence_ids, chunk.offsets, chunk.n_frames)
+            if most is None or length <= most
+        }
+        prbench.score(
+            motions, table.folder, name=method, condition="text", max_frames=most, out=tmp_path / "runs" / method
+        )
+    board = make_leaderboard(collect_runs([tmp_path / "runs"]))
+    whole, common = board.tables
+    assert [row.entry.method for row in whole.rows] == ["whole", "scripted"]
+    assert {row.entry.method for row in common.rows} == {"whole", "brief", "scripted"}
+    assert (whole.sequences, whole.of) == (len(lengths), 0)
+    assert (common.sequences, common.of, common.common) == (len(short), len(lengths), short)
+    assert common.shortest == (f"brief ({len(lengths) - len(short)})",)
+    ranks = {row.entry.method: row.ranks.get("mpjpe") for row in common.rows}
+    assert ranks == {"whole": 2, "brief": 1, "scripted": None}
+    for row in common.rows:
+        scores = read_scores(tmp_path / "runs" / row.entry.run / "scores.parquet").to_pylist()
+        values = [one["value"] for one in scores if one["metric"] == "mpjpe" and one["sequence_id"] in short]
+        assert row.entry.metric("mpjpe").mean == pytest.approx(sum(values) / len(values))
+        assert row.entry.metric("mpjpe").sequences == len(short)
+    text = export(board, "md")
+    assert f"{len(short)} sequences, " in text
+    assert f"of {len(lengths)} that every method here generated" in text
+    compared = compare_runs(tmp_path / "runs" / "whole", tmp_path / "runs" / "brief")
+    assert compared.left_out == (
+        f"{table.info.dataset}: compared on the {len(short)} of {len(lengths)} sequences that both methods generated",
+    )
+    assert {row.comparison.difference.n_sequences for row in compared.metrics} == {len(short)}
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from prbench.errors import RunError, UsageError
@@ -10,7 +12,8 @@ from prbench.evaluation.controls import RECORDED_MOTION, SHUFFLED_GOAL
 from prbench.evaluation.planning import Selection, select
 from prbench.evaluation.preparation import supported
 from prbench.evaluation.scoring import ScoringRules
-from prbench.manifests import load_protocol
+from prbench.manifests import BenchmarkProtocol, load_protocol
+from prbench.own_protocol import FILE_NAME, protocol_for
 from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
 from prbench.runs.predictions import Predictions
@@ -34,8 +37,10 @@ def score_run(
         PredictionsError: if motions are missing.
     """
     _require_plain(request)
-    scored = tuple(_scored(run, table, request, work) for table in tables)
-    folders = (None,) * len(scored) if request.out is None else write_plain(request.out, scored)
+    # A run of an earlier version of prbench's own protocol is scored by today's.
+    protocol = protocol_for(_protocol_file(run, request), (table.described_protocol for table in tables))
+    scored = tuple(_scored(run, table, request, work, protocol) for table in tables)
+    folders = (None,) * len(scored) if request.out is None else write_plain(request.out, scored, protocol)
     method = run.record.method
     return tuple(
         ScoreReport(one.scores, one.summary, at, method.origin, one.agreement, method.motionless)
@@ -50,7 +55,8 @@ def scored_again(run: RunFolder, table: SequenceTable, work: Work) -> Scored:
         RunError: if it is of another table.
         PredictionsError: if motions are missing, or one cannot be scored.
     """
-    return _scored(run, table, ScoreRequest(predictions=run.path, data=(table.folder,)), work)
+    request = ScoreRequest(predictions=run.path, data=(table.folder,))
+    return _scored(run, table, request, work, run.protocol or load_protocol())
 
 
 def scored_sequences(run: RunFolder, table: SequenceTable) -> Selection:
@@ -63,7 +69,17 @@ def scored_sequences(run: RunFolder, table: SequenceTable) -> Selection:
     return _selections(ScoreRequest(predictions=run.path, data=(table.folder,)), run.record, table)[1]
 
 
-def _scored(run: RunFolder, table: SequenceTable, request: ScoreRequest, work: Work) -> Scored:
+def _protocol_file(run: RunFolder, request: ScoreRequest) -> Path | None:
+    """File of the user's own protocol: the one asked for, else the run's; None for prbench's."""
+    if request.protocol is not None:
+        return request.protocol
+    followed = run.protocol
+    return run.path / FILE_NAME if followed is not None and followed.is_own else None
+
+
+def _scored(
+    run: RunFolder, table: SequenceTable, request: ScoreRequest, work: Work, protocol: BenchmarkProtocol
+) -> Scored:
     _require_same_table(run, table)
     chosen, selection = _selections(request, run.record, table)
     predictions = Predictions.open(run.dataset(table.info.dataset).predictions)
@@ -76,9 +92,11 @@ def _scored(run: RunFolder, table: SequenceTable, request: ScoreRequest, work: W
         conditions=None,
     )
     samples = require_complete(predictions, wanted)
-    rules = _rules(request, run.record, selection)
+    rules = _rules(request, run.record, selection, protocol)
     about = About(method=run.record.method.name, condition=run.record.condition, control=run.record.control)
-    return Scored.of(chosen, selection, predictions, samples=samples, rules=rules, about=about, work=work)
+    return Scored.of(
+        chosen, selection, predictions, samples=samples, rules=rules, protocol=protocol, about=about, work=work
+    )
 
 
 def _require_plain(request: ScoreRequest) -> None:
@@ -112,14 +130,14 @@ def _selections(request: ScoreRequest, record: RunRecord, table: SequenceTable) 
     return chosen, supported(chosen, max_frames=record.method.max_frames, native_fps=record.method.native_fps)
 
 
-def _rules(request: ScoreRequest, record: RunRecord, selection: Selection) -> ScoringRules:
+def _rules(request: ScoreRequest, record: RunRecord, selection: Selection, protocol: BenchmarkProtocol) -> ScoringRules:
     recorded_motion = record.method.kind == run_record.CONTROL and record.method.name in RECORDED_MOTION
     other_goals = None
     if recorded_motion and record.control == SHUFFLED_GOAL:
         order = derangement(selection, seed=record.seed)
         other_goals = ConditionSource.read(selection).goal_location[order]
     return ScoringRules(
-        load_protocol().metrics,
+        protocol.metrics,
         recorded_motion=recorded_motion,
         other_goals=other_goals,
         run_of=record.method.name,

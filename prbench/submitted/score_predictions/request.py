@@ -56,12 +56,14 @@ class ScoreRequest:
     name: str | None = None
     """Name of the method; by default that of the file."""
     allow_length_mismatch: bool = False
+    protocol: Path | None = None
+    """The user's own protocol; by default that of the run, else prbench's."""
     out: Path | None = None
     """Folder for ``scores.parquet`` and ``summary.json`` (of several datasets, a sub-folder each), and for what a
     leaderboard needs beside them; nothing is written without it."""
 
     def __post_init__(self) -> None:
-        turn_into_paths(self, "predictions", "data", "conditions", "out")
+        turn_into_paths(self, "predictions", "data", "conditions", "protocol", "out")
         if not self.data:
             raise UsageError("scoring needs one dataset folder or more (--data DIR).")
         if self.native_fps is not None and not 0 < self.native_fps <= 1000:

@@ -12,8 +12,8 @@ from prbench.evaluation.preparation import supported
 from prbench.evaluation.request import ProgressCallback, silent
 from prbench.evaluation.scoring import ScoringRules
 from prbench.locks import sole_writer
-from prbench.manifests import load_protocol
 from prbench.methods.names import name_problem
+from prbench.own_protocol import protocol_for
 from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
 from prbench.runs.predictions import Numbering, Predictions
@@ -86,13 +86,14 @@ def _score_submission(
         PredictionsError: see :func:`prbench.submitted.score_predictions.score_predictions`.
     """
     name = request.name or _name_of(request.predictions)
+    protocol = protocol_for(request.protocol, (table.described_protocol for table in tables))
     stated, numbering = _stated(tables, request)
     chosen = [select(table, split=stated.split, limit=stated.limit) for table in tables]
     selections = [_supported(each, stated) for each in chosen]
     predictions = Predictions.open(request.predictions, numbering=numbering) if given is None else given.predictions
     samples = _require_fit(predictions, selections, stated, request)
     rules = ScoringRules(
-        load_protocol().metrics,
+        protocol.metrics,
         allow_length_mismatch=request.allow_length_mismatch,
         id_seed=stated.seed,
         native_fps=stated.native_fps,
@@ -100,14 +101,16 @@ def _score_submission(
     condition = stated.condition.value if stated.condition else UNSTATED
     about = About(method=name, condition=condition, control=stated.control)
     scored = tuple(
-        Scored.of(each, selection, predictions, samples=samples, rules=rules, about=about, work=work)
+        Scored.of(each, selection, predictions, samples=samples, rules=rules, protocol=protocol, about=about, work=work)
         for each, selection in zip(chosen, selections)
     )
     folders: tuple[Path | None, ...] = (None,) * len(scored)
     if request.out is not None:
         digest = predictions_digest(request.predictions) if given is None else given.digest
-        record = offline_record(name, stated, scored, package=request.predictions.name, digest=digest)
-        folders = write_submission(request.out, record, scored)
+        record = offline_record(
+            name, stated, scored, package=request.predictions.name, digest=digest, protocol=protocol
+        )
+        folders = write_submission(request.out, record, scored, protocol)
     origin = f"file {clean(request.predictions.name)}"
     return tuple(ScoreReport(one.scores, one.summary, at, origin, one.agreement) for one, at in zip(scored, folders))
 

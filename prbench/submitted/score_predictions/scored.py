@@ -17,7 +17,8 @@ from prbench.evaluation.preparation import table_record
 from prbench.evaluation.request import ProgressCallback
 from prbench.evaluation.results import ScoredSet, summarise
 from prbench.evaluation.scoring import ScoringRules, reported, score_selection
-from prbench.manifests import load_protocol
+from prbench.manifests import BenchmarkProtocol
+from prbench.own_protocol import write_protocol
 from prbench.runs import record as run_record
 from prbench.runs.agreement import DatasetAgreement
 from prbench.runs.cost import total_cost
@@ -74,6 +75,7 @@ class Scored:
         *,
         samples: Sequence[int],
         rules: ScoringRules,
+        protocol: BenchmarkProtocol,
         about: About,
         work: Work,
     ) -> Scored:
@@ -90,10 +92,13 @@ class Scored:
             split=selection.split,
             samples=len(samples),
         )
-        return cls(chosen, selection, scores, summarise(scores, scored), agreement_with_people(selection, scores))
+        agreement = agreement_with_people(selection, scores, protocol=protocol)
+        return cls(chosen, selection, scores, summarise(scores, scored), agreement)
 
 
-def offline_record(name: str, stated: Stated, scored: tuple[Scored, ...], *, package: str, digest: str) -> RunRecord:
+def offline_record(
+    name: str, stated: Stated, scored: tuple[Scored, ...], *, package: str, digest: str, protocol: BenchmarkProtocol
+) -> RunRecord:
     """Return what is known of a submission as a run's record.
 
     Args:
@@ -102,8 +107,8 @@ def offline_record(name: str, stated: Stated, scored: tuple[Scored, ...], *, pac
         scored: Their scores, one a table.
         package: Name of the file that the motions came as.
         digest: Digest of the motions; its beginning is the version of the method.
+        protocol: Rules by which they were scored.
     """
-    protocol = load_protocol()
     return RunRecord(
         schema_version=RUN_SCHEMA_VERSION,
         prbench_version=prbench.__version__,
@@ -142,7 +147,9 @@ def predictions_digest(path: Path) -> str:
     return text_digest(*(part for file in files for part in (file.relative_to(path).as_posix(), file_digest(file))))
 
 
-def write_submission(folder: Path, record: RunRecord, scored: tuple[Scored, ...]) -> tuple[Path, ...]:
+def write_submission(
+    folder: Path, record: RunRecord, scored: tuple[Scored, ...], protocol: BenchmarkProtocol
+) -> tuple[Path, ...]:
     """Write the scores of a submission as a leaderboard reads them; its motions stay where they are.
 
     Returns:
@@ -153,7 +160,7 @@ def write_submission(folder: Path, record: RunRecord, scored: tuple[Scored, ...]
         StorageError: if it holds something else, or cannot be written.
     """
     _require_no_run(folder)
-    run = RunFolder.prepare(folder, record)
+    run = RunFolder.prepare(folder, record, protocol)
     parts = [run.dataset(one.summary.dataset) for one in scored]
     for part, one in zip(parts, scored):
         write_scores(part.scores, [one.scores])
@@ -163,7 +170,7 @@ def write_submission(folder: Path, record: RunRecord, scored: tuple[Scored, ...]
     return tuple(part.path for part in parts)
 
 
-def write_plain(folder: Path, scored: tuple[Scored, ...]) -> tuple[Path, ...]:
+def write_plain(folder: Path, scored: tuple[Scored, ...], protocol: BenchmarkProtocol) -> tuple[Path, ...]:
     """Write the scores of a run beside those that it has itself.
 
     Raises:
@@ -176,6 +183,7 @@ def write_plain(folder: Path, scored: tuple[Scored, ...]) -> tuple[Path, ...]:
         write_scores(part / "scores.parquet", [one.scores])
         one.agreement.write(part)
         one.summary.write(part)
+    write_protocol(folder, protocol)
     return tuple(parts)
 
 

@@ -132,6 +132,8 @@ def read_scenes(
     """
     _require_something_to_show(table.info, runs, permitted)
     scores = [run.scores(sequence_ids) for run in runs]
+    followed = runs[0].run.protocol if runs else table.described_protocol.protocol()
+    constants = (followed or load_protocol()).metrics
     # One row a chunk, because the order asked for need not be that of the table.
     chunks = {chunk.sequence_ids[0]: chunk for chunk in table.chunks(ids=frozenset(sequence_ids), rows=1)}
     for name in sequence_ids:
@@ -139,7 +141,7 @@ def read_scenes(
             ShownMotion(run.label, colour, run.joints(name, int(chunks[name].n_frames[0])), values[name])
             for run, colour, values in zip(runs, METHOD_COLOURS, scores, strict=False)
         ]
-        yield scene_of(chunks[name], table.info, motions, permitted=permitted, around=around)
+        yield scene_of(chunks[name], table.info, motions, permitted=permitted, around=around, constants=constants)
 
 
 def _require_something_to_show(info: DatasetInfo, runs: Sequence[RunMotions], permitted: Collection[str]) -> None:
@@ -162,6 +164,7 @@ def scene_of(
     *,
     permitted: Collection[str] = (),
     around: _Around | None = None,
+    constants: MetricConstants | None = None,
 ) -> Scene:
     """Make the scene of one row of a table, with generated motions beside the recorded one.
 
@@ -171,8 +174,9 @@ def scene_of(
         motions: Motions that methods generated for it.
         permitted: See :func:`read_scenes`.
         around: See :func:`read_scenes`.
+        constants: Numbers of the metrics; None for those of prbench's own protocol.
     """
-    constants = load_protocol().metrics
+    constants = constants or load_protocol().metrics
     shown = may_pass_on(info, permitted)
     gaze = gaze_of(chunk)
     placed = info.why_not_scored is None  # else the goal's frame is unknown, so that no distance means anything

@@ -19,7 +19,7 @@ from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.leaderboard import collect_runs, make_leaderboard
 from prbench.leaderboard.collect import Check
-from prbench.leaderboard.tables import MAIN_METRICS, DatasetTable, TableRow
+from prbench.leaderboard.tables import MAIN_METRICS, DatasetTable, TableRow, of_all_methods
 from prbench.published import DATASETS, load_published, published_table
 from prbench.runs.record import FILE_NAME as RUN
 from prbench.storage import file_digest
@@ -33,6 +33,7 @@ from prbench.workflows.study.methods import (
     measured_cells,
     measured_title,
     measured_values,
+    part_title,
     published_value,
     table_notes,
 )
@@ -213,7 +214,7 @@ def ablation_table(number: str, folder: Path, check: Check | None, *, with_publi
     names = {row.run_name for row in rows}
     runs = [folder / _RUNS / name for name in sorted(names) if (folder / _RUNS / name / RUN).is_file()]
     board = make_leaderboard(collect_runs(runs or [folder / _RUNS], check=check))
-    return [_part(number, rows, table, folder, with_published=with_published) for table in board.tables]
+    return [_part(number, rows, table, folder, with_published=with_published) for table in of_all_methods(board.tables)]
 
 
 def _part(
@@ -240,7 +241,7 @@ def _part(
         number=number,
         title=published_table(number).title,
         dataset=table.dataset,
-        part=f"{table.title} ({table.dataset}), {table.sequences} sequences of {table.recordings} recordings",
+        part=part_title(table),
         header=("Condition", "Variant", *(metric_title(info) for info in MAIN_METRICS)),
         blocks=tuple(block for block in blocks if block.rows),
         values=tuple(values),

@@ -130,6 +130,10 @@ def why_not_beside(entry: LeaderboardRow) -> str | None:
         return "scores on synthetic data, or on a dataset that the study does not have"
     if entry.record.split != _TEST:
         return f"split '{entry.record.split}', the study scores its test split"
+    if entry.protocol:
+        return f"a protocol of the user's own, {entry.protocol}"
+    if entry.only is not None and not entry.table.unsupported:
+        return "its numbers on the common sequences, since those on all of them stand beside the study's"
     if entry.is_control:
         return "a control of the harness"
     if entry.summary.hands_in_recordings:
@@ -196,8 +200,8 @@ def _remarks(entry: LeaderboardRow, number: PublishedNumber, said: str, theirs: 
         yield said
     if entry.summary.sequences != theirs:
         yield f"{entry.summary.sequences} test sequences, the study has {theirs}"
-    if entry.summary.unsupported:
-        yield f"{entry.summary.unsupported} sequences are left out, as longer than the method can generate"
+    if unsupported := entry.summary.unsupported or entry.table.unsupported:
+        yield f"{unsupported} sequences are left out, as longer than the method can generate"
     if entry.record.samples > 1:
         yield f"{entry.record.samples} samples a sequence"
     if entry.mark:

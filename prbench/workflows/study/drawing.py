@@ -7,7 +7,6 @@ from pathlib import Path
 
 from prbench.errors import UsageError
 from prbench.leaderboard.tables import MAIN_METRICS
-from prbench.manifests import load_protocol
 from prbench.metrics import MetricInfo, printed_unit
 from prbench.viewing.study_charts import MOST_RUNS, Bar, BarPanel, CurvePanel, draw_bars, draw_sweeps
 from prbench.workflows.study.breakdown import GroupScore
@@ -62,7 +61,7 @@ def draw_sweep(sweeps: Sequence[Sweep], path: Path) -> None:
         UsageError: for another kind of file.
         StorageError: if the file cannot be written.
     """
-    constants = load_protocol().metrics
+    constants = sweeps[0].run.protocol.metrics
     panels = [
         CurvePanel(f"{one.run.title}, {one.sequences} sequences", one.distances, one.windows, 100 * one.rates)
         for one in sweeps

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from prbench.engine import Engine
 from prbench.errors import RunError, UsageError
+from prbench.manifests import BenchmarkProtocol, load_protocol
 from prbench.runs import RunFolder
 from prbench.runs.record import TableRecord
 from prbench.sequences import SequenceTable
@@ -28,8 +29,14 @@ class GenuineRun:
 
     @property
     def title(self) -> str:
-        """Run and dataset in words."""
-        return f"{self.label}, {clean(self.record.dataset)}"
+        """Run and dataset in words, with the name of a user's own protocol."""
+        own = f", own protocol {self.protocol.label}" if self.protocol.is_own else ""
+        return f"{self.label}, {clean(self.record.dataset)}{own}"
+
+    @property
+    def protocol(self) -> BenchmarkProtocol:
+        """Rules by which it was scored."""
+        return self.run.protocol or load_protocol()
 
 
 def genuine_runs(paths: Sequence[Path], data: Sequence[Path], engine: Engine) -> list[GenuineRun]:
@@ -38,11 +45,14 @@ def genuine_runs(paths: Sequence[Path], data: Sequence[Path], engine: Engine) ->
     Raises:
         UsageError: without runs, or if two of them have no dataset in common.
         TableError: if a table was not named and is not the embedded one.
-        RunError: if a run is unfinished, or its scores are not those of its motions.
+        RunError: if a run is unfinished, its scores are not those of its motions, or runs follow different protocols.
     """
     if not paths:
         raise UsageError("name a run folder or more.")
     runs = [RunFolder.open(path) for path in paths]
+    for run in runs[1:]:
+        if run.record.protocol_digest != runs[0].record.protocol_digest:
+            raise RunError(f"{run.path} and {runs[0].path} follow different protocols. Draw them one by one.")
     labels = _labels(runs)
     found = []
     for table in tables_of_runs(runs, data):

@@ -129,7 +129,7 @@ def _part(table: DatasetTable, number: str, *, with_published: bool) -> StudyTab
         number=number,
         title=published_table(number).title,
         dataset=table.dataset,
-        part=f"{table.title} ({table.dataset}), {table.sequences} sequences of {table.recordings} recordings",
+        part=part_title(table),
         header=_header(),
         blocks=tuple(block for block in blocks if block.rows),
         values=tuple(values),
@@ -203,7 +203,13 @@ def measured_values(row: TableRow, table: DatasetTable) -> Iterable[StudyValue]:
         if info is None:
             continue
         hidden = hides(row.entry, info)
-        notes = [*metric.marks, row.entry.mark, f"unverified: {row.entry.unverified}" if row.entry.unverified else ""]
+        notes = [
+            *metric.marks,
+            f"common {table.sequences} of {table.of} sequences" if table.of else "",
+            f"own protocol {table.protocol}" if table.protocol else "",
+            row.entry.mark,
+            f"unverified: {row.entry.unverified}" if row.entry.unverified else "",
+        ]
         yield StudyValue(
             dataset=table.dataset,
             condition=row.entry.record.condition,
@@ -285,10 +291,19 @@ def _difference_value(one: Difference) -> StudyValue:
     )
 
 
+def part_title(table: DatasetTable) -> str:
+    """Return the data and the rules behind a part in words."""
+    of = f" (of {table.of}: those that every method generated)" if table.of else ""
+    own = f", own protocol {table.protocol}" if table.protocol else ""
+    return f"{table.title} ({table.dataset}), {table.sequences} sequences{of} of {table.recordings} recordings{own}"
+
+
 def measured_title(table: DatasetTable) -> str:
     """Return the title of a block of measured rows."""
     if table.synthetic:
         return "Measured on synthetic data: not comparable with published numbers"
+    if table.protocol:
+        return f"Measured under the own protocol {table.protocol}: not comparable with published numbers"
     return "Measured"
 
 
@@ -300,6 +315,13 @@ def _published_title(number: str, dataset: str, table: DatasetTable) -> str:
 def table_notes(table: DatasetTable) -> Iterable[str]:
     """Yield what a reader of measured rows has to know, whatever stands beside them."""
     yield _INTERVALS
+    if table.protocol:
+        yield f"Scored under a protocol of the user's own, {table.protocol}: no measured number here is the study's."
+    if table.of:
+        yield (
+            f"Of {table.of} sequences, those that every method generated; longer ones than a method can generate are"
+            f" left out for all: {', '.join(table.shortest)}."
+        )
     if table.synthetic:
         yield SYNTHETIC_NOTE
     for row in table.rows:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from prbench.engine import Engine
 from prbench.errors import RunError
 from prbench.evaluation.planning import Selection, select
-from prbench.manifests import MetricConstants, load_protocol
+from prbench.manifests import MetricConstants
 from prbench.metrics import MotionBatch
 from prbench.metrics.prime_success import Variant, primed
 from prbench.metrics.ray_track import candidate_frames, head_track
@@ -74,7 +74,7 @@ def sweep(run: GenuineRun, *, variant: Variant, engine: Engine) -> Sweep:
     count = round(settings.largest_distance / settings.distance_step)
     distances = tuple(round(k * settings.distance_step, 6) for k in range(count + 1))
     selection = _selection(run)
-    constants = load_protocol().metrics
+    constants = run.protocol.metrics
     sums = np.zeros((len(settings.windows), len(distances)))
     motions = 0
     for successes in engine.map(_swept, list(_work(run, selection, constants, settings.windows, distances, variant))):

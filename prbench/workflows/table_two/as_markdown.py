@@ -44,7 +44,8 @@ def as_markdown(layout: TableLayout) -> str:
 def heading(dataset: DatasetLayout, layout: TableLayout) -> str:
     """Title, and the data behind it."""
     plural = "" if dataset.recordings == 1 else "s"
-    counts = f"n = {dataset.sequences} sequences of {dataset.recordings} recording{plural}"
+    of = "" if dataset.sequences == dataset.chosen else f" (of {dataset.chosen}: those that every method can generate)"
+    counts = f"n = {dataset.sequences} sequences{of} of {dataset.recordings} recording{plural}"
     return f"{dataset.title}: {counts}, split {layout.split}"
 
 
@@ -94,7 +95,7 @@ def notes(layout: TableLayout) -> Iterable[str]:
         for line in (line for block in dataset.blocks for line in block.lines if line.unsupported):
             yield (
                 f"{line.label} on {dataset.dataset}: {line.unsupported} sequences are longer than it can generate and"
-                " were left out; not ranked."
+                " were left out for every method."
             )
     if any(dataset.redistribution == "non-commercial" for dataset in layout.datasets):
         yield "Some of the data may be used for non-commercial purposes only."

@@ -17,7 +17,7 @@ from prbench.evaluation.comparisons import Comparison, compare
 from prbench.evaluation.planning import Selection, select
 from prbench.leaderboard import collect_runs, make_leaderboard
 from prbench.leaderboard.comparison import paired_scores
-from prbench.leaderboard.tables import FEWEST_RANKED, TableRow, hides
+from prbench.leaderboard.tables import FEWEST_RANKED, DatasetTable, TableRow, hides, of_all_methods
 from prbench.metrics import METRICS, STUDY_METRICS, MetricInfo
 from prbench.runs.cost import RunCost
 from prbench.runs.folder import RunFolder
@@ -138,7 +138,9 @@ class DatasetLayout:
     synthetic: bool
     redistribution: str
     sequences: int
-    """n of every line."""
+    """n of every line: the chosen ones, or those of them that every method can generate."""
+    chosen: int
+    """Number of sequences that were asked for."""
     recordings: int
     blocks: tuple[BlockLayout, ...]
 
@@ -191,15 +193,22 @@ def lay_out(
     """
     folders = [outcome.folder for outcome in outcomes if outcome.folder is not None]
     found = make_leaderboard(collect_runs(folders)).tables if folders else ()
-    rows = {(part.dataset, row.entry.run): row for part in found for row in part.rows}
-    datasets = tuple(_dataset(outcomes, select(table, split=split, limit=limit), rows) for table in tables)
+    # A table of the common sequences takes the place of that of all: one line, one set of sequences.
+    parts: dict[str, DatasetTable] = {}
+    for part in of_all_methods(found):
+        parts.setdefault(part.dataset, part)
+    datasets = tuple(
+        _dataset(outcomes, select(table, split=split, limit=limit), parts.get(table.info.dataset)) for table in tables
+    )
     return TableLayout(split, limit, minutes, datasets)
 
 
-def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, rows: dict[tuple[str, str], TableRow]) -> DatasetLayout:
+def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, part: DatasetTable | None) -> DatasetLayout:
     info = chosen.table.info
+    rows = {} if part is None else {row.entry.run: row for row in part.rows}
+    common = None if part is None else part.common
     folders = {outcome.planned.name: outcome.folder for outcome in outcomes if outcome.folder is not None}
-    lines = [(outcome.planned, _line(outcome, rows.get((info.dataset, outcome.planned.name)))) for outcome in outcomes]
+    lines = [(outcome.planned, _line(outcome, rows.get(outcome.planned.name))) for outcome in outcomes]
     under: dict[str, list[Line]] = defaultdict(list)
     for planned, line in lines:
         under[_CONTROL if planned.is_control else planned.condition.value].append(line)
@@ -209,20 +218,21 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, rows: dict[tuple
         title=info.title,
         synthetic=info.synthetic,
         redistribution=info.redistribution,
-        sequences=len(chosen),
-        recordings=len(set(chosen.recording_ids)),
+        sequences=len(chosen) if common is None else len(common),
+        chosen=len(chosen),
+        recordings=len(_recordings(chosen, common)),
         blocks=tuple(
-            BlockLayout(
-                title,
-                name,
-                tuple(under[name]),
-                _order({line.name: line.cells[DECIDING.id] for line in under[name]}, DECIDING, folders, info.dataset),
-                _order({line.name: line.arrival for line in under[name]}, ARRIVAL, folders, info.dataset),
-            )
+            BlockLayout(title, name, tuple(under[name]), *_orders(under[name], folders, info.dataset, common))
             for name, title in titles.items()
             if name in under
         ),
     )
+
+
+def _recordings(chosen: Selection, common: frozenset[str] | None) -> set[str]:
+    """Recordings of the chosen sequences, or of the common ones among them."""
+    pairs = zip(chosen.sequence_ids, chosen.recording_ids)
+    return {recording for name, recording in pairs if common is None or name in common}
 
 
 def _line(outcome: RowOutcome, row: TableRow | None) -> Line:
@@ -241,7 +251,7 @@ def _line(outcome: RowOutcome, row: TableRow | None) -> Line:
         reason=outcome.reason,
         cells={info.id: _cell(row, info) for info in STUDY_METRICS},
         arrival=_cell(row, ARRIVAL),
-        unsupported=row.entry.summary.unsupported if row is not None else 0,
+        unsupported=row.entry.table.unsupported if row is not None else 0,
         cost=_line_cost(outcome.folder, row),
     )
 
@@ -275,8 +285,22 @@ def _passes(cost: RunCost) -> float | None:
     return cost.network_passes_declared / motions if cost.network_passes_declared and motions else None
 
 
+def _orders(
+    lines: Sequence[Line], folders: Mapping[str, Path], dataset: str, common: frozenset[str] | None
+) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
+    """Both orders of a block: by :data:`DECIDING` and by :data:`ARRIVAL`."""
+    return (
+        _order({line.name: line.cells[DECIDING.id] for line in lines}, DECIDING, folders, dataset, common),
+        _order({line.name: line.arrival for line in lines}, ARRIVAL, folders, dataset, common),
+    )
+
+
 def _order(
-    cells: Mapping[str, Cell | None], deciding: MetricInfo, folders: Mapping[str, Path], dataset: str
+    cells: Mapping[str, Cell | None],
+    deciding: MetricInfo,
+    folders: Mapping[str, Path],
+    dataset: str,
+    common: frozenset[str] | None,
 ) -> tuple[Step, ...]:
     """Compare each ranked method of a block with the next worse one, sequence by sequence.
 
@@ -285,6 +309,7 @@ def _order(
         deciding: The metric of the cells.
         folders: Run folders of these lines, all scored on the same sequences.
         dataset: Of the runs.
+        common: Ids of the sequences that every method generated; None where all generated all.
 
     Raises:
         RunError: if runs are damaged or do not belong together.
@@ -293,7 +318,7 @@ def _order(
     ordered = sorted(means, key=lambda name: -means[name])
     runs = {name: RunFolder.open(folders[name]) for name in ordered}
     pairs = {
-        (better, worse): paired_scores(runs[better], runs[worse], dataset)[f"{dataset}\n{deciding.id}"]
+        (better, worse): paired_scores(runs[better], runs[worse], dataset, only=common)[f"{dataset}\n{deciding.id}"]
         for better, worse in pairwise(ordered)
     }
     # All steps of a block go through one comparison, so that Holm's correction counts them together.

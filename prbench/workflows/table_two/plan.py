@@ -130,4 +130,5 @@ def _base(request: TableRequest, data: tuple[Path, ...]) -> RunRequest:
         samples=request.samples,
         device=request.device,
         threads=request.threads,
+        protocol=request.protocol,
     )

@@ -19,6 +19,7 @@ from prbench.errors import UsageError, did_you_mean
 from prbench.evaluation.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
 from prbench.evaluation.preparation import DEFAULT_PARENT
 from prbench.manifests import read_toml
+from prbench.own_protocol import read_protocol
 from prbench.published import load_table_one
 from prbench.sequences import SequenceTable
 from prbench.storage import text_digest
@@ -161,6 +162,8 @@ class TableRequest:
     """Sequences of a batch; None for a number that follows from the number of sequences."""
     device: str = "cpu"
     threads: int = 1
+    protocol: Path | None = None
+    """The user's own protocol; None for prbench's."""
     shuffled_goal: bool = False
     """True if every goal row stands there with other sequences' goals, too."""
     out: Path | None = None
@@ -253,6 +256,8 @@ class TableRequest:
             "--threads": str(self.threads),
             "--control": SHUFFLED_GOAL if self.shuffled_goal else "",
         }
+        if self.protocol is not None:
+            settings["--protocol"] = read_protocol(self.protocol).digest
         return settings | {f"table {table.info.dataset}": f"{table.identity} {table.content}" for table in tables}
 
 

@@ -7,6 +7,7 @@ from importlib import resources
 
 import pytest
 
+from prbench.manifests import load_protocol
 from prbench.training.configuration import TrainingConfiguration, list_configurations, load_configuration
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
@@ -66,14 +67,24 @@ def test_the_paper_configurations_hold_the_numbers_of_the_study():
     assert (fine_tuning.training.learning_rate, fine_tuning.training.steps) == (5e-5, 250_000)
     assert (pretraining.data.crop, fine_tuning.data.crop) == ("random", "end")
     model, objective = read_model_table(fine_tuning.model)
-    expected = DenoiserConfiguration(goal="location", max_frames=150)  # the defaults are the paper's sizes
+    expected = DenoiserConfiguration(goal="location", max_frames=241)  # the defaults are the paper's sizes
     assert model == expected
     assert objective == Objective(joint_loss_weight=1.0, velocity_loss_weight=0.0, bone_loss_weight=0.0, text_drop=0.2)
     for configuration in (pretraining, fine_tuning):
         training = configuration.training
         assert (training.batch_size, training.ema, training.schedule) == (64, 0.9999, "constant")
         assert (training.weight_decay, training.betas, training.gradient_clip) == (0.0, (0.9, 0.999), None)
-        assert configuration.data.max_frames == 150
+    assert (pretraining.data.max_frames, fine_tuning.data.max_frames) == (150, 241)
+
+
+@pytest.mark.parametrize("task", ["mdm", "pr"])
+def test_the_paper_configurations_cover_the_longest_sequence_of_the_protocol(task):
+    protocol = load_protocol()
+    longest = round((protocol.curation.priming_window + protocol.curation.lead) * protocol.fps) + 1
+    for stage in STAGES:
+        assert _load(task, "paper", stage).model["max_frames"] == longest
+    assert _load(task, "paper", "finetune").data.max_frames == longest
+    assert _load(task, "paper", "pretrain").data.max_frames == 150, "N of the study, for clips of the corpus"
 
 
 @pytest.mark.parametrize("task", ["mdm", "pr"])

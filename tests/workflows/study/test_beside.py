@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from dataclasses import replace
 
 import msgspec
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from prbench.leaderboard import collect_runs, export, make_leaderboard
 from prbench.published import load_published, load_table_one
 from prbench.submitted.verification import CheckedSummary
-from prbench.workflows.study.beside import add_published, differences, published_variant
+from prbench.workflows.study.beside import add_published, differences, published_variant, why_not_beside
 from tests.leaderboard.test_tables import as_stored, by_means, write_run
 
 REAL = {"synthetic": False, "title": "Aria Digital Twin"}
@@ -116,6 +117,25 @@ def test_table_s3_takes_weights_of_that_very_dataset_only(tmp_path):
 def test_no_published_number_stands_beside_what_does_not_compare(tmp_path, change):
     write_real(tmp_path / "a", **change)
     assert differences(rows_of(tmp_path)) == ()
+
+
+def test_no_published_number_stands_beside_a_run_of_one_s_own_protocol(tmp_path):
+    write_real(tmp_path / "a")
+    (row,) = rows_of(tmp_path)
+    assert differences([row])
+    entry = replace(row.entry, protocol="mine 1")
+    assert differences([replace(row, entry=entry)]) == ()
+    assert why_not_beside(entry) == "a protocol of the user's own, mine 1"
+
+
+def test_a_run_stands_beside_published_numbers_once_where_there_are_common_sequences(tmp_path):
+    write_real(tmp_path / "a", table={"unsupported": 3}, summary={"unsupported": 3})
+    write_real(tmp_path / "b")
+    brief, whole = sorted(rows_of(tmp_path), key=lambda row: -row.entry.table.unsupported)
+    common = frozenset({"some"})
+    rows = [replace(row, entry=replace(row.entry, only=common)) for row in (brief, whole)]
+    assert differences(rows[1:]) == ()
+    assert "3 sequences are left out, as longer than the method can generate" in differences(rows)[0].remarks
 
 
 def test_a_foreign_method_has_no_published_number(tmp_path):

@@ -32,6 +32,8 @@ ADAPTER = """
 
         def __init__(self, weights, spread):
             self.weights, self.spread = weights, spread
+            most = Path(f"{{LOG}}.most-{{weights.stem}}")
+            self.max_frames = int(most.read_text()) if most.exists() else None
 
         def weights_for(self, condition):
             return self.weights
@@ -111,6 +113,10 @@ class MadeUp:
         """Let a method end the whole program, or no more."""
         file = Path(f"{self.log}.stop-{method}")
         file.touch() if now else file.unlink()
+
+    def limit(self, weights: str, frames: int) -> None:
+        """Let a method with these weights generate no more frames."""
+        Path(f"{self.log}.most-{weights}").write_text(str(frames))
 
     def calls(self) -> list[str]:
         """Method, condition and number of sequences of every batch since the last time."""

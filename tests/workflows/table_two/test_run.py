@@ -7,12 +7,14 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import pyarrow.compute as pc
 import pytest
 
 from prbench.contract import Condition
 from prbench.errors import AdapterError, PrbenchError, RunError, StorageError, UsageError
 from prbench.leaderboard.tables import FEWEST_RANKED
 from prbench.locks import sole_writer
+from prbench.runs import read_scores
 from prbench.workflows.table_two import TableRequest, plan, run, run_table
 from prbench.workflows.table_two import state as subset
 from prbench.workflows.table_two.budget import RowCost
@@ -226,6 +228,37 @@ def test_nothing_is_ranked_below_fifty_sequences_and_controls_never(large_table,
     assert header.count("|") - 1 == 2 + 6 + 3, "the study's six columns, and three of cost"
     assert "not supported by the data" in page
     assert "**" not in page  # the best mean was bold here, though the data support no difference
+
+
+def test_every_line_is_scored_on_the_sequences_that_all_can_generate(large_table, made_up, tmp_path):
+    (made_up.weights / "reacher-pretrained.safetensors").write_text("w")
+    rows = large_table.scalars(split="test")
+    lengths = sorted(rows["n_frames"].to_pylist())
+    made_up.limit("reacher-pretrained", lengths[-2])
+    short = sum(length <= lengths[-2] for length in lengths)
+    assert FEWEST_RANKED <= short < len(lengths)
+    asked = {"weights": made_up.weights, "condition": Condition.GOAL_LOCATION, "limit": len(lengths)}
+    report = run_table(request(large_table, out=tmp_path / "t", **asked))
+    part = report.layout.datasets[0]
+    assert (part.sequences, part.chosen) == (short, len(lengths))
+    found = lines(report)
+    assert found["goal-loc-reacher-pretrained"].unsupported == len(lengths) - short
+    assert found["goal-loc-reacher-finetuned"].unsupported == 0
+    common = set(rows.filter(pc.field("n_frames") <= lengths[-2])["sequence_id"].to_pylist())
+    for name in ("goal-loc-reacher-pretrained", "goal-loc-reacher-finetuned", "ground-truth"):
+        scores = read_scores(tmp_path / "t" / "rows" / name / "scores.parquet").to_pylist()
+        values = [row["value"] for row in scores if row["metric"] == "mpjpe" and row["sequence_id"] in common]
+        assert len(values) == short
+        assert found[name].cells["mpjpe"].mean == pytest.approx(sum(values) / short)
+    ranks = {name: line.cells["mpjpe"].rank for name, line in found.items() if line.cells["mpjpe"]}
+    # Both rows are one method with one seed: on the same sequences they are equal and share the first place.
+    assert [ranks[name] for name in ranks if name.startswith("goal-loc-reacher")] == [1, 1]
+    assert len(part.blocks[0].order) == 1
+    page = (tmp_path / "t" / "table_2.md").read_text()
+    assert f"n = {short} sequences (of {len(lengths)}: those that every method can generate)" in page
+    assert (
+        f"{len(lengths) - short} sequences are longer than it can generate and were left out for every method" in page
+    )
 
 
 def test_shuffled_goals_stand_among_the_controls(small_tables, tmp_path):

@@ -1,0 +1,1 @@
+"""What the protocol's choices change, measured on the embedded data."""

@@ -1,0 +1,237 @@
+"""Measure what the protocol's choices change on the embedded data: the numbers of ``docs/protocol-choices.md``.
+
+Run from the repository's root: ``python -m benchmarks.choices [--recordings 40]``. The synthetic recordings are acted
+out once, in memory; each variant curates them into a table of its own in a temporary folder, and the recorded motion of
+its test sequences is scored. Takes some minutes on one core and prints Markdown.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from prbench.curation import BuildOptions, CurationOptions, build_from_sources
+from prbench.curation.curate import curate_recording
+from prbench.curation.options import DEFAULTS
+from prbench.evaluation.request import RunRequest
+from prbench.evaluation.run import run_method
+from prbench.manifests import BenchmarkProtocol, load_manifest, load_protocol
+from prbench.own_protocol import FILE_NAME
+from prbench.recording import Recording
+from prbench.runs import read_scores
+from prbench.sequences import SequenceTable
+from prbench.synthetic.layouts import layout_for
+from prbench.workflows.first_run import RECORDINGS, SEED
+from prbench.workflows.matching import match_events
+from prbench.workflows.synthetic_table import Staging, SyntheticSource, synthetic_source
+from prbench.workflows.verify_synthetic import on_clock
+
+PRESET = "adt"
+STUDY_LENGTH = 150
+"""N of the study (Prime and Reach, section 5.1), frames."""
+EARLY = 1.8
+"""Seconds by which a prime precedes the intended look, to be counted as another look."""
+_SAME = 1e-6  # seconds
+
+
+@dataclass(frozen=True)
+class CachedSource:
+    """A synthetic recording that is acted out once for all variants."""
+
+    source: SyntheticSource
+    acted: dict[str, Recording] = field(repr=False)
+    skip_reason: None = None
+
+    @property
+    def dataset(self) -> str:
+        """The preset's dataset."""
+        return self.source.dataset
+
+    @property
+    def recording_id(self) -> str:
+        """Name of the recording."""
+        return self.source.recording_id
+
+    @property
+    def split(self) -> str:
+        """Split of the recording."""
+        return self.source.split
+
+    def input_digest(self) -> str:
+        """Digest of everything that the recording is made from."""
+        return self.source.input_digest()
+
+    def read(self) -> Recording:
+        """Act it out the first time."""
+        if self.recording_id not in self.acted:
+            self.acted[self.recording_id] = self.source.read()
+        return self.acted[self.recording_id]
+
+    def without_places(self, message: str) -> str:
+        """Nothing of this machine is in the messages."""
+        return message
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One reading of the study."""
+
+    name: str
+    curation: CurationOptions = DEFAULTS
+    change: Callable[[BenchmarkProtocol], BenchmarkProtocol] | None = None
+
+    @property
+    def options(self) -> BuildOptions:
+        """Options of the build; a changed protocol has a name of its own."""
+        protocol = None
+        if self.change is not None:
+            protocol = msgspec.structs.replace(self.change(load_protocol()), name="variant")
+        return BuildOptions(curation=self.curation, protocol=protocol)
+
+
+def _at_rate(fps: float) -> Callable[[BenchmarkProtocol], BenchmarkProtocol]:
+    return lambda protocol: msgspec.structs.replace(protocol, fps=fps)
+
+
+def _with_curation(**values: float) -> Callable[[BenchmarkProtocol], BenchmarkProtocol]:
+    return lambda protocol: msgspec.structs.replace(
+        protocol, curation=msgspec.structs.replace(protocol.curation, **values)
+    )
+
+
+VARIANTS = (
+    Variant("version 1"),
+    Variant("rays from the camera", CurationOptions(ray_origin="camera")),
+    Variant("wrist in hand", CurationOptions(in_hand="wrist")),
+    Variant("30 frames a second", change=_at_rate(30.0)),
+    Variant("no near misses", change=_with_curation(near_miss_distance=0.0)),
+    Variant("near misses up to 10 cm", change=_with_curation(near_miss_distance=0.10)),
+    Variant("look of 0.1 s", CurationOptions(minimum_prime=0.1)),
+    Variant("look of 0.2 s", CurationOptions(minimum_prime=0.2)),
+    Variant("movement of the pelvis", CurationOptions(minimum_movement="pelvis_displacement")),
+    Variant("movement of the object", CurationOptions(minimum_movement="object_displacement")),
+    Variant("no minimum movement", change=_with_curation(minimum_movement=0.0)),
+    Variant("lead of 3 s", change=_with_curation(lead=3.0)),
+)
+
+
+def main() -> None:
+    """Build, score and print every variant, and what a limit of 150 frames leaves."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--recordings", type=int, default=RECORDINGS, help="synthetic recordings (default: embedded)")
+    count = parser.parse_args().recordings
+    staging = Staging(PRESET, SEED)
+    acted: dict[str, Recording] = {}
+    sources = [CachedSource(synthetic_source(staging, index), acted) for index in range(count)]
+    planned = _intended_looks(staging, count, acted)
+    print(_line("variant", *ABOUT, *SHOWN))
+    print(_line(*["---"] * (1 + len(ABOUT) + len(SHOWN))))
+    first: dict[str, float] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for number, variant in enumerate(VARIANTS):
+            at = Path(folder) / str(number)
+            build_from_sources(sources, at / "table", options=variant.options)
+            table = SequenceTable.open(at / "table")
+            first = first or _primes(table)
+            _run(table, "ground-truth", at / "ground-truth")
+            scores = _means(at / "ground-truth")
+            print(_line(variant.name, *_about(table, planned, first), *scores), flush=True)
+        print()
+        _print_length(SequenceTable.open(Path(folder) / "0" / "table"), Path(folder) / "0")
+
+
+ABOUT = ("sequences", "in test", "gap", f"above {STUDY_LENGTH} frames", "kept", "other prime", "prime on another look")
+SHOWN = ("prime_success", "prime_success_onset", "prime_success_gaze", "reach_success", "reach_success_final")
+
+
+def _line(*cells: str) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _print_length(table: SequenceTable, folder: Path) -> None:
+    """Print what a limit of 150 frames leaves of the test sequences, and the scores of what is left."""
+    rows = table.scalars(split="test")
+    lengths = dict(zip(rows["sequence_id"].to_pylist(), rows["n_frames"].to_pylist(), strict=True))
+    short = {name for name, length in lengths.items() if length <= STUDY_LENGTH}
+    print(_line("method", "sequences", *SHOWN))
+    print(_line(*["---"] * (2 + len(SHOWN))))
+    for method in ("ground-truth", "scripted"):
+        _run(table, method, folder / method)
+        print(_line(f"{method}, all", str(len(lengths)), *_means(folder / method)))
+        print(_line(f"{method}, at most {STUDY_LENGTH} frames", str(len(short)), *_means(folder / method, only=short)))
+
+
+def _run(table: SequenceTable, method: str, out: Path) -> None:
+    """Score a control on the test sequences; a table of its own protocol is scored by that one."""
+    own = table.folder / FILE_NAME
+    run_method(
+        RunRequest(method=method, data=(table.folder,), protocol=own if own.is_file() else None, out=out),
+    )
+
+
+def _means(run: Path, only: Collection[str] | None = None) -> list[str]:
+    """Means in % over the sequences of a run, or over some of them."""
+    values: dict[str, list[float]] = {}
+    for row in read_scores(run / "scores.parquet").to_pylist():
+        if only is None or row["sequence_id"] in only:
+            values.setdefault(row["metric"], []).append(row["value"])
+    return [f"{100 * np.mean(values[name]):.1f}" if name in values else "–" for name in SHOWN]
+
+
+def _about(table: SequenceTable, planned: Mapping[str, float], first: Mapping[str, float]) -> list[str]:
+    """Counts of the table, of what it shares with version 1, and of primes that come before the intended look."""
+    rows = table.scalars(split="test")
+    gaps = np.asarray(rows["prime_gap"])
+    too_long = int((np.asarray(rows["n_frames"]) > STUDY_LENGTH).sum())
+    primes = _primes(table)
+    shared = [name for name in primes if name in first]
+    moved = sum(abs(primes[name] - first[name]) > _SAME for name in shared)
+    known = [name for name in primes if name in planned]
+    early = sum(primes[name] < planned[name] - EARLY for name in known)
+    return [
+        str(table.scalars().num_rows),
+        str(len(primes)),
+        f"{gaps.mean():.2f} ± {gaps.std():.2f} s",
+        str(too_long),
+        f"{len(shared)} of {len(first)}",
+        str(moved),
+        f"{early} of {len(known)}",
+    ]
+
+
+def _primes(table: SequenceTable) -> dict[str, float]:
+    """Map the id of each test sequence to its prime time."""
+    rows = table.scalars(split="test")
+    return dict(zip(rows["sequence_id"].to_pylist(), rows["prime_time"].to_pylist(), strict=True))
+
+
+def _intended_looks(staging: Staging, count: int, acted: dict[str, Recording]) -> dict[str, float]:
+    """Map the id of each sequence of version 1 to the time at which its person means to look at the goal."""
+    layout = layout_for(staging.preset)
+    looks = {}
+    for index in range(count):
+        performance = staging.perform(index)
+        offset = layout.clock_start(performance) - float(performance.times[0])
+        true = [
+            on_clock(replace(event, object_id=layout.object_id(event.object_id)), offset)
+            for event in layout.events(performance)
+        ]
+        recording = staging.sense(performance)
+        acted[recording.recording_id] = recording
+        curated = curate_recording(recording, load_manifest(staging.preset), load_protocol())
+        for match in match_events(true, curated.events):
+            if match.true is None or match.found is None or match.true.prime_planned is None:
+                continue
+            if match.found.sequence_id is not None:
+                looks[match.found.sequence_id] = match.true.prime_planned
+    return looks
+
+
+if __name__ == "__main__":
+    main()
