@@ -298,13 +298,15 @@ def print_datasets(summaries: Sequence[DatasetSummary], *, origin: str, motionle
         origin: Whose method it is, in words.
         motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
     """
+    from prbench.leaderboard.decidable import FEWEST_RANKED
     from prbench.metrics import MAIN_METRICS
     from prbench.runs.summary import means_over_datasets
 
     first = summaries[0]
     means = means_over_datasets(summaries)
     irrelevant = _irrelevant(motionless)
-    cell = _interval_cell if shown_width() >= _WIDE else _bare_cell
+    is_wide = shown_width() >= _WIDE
+    cell = _interval_cell if is_wide else _bare_cell
     rows = [("sequences (recordings)", *(f"{each.sequences} ({each.recordings})" for each in summaries), "")]
     for info in MAIN_METRICS:
         cells = [_DASH if info.id in irrelevant else cell(each, info) for each in summaries]
@@ -314,6 +316,10 @@ def print_datasets(summaries: Sequence[DatasetSummary], *, origin: str, motionle
     title = f"{first.method} ({origin}), condition {first.condition}{control}; split {first.split}"
     header = ("metric", *map(_short, summaries), "mean")
     print_table(title, header, rows, numbers=range(1, len(header)))
+    if not is_wide:
+        print(f"Each number has a 95 % interval: on a terminal of {_WIDE} columns, in a file, or with --json.")
+    if min(each.sequences for each in summaries) < FEWEST_RANKED:
+        print(f"A first look: fewer than {FEWEST_RANKED} sequences of a dataset rank nothing.")
     unsupported = [f"{each.unsupported} of {_short(each)}" for each in summaries if each.unsupported]
     if unsupported:
         print(f"Longer than the method can generate, and not scored: {', '.join(unsupported)}.")

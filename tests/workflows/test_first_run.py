@@ -66,7 +66,7 @@ def test_a_run_without_data_builds_the_datasets_once_and_says_where(cache, tmp_p
     second = capsys.readouterr()
     assert f"using the 2 embedded synthetic datasets in {folder}" in second.err
     assert (folder / "adt" / "sequences.parquet").stat().st_mtime_ns == built
-    made = json.loads(second.out)["runs"][0]
+    made = json.loads(second.out)["report"]["runs"][0]
     reached = [
         next(metric["mean"] for metric in dataset["metrics"] if metric["metric"] == "reach_success")
         for dataset in made["datasets"]
