@@ -326,7 +326,8 @@ def _run_all(
         if view is not None:
             print(f"view: {view}")
         elif first_run:
-            print(f"look at it: prbench view {reports[0].folder.path} --out motions.png   (or .mp4, .html)")
+            few = "" if experiment.sequences else "--limit 1 "
+            print(f"look at it: prbench view {reports[0].folder.path} {few}--out motions.png")
 
     return Answer(answer, show)
 

@@ -317,7 +317,7 @@ def print_datasets(summaries: Sequence[DatasetSummary], *, origin: str, motionle
     header = ("metric", *map(_short, summaries), "mean")
     print_table(title, header, rows, numbers=range(1, len(header)))
     if not is_wide:
-        print(f"Each number has a 95 % interval: on a terminal of {_WIDE} columns, in a file, or with --json.")
+        print(f"Intervals of 95 %: on a terminal of {_WIDE} columns, in a file, or with --json.")
     if min(each.sequences for each in summaries) < FEWEST_RANKED:
         print(f"A first look: fewer than {FEWEST_RANKED} sequences of a dataset rank nothing.")
     unsupported = [f"{each.unsupported} of {_short(each)}" for each in summaries if each.unsupported]
