@@ -173,7 +173,7 @@ _ALL = (
         same_surface=0.10,
         near=0.10,
         spread=0.35,
-        edge=(0.31, 0.44),
+        edge=(0.34, 0.47),
         objects=_MOGAZE,
         gap=((1.0, 1.54, 0.42),),
         idle=(0.7, 0.6),
@@ -189,7 +189,7 @@ _ALL = (
         neck_tilt_deg=7.4,
         grasp="wrapped",
         work_pose=None,
-        carry_pose=(0.02, -0.285, 0.09),
+        carry_pose=(0.02, -0.275, 0.10),
         work_looks=0.0,
     ),
     Preset(
