@@ -265,6 +265,7 @@ def run(
     control: Literal["shuffled-goal"] | None = None,
     seed: int = 0,
     samples: int = 1,
+    best_of: int = 1,
     batch_size: int | None = None,
     isolate: bool = False,
     timeout: float | None = None,
@@ -294,6 +295,8 @@ def run(
         control: ``shuffled-goal`` gives every sequence another one's goal.
         seed: Seed of the run.
         samples: Motions for each sequence.
+        best_of: Motions drawn for each of these, of which the one is kept whose own head ray and wrist serve the given
+            goal best; such runs are marked in tables and never ranked.
         batch_size: Sequences a batch; 64 by default, 5 without ``data``.
         isolate: Run the method in a process that is given neither paths, objects nor environment.
         timeout: Seconds for each batch of a program or an isolated method; 600 by default.
@@ -317,7 +320,8 @@ def run(
     from prbench.workflows import first_run
 
     _require_one(method, condition)
-    require_positive(limit=limit, threads=threads, samples=samples, batch_size=batch_size, workers=workers)
+    require_positive(limit=limit, threads=threads, samples=samples, best_of=best_of)
+    require_positive(batch_size=batch_size, workers=workers)
     sequences = as_texts(sequence)
     folders = table_folders(data)
     if not folders:
@@ -335,6 +339,7 @@ def run(
         sequences=sequences,
         seed=seed,
         samples=samples,
+        best_of=best_of,
         batch_size=batch_size or DEFAULT_BATCH_SIZE,
         device=device,
         threads=threads,

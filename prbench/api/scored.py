@@ -108,8 +108,8 @@ def _remarks(summary: DatasetSummary) -> list[str]:
     remarks = []
     if summary.unsupported:
         remarks.append(f"{summary.unsupported} sequences are longer than the method can generate and were not scored.")
-    if summary.recorded_motion_mark:
-        remarks.append(f"{summary.recorded_motion_mark}.")
+    if summary.mark:
+        remarks.append(f"{summary.mark}.")
     if summary.synthetic:
         remarks.append(_ON_SYNTHETIC_DATA)
     return remarks

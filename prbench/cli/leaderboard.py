@@ -105,7 +105,8 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         control: ``shuffled-goal`` if it was given other sequences' goals; null if not.
         variant: Control, weights, options and the like, by which rows of one method differ.
         seed: Seed of the run.
-        samples: Number of motions of each sequence.
+        samples: Number of motions kept of each sequence.
+        best_of: Number of motions drawn for each that was kept.
         scored: Number of sequences behind the numbers.
         verified: Whether the scores were held against the motions.
         why_unverified: The reason why not; empty if they were.
@@ -131,6 +132,7 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     variant: str
     seed: int
     samples: int
+    best_of: int
     scored: int
     verified: bool
     why_unverified: str
@@ -481,7 +483,7 @@ def _compared_run(path: Path, datasets: list[str]) -> ComparedRun:
     from prbench.runs import DatasetSummary, RunFolder
 
     run = RunFolder.open(path)
-    marks = {name: DatasetSummary.read(run.dataset(name).path).recorded_motion_mark for name in datasets}
+    marks = {name: DatasetSummary.read(run.dataset(name).path).mark for name in datasets}
     return ComparedRun(
         path=path,
         method=run.record.method.name,

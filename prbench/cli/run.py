@@ -144,6 +144,14 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
 @seed_option("of the run")
 @click.option("--samples", type=POSITIVE, default=1, metavar="N", help="Motions a sequence (default 1).")
 @click.option(
+    "--best-of",
+    type=POSITIVE,
+    default=1,
+    metavar="K",
+    help="Draw K motions for each and keep the one whose own head ray and wrist serve the given goal best (default 1);"
+    " such rows are marked and never ranked.",
+)
+@click.option(
     "--batch-size",
     type=POSITIVE,
     metavar="N",
@@ -246,6 +254,7 @@ _SHARED = (
     "split",
     "limit",
     "samples",
+    "best_of",
     "batch_size",
     "device",
     "threads",

@@ -142,8 +142,9 @@ class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
         sequences: Number of chosen sequences.
         unsupported: Number of them that are longer than the method can generate, and were not scored.
         recordings: Number of recordings that they come from.
-        samples: Motions a sequence.
-        remark: That recorded motions were handed in; empty if there are none.
+        samples: Motions kept of each sequence.
+        best_of: Motions drawn for each that was kept.
+        remark: That recorded motions were handed in, or that motions were chosen among several; empty otherwise.
         metrics: One entry a metric.
         agreement: Agreement with recorded people, and rates by the goal's place; null for merged folds and for runs of
             earlier versions.
@@ -160,6 +161,7 @@ class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
     unsupported: int
     recordings: int
     samples: int
+    best_of: int
     remark: str
     metrics: list[MetricScore]
     agreement: AgreementReport | None
@@ -206,7 +208,8 @@ def dataset_scores(
         unsupported=summary.unsupported,
         recordings=summary.recordings,
         samples=summary.samples,
-        remark=summary.recorded_motion_mark,
+        best_of=summary.best_of,
+        remark=summary.mark,
         metrics=metrics,
         agreement=agreement and agreement_report(agreement),
     )
@@ -269,8 +272,8 @@ def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = Fa
         print(line)
     if summary.unsupported:
         print(f"{summary.unsupported} sequences are longer than the method can generate and were not scored.")
-    if summary.recorded_motion_mark:
-        print(f"{summary.recorded_motion_mark}.")
+    if summary.mark:
+        print(f"{summary.mark}.")
     if summary.synthetic:
         print("These are scores on synthetic data: never compare them with published ones.")
 
@@ -324,8 +327,8 @@ def print_datasets(summaries: Sequence[DatasetSummary], *, origin: str, motionle
     if unsupported:
         print(f"Longer than the method can generate, and not scored: {', '.join(unsupported)}.")
     for each in summaries:
-        if each.recorded_motion_mark:
-            print(f"{_short(each)}: {each.recorded_motion_mark}.")
+        if each.mark:
+            print(f"{_short(each)}: {each.mark}.")
     if any(each.synthetic for each in summaries):
         print("Synthetic data: never compare these scores with published ones.")
 
@@ -341,7 +344,7 @@ def print_methods_on_datasets(
         motionless: Names of methods that stand still, which get no Foot Skating and the like.
     """
     from prbench.metrics import MAIN_METRICS
-    from prbench.runs.summary import TWICE_DAGGER, means_over_datasets
+    from prbench.runs.summary import means_over_datasets
 
     firsts = [summaries[0] for summaries in methods]
     means = [means_over_datasets(summaries) for summaries in methods]
@@ -355,13 +358,14 @@ def print_methods_on_datasets(
                 rows.append((f"· {_short(on_one[0])}", *(_bare_cell(each, info) for each in on_one)))
     header = ["metric"]
     for summaries, first, origin in zip(methods, firsts, origins, strict=True):
-        mark = f" {TWICE_DAGGER}" if any(each.recorded_motion_mark for each in summaries) else ""
+        symbols = " ".join(dict.fromkeys(each.symbols for each in summaries if each.symbols))
+        mark = f" {symbols}" if symbols else ""
         header.append(f"{first.method}{mark}\n({first.condition})\n{origin}")
     print_table(f"Means over {len(methods[0])} datasets", header, rows, numbers=range(1, len(header)))
     for summaries in methods:
         for each in summaries:
-            if each.recorded_motion_mark:
-                print(f"{each.method} on {_short(each)} {each.recorded_motion_mark}.")
+            if each.mark:
+                print(f"{each.method} on {_short(each)} {each.mark}.")
 
 
 _DASH = "–"

@@ -100,6 +100,7 @@ def _table_request(given: Mapping[str, Any], data: tuple[Path, ...], minutes: in
         minutes=minutes or DEFAULT_MINUTES,
         seed=given["seed"],
         samples=given["samples"],
+        best_of=given["best_of"],
         batch_size=given["batch_size"],
         device=given["device"],
         threads=given["threads"],
@@ -124,7 +125,7 @@ def _print_layout(layout: TableLayout) -> None:
 
 def _print_dataset(dataset: DatasetLayout, title: str) -> None:
     from prbench.metrics import STUDY_METRICS
-    from prbench.workflows.table_two.as_markdown import COST_TITLES, cost_cells
+    from prbench.workflows.table_two.as_markdown import COST_TITLES, cost_cells, shown_label
     from prbench.workflows.table_two.layout import metric_title
 
     header = ("Condition", "Method", *(metric_title(info) for info in STUDY_METRICS), *COST_TITLES)
@@ -132,25 +133,29 @@ def _print_dataset(dataset: DatasetLayout, title: str) -> None:
     for block in dataset.blocks:
         for i, line in enumerate(block.lines):
             cells = (_cell(line.cells[info.id]) for info in STUDY_METRICS)
-            rows.append((block.title if i == 0 else "", line.label, *cells, *cost_cells(line.cost)))
+            rows.append((block.title if i == 0 else "", shown_label(line), *cells, *cost_cells(line.cost)))
     print_table(title, header, rows, numbers=range(2, len(header)))
 
 
 def _print_narrow(dataset: DatasetLayout, title: str) -> None:
     """Print a dataset's part on a terminal of 80 columns: blocks one below the other, costs below their numbers."""
     from prbench.metrics import STUDY_METRICS
-    from prbench.workflows.table_two.as_markdown import COST_TITLES, cost_cells
+    from prbench.workflows.table_two.as_markdown import COST_TITLES, cost_cells, shown_label
     from prbench.workflows.table_two.layout import metric_title
 
     print(title)
     metrics = ("Method", *(metric_title(info).replace(" ", "\n", 1) for info in STUDY_METRICS))
     for block in dataset.blocks:
         rows = [
-            (_folded(line.label), *(_cell(line.cells[info.id], ",\n") for info in STUDY_METRICS))
+            (_folded(shown_label(line)), *(_cell(line.cells[info.id], ",\n") for info in STUDY_METRICS))
             for line in block.lines
         ]
         print_table(block.title, metrics, rows, numbers=range(1, len(metrics)))
-        costs = [(_folded(line.label), *cost_cells(line.cost)) for line in block.lines if line.cost.seconds is not None]
+        costs = [
+            (_folded(shown_label(line)), *cost_cells(line.cost))
+            for line in block.lines
+            if line.cost.seconds is not None
+        ]
         if costs:
             print_table(f"{block.title}: cost", ("Method", *COST_TITLES), costs, numbers=range(1, 1 + len(COST_TITLES)))
 

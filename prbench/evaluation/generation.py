@@ -9,9 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import psutil
+from jaxtyping import Int
 
 from prbench.contract import ConditionBatch, Motions
+from prbench.evaluation.best_of import ChoiceRules, best_motions
 from prbench.methods.loaded_methods import MethodSpec
 from prbench.methods.motions import generate_checked
 from prbench.methods.parameters import count_parameters
@@ -27,7 +30,9 @@ class BatchTask:
     index: int
     sequence_ids: tuple[str, ...]
     conditions: tuple[ConditionBatch, ...]
-    """One batch for each sample; they differ in their noise seeds only."""
+    """One batch for each motion drawn of a sequence; they differ in their noise seeds only."""
+    choice: ChoiceRules
+    """What is kept of them, which the method never sees."""
     method: MethodSpec | None
     """None for a control."""
     seed: int
@@ -53,32 +58,42 @@ def run_batch(task: BatchTask) -> int:
         AdapterError: if the method breaks the contract; nothing is written then.
         StorageError: if the part cannot be written.
     """
-    samples, cost = _controlled(task) if task.given is not None else _generated(task)
+    samples, seeds, cost = _controlled(task) if task.given is not None else _generated(task)
     cost.write(task.cost)  # first, so that a part on disk is never without its measurement
-    seeds = [batch.noise_seed for batch in task.conditions]
     rows = [PredictionRows.from_padded(motions.joints, motions.n_frames) for motions in samples]
     write_part(task.part, task.sequence_ids, seeds, rows, protocol_version=task.protocol_version)
     return task.index
 
 
-def _generated(task: BatchTask) -> tuple[list[Motions], BatchCost]:
+_Made = tuple[list[Motions], list[tuple[int, ...]], BatchCost]
+"""The motions that are kept, sample by sample, the noise seeds that they come from, and what all draws have cost."""
+
+
+def _generated(task: BatchTask) -> _Made:
     assert task.method is not None
     method = task.method.load()
     warm_up = not method.warmed_up
     _reset_device_peak()
-    samples = []
+    samples: list[Motions] = []
+    seeds: list[tuple[int, ...]] = []
     halvings = 0
     peak = 0
     crashes_before = method.restarts
     started = _synchronised_time()
     with computing_threads(task.method.threads):
-        for batch in task.conditions:
-            motions, halved = generate_checked(
-                method.adapter, batch, seed=task.seed, method=method.name, sequence_ids=task.sequence_ids
-            )
-            samples.append(motions)
-            halvings += halved
-            peak = max(peak, psutil.Process().memory_info().rss)
+        for first in range(0, len(task.conditions), task.choice.best_of):
+            batches = task.conditions[first : first + task.choice.best_of]
+            draws: list[Motions] = []
+            for batch in batches:
+                motions, halved = generate_checked(
+                    method.adapter, batch, seed=task.seed, method=method.name, sequence_ids=task.sequence_ids
+                )
+                draws.append(motions)
+                halvings += halved
+                peak = max(peak, psutil.Process().memory_info().rss)
+            kept, chosen = best_motions(draws, batches, task.choice) if len(draws) > 1 else _only(draws)
+            samples.append(kept)
+            seeds.append(tuple(batches[draw].noise_seed[row] for row, draw in enumerate(chosen)))
     seconds = _synchronised_time() - started
     # A program's memory is not in the resident size of this process.
     peak += method.program_bytes()
@@ -86,13 +101,20 @@ def _generated(task: BatchTask) -> tuple[list[Motions], BatchCost]:
     declared = [motions.cost.network_passes for motions in samples if motions.cost is not None]
     cost = _cost(task, samples, seconds, warm_up, halvings, peak, sum(declared) if declared else None)
     restarts = method.restarts - crashes_before
-    return samples, msgspec.structs.replace(cost, restarts=restarts, parameters=count_parameters(method.adapter))
+    cost = msgspec.structs.replace(cost, restarts=restarts, parameters=count_parameters(method.adapter))
+    return samples, seeds, cost
 
 
-def _controlled(task: BatchTask) -> tuple[list[Motions], BatchCost]:
+def _only(draws: list[Motions]) -> tuple[Motions, Int[np.ndarray, " batch"]]:
+    """The one draw there is; under a condition without goal there is nothing to choose by."""
+    return draws[0], np.zeros(len(draws[0].n_frames), dtype=np.int64)
+
+
+def _controlled(task: BatchTask) -> _Made:
     assert task.given is not None
     samples = [task.given] * len(task.conditions)
-    return samples, _cost(task, samples, 0.0, False, 0, psutil.Process().memory_info().rss, None)
+    seeds = [batch.noise_seed for batch in task.conditions]
+    return samples, seeds, _cost(task, samples, 0.0, False, 0, psutil.Process().memory_info().rss, None)
 
 
 def _cost(

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 import prbench
 from prbench.contract import Condition
 from prbench.errors import AdapterError
+from prbench.evaluation.best_of import require_goal
 from prbench.evaluation.conditions import ConditionSource, derangement
 from prbench.evaluation.controls import RECORDED_MOTION, SHUFFLED_GOAL
 from prbench.evaluation.planning import (
@@ -102,7 +103,8 @@ def prepare_run(request: RunRequest) -> PreparedRun:
         AdapterError: if the method is unknown, cannot be loaded, does not take the condition, or can generate none of
             the sequences.
         TableError: if a table is missing, empty, changed or of an unknown version.
-        UsageError: if datasets repeat, a path or split does not exist, or a table follows another protocol.
+        UsageError: if datasets repeat, a path or split does not exist, a table follows another protocol, or motions are
+            to be chosen by a goal that the condition does not give.
         InputFileError: if the user's own protocol lacks a key or has one too many.
     """
     # A method that an earlier run of this process has loaded may hold its state.
@@ -111,6 +113,7 @@ def prepare_run(request: RunRequest) -> PreparedRun:
     protocol = protocol_for(request.protocol, (table.described_protocol for table in tables))
     spec = None if request.is_control else _spec(request)
     condition = _condition(request, spec)
+    require_goal(condition, best_of=request.best_of)
     method = _control(request) if spec is None else _method(request, spec, condition)
     datasets = tuple(_dataset(request, chosen, spec, method) for chosen in _chosen_sequences(request, tables))
     record = _record(request, condition, method, datasets, protocol)
@@ -263,6 +266,7 @@ def _record(
         else (),
         seed=request.seed,
         samples=request.samples,
+        best_of=request.best_of,
         device=request.device,
         threads=request.threads,
         packages=package_versions(_RECORDED_PACKAGES),
@@ -320,5 +324,6 @@ def _default_folder(record: RunRecord) -> Path:
     # Five names would make a folder's name too long to be typed; the digest tells which datasets they are.
     several = len(record.tables) > _NAMED_DATASETS
     datasets = f"{len(record.tables)}-datasets" if several else "+".join(table.dataset for table in record.tables)
-    name = f"{record.method.name}{control}-{record.condition}-{datasets}-{text_digest(repr(record))[:8]}"
+    best_of = f"-best-of-{record.best_of}" if record.best_of > 1 else ""
+    name = f"{record.method.name}{control}-{record.condition}{best_of}-{datasets}-{text_digest(repr(record))[:8]}"
     return DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from prbench.contract import Condition
 from prbench.errors import UsageError
+from prbench.evaluation.best_of import require_goal
 from prbench.methods.names import METHOD_CONTROLS, SHUFFLED_GOAL
 from prbench.methods.programs.words import short_name
 from prbench.runs.record import RunRecord
@@ -42,7 +43,10 @@ class RunRequest:
     """Run only these: ids, or parts of ids that fit one sequence of the split only."""
     seed: int = 0
     samples: int = 1
-    """Motions drawn for each sequence."""
+    """Motions kept of each sequence."""
+    best_of: int = 1
+    """Motions drawn for each that is kept, chosen by their own head ray and wrist
+    (:mod:`prbench.evaluation.best_of`)."""
     batch_size: int = DEFAULT_BATCH_SIZE
     device: str = "cpu"
     threads: int = 1
@@ -67,6 +71,7 @@ class RunRequest:
             raise UsageError("a run needs one dataset folder or more (--data DIR).")
         for name, value in (
             ("--samples", self.samples),
+            ("--best-of", self.best_of),
             ("--batch-size", self.batch_size),
             ("--threads", self.threads),
         ):
@@ -82,6 +87,10 @@ class RunRequest:
             raise UsageError(f"--method {self.method} takes neither --weights nor --option.")
         if self.is_control and (self.isolate or self.timeout is not None):
             raise UsageError(f"--method {self.method} is part of the harness; leave --isolate and --timeout out.")
+        if self.best_of > 1 and self.is_control:
+            raise UsageError(f"--method {self.method} draws nothing to choose from; leave --best-of out.")
+        if self.best_of > 1 and self.condition is not None:
+            require_goal(self.condition, best_of=self.best_of)
         if self.timeout is not None and not 0 < self.timeout < math.inf:
             raise UsageError(f"--timeout: expected seconds above 0, found {self.timeout:g}.")
 

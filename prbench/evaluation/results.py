@@ -140,6 +140,8 @@ class ScoredSet:
     control: str | None
     split: str
     samples: int
+    best_of: int
+    """Motions drawn for each that was kept."""
 
 
 def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
@@ -164,6 +166,7 @@ def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
         unsupported=scored.chosen - len(scored.recording_of),
         recordings=len(set(scored.recording_of.values())),
         samples=scored.samples,
+        best_of=scored.best_of,
         length_mismatches=mismatched,
         metrics=metrics,
     )

@@ -18,6 +18,7 @@ import pyarrow as pa
 from prbench.engine import Engine, InProcess
 from prbench.errors import AdapterError, MemoryFullError
 from prbench.evaluation.agreement import agreement_with_people, require_agreement
+from prbench.evaluation.best_of import ChoiceRules
 from prbench.evaluation.conditions import run_salt
 from prbench.evaluation.controls import HOLDS_RECORDINGS, RECORDED_MOTION, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
@@ -180,9 +181,13 @@ class _Part:
             yield BatchTask(
                 index=index,
                 sequence_ids=dataset.ids(rows),
+                # Motions of one sample are consecutive draws, so that one of one is the sample itself.
                 conditions=tuple(
-                    dataset.source.redrawn(first, rows, seed=request.seed, sample=sample)
-                    for sample in range(request.samples)
+                    dataset.source.redrawn(first, rows, seed=request.seed, sample=draw)
+                    for draw in range(request.samples * request.best_of)
+                ),
+                choice=ChoiceRules.of(
+                    self.prepared.protocol, best_of=request.best_of, head_tilt_deg=dataset.source.head_tilt_deg[rows]
                 ),
                 method=dataset.method,
                 seed=request.seed,
@@ -234,6 +239,7 @@ class _Part:
             control=request.control,
             split=request.split,
             samples=request.samples,
+            best_of=request.best_of,
         )
 
     def _windows(self) -> Iterator[pa.Table]:

@@ -18,7 +18,6 @@ from prbench.leaderboard.tables import (
 from prbench.manifests import load_protocol
 from prbench.metrics import MAIN_METRICS, MetricInfo, printed_unit
 from prbench.runs.record import CONTROL
-from prbench.runs.summary import TWICE_DAGGER
 from prbench.shown import markdown, markdown_code
 
 _DASH = "–"
@@ -54,7 +53,7 @@ def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
     rows = [
         [
             "control" if row.entry.record.method.kind == CONTROL else markdown(row.entry.record.condition),
-            _marked(row.entry.method, row.entry.mark),
+            _marked(row.entry.method, row.entry.summary.symbols),
             _variant(row.variant, unverified=bool(row.entry.unverified)),
             *(_cell(row, info) for info in MAIN_METRICS),
             *row.entry.cost.cells,
@@ -69,8 +68,8 @@ def _variant(text: str, *, unverified: bool) -> str:
     return "; ".join(part for part in (markdown(text), "unverified" if unverified else "") if part)
 
 
-def _marked(method: str, mark: str) -> str:
-    return f"{markdown(method)} {TWICE_DAGGER}" if mark else markdown(method)
+def _marked(method: str, symbols: str) -> str:
+    return f"{markdown(method)} {symbols}" if symbols else markdown(method)
 
 
 def _cell(row: TableRow, info: MetricInfo) -> str:
@@ -169,7 +168,7 @@ def _macro_blocks(macro: MacroTable) -> list[str]:
     rows = [
         [
             "control" if row.is_control else markdown(row.condition),
-            _marked(row.method, row.mark),
+            _marked(row.method, row.symbols),
             _variant(row.variant, unverified=row.unverified),
             *(_macro_cell(row, info) for info in MAIN_METRICS),
             ", ".join(map(markdown, row.missing)),

@@ -60,13 +60,15 @@ class LeaderboardRow:
     @property
     def mark(self) -> str:
         """A remark about the motions that readers must know, or an empty text."""
-        return self.summary.recorded_motion_mark
+        return self.summary.mark
 
     @property
     def variant(self) -> str:
-        """Control, weights and options: the settings that distinguish runs of one method."""
+        """Control, choice, weights and options: the settings that distinguish runs of one method."""
         method = self.record.method
         parts = [self.record.control] if self.record.control else []
+        if self.record.best_of > 1:
+            parts.append(f"best of {self.record.best_of}")
         if method.weights:
             parts.append(f"weights {method.weights}")
         parts += [f"{key}={value}" for key, value in sorted(method.options.items())]

@@ -206,6 +206,7 @@ def _json_row(row: TableRow) -> dict[str, object]:
         "variant": row.variant,
         "seed": entry.record.seed,
         "samples": entry.record.samples,
+        "best_of": entry.record.best_of,
         "scored": entry.scored,
         "verified": not entry.unverified,
         "why_unverified": entry.unverified,

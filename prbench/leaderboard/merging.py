@@ -67,6 +67,7 @@ def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> 
             control=first.control,
             split=f"{len(runs)} folds",
             samples=first.samples,
+            best_of=first.best_of,
         ),
     )
     return merged, tuple(unverified)
@@ -96,5 +97,6 @@ def _design(record: RunRecord) -> dict[str, object]:
         "condition": record.condition,
         "control": record.control,
         "samples": record.samples,
+        "best of": record.best_of,
         "split": record.split,
     }

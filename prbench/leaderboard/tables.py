@@ -2,11 +2,11 @@
 
 Two runs compare on a dataset if protocol, table (both digests), split and chosen sequences agree. Methods are ranked
 within their condition, on all main metrics but ``plausible``, where at least 50 sequences were scored; controls and
-motions that are the recorded ones are shown without rank. A rank is one more than the number of methods that are better
-by a supported difference, so methods that the data cannot separate share one. A method that left sequences out because
-they are longer than it can generate stands in a second table only: there all methods are scored, compared and ranked on
-the sequences that every one of them generated. The macro mean weighs every dataset alike and exists only for methods
-that have all of them.
+motions that are the recorded ones or were chosen among several are shown without rank. A rank is one more than the
+number of methods that are better by a supported difference, so methods that the data cannot separate share one. A
+method that left sequences out because they are longer than it can generate stands in a second table only: there all
+methods are scored, compared and ranked on the sequences that every one of them generated. The macro mean weighs every
+dataset alike and exists only for methods that have all of them.
 """
 
 from __future__ import annotations
@@ -82,6 +82,8 @@ class MacroRow:
     """Origin of the method, in words."""
     mark: str
     """See :attr:`LeaderboardRow.mark`; of the first dataset that has one."""
+    symbols: str
+    """The signs of the mark."""
     is_control: bool
     condition: str
     variant: str
@@ -258,6 +260,7 @@ def _is_ranked(entry: LeaderboardRow) -> bool:
     return (
         not entry.is_control
         and not entry.summary.hands_in_recordings
+        and entry.record.best_of == 1
         and not entry.summary.unsupported
         and entry.scored >= FEWEST_RANKED
     )
@@ -328,10 +331,10 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
         entries = found[key].values()
         missing = tuple(name for name in names if name not in found[key])
         is_control = any(entry.record.method.kind == CONTROL for entry in entries)
-        mark = next((entry.mark for entry in entries if entry.mark), "")
+        mark, symbols = next(((entry.mark, entry.summary.symbols) for entry in entries if entry.mark), ("", ""))
         unverified = any(entry.unverified for entry in entries)
         yield MacroRow(
-            method, origin, mark, is_control, condition, variant, means[key], ranks[key], missing, unverified
+            method, origin, mark, symbols, is_control, condition, variant, means[key], ranks[key], missing, unverified
         )
 
 

@@ -110,6 +110,9 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     """Ids, if the run is of single sequences instead of a split's; sorted."""
     seed: int
     samples: int
+    """Motions kept of each sequence."""
+    best_of: int = 1
+    """Motions drawn for each that is kept (docs/specification/protocol.md#best-of-k)."""
     device: str
     threads: int
     """Per worker."""

@@ -20,6 +20,8 @@ _RECORDED_SHARE = 0.01
 """Share of such motions above which a method is not ranked."""
 TWICE_DAGGER = "††"
 """Mark of a method that handed in recorded motions."""
+SECTION = "§"
+"""Mark of motions that were chosen among several."""
 
 
 class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -67,6 +69,9 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     unsupported: int
     recordings: int
     samples: int
+    """Motions kept of each sequence."""
+    best_of: int = 1
+    """Motions drawn for each that was kept."""
     length_mismatches: int
     metrics: tuple[MetricSummary, ...]
 
@@ -92,6 +97,23 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
             return ""
         rank = "; never ranked" if self.hands_in_recordings else ""
         return f"{TWICE_DAGGER} equals the recorded motion in {self.recorded_motions} of {self._motions} motions{rank}"
+
+    @property
+    def best_of_mark(self) -> str:
+        """Remark of tables on motions that were chosen among several; empty if none were."""
+        if self.best_of == 1:
+            return ""
+        return f"{SECTION} best of {self.best_of} motions, chosen by their own head ray and wrist; never ranked"
+
+    @property
+    def mark(self) -> str:
+        """What readers must know about the motions, or an empty text."""
+        return "; ".join(part for part in (self.recorded_motion_mark, self.best_of_mark) if part)
+
+    @property
+    def symbols(self) -> str:
+        """The signs of :attr:`mark`, for the name of the method."""
+        return " ".join(part.split(" ", 1)[0] for part in (self.recorded_motion_mark, self.best_of_mark) if part)
 
     @property
     def _motions(self) -> int:

@@ -161,6 +161,7 @@ def summary_of(
             control=record.control,
             split=record.split,
             samples=record.samples,
+            best_of=record.best_of,
         ),
     )
 

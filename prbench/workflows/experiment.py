@@ -61,7 +61,9 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     seeds: tuple[int, ...] = (0,)
     """Each is a run of its own."""
     samples: int = 1
-    """Motions a sequence."""
+    """Motions kept of each sequence."""
+    best_of: int = 1
+    """Motions drawn for each that is kept."""
     batch_size: int | None = None
     """Sequences a batch; absent for 64."""
     device: str = "cpu"
@@ -114,6 +116,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             sequences=self.sequences,
             seed=seed,
             samples=self.samples,
+            best_of=self.best_of,
             batch_size=self.batch_size or DEFAULT_BATCH_SIZE,
             device=self.device,
             threads=self.threads,
@@ -201,6 +204,7 @@ def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path |
         sequences=record.sequences,
         seeds=(record.seed,),
         samples=record.samples,
+        best_of=record.best_of,
         batch_size=record.tables[0].batch_plan.batch_size,
         device=record.device,
         threads=record.threads,

@@ -93,7 +93,8 @@ def _scored(
     )
     samples = require_complete(predictions, wanted)
     rules = _rules(request, run.record, selection, protocol)
-    about = About(method=run.record.method.name, condition=run.record.condition, control=run.record.control)
+    record = run.record
+    about = About(method=record.method.name, condition=record.condition, control=record.control, best_of=record.best_of)
     return Scored.of(
         chosen, selection, predictions, samples=samples, rules=rules, protocol=protocol, about=about, work=work
     )

@@ -52,6 +52,8 @@ class About:
     method: str
     condition: str
     control: str | None
+    best_of: int = 1
+    """Motions drawn for each that was kept, as far as a run's record says."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,7 @@ class Scored:
             control=about.control,
             split=selection.split,
             samples=len(samples),
+            best_of=about.best_of,
         )
         agreement = agreement_with_people(selection, scores, protocol=protocol)
         return cls(chosen, selection, scores, summarise(scores, scored), agreement)

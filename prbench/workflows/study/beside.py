@@ -136,6 +136,8 @@ def why_not_beside(entry: LeaderboardRow) -> str | None:
         return "its numbers on the common sequences, since those on all of them stand beside the study's"
     if entry.is_control:
         return "a control of the harness"
+    if entry.record.best_of > 1:
+        return f"the best of {entry.record.best_of} motions, where the study draws one"
     if entry.summary.hands_in_recordings:
         return "recorded motions, not a method's"
     return None

@@ -165,7 +165,9 @@ def _stands_for(row: TableRow, study: Row, number: str) -> bool:
 def _study_label(study: Row, row: TableRow, placed: Sequence[tuple[Row, TableRow]]) -> str:
     """Return the study's label, with what tells runs apart where several stand for one row or options were given."""
     several = sum(other == study for other, _ in placed) > 1
-    options = row.entry.record.method.options
+    options = dict(row.entry.record.method.options)
+    if row.entry.record.best_of > 1:
+        options["best of"] = str(row.entry.record.best_of)
     if several:
         return f"{study.label} ({row.variant})"
     if options:
@@ -178,7 +180,7 @@ def _header() -> tuple[str, ...]:
 
 
 def _line(row: TableRow, condition: str, label: str) -> tuple[str, ...]:
-    marks = [part for part in (row.entry.mark[:2], "unverified" if row.entry.unverified else "") if part]
+    marks = [part for part in (row.entry.summary.symbols, "unverified" if row.entry.unverified else "") if part]
     shown = f"{label} ({', '.join(marks)})" if marks else label
     return (condition, shown, *measured_cells(row))
 

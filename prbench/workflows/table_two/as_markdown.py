@@ -11,6 +11,7 @@ from dataclasses import asdict
 
 from prbench.leaderboard.tables import FEWEST_RANKED
 from prbench.metrics import STUDY_METRICS, exported_unit
+from prbench.runs.summary import SECTION
 from prbench.shown import markdown
 from prbench.workflows.table_two.layout import (
     ARRIVAL,
@@ -18,6 +19,7 @@ from prbench.workflows.table_two.layout import (
     BlockLayout,
     Cell,
     DatasetLayout,
+    Line,
     LineCost,
     Step,
     TableLayout,
@@ -72,6 +74,11 @@ def notes(layout: TableLayout) -> Iterable[str]:
     lines = [line for block in layout.datasets[0].blocks for line in block.lines]
     if any(line.label[-1] in _MARKS for line in lines):
         yield "; ".join(f"{mark}: {meaning}" for mark, meaning in _MARKS.items()) + "; no mark: fine-tuned."
+    for best_of in sorted({line.best_of for line in lines if line.best_of > 1}):
+        yield (
+            f"{SECTION}: the best of {best_of} motions of each sequence, chosen by their own head ray and wrist; costs"
+            " are those of all. Never ranked."
+        )
     yield "Rates in %, Goal MPJPE and MPJPE in m; 95 % intervals over recordings in brackets."
     few = [dataset.dataset for dataset in layout.datasets if not dataset.is_ranked]
     if few:
@@ -111,7 +118,12 @@ def _grid(dataset: DatasetLayout) -> str:
 def _rows(block: BlockLayout) -> Iterable[Sequence[str]]:
     for i, line in enumerate(block.lines):
         cells = (_cell(line.cells[info.id]) for info in STUDY_METRICS)
-        yield [markdown(block.title) if i == 0 else "", markdown(line.label), *cells, *cost_cells(line.cost)]
+        yield [markdown(block.title) if i == 0 else "", markdown(shown_label(line)), *cells, *cost_cells(line.cost)]
+
+
+def shown_label(line: Line) -> str:
+    """The label of a line, with the sign of motions that were chosen among several."""
+    return f"{line.label} {SECTION}" if line.best_of > 1 else line.label
 
 
 def _cell(cell: Cell | None) -> str:

@@ -95,6 +95,8 @@ class Line:
     """Maps each of the study's metrics to its cell; None is a dash."""
     arrival: Cell | None
     """The cell of :data:`ARRIVAL`, which is no column of the study's table."""
+    best_of: int
+    """Motions drawn for each that was kept; a line of more than one is marked and never ranked."""
     unsupported: int
     """Sequences that are longer than the method can generate, and were left out."""
     cost: LineCost
@@ -251,6 +253,7 @@ def _line(outcome: RowOutcome, row: TableRow | None) -> Line:
         reason=outcome.reason,
         cells={info.id: _cell(row, info) for info in STUDY_METRICS},
         arrival=_cell(row, ARRIVAL),
+        best_of=planned.run.best_of,
         unsupported=row.entry.table.unsupported if row is not None else 0,
         cost=_line_cost(outcome.folder, row),
     )
