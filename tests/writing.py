@@ -48,6 +48,7 @@ class Inputs:
         for name in ("run", "run-of-conditions"):
             run(made.folder, *_RUN, "--data", made.table, "--out", folder / name)
         run(made.folder, *_STATIC, "--data", made.table, "--out", folder / "static")
+        run(made.folder, *_STATIC, "--samples", 2, "--data", made.table, "--out", folder / "several")
         run(made.folder, "export-release", made.table, "--out", made.release)
         run(made.folder, *_CONDITIONS, "--data", made.table, "--out", folder / "conditions.npz")
         _make_bodiless(made)
@@ -253,6 +254,16 @@ WRITING = (
         "audit --out",
         lambda given, out: ("audit", "--data", given.table, "--limit", 2, "--out", out),
         varies=("cost.json",),
+    ),
+    Writing(
+        "diversity --out",
+        lambda given, out: ("diversity", given.several, "--data", given.table, "--out", out),
+        "d.json",
+    ),
+    Writing(
+        "diversity --fan",
+        lambda given, out: ("diversity", given.several, "--data", given.table, "--fan", out),
+        "fan.png",
     ),
     Writing("agreement --out", lambda given, out: ("agreement", given.run, "--out", out), "a.json"),
     Writing(

@@ -55,6 +55,7 @@ _COMMANDS = {
     "board: runs side by side": {
         "leaderboard": "prbench.cli.leaderboard:leaderboard",
         "agreement": "prbench.cli.agreement:agreement",
+        "diversity": "prbench.cli.diversity:diversity",
         "audit": "prbench.cli.audit:audit",
         "study": "prbench.cli.study:study",
         "ablation": "prbench.cli.ablation:ablation",

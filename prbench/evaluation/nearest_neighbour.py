@@ -25,11 +25,11 @@ from prbench.contract import Motions
 from prbench.errors import TableError
 from prbench.evaluation.conditions import ConditionSource
 from prbench.evaluation.planning import WINDOW, Selection, select
+from prbench.evaluation.similar_tasks import at_length, laid_on_goal, read_motions
 from prbench.sequences.table import SequenceTable
 from prbench.skeleton import N_JOINTS
 
 _TRAINING = "train"
-_NO_DIRECTION = 1e-6  # m; a goal above the first pelvis lies in no direction
 
 
 @dataclass(frozen=True)
@@ -66,13 +66,14 @@ def retrieved_motions(
             # Only the motions of one window are held in memory.
             place = int(rows[0]) // WINDOW
             window = nearest[place * WINDOW : (place + 1) * WINDOW]
-            motions = _read_motions(selection.table, frozenset(training.sequence_ids[row] for row in window))
+            ids = frozenset(training.sequence_ids[row] for row in window)
+            motions = read_motions(selection.table, ids, split=_TRAINING)
         n_frames = source.n_frames[rows]
         joints = np.zeros((len(rows), int(n_frames.max()), N_JOINTS, 3), dtype=np.float32)
         for i, row in enumerate(rows):
             found = int(nearest[row])
-            motion = _at_length(motions[training.sequence_ids[found]], int(n_frames[i]))
-            joints[i, : n_frames[i]] = _aligned(motion, known.goal_location[found], source.goal_location[row])
+            motion = at_length(motions[training.sequence_ids[found]], int(n_frames[i]))
+            joints[i, : n_frames[i]] = laid_on_goal(motion, known.goal_location[found], source.goal_location[row])
         yield Motions(joints, n_frames)
 
 
@@ -100,44 +101,3 @@ def _nearest(wanted: _Task, searched: _Task, table: SequenceTable) -> Int[np.nda
                 " Build more recordings, or leave nearest-neighbour out."
             )
     return nearest
-
-
-def _read_motions(table: SequenceTable, ids: frozenset[str]) -> dict[str, Float[np.ndarray, "_ 22 3"]]:
-    motions = {}
-    for chunk in table.chunks(split=_TRAINING, columns=["joints"], ids=ids):
-        parts = np.split(chunk.joints, chunk.offsets[1:-1])
-        motions |= dict(zip(chunk.sequence_ids, parts, strict=True))
-    return motions
-
-
-def _at_length(motion: Float[np.ndarray, "frames 22 3"], n_frames: int) -> Float[np.ndarray, "n_frames 22 3"]:
-    """The whole motion in another number of frames, interpolated linearly."""
-    place = np.linspace(0.0, len(motion) - 1, n_frames)
-    left = np.minimum(place.astype(np.int64), len(motion) - 2)
-    share = (place - left)[:, None, None]
-    return motion[left].astype(np.float64) * (1 - share) + motion[left + 1] * share
-
-
-def _aligned(
-    motion: Float[np.ndarray, "frames 22 3"], its_goal: Float[np.ndarray, "3"], goal: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "frames 22 3"]:
-    """The motion turned about the vertical through the origin, and moved over the ground, until the goals agree.
-
-    In a canonical frame the first pelvis stands over the origin, so this keeps the distance to the goal's direction.
-    """
-    its_goal = its_goal.astype(np.float64)
-    angle = 0.0
-    if min(np.hypot(its_goal[0], its_goal[2]), np.hypot(goal[0], goal[2])) > _NO_DIRECTION:
-        angle = float(np.arctan2(goal[0], goal[2]) - np.arctan2(its_goal[0], its_goal[2]))
-    moved = _turned(motion, angle)
-    step = goal - _turned(its_goal, angle)
-    step[1] = 0.0
-    return moved + step
-
-
-def _turned(points: np.ndarray, angle: float) -> np.ndarray:
-    """Points (..., 3) turned about the vertical; positive angles turn +Z towards +X."""
-    cosine = np.cos(angle)
-    sine = np.sin(angle)
-    x, y, z = np.moveaxis(points, -1, 0)
-    return np.stack([x * cosine + z * sine, y, z * cosine - x * sine], axis=-1)

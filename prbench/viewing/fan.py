@@ -1,0 +1,244 @@
+"""Several motions for one goal as a fan of bodies: what they share, and where they part.
+
+Each group of motions (those of a method, those of recorded people) fills a row: bodies from the side at three moments,
+paths and looks from above, and over time how far the goal is from the head ray and how fast the wrist moves.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.evaluation.diversity import MotionsToGoal, timing
+from prbench.manifests import MetricConstants
+from prbench.shown import figure_text
+from prbench.skeleton import CHAINS, Joint, head_forward
+from prbench.viewing.figures import (
+    flattened,
+    horizontal_direction,
+    new_figure,
+    require_drawable,
+    write_figure,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_GOAL = "tab:cyan"
+_LOOK = 0.5  # metres of the line that shows where a head points
+_MARGIN = 0.35  # metres
+_MOMENTS = ("first frame", "prime", "last frame")
+_SPACING = 0.5  # metres between the bodies of two moments
+_FARTHEST = 2.0  # metres; a head ray farther from the goal is off target, however far
+_FASTEST = 4.0  # m/s; a wrist that jumps would flatten all other curves
+_LINE = 190  # characters of the note below the panels
+
+
+@dataclass(frozen=True, eq=False)
+class FanGroup:
+    """Motions of one origin."""
+
+    label: str
+    colour: str
+    motions: MotionsToGoal
+
+
+@dataclass(frozen=True, eq=False)
+class Fan:
+    """One sequence with several motions for it."""
+
+    sequence_id: str
+    dataset: str
+    synthetic: bool
+    groups: tuple[FanGroup, ...]
+    shows_goal: bool
+    """False where the dataset's terms keep the goal."""
+    constants: MetricConstants
+    notice: str
+    """Sentence that the dataset's terms ask for; empty where they ask for none."""
+
+
+def draw_fan(fan: Fan, path: Path, *, dpi: int = 110) -> None:
+    """Draw the motions of one sequence.
+
+    Args:
+        fan: The sequence and its motions.
+        path: ``.png`` or ``.svg``; replaced when it exists.
+        dpi: Resolution of a PNG.
+
+    Raises:
+        UsageError: for another kind of file.
+        StorageError: if the file cannot be written.
+    """
+    require_drawable(path)
+    height = 2.9 * len(fan.groups) + 1.2
+    figure = new_figure(14.0, height, dpi=dpi)
+    # A fixed layout: that of matplotlib's solver differs in its last digits from call to call, and so do ids in an SVG.
+    grid = {"left": 0.005, "right": 0.995, "top": 1 - 0.62 / height, "bottom": 0.85 / height, "wspace": 0.13}
+    rows = figure.subplots(
+        len(fan.groups), 4, squeeze=False, width_ratios=(2.0, 1.2, 1.2, 1.2), gridspec_kw={**grid, "hspace": 0.2}
+    )
+    seen_from_above = _limits_from_above(fan)
+    for group, (bodies, above, looks, wrists) in zip(fan.groups, rows, strict=True):
+        _draw_bodies(bodies, fan, group)
+        _draw_above(above, fan, group)
+        above.set_xlim(*seen_from_above[0])
+        above.set_ylim(*seen_from_above[1])
+        _draw_looks(looks, fan, group)
+        _draw_wrists(wrists, group)
+        bodies.set_title(
+            figure_text(f"{group.label}: {len(group.motions.joints)} motions, from the side"), fontsize=9, loc="left"
+        )
+    figure.suptitle(figure_text(f"{fan.dataset}: {fan.sequence_id}"), fontsize=10, x=0.01, y=0.985, ha="left")
+    figure.supxlabel(figure_text(_foot(fan)), fontsize=7.5, color="0.35", x=0.01, y=0.01, ha="left")
+    write_figure(figure, path)
+
+
+def _foot(fan: Fan) -> str:
+    said = [
+        "A shade is a motion, the same in all panels of a row; a line from a head shows where it points. Dots: prime"
+    ]
+    said.append("time (first look of the head that stays, else its best look).")
+    said.append(f"Curves are cut at {_FARTHEST:g} m and {_FASTEST:g} m/s.")
+    if fan.shows_goal:
+        said.append("Cyan: the goal.")
+    if len(fan.groups) > 1:
+        said.append(
+            "Recorded people: the sequence itself and similar tasks of other recordings, laid on its goal and stretched"
+            " to its length."
+        )
+    if fan.synthetic:
+        said.append("Synthetic people.")
+    return "\n".join((*textwrap.wrap(" ".join(said), _LINE), fan.notice)).strip()
+
+
+def _shades(group: FanGroup) -> list[tuple[float, float, float]]:
+    """One colour a motion: the group's own, from dark to light."""
+    from matplotlib.colors import to_rgb
+
+    base = np.array(to_rgb(group.colour))
+    lightness = np.linspace(0.0, 0.62, len(group.motions.joints))
+    return [tuple(base + (1 - base) * share) for share in lightness]
+
+
+def _draw_bodies(axes: Axes, fan: Fan, group: FanGroup) -> None:
+    """Draw all bodies at three moments, each moment at a place of its own along the way."""
+    motions = group.motions
+    start = motions.joints[0, 0, Joint.PELVIS]
+    sideways = horizontal_direction(motions.goal - start)
+    primes = np.round(timing(motions, fan.constants).prime * motions.fps).astype(int)
+    last = motions.joints.shape[1] - 1
+    frames = (np.zeros_like(primes), primes, np.full_like(primes, last))
+    shown: list[np.ndarray] = []
+    right = 0.0
+    for moment, chosen in zip(_MOMENTS, frames, strict=True):
+        poses = motions.joints[np.arange(len(chosen)), chosen]
+        flat = [flattened(pose, start, sideways, 0.0) for pose in poses]
+        points = np.concatenate(flat)
+        # Bodies of two moments never overlap: each moment begins behind the one before it.
+        shift = right - points[:, 0].min() + (_SPACING if shown else 0.0)
+        for pose, colour in reversed(list(zip(poses, _shades(group), strict=True))):
+            _draw_pose(axes, fan, pose, start, sideways, shift, colour)
+        if fan.shows_goal and moment != _MOMENTS[0]:
+            goal = flattened(motions.goal[None], start, sideways, shift)[0]
+            axes.plot(*goal, "o", color=_GOAL, markersize=9, alpha=0.8, zorder=4)
+            points = np.concatenate([points, goal[None] - np.array([shift, 0.0])])
+        centre = float(points[:, 0].mean()) + shift
+        axes.text(centre, -0.12, moment, fontsize=7, ha="center", va="top", color="0.35")
+        right = float(points[:, 0].max()) + shift
+        shown.append(points + np.array([shift, 0.0]))
+    everything = np.concatenate(shown)
+    axes.set_xlim(everything[:, 0].min() - _MARGIN, everything[:, 0].max() + _MARGIN)
+    axes.set_ylim(-0.32, everything[:, 1].max() + 0.15)
+    axes.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
+    axes.set_aspect("equal")
+    _without_frame(axes)
+
+
+def _draw_pose(
+    axes: Axes,
+    fan: Fan,
+    pose: Float[np.ndarray, "22 3"],
+    start: Float[np.ndarray, "3"],
+    sideways: Float[np.ndarray, "3"],
+    shift: float,
+    colour: tuple[float, float, float],
+) -> None:
+    flat = flattened(pose, start, sideways, shift)
+    for chain in CHAINS:
+        axes.plot(*flat[list(chain)].T, color=colour, linewidth=1.5, solid_capstyle="round")
+    forward, _ = head_forward(pose, fan.groups[0].motions.head_tilt_deg)
+    tip = flattened((pose[Joint.HEAD] + _LOOK * forward)[None], start, sideways, shift)[0]
+    axes.plot(*np.stack([flat[Joint.HEAD], tip]).T, color=colour, linewidth=0.9, linestyle="--")
+    axes.plot(*flat[Joint.HEAD], "o", color=colour, markersize=4.5)
+
+
+def _draw_above(axes: Axes, fan: Fan, group: FanGroup) -> None:
+    """Draw the ways of the pelvis from above, and where each head points at its prime time."""
+    motions = group.motions
+    primes = np.round(timing(motions, fan.constants).prime * motions.fps).astype(int)
+    forward, _ = head_forward(motions.joints, motions.head_tilt_deg)
+    for number, colour in reversed(list(enumerate(_shades(group)))):
+        pelvis = motions.joints[number, :, Joint.PELVIS]
+        axes.plot(pelvis[:, 0], pelvis[:, 2], color=colour, linewidth=1.3)
+        axes.plot(pelvis[-1, 0], pelvis[-1, 2], "s", color=colour, markersize=4)
+        head = motions.joints[number, primes[number], Joint.HEAD]
+        tip = head + _LOOK * forward[number, primes[number]]
+        axes.plot([head[0], tip[0]], [head[2], tip[2]], color=colour, linewidth=0.9, linestyle="--")
+        axes.plot(head[0], head[2], "o", color=colour, markersize=4)
+    if fan.shows_goal:
+        axes.plot(motions.goal[0], motions.goal[2], "o", color=_GOAL, markersize=9, alpha=0.8)
+    axes.set_title("from above, m; squares: the end", fontsize=8, loc="left")
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=6)
+
+
+def _draw_looks(axes: Axes, fan: Fan, group: FanGroup) -> None:
+    motions = group.motions
+    seconds = np.arange(motions.joints.shape[1]) / motions.fps
+    distance = np.minimum(motions.head_distance, _FARTHEST)
+    primes = timing(motions, fan.constants).prime
+    for number, colour in reversed(list(enumerate(_shades(group)))):
+        axes.plot(seconds, distance[number], color=colour, linewidth=1.1)
+        frame = round(primes[number] * motions.fps)
+        axes.plot(primes[number], distance[number, frame], "o", color=colour, markersize=5, zorder=4)
+    axes.axhline(fan.constants.prime_distance, color=_GOAL, linewidth=0.9, linestyle=":")
+    axes.set_ylim(-0.05, _FARTHEST + 0.05)
+    axes.set_title("goal to head ray, m, over seconds", fontsize=8, loc="left")
+    axes.tick_params(labelsize=6)
+
+
+def _draw_wrists(axes: Axes, group: FanGroup) -> None:
+    motions = group.motions
+    speed = np.linalg.norm(np.diff(motions.reaching_wrist, axis=1), axis=-1) * motions.fps
+    seconds = np.arange(1, motions.joints.shape[1]) / motions.fps
+    for track, colour in reversed(list(zip(speed, _shades(group), strict=True))):
+        axes.plot(seconds, np.minimum(track, _FASTEST), color=colour, linewidth=1.1)
+    axes.set_ylim(-0.1, _FASTEST + 0.1)
+    axes.set_title("speed of the wrist, m/s, over seconds", fontsize=8, loc="left")
+    axes.tick_params(labelsize=6)
+
+
+def _limits_from_above(fan: Fan) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The same square for all groups, so that rows compare: limits of x and z, metres."""
+    points = [group.motions.joints[:, :, [Joint.PELVIS, Joint.HEAD]].reshape(-1, 3)[:, [0, 2]] for group in fan.groups]
+    if fan.shows_goal:
+        points.append(fan.groups[0].motions.goal[None, [0, 2]])
+    everything = np.concatenate(points)
+    low = everything.min(axis=0)
+    high = everything.max(axis=0)
+    half = float((high - low).max()) / 2 + _MARGIN
+    x, z = (low + high) / 2
+    return (float(x) - half, float(x) + half), (float(z) - half, float(z) + half)
+
+
+def _without_frame(axes: Axes) -> None:
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for side in ("top", "right", "left", "bottom"):
+        axes.spines[side].set_visible(False)

@@ -1,0 +1,251 @@
+"""``prbench diversity``: how far a run's motions for one goal differ, beside recorded people.
+
+Source: docs/specification/metrics.md#diversity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.errors import RunError, UsageError
+from prbench.evaluation.diversity import SPREADS, MotionsToGoal, SpreadInfo, spreads
+from prbench.evaluation.intervals import Estimate, difference_interval, mean_interval
+from prbench.evaluation.similar_tasks import Tasks, at_length, laid_on_goal, read_motions
+from prbench.manifests import BenchmarkProtocol, load_protocol
+from prbench.runs import RunFolder
+from prbench.sequences import SequenceTable
+from prbench.sequences.redistribution import may_pass_on, notice, require_may_pass_on
+from prbench.sequences.table import find_sequence_id, smallest_by_hash
+from prbench.submitted.score_predictions.again import scored_sequences
+from prbench.viewing.fan import Fan, FanGroup
+from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
+from prbench.viewing.replay.read import RunMotions, run_labels
+from prbench.workflows.first_run import tables_of_runs
+
+Progress = Callable[[int, int, str], None]
+"""Called with finished sequences, all of them, and the dataset."""
+_COLUMNS = ["joints", "goal_location", "head_tilt_deg", "fps", "recording_id"]
+
+
+@dataclass(frozen=True)
+class SpreadOfRun:
+    """One measure of a run, beside that of recorded people on the same sequences."""
+
+    info: SpreadInfo
+    method: Estimate
+    people: Estimate | None
+    """None where the table has too few recordings to put people beside one another."""
+    difference: Estimate | None
+    """method - people."""
+
+
+@dataclass(frozen=True)
+class DatasetDiversity:
+    """The measures of a run on one dataset."""
+
+    dataset: str
+    title: str
+    synthetic: bool
+    motions: int
+    """Motions of each sequence, generated and recorded."""
+    sequences: int
+    recordings: int
+    spreads: tuple[SpreadOfRun, ...]
+    goals_apart: float | None
+    """Median distance of a similar task's goal from the sequence's own before it is laid on it, metres."""
+    lengths_apart: float | None
+    """Median difference of their lengths, seconds."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """The generated and the recorded motions of one sequence."""
+
+    sequence_id: str
+    recording_id: str
+    generated: MotionsToGoal
+    recorded: MotionsToGoal | None
+    goals_apart: Float[np.ndarray, " others"]
+    lengths_apart: Float[np.ndarray, " others"]
+
+
+def _silent(done: int, total: int, last: str) -> None:
+    """Say nothing."""
+
+
+def measure_diversity(run: Path, data: Sequence[Path] = (), *, progress: Progress = _silent) -> list[DatasetDiversity]:
+    """Measure the diversity of a run on each of its datasets.
+
+    Args:
+        run: A run folder of two samples or more.
+        data: Tables of the run; the embedded ones are known.
+        progress: Called after each sequence.
+
+    Raises:
+        UsageError: if the run has one motion a sequence, or was given other sequences' goals.
+        RunError: if its motions are missing, or a table is another one than the run's.
+        TableError: if a table cannot be found.
+        PredictionsError: if a motion does not fit its sequence.
+    """
+    opened = _require_several(RunFolder.open(run))
+    return [_measured(opened, table, progress) for table in tables_of_runs([opened], data)]
+
+
+def read_fan(
+    run: Path, data: Sequence[Path] = (), *, sequence: str | None = None, permitted: Collection[str] = ()
+) -> Fan:
+    """Read the motions of one sequence for a picture.
+
+    Args:
+        run: A run folder of two samples or more.
+        data: Tables of the run; the embedded ones are known.
+        sequence: Id of the sequence, or a part that fits one only; by default the one with the smallest hash.
+        permitted: Datasets for which the user has permission to pass recorded motion on.
+
+    Raises:
+        UsageError: if the sequence is unknown or not in the run; else as :func:`measure_diversity`.
+        RedistributionError: if the run's motions are recorded ones that must not be passed on.
+    """
+    opened = _require_several(RunFolder.open(run))
+    tables = tables_of_runs([opened], data)
+    held = {name: table for table in tables for name in _predicted(opened, table)}
+    if not held:
+        raise RunError(f"{run}: expected motions of one sequence or more, found none. Run the same command again.")
+    among = ", ".join(table.info.dataset for table in tables)
+    name = smallest_by_hash(list(held), 1)[0]
+    if sequence is not None:
+        name = find_sequence_id(sequence, list(held), among=f"the motions of {run} on {among}")
+    info = held[name].info
+    label = run_labels([run], [opened.record])[0]
+    if opened.record.method.kind == "control":
+        require_may_pass_on(info, f"the motions of '{label}'", permitted)
+    (pair,) = _pairs(opened, held[name], [name])
+    shown = may_pass_on(info, permitted)
+    groups = [FanGroup(label, METHOD_COLOURS[0], pair.generated)]
+    if shown and pair.recorded is not None:
+        groups.append(FanGroup("recorded people, similar tasks", RECORDED_COLOUR, pair.recorded))
+    return Fan(
+        sequence_id=name,
+        dataset=info.dataset,
+        synthetic=info.synthetic,
+        groups=tuple(groups),
+        shows_goal=shown,
+        constants=_rules(opened).metrics,
+        notice=notice(info, permitted),
+    )
+
+
+def _require_several(run: RunFolder) -> RunFolder:
+    """Refuse runs whose motions cannot differ, or whose goals are not those of the table.
+
+    Raises:
+        UsageError: saying which run would do.
+    """
+    record = run.record
+    if record.samples < 2:
+        raise UsageError(
+            f"{run.path}: expected two motions or more of each sequence, found one, which differs from nothing. Run the"
+            " method with --samples 5."
+        )
+    if record.control is not None:
+        raise UsageError(
+            f"{run.path}: its motions were given other sequences' goals ({record.control}). Name the run without it."
+        )
+    return run
+
+
+def _rules(run: RunFolder) -> BenchmarkProtocol:
+    return run.protocol or load_protocol()
+
+
+def _predicted(run: RunFolder, table: SequenceTable) -> list[str]:
+    """Sequences of which the run holds motions."""
+    motions = RunMotions.open(run, table.info.dataset, label="")
+    return [name for name in scored_sequences(run, table).sequence_ids if name in motions]
+
+
+def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> DatasetDiversity:
+    constants = _rules(run).metrics
+    names = _predicted(run, table)
+    if not names:
+        raise RunError(f"{run.path}: expected motions on {table.info.dataset}, found none. Run it again: it resumes.")
+    recordings: list[str] = []
+    method: list[dict[str, float]] = []
+    people: list[dict[str, float]] = []
+    goals: list[np.ndarray] = []
+    lengths: list[np.ndarray] = []
+    for pair in _pairs(run, table, names):
+        recordings.append(pair.recording_id)
+        method.append(spreads(pair.generated, constants))
+        if pair.recorded is not None:
+            people.append(spreads(pair.recorded, constants))
+        goals.append(pair.goals_apart)
+        lengths.append(pair.lengths_apart)
+        progress(len(method), len(names), table.info.dataset)
+    beside = people if len(people) == len(method) else None
+    return DatasetDiversity(
+        dataset=table.info.dataset,
+        title=table.info.title,
+        synthetic=table.info.synthetic,
+        motions=run.record.samples,
+        sequences=len(names),
+        recordings=len(set(recordings)),
+        spreads=tuple(_spread(info, method, beside, recordings) for info in SPREADS),
+        goals_apart=float(np.median(np.concatenate(goals))) if beside else None,
+        lengths_apart=float(np.median(np.concatenate(lengths))) if beside else None,
+    )
+
+
+def _spread(
+    info: SpreadInfo, method: list[dict[str, float]], people: list[dict[str, float]] | None, recordings: list[str]
+) -> SpreadOfRun:
+    own = np.array([values[info.id] for values in method])
+    estimate = mean_interval(own, recordings, nonnegative=True)
+    if people is None:
+        return SpreadOfRun(info, estimate, None, None)
+    theirs = np.array([values[info.id] for values in people])
+    beside = mean_interval(theirs, recordings, nonnegative=True)
+    return SpreadOfRun(info, estimate, beside, difference_interval(own, theirs, recordings, rate=False))
+
+
+def _pairs(run: RunFolder, table: SequenceTable, names: Sequence[str]) -> Iterator[_Pair]:
+    """Yield the motions of some sequences, in table order."""
+    first = RunMotions.open(run, table.info.dataset, label="")
+    samples = [replace(first, sample=sample) for sample in range(run.record.samples)]
+    tasks = Tasks.read(table)
+    row_of = {name: row for row, name in enumerate(tasks.sequence_ids)}
+    similar = {name: tasks.most_similar(row_of[name], len(samples) - 1) for name in names}
+    wanted = frozenset(tasks.sequence_ids[row] for rows in similar.values() for row in rows)
+    motions = read_motions(table, wanted)
+    for chunk in table.chunks(columns=_COLUMNS, ids=frozenset(names), rows=1):
+        name = chunk.sequence_ids[0]
+        row = row_of[name]
+        others = similar[name]
+        n_frames = int(chunk.n_frames[0])
+        goal = tasks.goal_location[row]
+        generated = MotionsToGoal(
+            joints=np.stack([motion.joints(name, n_frames) for motion in samples]),
+            goal=goal,
+            head_tilt_deg=float(chunk.numbers("head_tilt_deg")[0]),
+            fps=float(chunk.numbers("fps")[0]),
+        )
+        laid = [
+            laid_on_goal(at_length(motions[tasks.sequence_ids[other]], n_frames), tasks.goal_location[other], goal)
+            for other in others
+        ]
+        recorded = None
+        if len(laid) == len(samples) - 1:
+            recorded = replace(generated, joints=np.stack([chunk.joints.astype(np.float64), *laid]))
+        yield _Pair(
+            name,
+            chunk.strings("recording_id")[0],
+            generated,
+            recorded,
+            np.linalg.norm(tasks.goal_location[others] - goal, axis=-1),
+            np.abs(tasks.seconds[others] - tasks.seconds[row]),
+        )

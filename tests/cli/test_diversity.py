@@ -1,0 +1,111 @@
+"""``prbench diversity``: spreads beside those of people, the fan of bodies, and how it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from prbench.cli import main
+from prbench.cli.diversity import DiversityReport
+from prbench.contract import Condition
+from prbench.evaluation.request import RunRequest
+from prbench.evaluation.run import run_method
+from prbench.sequences import SequenceTable
+from tests.cli.reports import reported
+from tests.fakes import fake_dataset
+from tests.method_fixtures import adapter_source, install, own_cache
+
+__all__ = ["install", "own_cache"]
+
+GENTLE = "joints = batch.initial_joints[:, None] + 0.05 * joints if batch.initial_joints is not None else joints"
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory) -> SequenceTable:
+    return fake_dataset(tmp_path_factory.mktemp("data") / "table", 60)
+
+
+def made_run(table: SequenceTable, out: Path, **changes) -> str:
+    wanted = {"method": "made", "condition": Condition.GOAL_LOCATION, "samples": 3, "limit": 8}
+    run_method(RunRequest(**{**wanted, "data": (table.folder,), "out": out, **changes}))
+    return str(out)
+
+
+def test_spreads_stand_beside_those_of_people_with_intervals(table, tmp_path, install, capsys):
+    install("made", adapter_source(body=GENTLE))
+    run = made_run(table, tmp_path / "run")
+    words = ["diversity", run, "--data", str(table.folder)]
+    (found,) = reported(words, DiversityReport, capsys).datasets
+    assert (found.motions, found.sequences) == (3, 8)
+    assert found.goals_apart is not None
+    assert found.goals_apart > 0
+    by_name = {spread.measure: spread for spread in found.spreads}
+    joint = by_name["apd_joint"]
+    # Noise of 5 cm in each coordinate, independently in two motions.
+    assert joint.method.mean == pytest.approx(0.05 * 6**0.5, rel=0.02)
+    assert joint.people is not None
+    assert joint.difference is not None
+    assert joint.difference.mean == pytest.approx(joint.method.mean - joint.people.mean)
+    assert joint.difference.low is not None
+    assert main(words) == 0
+    shown = capsys.readouterr().out
+    assert "3 motions of each of 8 sequences" in shown
+    assert "Prime time" in shown
+    assert "an upper bound of what one task brings forth" in shown
+    assert "Synthetic people: this says nothing about real ones." in shown
+
+
+def test_recorded_motion_drawn_several_times_has_no_spread(table, tmp_path, capsys):
+    run = made_run(table, tmp_path / "run", method="ground-truth", condition=None)
+    (found,) = reported(["diversity", run, "--data", str(table.folder)], DiversityReport, capsys).datasets
+    assert [spread.method.mean for spread in found.spreads] == pytest.approx([0.0] * len(found.spreads), abs=1e-12)
+    assert all(spread.people is not None and spread.people.mean > 0 for spread in found.spreads[:4])
+
+
+@pytest.mark.parametrize("name", ["fan.png", "fan.svg"])
+def test_a_fan_is_drawn_and_the_same_bytes_again(table, tmp_path, install, capsys, name):
+    install("made", adapter_source(body=GENTLE))
+    run = made_run(table, tmp_path / "run")
+    sequence = pq.read_table(tmp_path / "run/predictions", columns=["sequence_id"])["sequence_id"][0].as_py()
+    pictures = []
+    for folder in ("one", "two"):
+        out = tmp_path / folder / name
+        out.parent.mkdir()
+        words = ["diversity", run, "--data", str(table.folder), "--fan", str(out), "--sequence", sequence]
+        assert reported(words, DiversityReport, capsys).fan_sequence == sequence
+        pictures.append(out.read_bytes())
+    assert pictures[0] == pictures[1]
+    assert len(pictures[0]) > 10_000
+
+
+def test_a_run_that_cannot_be_measured_is_refused_with_what_to_do(table, tmp_path, install, capsys):
+    install("made", adapter_source(body=GENTLE))
+    data = ["--data", str(table.folder)]
+    single = made_run(table, tmp_path / "single", samples=1)
+    assert main(["diversity", single, *data]) == 2
+    assert "expected two motions or more of each sequence, found one" in capsys.readouterr().err
+    shuffled = made_run(table, tmp_path / "shuffled", control="shuffled-goal")
+    assert main(["diversity", shuffled, *data]) == 2
+    assert "were given other sequences' goals" in capsys.readouterr().err
+    run = made_run(table, tmp_path / "run")
+    assert main(["diversity", run, *data, "--sequence", "x"]) == 2
+    assert "--sequence: belongs to --fan FILE" in capsys.readouterr().err
+    assert main(["diversity", run, *data, "--fan", str(tmp_path / "fan.mp4")]) == 2
+    assert "written as .png or .svg" in capsys.readouterr().err
+    assert main(["diversity", run, *data, "--fan", str(tmp_path / "fan.png"), "--sequence", "nowhere"]) == 2
+    assert "nowhere" in capsys.readouterr().err
+    for part in (tmp_path / "run/predictions").iterdir():
+        part.unlink()
+    assert main(["diversity", run, *data]) != 0
+    assert "expected the predictions of a run, found none" in capsys.readouterr().err
+
+
+def test_a_table_of_one_recording_has_no_people_beside(tmp_path, install, capsys, monkeypatch):
+    install("made", adapter_source(body=GENTLE))
+    table = fake_dataset(tmp_path / "table", 12, recordings=1)
+    run = made_run(table, tmp_path / "run", split="train", limit=None)
+    (found,) = reported(["diversity", run, "--data", str(table.folder)], DiversityReport, capsys).datasets
+    assert found.goals_apart is None
+    assert all(spread.people is None and spread.difference is None for spread in found.spreads)
