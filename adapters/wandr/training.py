@@ -38,9 +38,6 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Source of the latents of chunks: the encoder, which sees the change that is wanted, as in the original, or
     the standard normal distribution, as in generation. What corrects a body that has strayed may come from the encoder
     in the first case; generation has none. In the second it must come from state and goal."""
-    quickest: float = 1.0
-    """Motions of a step are played up to so many times as fast as they were recorded, by a factor drawn anew. Recorded
-    people are never late; a body that goes its own way is, and then has to know how to hurry."""
     frames_per_step: int = 0
     """Number of frames of a batch that are drawn for a step, and as many for the network's own output; 0 takes all."""
 
@@ -48,7 +45,7 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         for name in ("kl_weight", "free_bits", "joint_loss_weight", "frames_per_step"):
             if getattr(self, name) < 0:
                 raise ValueError(f"'{name}' must be at least 0, found {getattr(self, name)}")
-        for name in ("longest_chunk", "steps_per_chunk_frame", "quickest"):
+        for name in ("longest_chunk", "steps_per_chunk_frame"):
             if getattr(self, name) < 1:
                 raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
 
@@ -98,9 +95,7 @@ class WandrTraining(TrainingModule):
         """
         with torch.autocast(batch.joints.device.type, enabled=False):  # rotations and positions add up: float32 only
             generator = self.generator(step)
-            # Fewer frames of the network's rate than the motion took are the same motion in less time.
-            rate = self.network.configuration.fps / self.speed(step, generator)
-            recordings = Recordings.of(batch, rate)
+            recordings = Recordings.of(batch, self.network.configuration.fps)
             length = self.chunk_length(step, generator)
             losses = self._single_changes(recordings, generator) | self._chunks(recordings, length, generator)
             objective = self.objective
@@ -114,12 +109,6 @@ class WandrTraining(TrainingModule):
         # Chunks grow with the training: an untrained network would stray within a few frames.
         longest = min(self.objective.longest_chunk, max(step, 0) // self.objective.steps_per_chunk_frame)
         return int(torch.randint(longest + 1, (), generator=generator))
-
-    def speed(self, step: int, generator: torch.Generator) -> float:
-        """How many times as fast the motions of a step are played; 1 in validation."""
-        if self.objective.quickest == 1.0 or step < 0:
-            return 1.0
-        return 1.0 + (self.objective.quickest - 1.0) * float(torch.rand((), generator=generator))
 
     def _single_changes(self, recordings: Recordings, generator: torch.Generator) -> dict[str, torch.Tensor]:
         places = starts(recordings, 1).some(self.objective.frames_per_step, generator)

@@ -181,22 +181,6 @@ def test_chunks_grow_with_the_steps_and_stay_out_of_validation(data, batch):
     assert all(gradient is not None and torch.isfinite(gradient).all() for gradient in gradients)
 
 
-def test_quick_motions_are_drawn_for_each_step_and_stay_out_of_validation(data, batch):
-    plain = _build(data)
-    quick = _build(data, quickest=2.0)
-    assert plain.speed(5, plain.generator(5)) == 1.0
-    assert quick.speed(-1, quick.generator(0)) == 1.0  # validation
-    drawn = [quick.speed(5, quick.generator(seed)) for seed in range(60)]
-    assert 1.0 <= min(drawn) < 1.2
-    assert 1.8 < max(drawn) <= 2.0
-    losses = [module(batch, 5)["loss"] for module in (plain, quick)]
-    assert not torch.equal(*losses)
-    # At twice the speed every change of the walk is twice as long.
-    once, twice = (Recordings.of(_walk(41), fps) for fps in (30.0, 15.0))
-    step = [recordings.deltas(starts(recordings, 1))[:, :3].norm(dim=-1) for recordings in (once, twice)]
-    assert torch.allclose(step[1], 2 * step[0][0].expand_as(step[1]), atol=1e-5)
-
-
 def test_the_networks_own_output_is_what_chunks_go_on_from(data, batch):
     """Standing still for two frames, the second change that is wanted is as large as both recorded ones together."""
     module = _build(data, frames_per_step=0)
