@@ -66,7 +66,7 @@ def groups(motions: Motions, protocol: BenchmarkProtocol) -> list[Group]:
 
 def _split(motions: Motions, protocol: BenchmarkProtocol) -> Iterator[tuple[str, str, Motions]]:
     yield ALL, ALL, motions
-    for dataset in sorted(set(motions["dataset"])):
+    for dataset in _layouts(motions)[1:]:
         yield "layout", dataset, motions.where(motions["dataset"] == dataset)
     breakdown = protocol.breakdown
     bins = {
@@ -79,6 +79,12 @@ def _split(motions: Motions, protocol: BenchmarkProtocol) -> Iterator[tuple[str,
         number = np.searchsorted(ends, motions[by], side="right")
         for index in range(len(ends) + 1):
             yield by, _bin_name(by, ends, index), motions.where(number == index)
+
+
+def _layouts(motions: Motions) -> tuple[str, ...]:
+    """Return :data:`ALL` and the layouts; of a single layout only the former, which says the same."""
+    names = sorted(set(motions["dataset"]))
+    return (ALL, *names) if len(names) > 1 else (ALL,)
 
 
 def _bin_name(by: str, ends: tuple[float, ...], index: int) -> str:
@@ -139,7 +145,7 @@ def gains(motions: Motions) -> list[AngleGain]:
     found = []
     for who in (METHOD, BESIDE, PEOPLE):
         rows = motions.of_who(who)
-        for layout in (ALL, *sorted(set(rows["dataset"]))):
+        for layout in _layouts(rows):
             for angle in ("elevation", "azimuth"):
                 ray, goal = (rows[f"look_{side}_{angle}_deg"] for side in ("ray", "goal"))
                 if layout == ALL:
@@ -186,7 +192,7 @@ def parts(motions: Motions, samples: int) -> list[Parts]:
     """
     found = []
     for metric, column in RATES.items():
-        for layout in (ALL, *sorted(set(motions["dataset"]))):
+        for layout in _layouts(motions):
             rows = motions if layout == ALL else motions.where(motions["dataset"] == layout)
             found.append(_parts(metric, layout, rows, column, samples))
     return found
@@ -251,8 +257,8 @@ def paired_outcomes(motions: Motions, column: str) -> tuple[np.ndarray, np.ndarr
         column: ``primed`` or ``reached``.
 
     Returns:
-        One entry a motion of each, and the number of sequences. Sample i stands beside sample i: both start from the
-        same noise where both runs have the same seed.
+        One entry a motion of each, and the number of sequences. Sample i stands beside sample i: both runs gave it the
+        same noise seed where they have the same seed.
     """
     method = _by_sequence(motions.of_who(METHOD), column)
     beside = _by_sequence(motions.of_who(BESIDE), column)

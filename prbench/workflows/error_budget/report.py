@@ -11,7 +11,8 @@ class Group(msgspec.Struct, frozen=True, kw_only=True):
     """What the motions of one group of sequences lack: all of them, those of one layout, or those of one bin.
 
     Attributes:
-        by: ``all``, ``layout``, ``bearing`` (degrees), ``distance``, ``height`` (metres) or ``prime gap`` (seconds).
+        by: ``all``, ``layout`` (where there are several), ``bearing`` (degrees), ``distance``, ``height`` (metres) or
+            ``prime gap`` (seconds).
         name: The layout, or the bin's ends.
         sequences: Number of sequences.
         recordings: Number of recordings that they come from.
@@ -63,7 +64,7 @@ class AngleGain(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         who: ``method``, ``people`` or ``beside``.
-        layout: Name of the dataset; ``all`` for the motions of all of them together.
+        layout: ``all`` for all motions together; where there are several datasets, also the name of each.
         angle: ``elevation`` or ``azimuth``, in the best frame.
         slope: 1 for a head that follows its goal, 0 for one that ignores it.
         offset_deg: Angle of the ray for a goal at angle 0, degrees.
@@ -85,7 +86,7 @@ class Parts(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         metric: ``prime_success`` or ``reach_success``.
-        layout: Name of the dataset; ``all`` for all sequences together.
+        layout: ``all`` for all sequences together; where there are several datasets, also the name of each.
         sequences: Number of sequences.
         always: Sequences of which every sample succeeds.
         noise: Sequences of which some samples succeed: what the best of k samples wins over the worst.
