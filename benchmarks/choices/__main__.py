@@ -106,7 +106,7 @@ def _with_curation(**values: float) -> Callable[[BenchmarkProtocol], BenchmarkPr
 
 
 VARIANTS = (
-    Variant("version 1"),
+    Variant("version 2"),
     Variant("rays from the camera", CurationOptions(ray_origin="camera")),
     Variant("wrist in hand", CurationOptions(in_hand="wrist")),
     Variant("30 frames a second", change=_at_rate(30.0)),
@@ -185,7 +185,7 @@ def _means(run: Path, only: Collection[str] | None = None) -> list[str]:
 
 
 def _about(table: SequenceTable, planned: Mapping[str, float], first: Mapping[str, float]) -> list[str]:
-    """Counts of the table, of what it shares with version 1, and of primes that come before the intended look."""
+    """Counts of the table, of what it shares with version 2, and of primes that come before the intended look."""
     rows = table.scalars(split="test")
     gaps = np.asarray(rows["prime_gap"])
     too_long = int((np.asarray(rows["n_frames"]) > STUDY_LENGTH).sum())
@@ -212,7 +212,7 @@ def _primes(table: SequenceTable) -> dict[str, float]:
 
 
 def _intended_looks(staging: Staging, count: int, acted: dict[str, Recording]) -> dict[str, float]:
-    """Map the id of each sequence of version 1 to the time at which its person means to look at the goal."""
+    """Map the id of each sequence of version 2 to the time at which its person means to look at the goal."""
     layout = layout_for(staging.preset)
     looks = {}
     for index in range(count):
