@@ -254,6 +254,10 @@ WRITING = (
         lambda given, out: ("audit", "--data", given.table, "--limit", 2, "--out", out),
         varies=("cost.json",),
     ),
+    Writing(
+        "error-budget --out",
+        lambda given, out: ("error-budget", given.static, "--data", given.table, "--out", out),
+    ),
     Writing("agreement --out", lambda given, out: ("agreement", given.run, "--out", out), "a.json"),
     Writing(
         "leaderboard pareto --out",
