@@ -10,7 +10,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, Group, command, note
-from prbench.cli.options import PATH, data_option, out_file_option, workers_option
+from prbench.cli.options import PATH, data_option, out_file_option, out_folder_option, workers_option
 from prbench.cli.summaries import DatasetScores, dataset_scores, print_summary
 from prbench.cli.terminal import print_table
 
@@ -551,37 +551,46 @@ class MergeReport(msgspec.Struct, frozen=True, kw_only=True):
         runs: Their folders.
         scores: The merged scores.
         unverified: A sentence for each run whose scores could not be held against the motions.
+        out: The folder of the merged run, which `prbench leaderboard export` shows; null if none was asked for.
     """
 
     runs: list[Path]
     scores: DatasetScores
     unverified: list[str]
+    out: Path | None
 
 
 @command(
     "merge",
-    example="prbench leaderboard merge runs/fold-1 runs/fold-2 runs/fold-3",
+    example="prbench leaderboard merge runs/fold-1 runs/fold-2 runs/fold-3 --out runs/folds",
     report=MergeReport,
 )
 @click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")
+@out_folder_option("Write them as a run folder, which `prbench leaderboard export` and `compare` put beside others.")
 @_tables_option
 @workers_option()
-def merge(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> Answer:
-    """Put the scores of a method's runs on the folds of one dataset together (see `prbench split-dataset`)."""
-    from prbench.leaderboard.merging import merge_folds
-    from prbench.runs import RunFolder
+def merge(runs: tuple[Path, ...], out: Path | None, data: tuple[Path, ...], workers: int) -> Answer:
+    """Put the scores of a method's runs on the folds of one dataset together.
 
-    summary, unverified = merge_folds(runs, checker=_checker(data, workers))
-    first = RunFolder.open(runs[0])
-    if first.protocol is not None and first.protocol.is_own:
-        note(f"scored under a protocol of your own, {first.protocol.label}: no number here is the study's")
-    method = first.record.method
-    scores = dataset_scores(summary, None, motionless=method.motionless)
-    report = MergeReport(runs=list(runs), scores=scores, unverified=list(unverified))
+    The runs are made by `prbench run --split participants --fold K/N`, one for each K.
+    """
+    from prbench.leaderboard.merging import merge_folds
+
+    merged = merge_folds(runs, checker=_checker(data, workers))
+    protocol = merged.folds[0].protocol
+    if protocol is not None and protocol.is_own:
+        note(f"scored under a protocol of your own, {protocol.label}: no number here is the study's")
+    if out is not None:
+        merged.write(out)
+    method = merged.record.method
+    scores = dataset_scores(merged.summary, None, motionless=method.motionless)
+    report = MergeReport(runs=list(runs), scores=scores, unverified=list(merged.unverified), out=out)
 
     def show() -> None:
-        print_summary(summary, origin=method.origin, motionless=method.motionless)
-        for reason in unverified:
+        print_summary(merged.summary, origin=method.origin, motionless=method.motionless)
+        for reason in merged.unverified:
             print(f"unverified: {reason}")
+        if out is not None:
+            print(f"run folder: {out}")
 
     return Answer(report, show)

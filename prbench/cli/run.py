@@ -22,6 +22,7 @@ from prbench.cli.options import (
     complete_method,
     control_option,
     data_option,
+    fold_options,
     limit_option,
     method_settings,
     out_folder_option,
@@ -29,7 +30,6 @@ from prbench.cli.options import (
     protocol_option,
     seed_option,
     sequence_option,
-    split_option,
     workers_option,
 )
 from prbench.cli.progress import progress
@@ -123,7 +123,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
 @click.option("--show-config", is_flag=True, help="Print the experiment that the command line means, and stop.")
 @data_option(required=False, help="Built dataset folder(s); without it a synthetic one is built and used.")
 @out_folder_option("Run folder (default: one under ./runs); resumes. Several runs: the folder of their folders.")
-@split_option()
+@fold_options()
 @limit_option(f"all; {FIRST_RUN_SEQUENCES} without --data; with all: what fits into --minutes")
 @click.option(
     "--minutes",
@@ -240,6 +240,7 @@ _SHARED = (
     "data",
     "out",
     "split",
+    "fold",
     "limit",
     "samples",
     "batch_size",
@@ -424,7 +425,8 @@ def _in_company(request: RunRequest, report: RunReport, engine: Engine) -> list[
 def _view(out: Path, folder: Path, request: RunRequest, permission: tuple[str, ...]) -> tuple[str, ...]:
     from prbench.workflows.view import ViewRequest, view
 
-    wanted = ViewRequest(out=out, runs=(folder,), data=request.data, sequences=request.sequences, permitted=permission)
+    data = () if request.fold else request.data  # folds stand in the cache, where the run's own is found
+    wanted = ViewRequest(out=out, runs=(folder,), data=data, sequences=request.sequences, permitted=permission)
     with progress(f"drawing {out.name}") as show:
         return tuple(view(wanted, show).notices)
 

@@ -15,6 +15,7 @@ import msgspec
 
 from prbench.cli.commands import Answer, note
 from prbench.cli.embedded import embedded_table
+from prbench.cli.options import PARTICIPANTS
 from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 ALL = "all"
 _WORKERS = 2
-_SINGLE_RUN = {"sequences": "sequence", "isolate": "isolate", "timeout": "timeout"}
+_SINGLE_RUN = {"sequences": "sequence", "isolate": "isolate", "timeout": "timeout", "fold": "fold"}
 _WIDE = 180
 """Columns that the whole layout takes."""
 _LEADS = "¹"
@@ -92,6 +93,8 @@ def _table_request(given: Mapping[str, Any], data: tuple[Path, ...], minutes: in
     for name, option in _SINGLE_RUN.items():
         if given[name]:
             raise UsageError(f"--{option}: belongs to a run of one method under one condition; leave it out.")
+    if given["split"] == PARTICIPANTS:
+        raise UsageError("--split participants: run --method all on a table of each fold (`prbench split-dataset`).")
     return TableRequest(
         data=data,
         method=None if given["method"] == ALL else given["method"],
