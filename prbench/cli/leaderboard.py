@@ -341,6 +341,8 @@ class MetricDifference(msgspec.Struct, frozen=True, kw_only=True):
         adjusted_p_value: The same after Holm's correction for everything compared here.
         detectable: Smallest true difference that is found with 80 % power at Holm's first step; null where it cannot be
             tested.
+        power: Maps differences in points to the probability that a true one of this size would be found at Holm's first
+            step; empty but for rates that can be tested.
         conclusion: ``higher``, ``lower``, ``not supported by the data`` or ``cannot be tested``: of the first run.
     """
 
@@ -358,6 +360,7 @@ class MetricDifference(msgspec.Struct, frozen=True, kw_only=True):
     p_value: float | None
     adjusted_p_value: float | None
     detectable: float | None
+    power: dict[str, float]
     conclusion: str
 
 
@@ -491,6 +494,8 @@ def _compared_run(path: Path, datasets: list[str]) -> ComparedRun:
 
 
 def _metric_difference(row: ComparedMetric) -> MetricDifference:
+    from prbench.evaluation.comparisons import POINTS
+
     difference = row.comparison.difference
     return MetricDifference(
         dataset=row.dataset,
@@ -507,6 +512,7 @@ def _metric_difference(row: ComparedMetric) -> MetricDifference:
         p_value=row.comparison.p_value,
         adjusted_p_value=row.comparison.adjusted_p_value,
         detectable=row.comparison.detectable,
+        power={str(points): power for points, power in zip(POINTS, row.comparison.power)},
         conclusion=row.comparison.conclusion,
     )
 
@@ -515,11 +521,14 @@ def _print_comparison(report: CompareReport) -> None:
     first = report.first.path.name
     print_table(
         f"{first} against {report.second.path.name}, sequence by sequence",
-        ("dataset", "metric", "difference", "95 % interval", "p (Holm)", "detectable", ""),
+        ("dataset", "metric", "difference", "95 % interval", "p (Holm)", "detectable", "power", ""),
         [_difference_row(first, row) for row in report.differences],
-        numbers=(2, 3, 4, 5),
+        numbers=(2, 3, 4, 5, 6),
     )
     print("detectable: smallest true difference that is found in four of five repetitions, at Holm's first step.")
+    if any(row.power for row in report.differences):
+        points = next(", ".join(row.power) for row in report.differences if row.power)
+        print(f"power: in % of repetitions, true differences of {points} points are found there.")
     for run in (report.first, report.second):
         print(f"{run.path.name}: {run.method}, {run.origin}")
         for dataset, mark in run.marks.items():
@@ -541,7 +550,8 @@ def _difference_row(first: str, row: MetricDifference) -> tuple[str, ...]:
     change = "–" if row.difference is None else f"{row.difference * scale:+.2f}{unit}"
     p_value = "–" if row.adjusted_p_value is None else f"{row.adjusted_p_value:.4f}"
     detectable = "–" if row.detectable is None else f"{row.detectable * scale:.2f}{unit}"
-    return (row.dataset, row.title, change, bounds, p_value, detectable, said)
+    power = ", ".join(f"{100 * share:.0f}" for share in row.power.values()) or "–"
+    return (row.dataset, row.title, change, bounds, p_value, detectable, power, said)
 
 
 class MergeReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -133,6 +133,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
 )
 @sequence_option("Run this one only")
 @click.option("--view", type=PATH, metavar="FILE", help="Show the motions as .png, .mp4 or .html.")
+@click.option("--with-controls", is_flag=True, help="With all: the cheats of docs/audit.md and nearest-neighbour, too.")
 @protocol_option("the numbers of the metrics, stamped into the run; the table must have been built by the same rules.")
 @permission_option
 @method_settings
@@ -177,6 +178,8 @@ def run(
         return replace(made, report=RunAnswer(runs=[], companions=[], view=None, table_two=made.report))
     if minutes is not None:
         raise UsageError("--minutes: belongs to --method all or --condition all; --limit N chooses N sequences.")
+    if given["with_controls"]:
+        raise UsageError("--with-controls: belongs to --method all or --condition all.")
     if config is None and given["method"] is None:
         raise UsageError("--method NAME is needed, or --config FILE. `prbench adapters list` shows the methods.")
     repeated, experiment = _experiment(config, given)

@@ -71,6 +71,7 @@ def run_table_two(given: Mapping[str, Any], *, minutes: int | None, workers: int
     def show() -> None:
         _print_layout(report.layout)
         print(f"table: {report.folder / MARKDOWN}, {report.folder / JSON}")
+        print(f"beside the study's numbers: prbench study table-2 {report.folder} --data DIR... --with-published")
 
     answer = TableTwoAnswer(
         folder=report.folder,
@@ -111,6 +112,7 @@ def _table_request(given: Mapping[str, Any], data: tuple[Path, ...], minutes: in
         threads=given["threads"],
         protocol=given["protocol"],
         shuffled_goal=given["control"] is not None,
+        more_controls=given["with_controls"],
         out=given["out"],
     )
 
