@@ -14,6 +14,7 @@ from prbench.leaderboard.as_markdown import as_markdown
 from prbench.leaderboard.costs import MotionCost
 from prbench.leaderboard.tables import DatasetTable, Leaderboard, MacroTable, TableRow, hides, undecided_lines
 from prbench.metrics import METRICS, exported_unit, printed_scale
+from prbench.runs.summary import EDGE_ARRIVAL
 from prbench.shown import csv_text
 
 _CSV_COLUMNS: tuple[str, ...] = (
@@ -92,6 +93,8 @@ def _csv_dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, st
                 notes.append("stands still")
             if row.entry.mark:
                 notes.append(row.entry.mark)
+            if EDGE_ARRIVAL in metric.flags:
+                notes.append(row.entry.summary.edge_arrivals)
             yield {
                 "table": number,
                 "dataset": table.dataset,

@@ -27,6 +27,7 @@ from prbench.runs.record import RunRecord, TableRecord
 from prbench.runs.scores import read_scores
 from prbench.runs.summary import DatasetSummary, MetricSummary
 from prbench.submitted.verification import CheckedSummary
+from prbench.workflows.study.methods import methods_table
 from tests.fakes import fake_dataset
 from tests.runs.test_record import METHOD, RECORD, SUMMARY, TABLE
 
@@ -594,6 +595,24 @@ def test_a_dataset_that_cannot_be_decided_says_so(tmp_path, recordings, sequence
     board = leaderboard(tmp_path)
     assert f"synthetic-adt cannot be decided: {reason}" in export(board, "md")
     assert any(reason in line for line in json.loads(export(board, "json"))["tables"][0]["undecided"])
+
+
+def test_arrivals_from_the_edge_are_counted_on_every_board(tmp_path):
+    arrival = next(entry for entry in metrics() if entry.metric == "prime_success")
+    arrival = msgspec.structs.replace(
+        arrival, metric="prime_success_arrival", title="Prime Success (arrival)", mean=0.5,
+        flags={"arrived_from_the_edge": 7},
+    )  # fmt: skip
+    write_run(tmp_path / "a", "one", summary={"metrics": (*metrics(), arrival)})
+    board = leaderboard(tmp_path)
+    said = "7 of 40 arrivals of Prime Success (arrival) come from just outside the target"
+    assert f"one: {said}" in export(board, "md").replace("\\", "")
+    rows = list(csv.DictReader(io.StringIO(export(board, "csv"))))
+    assert {row["metric"] for row in rows if said in row["note"]} == {"prime_success_arrival"}
+    (row,) = json.loads(export(board, "json"))["tables"][0]["rows"]
+    assert row["metrics"][-1]["flags"] == {"arrived_from_the_edge": 7}
+    (table,) = methods_table(board, "2", with_published=False)
+    assert any(said in note for note in table.notes)
 
 
 def test_the_smallest_detectable_difference_stands_below_the_table(tmp_path):

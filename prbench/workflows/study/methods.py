@@ -329,6 +329,8 @@ def table_notes(table: DatasetTable) -> Iterable[str]:
     for row in table.rows:
         if row.entry.mark:
             yield f"{row.entry.method} {row.entry.mark}."
+        if row.entry.summary.edge_arrivals:
+            yield f"{row.entry.method}: {row.entry.summary.edge_arrivals}."
         if row.entry.unverified:
             yield f"{row.entry.method} ({row.entry.run}): unverified, because {row.entry.unverified}."
 

@@ -84,6 +84,7 @@ def notes(layout: TableLayout) -> Iterable[str]:
         )
     for dataset in layout.datasets:
         yield from _controls_arrival(dataset)
+        yield from dataset.edge_arrivals
         yield from dataset.undecided
     if any(dataset.synthetic for dataset in layout.datasets):
         yield "Scores on synthetic data: they say nothing about real people; never compare them with published ones."

@@ -145,6 +145,8 @@ class DatasetLayout:
     blocks: tuple[BlockLayout, ...]
     undecided: tuple[str, ...] = ()
     """Sentences on what the data cannot decide, and the smallest differences that they can."""
+    edge_arrivals: tuple[str, ...] = ()
+    """Sentences on arrivals that a ray trembling on the border of the target earns."""
 
     @property
     def is_ranked(self) -> bool:
@@ -229,6 +231,11 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, part: DatasetTab
             if name in under
         ),
         undecided=() if part is None else undecided_lines(part),
+        edge_arrivals=tuple(
+            f"{line.label} ({line.name}): {rows[line.name].entry.summary.edge_arrivals}."
+            for _, line in lines
+            if line.name in rows and rows[line.name].entry.summary.edge_arrivals
+        ),
     )
 
 
