@@ -41,7 +41,7 @@ def test_never_smaller_than_the_t_test_of_the_recordings_means(recordings: int) 
 def test_approaches_the_t_test_with_many_alike_recordings() -> None:
     rows = np.tile([-0.9, 1.1], 300) + 0.0
     oracle = stats.ttest_1samp(rows, 0).pvalue
-    assert paired_p_value(rows, names(*[1] * 600)) == pytest.approx(oracle, rel=0.02)
+    assert paired_p_value(rows, names(*[1] * 600)) == pytest.approx(oracle, rel=0.03)
 
 
 def test_one_recording_that_outweighs_the_others_cannot_be_tested() -> None:
