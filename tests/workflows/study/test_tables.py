@@ -20,6 +20,7 @@ from prbench.workflows.text_to_motion.report import Interval, ResultRow, TextEva
 from tests.fakes import fake_dataset
 from tests.leaderboard.test_tables import metrics, write_run
 from tests.workflows.study.test_beside import board_of, write_real
+from tests.workflows.study.test_formats import require_whole_latex
 
 
 @pytest.fixture(scope="module")
@@ -171,6 +172,7 @@ def test_table_s8_is_read_from_evaluations_and_says_that_nothing_was_recomputed(
     assert table.blocks[0].rows == (("mdm", "70.00 ± 1.00", "0.70 ± 0.01", "–", "–"),)
     assert table.blocks[1].rows[0] == ("recorded motion", "75.43 ± 0.12", "0", "2.79 ± 0.00", "9.70 ± 0.13")
     assert any("motions are not at hand" in note for note in table.notes)
+    require_whole_latex(FORMATS[".tex"]([table]))
 
 
 def test_the_number_of_test_sequences_of_the_study_stands_in_the_csv_rows(tmp_path):
