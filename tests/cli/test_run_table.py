@@ -76,7 +76,7 @@ def test_what_suits_a_table_reaches_its_rows(table, tmp_path, capsys):
 
 
 def test_a_narrow_terminal_gets_a_narrow_layout(table, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(table_two, "_width", lambda: 80)
+    monkeypatch.setattr(table_two, "shown_width", lambda: 80)
     words = ["run", "--method", "static", "--condition", "all", "--limit", "2", "--workers", "1"]
     assert main([*words, "--data", str(table.folder), "--out", str(tmp_path / "t")]) == 0
     printed = capsys.readouterr().out
