@@ -31,7 +31,6 @@ from prbench_adapters.wandr.state import BodyState, clean_delta, intentions
 Hand = Literal["right", "nearest", "left"]
 _FirstChange = Literal["recorded", "random"]
 
-_MOST_SPEED = 1.0  # metres a second; recorded wrists never need more than 0.9 on the whole (docs/methods/wandr.md)
 _MIRRORED = np.array([-1.0, 1.0, 1.0], dtype=np.float32)
 
 
@@ -46,9 +45,9 @@ class Generation:
     """Change that led to the first frame: the recorded one, or noise as in the original."""
     deviation: float = 1.0
     """Standard deviation of the latent of every step."""
-    most_speed: float = _MOST_SPEED
-    """Longest intention of the wrist, metres a second; infinity is the original's. A body that is late is otherwise
-    asked for speeds that it never saw in training, and falls towards the goal (docs/methods/wandr.md)."""
+    most_speed: float = math.inf
+    """Longest intention of the wrist, metres a second; infinity is the original's. A body that is late is then asked
+    for speeds that it never saw in training, and falls towards the goal (docs/methods/wandr.md)."""
 
 
 @dataclass(frozen=True)
@@ -171,8 +170,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
     """Entry point ``wandr``.
 
     Options: ``hand`` (right, nearest, left), ``first-change`` (recorded, or random as in the original), ``deviation``
-    (1) of the latents, ``most-speed`` (1 metre a second; 0 for no limit, as in the original) of the wrist's
-    intention.
+    (1) of the latents, ``most-speed`` (0, which is no limit, as in the original) of the wrist's intention,
+    metres a second.
 
     Args:
         weights: File, folder or name of bundled weights; None for ``wandr-small``.
@@ -185,7 +184,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
         ValueError: for options that are unknown or have impossible values.
     """
     require_known(options, ("hand", "first-change", "deviation", "most-speed"))
-    most_speed = number(options, "most-speed", _MOST_SPEED)
+    most_speed = number(options, "most-speed", 0.0)
     generation = Generation(
         hand=cast(Hand, choice(options, "hand", get_args(Hand))),
         first_change=cast(_FirstChange, choice(options, "first-change", get_args(_FirstChange))),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,8 +36,7 @@ class Follower(torch.nn.Module):
 
 
 def _follower(generation: Generation | None = None) -> WANDR:
-    # The goals of the tiny batch are farther than a body at the usual limit gets in a second.
-    method = _method(replace(generation or Generation(), most_speed=math.inf))
+    method = _method(generation)
     method.network.decoder = torch.nn.Sequential(Follower())
     return method
 
@@ -67,8 +65,7 @@ def test_a_body_that_is_late_is_asked_for_no_more_than_the_most_speed():
     batch = tiny.batch(frames=(20,))
     distance = np.linalg.norm(batch.initial_joints[:, RIGHT] - batch.goal_location, axis=-1)
     half = float(distance[0]) / (19 / 30) / 2  # metres a second that bring the wrist half of the way
-    method = _follower()
-    method.generation = Generation(most_speed=half)
+    method = _follower(Generation(most_speed=half))
     steps = np.linalg.norm(np.diff(method.generate(batch, seed=0).joints[0, :, RIGHT], axis=0), axis=-1)
     assert steps == pytest.approx(half / 30, rel=1e-4)
 
@@ -164,7 +161,8 @@ def test_weights_are_found_and_declared(tmp_path):
         assert method.weights_for(Condition.GOAL_LOCATION) == path
         assert method.native_fps == 30
         assert method.generation == Generation(hand="nearest", deviation=0.5)
-    assert load_adapter("wandr", path, {"most-speed": "0"}, "cpu").generation == Generation(most_speed=math.inf)
+    assert load_adapter("wandr", path, {"most-speed": "0"}, "cpu").generation == Generation()
+    assert load_adapter("wandr", path, {"most-speed": "1.5"}, "cpu").generation == Generation(most_speed=1.5)
     assert load_adapter("wandr", path, {}, "cpu").generate(tiny.batch(), seed=0).joints.shape == (3, 30, 22, 3)
 
 
