@@ -49,6 +49,9 @@ class Inputs:
             run(made.folder, *_RUN, "--data", made.table, "--out", folder / name)
         run(made.folder, *_STATIC, "--data", made.table, "--out", folder / "static")
         run(made.folder, *_STATIC, "--samples", 2, "--data", made.table, "--out", folder / "several")
+        for fold in (1, 2):
+            chosen = ("--data", made.table, "--split", "participants", "--fold", f"{fold}/2")
+            run(made.folder, *_STATIC, *chosen, "--out", folder / f"fold-{fold}")
         run(made.folder, "export-release", made.table, "--out", made.release)
         run(made.folder, *_CONDITIONS, "--data", made.table, "--out", folder / "conditions.npz")
         _make_bodiless(made)
@@ -265,6 +268,10 @@ WRITING = (
         lambda given, out: ("diversity", given.several, "--data", given.table, "--fan", out),
         "fan.png",
     ),
+    Writing(
+        "error-budget --out",
+        lambda given, out: ("error-budget", given.static, "--data", given.table, "--out", out),
+    ),
     Writing("agreement --out", lambda given, out: ("agreement", given.run, "--out", out), "a.json"),
     Writing(
         "leaderboard pareto --out",
@@ -276,6 +283,10 @@ WRITING = (
     Writing(
         "split-dataset --out",
         lambda given, out: ("split-dataset", given.table, "--fold", "1/2", "--out", out),
+    ),
+    Writing(
+        "leaderboard merge --out",
+        lambda given, out: ("leaderboard", "merge", given.folder / "fold-1", given.folder / "fold-2", "--out", out),
     ),
     Writing("leaderboard export --out", lambda given, out: ("leaderboard", "export", given.run, "--out", out), "l.md"),
     Writing(

@@ -57,6 +57,7 @@ _COMMANDS = {
         "agreement": "prbench.cli.agreement:agreement",
         "diversity": "prbench.cli.diversity:diversity",
         "audit": "prbench.cli.audit:audit",
+        "error-budget": "prbench.cli.error_budget:error_budget",
         "study": "prbench.cli.study:study",
         "ablation": "prbench.cli.ablation:ablation",
     },
