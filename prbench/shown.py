@@ -136,6 +136,7 @@ _LATEX = {
     "↓": r"$\downarrow$",
     "†": r"\dag{}",
     "‡": r"\ddag{}",
+    "§": r"\S{}",
     "δ": r"$\delta$",
     "σ": r"$\sigma$",
     "…": r"\ldots{}",

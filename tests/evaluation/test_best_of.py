@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from prbench.cli import main
 from prbench.contract import Condition, ConditionBatch, Cost, Motions
 from prbench.engine import ProcessPool
 from prbench.errors import UsageError
@@ -251,3 +252,21 @@ def test_a_leaderboard_marks_the_row_and_ranks_it_nowhere(table, tmp_path, insta
     assert "- made § best of 3 motions, chosen by their own head ray and wrist; never ranked." in text
     assert "§ best of 3 motions" in export(board, "csv")
     assert '"best_of": 3' in export(board, "json")
+
+
+def test_tables_of_the_study_and_comparisons_mark_it_in_every_format(table, tmp_path, install, capsys):
+    install("made", adapter_source())
+    runs = [str(tmp_path / f"runs/best-{best_of}") for best_of in (1, 3)]
+    for best_of, run in zip((1, 3), runs, strict=True):
+        run_method(request(table, run, best_of=best_of))
+    files = [tmp_path / f"t.{kind}" for kind in ("tex", "csv", "md")]
+    data = ["--data", str(table.folder)]
+    assert main(["study", "table-2", *runs, *data, "--with-published", "--out", *map(str, files)]) == 0
+    tex, numbers, text = (file.read_text(encoding="utf-8") for file in files)
+    for shown in (tex, numbers, text):
+        assert "best of 3 motions, chosen by their own head ray and wrist; never ranked" in shown
+    assert r"made (best of 3) (\S{}) &" in tex
+    assert "(best of 3) (§)" in text
+    capsys.readouterr()
+    assert main(["leaderboard", "compare", *runs, *data]) == 0
+    assert "best-3, synthetic-adt: § best of 3 motions" in capsys.readouterr().out
