@@ -271,8 +271,10 @@ def print_datasets(summaries: Sequence[DatasetSummary], *, origin: str, motionle
     if unsupported:
         print(f"Longer than the method can generate, and not scored: {', '.join(unsupported)}.")
     for each in summaries:
-        if each.mark:
-            print(f"{_short(each)}: {each.mark}.")
+        if each.recorded_motion_mark:
+            print(f"{_short(each)}: {each.recorded_motion_mark}.")
+    if first.best_of_mark:  # that of the run, so the same on every dataset
+        print(f"{first.best_of_mark}.")
     if any(each.synthetic for each in summaries):
         print("Synthetic data: never compare these scores with published ones.")
 
@@ -308,8 +310,10 @@ def print_methods_on_datasets(
     print_table(f"Means over {len(methods[0])} datasets", header, rows, numbers=range(1, len(header)))
     for summaries in methods:
         for each in summaries:
-            if each.mark:
-                print(f"{each.method} on {_short(each)} {each.mark}.")
+            if each.recorded_motion_mark:
+                print(f"{each.method} on {_short(each)} {each.recorded_motion_mark}.")
+        if summaries[0].best_of_mark:
+            print(f"{summaries[0].method} {summaries[0].best_of_mark}.")
 
 
 _DASH = "–"
