@@ -104,7 +104,7 @@ def _foot(fan: Fan) -> str:
         "A shade is a motion, the same in all panels of a row; a line from a head shows where it points. Dots: prime"
     ]
     said.append("time (first look of the head that stays, else its best look).")
-    said.append(f"Curves are cut at {_FARTHEST:g} m and {_FASTEST:g} m/s.")
+    said.append(f"Curves are cut at {_FARTHEST:g}\u00a0m and {_FASTEST:g}\u00a0m/s.")
     if fan.shows_goal:
         said.append("Cyan: the goal.")
     if len(fan.groups) > 1:
