@@ -1,4 +1,4 @@
-"""Measure what the protocol's choices change on the embedded data: the numbers of ``docs/protocol-choices.md``.
+"""Measure what the protocol's choices change on synthetic recordings: the numbers of ``docs/protocol-choices.md``.
 
 Run from the repository's root: ``python -m benchmarks.choices [--recordings 40]``. The synthetic recordings are acted
 out once, in memory; each variant curates them into a table of its own in a temporary folder, and the recorded motion of
@@ -27,12 +27,13 @@ from prbench.recording import Recording
 from prbench.runs import read_scores
 from prbench.sequences import SequenceTable
 from prbench.synthetic.layouts import layout_for
-from prbench.workflows.first_run import RECORDINGS, SEED
 from prbench.workflows.matching import match_events
 from prbench.workflows.synthetic_table import Staging, SyntheticSource, synthetic_source
 from prbench.workflows.verify_synthetic import on_clock
 
 PRESET = "adt"
+RECORDINGS = 40
+SEED = 0
 STUDY_LENGTH = 150
 """N of the study (Prime and Reach, section 5.1), frames."""
 EARLY = 1.8
@@ -124,7 +125,7 @@ VARIANTS = (
 def main() -> None:
     """Build, score and print every variant, and what a limit of 150 frames leaves."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--recordings", type=int, default=RECORDINGS, help="synthetic recordings (default: embedded)")
+    parser.add_argument("--recordings", type=int, default=RECORDINGS, help=f"how many (default: {RECORDINGS})")
     count = parser.parse_args().recordings
     staging = Staging(PRESET, SEED)
     acted: dict[str, Recording] = {}

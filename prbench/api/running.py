@@ -17,7 +17,7 @@ from prbench.api.frames import frozen
 from prbench.api.pictures import Picture, Replay, picture_of, replay_of
 from prbench.api.progress import progress
 from prbench.api.scored import described, irrelevant_metrics, scores_for_notebook, scores_frame, summary_frame
-from prbench.api.tables import Table, embedded_table, table_folders
+from prbench.api.tables import Table, embedded_tables, table_folders
 from prbench.errors import UsageError
 from prbench.runs import DatasetSummary, Predictions, RunCost, RunFolder, RunRecord, read_scores
 from prbench.shown import html
@@ -255,7 +255,8 @@ def run(
     condition: Literal["none", "text", "goal-pose", "goal-loc"] | None = None,
     data: PathLike | Table | Iterable[PathLike | Table] = (),
     out: PathLike | None = None,
-    split: Literal["train", "validation", "test"] = "test",
+    split: Literal["train", "validation", "test", "participants"] = "test",
+    fold: str | None = None,
     limit: int | None = None,
     sequence: str | Iterable[str] = (),
     weights: PathLike | None = None,
@@ -281,11 +282,12 @@ def run(
         condition: What the method is given: nothing (``none``), a sentence (``text``), the pose at the goal
             (``goal-pose``), or the goal's place (``goal-loc``). By default what ``prbench run`` takes without
             ``--condition``.
-        data: A table or its folder, or several; without it prbench's own table of synthetic people is used.
+        data: A table or its folder, or several; without it prbench's own five tables of synthetic people are used.
         out: Run folder; by default one below ``runs`` whose name says what was run.
-        split: The sequences to run.
+        split: The sequences to run; ``participants`` goes with ``fold``.
+        fold: Such as ``2/6``: the participants of this fold are tested on.
         limit: At most so many sequences of each dataset, those whose ids have the smallest SHA-256; without ``data``
-            48 by default.
+            10 by default.
         sequence: Run these only: ids, or parts of ids that fit one sequence only.
         weights: Bundled weights of the method by name, a file or a folder.
         option: Options of the method, by name.
@@ -294,7 +296,7 @@ def run(
         control: ``shuffled-goal`` gives every sequence another one's goal.
         seed: Seed of the run.
         samples: Motions for each sequence.
-        batch_size: Sequences a batch; 64 by default, 12 without ``data``.
+        batch_size: Sequences a batch; 64 by default, 5 without ``data``.
         isolate: Run the method in a process that is given neither paths, objects nor environment.
         timeout: Seconds for each batch of a program or an isolated method; 600 by default.
         protocol: Your own ``protocol.toml``, stamped into the run; by default prbench's.
@@ -317,11 +319,13 @@ def run(
     from prbench.workflows import first_run
 
     _require_one(method, condition)
+    if (split == "participants") != (fold is not None):
+        raise UsageError("split 'participants' and fold 'K/N' belong together.")
     require_positive(limit=limit, threads=threads, samples=samples, batch_size=batch_size, workers=workers)
     sequences = as_texts(sequence)
     folders = table_folders(data)
     if not folders:
-        folders = (embedded_table(workers=workers).folder,)
+        folders = table_folders(embedded_tables(workers=workers))
         if not sequences:
             limit = limit or first_run.SEQUENCES
             batch_size = batch_size or first_run.BATCH_SIZE
@@ -330,7 +334,8 @@ def run(
         data=folders,
         weights=as_optional_path(weights),
         options=as_options(option),
-        split=split,
+        split="test" if fold is not None else split,
+        fold=fold,
         limit=limit,
         sequences=sequences,
         seed=seed,
@@ -352,7 +357,8 @@ def run(
             engine=engine_for(workers),
             progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
         )
-    return Run(report.folder, folders, report.batches_found)
+    # A fold stands in prbench's cache, where the run finds its own.
+    return Run(report.folder, () if fold is not None else folders, report.batches_found)
 
 
 def _require_one(method: str, condition: str | None) -> None:

@@ -13,8 +13,8 @@ from prbench.cli.commands import SeveralValues
 
 CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
 """Conditions that a method can be given; spelt out here, so that ``--help`` imports no arrays."""
-FIRST_RUN_SEQUENCES = 48
-"""Limit of a run on the embedded dataset (``prbench.workflows.first_run``); spelt out for the same reason."""
+FIRST_RUN_SEQUENCES = 10
+"""Limit of a run on the embedded datasets, of each (``prbench.workflows.first_run``); spelt out for the same reason."""
 SPLITS = ("train", "validation", "test")
 PATH = click.Path(path_type=Path)
 
@@ -114,6 +114,35 @@ def split_option(default: str | None = "test", *, help: str = "") -> _Decorator:
     return click.option(
         "--split", type=click.Choice(SPLITS), default=default, help=help or f"Split of the table (default {default})."
     )
+
+
+PARTICIPANTS = "participants"
+"""Value of ``--split`` that goes with ``--fold``."""
+
+
+def fold_options(split: str | None = "test") -> _Decorator:
+    """Add ``--split``, which also takes ``participants``, and ``--fold K/N``.
+
+    Args:
+        split: Default of ``--split``; None for a command that takes ``participants`` alone.
+    """
+    choices = [PARTICIPANTS] if split is None else [*SPLITS, PARTICIPANTS]
+    default = "" if split is None else f"Split of the table (default {split}); "
+
+    def add(function: _Function) -> _Function:
+        folded = click.option(
+            "--fold",
+            metavar="K/N",
+            help="With --split participants: the fold to test on, such as 2/6 (`prbench split-dataset`).",
+        )(function)
+        return click.option(
+            "--split",
+            type=click.Choice(choices),
+            default=split,
+            help=f"{default}participants: the people of --fold are tested on, all others learnt from.",
+        )(folded)
+
+    return add
 
 
 def limit_option(default: str = "all") -> _Decorator:

@@ -6,7 +6,7 @@ import re
 import sys
 from collections.abc import Iterable
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -48,10 +48,13 @@ from prbench.runs.record import (
 )
 from prbench.runs.scores import RUN_SCHEMA_VERSION
 from prbench.sequences import SequenceTable
+from prbench.sequences.folds import OPTION, WHOLE_TABLE, fold_table
 from prbench.storage import text_digest
 
 DEFAULT_PARENT = Path("runs")
 """Folder of run folders for which the user names none."""
+_NAMED_DATASETS = 2
+"""Number of datasets, at most, that the name of a run folder spells out."""
 _RECORDED_PACKAGES = ("numpy", "pyarrow", "scipy", "torch")  # those on which a result's last digits may depend
 
 
@@ -105,6 +108,9 @@ def prepare_run(request: RunRequest) -> PreparedRun:
     """
     # A method that an earlier run of this process has loaded may hold its state.
     forget_loaded_methods()
+    if request.fold is not None:
+        folds = tuple(fold_table(folder, request.fold).folder for folder in request.data)
+        request = replace(request, data=folds, fold=None)
     tables = open_tables(request.data)
     protocol = protocol_for(request.protocol, (table.described_protocol for table in tables))
     spec = None if request.is_control else _spec(request)
@@ -298,6 +304,8 @@ def table_record(chosen: Selection, selection: Selection, plan: BatchPlanRecord)
         unsupported=len(chosen) - len(selection),
         selection_digest=chosen.digest,
         batch_plan=plan,
+        fold=info.options.get(OPTION),
+        whole_table=info.options.get(WHOLE_TABLE),
     )
 
 
@@ -315,6 +323,8 @@ def package_versions(names: Iterable[str]) -> dict[str, str]:
 def _default_folder(record: RunRecord) -> Path:
     """``runs/<method>-<condition>-<datasets>-<digest>``; the same request finds its folder again."""
     control = f"-{record.control}" if record.control else ""
-    datasets = "+".join(table.dataset for table in record.tables)
+    # Five names would make a folder's name too long to be typed; the digest tells which datasets they are.
+    several = len(record.tables) > _NAMED_DATASETS
+    datasets = f"{len(record.tables)}-datasets" if several else "+".join(table.dataset for table in record.tables)
     name = f"{record.method.name}{control}-{record.condition}-{datasets}-{text_digest(repr(record))[:8]}"
     return DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -15,6 +16,8 @@ from prbench.storage import write_json
 FILE_NAME = "summary.json"
 RECORDED_MOTION = "recorded_motion"
 """Flag of a motion that is the recorded one, beside its MPJPE."""
+EDGE_ARRIVAL = "arrived_from_the_edge"
+"""Flag of a motion that came onto the target from less than ``arrival_margin`` outside it, beside its arrival."""
 _RECORDED_SHARE = 0.01
 """Share of such motions above which a method is not ranked."""
 TWICE_DAGGER = "††"
@@ -69,6 +72,10 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     length_mismatches: int
     metrics: tuple[MetricSummary, ...]
 
+    def metric(self, name: str) -> MetricSummary | None:
+        """Return one metric, or None if there is no value of it."""
+        return next((metric for metric in self.metrics if metric.metric == name), None)
+
     @property
     def recorded_motions(self) -> int:
         """Number of motions that are the recorded ones, handed in as the method's own."""
@@ -87,6 +94,17 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
             return ""
         rank = "; never ranked" if self.hands_in_recordings else ""
         return f"{TWICE_DAGGER} equals the recorded motion in {self.recorded_motions} of {self._motions} motions{rank}"
+
+    @property
+    def edge_arrivals(self) -> str:
+        """Words on arrivals from so little outside the target that a trembling ray earns them; empty if none is."""
+        metric = next((metric for metric in self.metrics if EDGE_ARRIVAL in metric.flags), None)
+        if metric is None:
+            return ""
+        return (
+            f"{metric.flags[EDGE_ARRIVAL]} of {round(metric.mean * self._motions)} arrivals of {metric.title} come from"
+            " just outside the target, as those of a ray that trembles on its border do"
+        )
 
     @property
     def _motions(self) -> int:
@@ -116,3 +134,22 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
                 f"{path}: expected schema version {RUN_SCHEMA_VERSION}, found {summary.schema_version}. Update prbench."
             )
         return summary
+
+
+def means_over_datasets(summaries: Sequence[DatasetSummary]) -> dict[str, float]:
+    """Return the mean of each metric over datasets, each counting alike, as in the study.
+
+    Args:
+        summaries: Of one method, one a dataset.
+
+    Returns:
+        Means by metric id; without those that a dataset lacks, since a mean over the others would look like a better or
+        worse method.
+    """
+    means = {}
+    for name in dict.fromkeys(metric.metric for summary in summaries for metric in summary.metrics):
+        found = [summary.metric(name) for summary in summaries]
+        values = [metric.mean for metric in found if metric is not None]
+        if len(values) == len(found):
+            means[name] = sum(values) / len(values)
+    return means
