@@ -12,7 +12,7 @@ from prbench.engine import Engine, InProcess
 from prbench.errors import UsageError
 from prbench.manifests import MetricConstants, load_manifest, load_protocol
 from prbench.metrics.batch import MotionBatch
-from prbench.metrics.plausible import body_numbers
+from prbench.metrics.plausible import BodyNumbers, body_numbers, plausible
 from prbench.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.synthetic.behaviour import Range, measure_behaviour, ranges
 from prbench.synthetic.people import PRESETS, perform
@@ -23,6 +23,7 @@ from prbench.workflows.synthetic_table import Staging
 EVENTS = 6
 """Picks and puts of each recording."""
 _IN_PROCESS = InProcess()
+_PLAUSIBLE = Range(0.95, 1.0, "our limit: what is left are rare elbows that swing round")
 _RATE = 60.0
 """Frames a second of people without sensors: twice what the fastest of their movements need."""
 
@@ -34,7 +35,7 @@ class PeopleNumber:
     preset: str
     name: str
     """A field of :class:`~prbench.synthetic.behaviour.Behaviour` or of
-    :class:`~prbench.metrics.plausible.BodyNumbers`."""
+    :class:`~prbench.metrics.plausible.BodyNumbers`, or ``plausible``: the share of sequences that keep all limits."""
     acted: float
     """Of noise-free motion and gaze; of body numbers the worst sequence."""
     recorded: float | None
@@ -75,7 +76,7 @@ def people_numbers(
         raise UsageError(f"{recordings} recordings of seed {seed} hold no sequence; ask for more with --count.")
     return (
         *_behaviour_numbers(preset, performances),
-        *_body_numbers(preset, _worst(acted), _worst(recorded), load_protocol().metrics),
+        *_body_numbers(preset, MotionBatch.from_motions(acted), MotionBatch.from_motions(recorded)),
     )
 
 
@@ -110,19 +111,19 @@ def _behaviour_numbers(preset: str, performances: list[Performance]) -> Iterator
         yield PeopleNumber(preset, name, values[name], None, asked)
 
 
-def _worst(motions: list[np.ndarray]) -> dict[str, float]:
-    """Return the smallest pelvis height and the largest of the other body numbers, by name."""
-    numbers = body_numbers(MotionBatch.from_motions(motions), FPS, load_protocol().metrics)
-    return {
-        name: float(values.min() if name == "lowest_pelvis" else values.max()) for name, values in vars(numbers).items()
-    }
+def _body_numbers(preset: str, acted: MotionBatch, recorded: MotionBatch) -> Iterator[PeopleNumber]:
+    constants = load_protocol().metrics
+    shares = [float(plausible(motions, FPS, constants).mean()) for motions in (acted, recorded)]
+    yield PeopleNumber(preset, "plausible", shares[0], shares[1], _PLAUSIBLE)
+    worst = [_worst(body_numbers(motions, FPS, constants)) for motions in (acted, recorded)]
+    for name, asked in _body_ranges(constants).items():
+        yield PeopleNumber(preset, name, worst[0][name], worst[1][name], asked)
 
 
-def _body_numbers(
-    preset: str, acted: dict[str, float], recorded: dict[str, float], limits: MetricConstants
-) -> Iterator[PeopleNumber]:
-    for name, asked in _body_ranges(limits).items():
-        yield PeopleNumber(preset, name, acted[name], recorded[name], asked)
+def _worst(numbers: BodyNumbers) -> dict[str, float]:
+    """Return the smallest pelvis height and the largest of the other numbers, by name."""
+    extremes = {name: float(values.max()) for name, values in vars(numbers).items()}
+    return extremes | {"lowest_pelvis": float(numbers.lowest_pelvis.min())}
 
 
 def _body_ranges(limits: MetricConstants) -> dict[str, Range]:

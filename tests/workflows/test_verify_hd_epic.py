@@ -112,13 +112,13 @@ def test_every_outcome_that_the_page_explains_occurs() -> None:
 def test_hands_are_wrong_only_where_both_wrists_are_at_the_place(indices: range) -> None:
     """In a work pose the idle hand often is as near to the place as the one that acts: then nothing tells which it was.
 
-    Measured on 40 recordings (seeds 0 and 1): 0.9 % wrong and 4.1 % unknown; 1.7 % and 4.3 % in version 1.
+    Measured on 60 recordings (docs/datasets.md): 2.2 % wrong and 5.9 % unknown.
     """
     matches = [match for index in indices for match in _matches(Staging("hd-epic", 1).perform(index))]
     hands = verification(matches, recordings=len(indices)).hands
     located = hands.right + hands.wrong + hands.unknown
     assert located >= 6 * len(indices)
-    assert hands.wrong <= 0.03 * located
+    assert hands.wrong <= 0.04 * located
     assert hands.unknown <= 0.10 * located
     assert hands.contradicted == 0
     assert max(distance for match in matches for distance in _wrists_of_a_missed_hand(match)) < 0.20
