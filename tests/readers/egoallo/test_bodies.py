@@ -183,6 +183,7 @@ def test_an_output_within_a_gap_of_the_trajectory_is_kept(root):
             np.append(True, lost.valid),
         ),
     )
+    assert body is not None
     np.testing.assert_array_equal(body.joints, _body(root).joints)
 
 
