@@ -50,7 +50,7 @@ def test_a_table_and_a_picture_are_reported(tmp_path, capsys) -> None:
     assert report.table.counts["recordings_read"] == len(report.table.recordings) == 1
     assert (report.folder, report.recordings) == (None, [])
     assert report.gallery == tmp_path / "g.png"
-    assert report.gallery.is_file()
+    assert (tmp_path / "g.png").is_file()
 
 
 def test_people_are_reported_with_the_ranges_asked_of_them(capsys) -> None:
