@@ -193,6 +193,7 @@ class MacroMean(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         condition: What the method was given.
         variant: Control, weights, options and the like, by which rows of one method differ.
         means: Maps ids of metrics to means; empty if the method lacks a dataset.
+        intervals: Maps ids of metrics to the two bounds of the mean's 95 % interval, where each dataset has one.
         ranks: Maps ids of metrics to ranks, from 1; empty where nothing is ranked.
         verified: Whether the scores on all datasets were held against the motions.
         missing: Datasets that the method lacks.
@@ -204,6 +205,7 @@ class MacroMean(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     condition: str
     variant: str
     means: dict[str, float | None]
+    intervals: dict[str, tuple[float, float]]
     ranks: dict[str, int]
     verified: bool
     missing: list[str]
