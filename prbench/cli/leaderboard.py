@@ -205,7 +205,7 @@ class MacroMean(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     condition: str
     variant: str
     means: dict[str, float | None]
-    intervals: dict[str, tuple[float, float]]
+    intervals: dict[str, list[float]]
     ranks: dict[str, int]
     verified: bool
     missing: list[str]

@@ -82,7 +82,7 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
     batches_found: int
     datasets: list[DatasetScores]
     means: dict[str, float]
-    intervals: dict[str, tuple[float, float]]
+    intervals: dict[str, list[float]]
 
 
 class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):

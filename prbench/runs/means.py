@@ -60,10 +60,10 @@ def mean_over_datasets(metrics: Sequence[MetricSummary | None]) -> MeanOverDatas
     return MeanOverDatasets(float(values.mean()), float(low), float(high))
 
 
-def intervals_of_means(means: Mapping[str, MeanOverDatasets]) -> dict[str, tuple[float, float]]:
+def intervals_of_means(means: Mapping[str, MeanOverDatasets]) -> dict[str, list[float]]:
     """Return the bounds of each mean that has an interval, as reports show them."""
     return {
-        name: (mean.low, mean.high) for name, mean in means.items() if mean.low is not None and mean.high is not None
+        name: [mean.low, mean.high] for name, mean in means.items() if mean.low is not None and mean.high is not None
     }
 
 
