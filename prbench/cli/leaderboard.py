@@ -551,7 +551,12 @@ def _difference_row(first: str, row: MetricDifference) -> tuple[str, ...]:
     said = f"{first} is {row.conclusion}" if row.conclusion in ("higher", "lower") else row.conclusion
     change = "–" if row.difference is None else f"{row.difference * scale:+.2f}{unit}"
     p_value = "–" if row.adjusted_p_value is None else f"{row.adjusted_p_value:.4f}"
-    detectable = "–" if row.detectable is None else f"{row.detectable * scale:.2f}{unit}"
+    if row.detectable is None:
+        detectable = "–"
+    elif row.unit == "rate" and row.detectable > 1:
+        detectable = "none"  # no difference of two rates is larger than 100 points
+    else:
+        detectable = f"{row.detectable * scale:.2f}{unit}"
     power = ", ".join(f"{100 * share:.0f}" for share in row.power.values()) or "–"
     return (row.dataset, row.title, change, bounds, p_value, detectable, power, said)
 
