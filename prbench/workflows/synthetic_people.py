@@ -23,7 +23,7 @@ from prbench.workflows.synthetic_table import Staging
 EVENTS = 6
 """Picks and puts of each recording."""
 _IN_PROCESS = InProcess()
-_PLAUSIBLE = Range(0.95, 1.0, "our limit: what is left are rare elbows that swing round")
+_PLAUSIBLE = Range(1.0, 1.0, "our limit: people are plausible")
 _RATE = 60.0
 """Frames a second of people without sensors: twice what the fastest of their movements need."""
 
