@@ -17,7 +17,7 @@ LAYERS = {
         ("limits", "shown", "skeleton", "axes", "published", "randomness", "paths", "rates_of_people", "rays"),
         0,
     ),
-    **dict.fromkeys(("entry_points", "errors", "joint_names"), 1),
+    **dict.fromkeys(("entry_points", "errors", "joint_names", "progress_bar"), 1),
     **dict.fromkeys(("boundary", "bounded", "datasets", "meshes", "ranges", "timelines", "workers"), 2),
     **dict.fromkeys(("manifests", "storage", "parquet_files", "numpy_files", "engine", "recording"), 3),
     **dict.fromkeys(("locks", "own_protocol"), 4),

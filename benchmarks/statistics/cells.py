@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from benchmarks.statistics.designs import Sizes, draw_metres, draw_rates
 from prbench.evaluation.clusters import SIGNIFICANCE, PerSet, mean_bounds, measure_spread, p_values, rate_bounds
+from prbench.runs.means import bounds_of_mean
 
+DATASETS = 5
+"""Datasets of a mean over datasets, as in the study."""
 COMPARISONS = 6
 """Comparisons of a family: one for each main metric."""
 _AT_ONCE = 2_000  # data sets, so that the largest design needs some tens of megabytes
@@ -32,6 +36,44 @@ class Share:
 def rate_coverage(sizes: Sizes, rate: float, correlation: float, *, sets: int, seed: int) -> Share:
     """Coverage of the intervals of a rate."""
     rng = np.random.default_rng(seed)
+    _, low, high = _rates(rng, sizes, rate, correlation, sets)
+    covered = (low <= rate) & (rate <= high)
+    return Share(float(covered.mean()), sets, float(np.median(high - low)))
+
+
+def mean_coverage(sizes: Sizes, kind: str, *, sets: int, seed: int) -> Share | None:
+    """Coverage of the intervals of a mean; None where none is given."""
+    rng = np.random.default_rng(seed)
+    _, low, high = _means(rng, sizes, kind, sets)
+    width = float(np.median(high - low))
+    return None if np.isnan(width) else Share(float(((low <= 1) & (high >= 1)).mean()), sets, width)
+
+
+def coverage_over_datasets(sizes: Sizes, kind: str | Sequence[float], *, sets: int, seed: int) -> Share:
+    """Coverage of the intervals of a mean over five datasets, each of these recordings.
+
+    Args:
+        sizes: Sequences of each recording of a dataset.
+        kind: A distribution of values with the mean 1, or the true rates of five datasets, with correlation 0.1.
+        sets: Number of simulated means.
+        seed: Of the simulation.
+    """
+    rng = np.random.default_rng(seed)
+    if isinstance(kind, str):
+        true = 1.0
+        found = [_means(rng, sizes, kind, sets) for _ in range(DATASETS)]
+    else:
+        true = float(np.mean(kind))
+        found = [_rates(rng, sizes, rate, 0.1, sets) for rate in kind]
+    low, high = bounds_of_mean(*(np.stack(part) for part in zip(*found, strict=True)))
+    covered = (low <= true) & (true <= high)
+    return Share(float(covered.mean()), sets, float(np.median(high - low)))
+
+
+def _rates(
+    rng: np.random.Generator, sizes: Sizes, rate: float, correlation: float, sets: int
+) -> tuple[PerSet, PerSet, PerSet]:
+    """Draw data sets and return their rates with the bounds of their intervals."""
     totals = draw_rates(rng, sizes, rate, correlation, sets)
     n = int(sizes.sum())
     successes = totals.sum(axis=1)
@@ -43,22 +85,17 @@ def rate_coverage(sizes: Sizes, rate: float, correlation: float, *, sets: int, s
     low[successes == n] = 1 - beyond
     mixed = (successes > 0) & (successes < n)
     low[mixed], high[mixed] = rate_bounds(totals[mixed], sizes)
-    covered = (low <= rate) & (rate <= high)
-    return Share(float(covered.mean()), sets, float(np.median(high - low)))
+    return successes / n, low, high
 
 
-def mean_coverage(sizes: Sizes, kind: str, *, sets: int, seed: int) -> Share | None:
-    """Coverage of the intervals of a mean; None where none is given."""
-    rng = np.random.default_rng(seed)
-    covered = []
-    widths = []
+def _means(rng: np.random.Generator, sizes: Sizes, kind: str, sets: int) -> tuple[PerSet, PerSet, PerSet]:
+    """Draw data sets with the true mean 1 and return their means with the bounds of their intervals."""
+    parts = []
     for first in range(0, sets, _AT_ONCE):
         totals, variance = draw_metres(rng, sizes, kind, min(_AT_ONCE, sets - first))
-        low, high = mean_bounds(measure_spread(totals, sizes, variance))
-        covered.append((low <= 1) & (high >= 1))
-        widths.append(high - low)
-    width = float(np.median(np.concatenate(widths)))
-    return None if np.isnan(width) else Share(float(np.concatenate(covered).mean()), sets, width)
+        parts.append((totals.sum(axis=1) / sizes.sum(), *mean_bounds(measure_spread(totals, sizes, variance))))
+    mean, low, high = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return mean, low, high
 
 
 def false_positives(sizes: Sizes, kind: str, *, families: int, seed: int) -> Share | None:

@@ -9,6 +9,8 @@ Sizes = Int[np.ndarray, " recordings"]
 RATES = (0.02, 0.1, 0.5, 0.9, 0.98)
 CORRELATIONS = (0.0, 0.1, 0.3)
 METRES = ("normal", "gamma", "exponential", "lognormal", "unequal-spread")
+UNUSED_METRES = ("half-gamma", "outliers", "outliers-above")
+"""Kinds on which no constant of the test was chosen (docs/specification/protocol.md#simulation)."""
 
 
 def uneven(recordings: int, sequences: int, seed: int) -> Sizes:
@@ -34,6 +36,11 @@ DESIGNS: dict[str, Sizes] = {
     "47 uneven of 117": uneven(47, 117, 3),
 }
 
+FIRST_RUN: Sizes = np.array([2, 2, 2, 1, 1, 1, 1])
+"""Ten sequences of seven recordings, as a run without ``--data`` takes them."""
+OUTLIERS = 0.1
+"""Share of recordings that are outliers, where a kind has any."""
+
 
 def draw_rates(
     rng: np.random.Generator, sizes: Sizes, rate: float, correlation: float, sets: int
@@ -56,7 +63,10 @@ def draw_metres(
         rng: Source of randomness.
         sizes: Sequences of each recording.
         kind: One of :data:`METRES`; all but ``normal`` are skewed. ``unequal-spread``: recordings differ the more, the
-            more sequences they have, and to one side. ``lognormal`` has a skewness of 6.
+            more sequences they have, and to one side. ``lognormal`` has a skewness of 6. Or one of
+            :data:`UNUSED_METRES`: ``half-gamma`` has shape 1/2 and a skewness of 2.8. ``outliers``: a tenth of the
+            recordings are ten times as far from the mean as the others, to both sides. ``outliers-above``: a tenth of
+            them are ten standard deviations above the others.
         sets: Number of data sets.
     """
     count = len(sizes)
@@ -74,7 +84,17 @@ def draw_metres(
     elif kind == "unequal-spread":
         between = (rng.exponential(1, (sets, count)) - 1) * np.sqrt(sizes / sizes.mean())
         values = 1 + between[:, recording] + rng.normal(0, 1, (sets, n))
+    elif kind == "half-gamma":
+        values = rng.gamma(0.5, 2, (sets, count))[:, recording] * rng.gamma(4, 0.25, (sets, n))
+    elif kind in ("outliers", "outliers-above"):
+        is_outlier = rng.random((sets, count)) < OUTLIERS
+        between = rng.normal(0, 1, (sets, count))
+        if kind == "outliers":
+            between = np.where(is_outlier, 10 * between, between)
+        else:
+            between = between + 10 * (is_outlier - OUTLIERS)
+        values = 1 + between[:, recording] + rng.normal(0, 1, (sets, n))
     else:
-        raise ValueError(f"unknown kind '{kind}'; known ones are: {', '.join(METRES)}")
+        raise ValueError(f"unknown kind '{kind}'; known ones are: {', '.join((*METRES, *UNUSED_METRES))}")
     totals = np.add.reduceat(values, np.cumsum(sizes) - sizes, axis=1)
     return totals, values.var(axis=1, ddof=1)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
-from prbench.shown import clean, html
+from prbench.progress_bar import ProgressCallback, progress_bar
+from prbench.shown import html
 
-ProgressCallback = Callable[[int, int, str], None]
-"""Called with finished steps, all steps, and what was finished last."""
 _SECONDS_BETWEEN_UPDATES = 0.2
 """A notebook redraws its page for every update, which would take longer than the work itself."""
 
@@ -26,7 +25,9 @@ def progress(description: str) -> Iterator[ProgressCallback]:
         with _cell_bar(description) as callback:
             yield callback
     elif sys.stderr is not None and sys.stderr.isatty():
-        with _terminal_bar(description) as callback:
+        from rich.console import Console
+
+        with progress_bar(description, Console(stderr=True)) as callback:
             yield callback
     else:
         yield _silent
@@ -70,20 +71,3 @@ def _bar(description: str, done: int, total: int, last: str) -> str:
     bar = f'<progress value="{done}" max="{total}"></progress>' if total else "<progress></progress>"
     count = f" {done}/{total}" if total else ""
     return f"<div>{html(description)} {bar}{count} {html(last)}</div>"
-
-
-@contextlib.contextmanager
-def _terminal_bar(description: str) -> Iterator[ProgressCallback]:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[last]}", style="dim", markup=False),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(clean(description), total=None, last="")
-        yield lambda done, total, last: bar.update(task, completed=done, total=total, last=clean(last))

@@ -19,7 +19,7 @@ from prbench.errors import UsageError
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.rows import is_bulky
 from prbench.sequences.schema import KEY_VALUES, SEQUENCES
-from prbench.sequences.table import SPLITS, smallest_by_hash, why_no_sequences
+from prbench.sequences.table import SPLITS, by_share, why_no_sequences
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,7 +61,7 @@ class Table:
 
         Args:
             split: ``train``, ``validation`` or ``test``; all by default.
-            limit: At most so many, those whose ids have the smallest SHA-256: the same that ``limit`` means for
+            limit: At most so many, of every recording its share: with ``split`` the same that ``limit`` means for
                 :func:`prbench.run` and :func:`prbench.score`.
 
         Raises:
@@ -69,11 +69,14 @@ class Table:
         """
         _require_split(split)
         require_positive(limit=limit)
-        if split is None:
-            ids = sequence_ids(self._table)
-        else:
-            ids = self._table.scalars(split=split)["sequence_id"].to_pylist()
-        return tuple(ids if limit is None else smallest_by_hash(ids, limit))
+        if split is None and limit is None:
+            return tuple(sequence_ids(self._table))
+        rows = self._table.scalars(split=split)
+        ids = rows["sequence_id"].to_pylist()
+        if limit is None:
+            return tuple(ids)
+        chosen = set(by_share(ids, rows["recording_id"].to_pylist())[:limit])
+        return tuple(name for name in ids if name in chosen)
 
     def sequences(self, *, split: str | None = None, limit: int | None = None) -> Iterator[Sequence]:
         """Read sequences in table order; only a group of rows is held in memory at a time.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from prbench.cli.checked_runs import run_checker
 from prbench.cli.commands import Answer, Command, Group, command, note
 from prbench.cli.options import (
     PATH,
@@ -117,17 +118,14 @@ def _command(number: str) -> Command:
 
 
 def _answer(number: str, data: tuple[Path, ...], workers: int, report: AblationReport) -> Answer:
-    from prbench.cli.study import print_study_tables
-    from prbench.engine import engine_for
-    from prbench.submitted.verification import RunChecker
-    from prbench.workflows.first_run import table_finder
+    from prbench.cli.study_answers import print_study_tables
     from prbench.workflows.study.ablation import ablation_table
     from prbench.workflows.study.formats import FORMATS, write_tables
 
     files: list[Path] = []
     tables = []
     if report.runs:
-        check = RunChecker(table_finder(data), engine_for(workers)).check
+        check = run_checker(data, workers).check
         tables = ablation_table(number, report.folder, check, with_published=True)
         files = [report.folder / f"table_{number.lower()}{suffix}" for suffix in FORMATS]
         for path in files:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 import msgspec
 
+from prbench.cli.checked_runs import run_checker
 from prbench.cli.commands import Answer, command
 from prbench.cli.options import PATH, data_option, workers_option
 from prbench.cli.summaries import AgreementReport, agreement_report, phi_cell
@@ -57,13 +58,10 @@ class AgreementsReport(msgspec.Struct, frozen=True, kw_only=True):
 @workers_option()
 def agreement(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> Answer:
     """Say on which sequences methods succeed: those of recorded people, and by where the goal is."""
-    from prbench.engine import engine_for
     from prbench.runs import RunFolder
     from prbench.runs.agreement import DatasetAgreement
-    from prbench.submitted.verification import RunChecker
-    from prbench.workflows.first_run import table_finder
 
-    checker = RunChecker(table_finder(data), engine_for(workers))
+    checker = run_checker(data, workers)
     found = []
     for path in runs:
         run = RunFolder.open(path)

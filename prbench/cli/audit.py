@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from prbench.cli.commands import Answer, command
+from prbench.cli.commands import Answer, command, session
 from prbench.cli.embedded import embedded_tables
 from prbench.cli.options import (
     FIRST_RUN_SEQUENCES,
@@ -20,14 +20,16 @@ from prbench.cli.options import (
 )
 from prbench.cli.progress import progress
 from prbench.cli.summaries import DatasetScores, dataset_scores, phi_cell
-from prbench.cli.terminal import print_table
+from prbench.cli.terminal import print_table, shown_width
 
 if TYPE_CHECKING:
     from prbench.metrics import MetricInfo
-    from prbench.workflows.audit import TableAudit
+    from prbench.workflows.audit import ControlMeans, TableAudit
 
-_COLUMNS = 7
-"""Metrics side by side at most, so that a table fits on a usual terminal."""
+_COLUMNS = 8
+"""Metrics side by side at most; half as many on a narrow terminal."""
+_WIDE = 120
+"""Columns of a terminal that these metrics take."""
 _SEQUENCES = 48
 """Sequences of each dataset that is named with ``--data``, unless the user says how many."""
 
@@ -63,15 +65,35 @@ class AuditedTable(msgspec.Struct, frozen=True, kw_only=True):
     as_good_as_people: dict[str, list[str]]
 
 
+class ControlMeansReport(msgspec.Struct, frozen=True, kw_only=True):
+    """Means of one control over several datasets, each counting alike.
+
+    Attributes:
+        name: Name of the control.
+        is_recorded: The motions are the recorded ones, through another form at most.
+        means: Maps ids of metrics to means; without metrics that a dataset lacks.
+        intervals: The two bounds of each mean's 95 % interval, where every dataset has one.
+    """
+
+    name: str
+    is_recorded: bool
+    means: dict[str, float]
+    intervals: dict[str, list[float]]
+
+
 class AuditReport(msgspec.Struct, frozen=True, kw_only=True):
     """What each metric pays for.
 
     Attributes:
         tables: One entry a table.
+        means: One entry a control; empty for a single table.
+        as_good_as_people: As in a table, of the means over several tables; empty for a single table.
         out: Folder of the run folders; null if they were not kept.
     """
 
     tables: list[AuditedTable]
+    means: list[ControlMeansReport]
+    as_good_as_people: dict[str, list[str]]
     out: Path | None
 
 
@@ -84,22 +106,35 @@ class AuditReport(msgspec.Struct, frozen=True, kw_only=True):
 def audit(data: tuple[Path, ...], split: str, limit: int | None, out: Path | None, workers: int) -> Answer:
     """Print what cheats, controls and recorded people earn under each metric.
 
+    Of several tables it prints means of the main metrics; with -v of all metrics, and each table.
     Every cheat can be run by itself, too: `prbench run --method tremor`. docs/audit.md says what is to be learnt.
     """
     from prbench.engine import engine_for
     from prbench.workflows.audit import audit as run_audit
-    from prbench.workflows.audit import metrics_of
+    from prbench.workflows.audit import means_of_controls
 
     engine = engine_for(workers)
     default = _SEQUENCES if data else FIRST_RUN_SEQUENCES
     tables = data or embedded_tables(engine)
     with progress("running controls") as show:
         found = run_audit(tables, split=split, limit=limit or default, out=out, engine=engine, progress=show)
-    report = AuditReport(tables=[_audited_table(each) for each in found], out=out)
+    over = means_of_controls(found) if len(found) > 1 else ()
+    report = AuditReport(
+        tables=[_audited_table(each) for each in found],
+        means=[_means_report(each) for each in over],
+        as_good_as_people=_as_good_as_people(over),
+        out=out,
+    )
 
     def show_all() -> None:
-        for each in found:
-            _print(each, metrics_of(each))
+        if over:
+            _print_means(found, over)
+        if not over or session().verbose:
+            for each in found:
+                _print_dataset(each)
+        if any(each.recorded.synthetic for each in found):
+            print("These are scores on synthetic data: never compare them with published ones.")
+        print("docs/audit.md says what each control does and what is to be learnt from it.")
         if out is not None:
             print(f"run folders: {out}")
 
@@ -107,9 +142,6 @@ def audit(data: tuple[Path, ...], split: str, limit: int | None, out: Path | Non
 
 
 def _audited_table(each: TableAudit) -> AuditedTable:
-    from prbench.workflows.audit import metrics_of
-
-    won = {info.id: list(each.not_worse_than_people(info)) for info in metrics_of(each) if _is_contest(info)}
     return AuditedTable(
         dataset=each.recorded.dataset,
         controls=[
@@ -121,35 +153,66 @@ def _audited_table(each: TableAudit) -> AuditedTable:
             )
             for control in each.controls
         ],
-        as_good_as_people=won,
+        as_good_as_people=_as_good_as_people(each.means),
     )
 
 
-def _is_contest(info: MetricInfo) -> bool:
-    """Return True where scoring like recorded people can be told from being compared with them."""
-    return info.higher_is_better is not None and not info.compares_with_recorded
+def _means_report(control: ControlMeans) -> ControlMeansReport:
+    from prbench.runs.means import intervals_of_means
+
+    return ControlMeansReport(
+        name=control.name,
+        is_recorded=control.is_recorded,
+        means={name: mean.mean for name, mean in control.means.items()},
+        intervals=intervals_of_means(control.means),
+    )
 
 
-def _print(each: TableAudit, metrics: Sequence[MetricInfo]) -> None:
+def _as_good_as_people(controls: Sequence[ControlMeans]) -> dict[str, list[str]]:
+    """Map each metric in which scoring like people can be told from being compared with them to who does."""
+    from prbench.workflows.audit import metrics_of, not_worse_than_people
+
+    contests = [
+        info for info in metrics_of(controls) if info.higher_is_better is not None and not info.compares_with_recorded
+    ]
+    return {info.id: list(not_worse_than_people(controls, info)) for info in contests}
+
+
+def _print_means(tables: Sequence[TableAudit], over: Sequence[ControlMeans]) -> None:
+    first = tables[0].recorded
+    numbers = sorted({each.recorded.sequences for each in tables})
+    counts = str(numbers[0]) if len(numbers) == 1 else f"{numbers[0]} to {numbers[-1]}"
+    title = f"Means over {len(tables)} datasets, {counts} sequences of each, split {first.split}"
+    _print_all_metrics(title, over, only_main=not session().verbose)
+    print("With -v, or with --json: other metrics, each dataset, and agreement with recorded people.")
+
+
+def _print_dataset(each: TableAudit) -> None:
     summary = each.recorded
     title = f"{summary.title}: {summary.sequences} sequences of {summary.recordings} recordings, split {summary.split}"
-    main = [info for info in metrics if info.main]
-    beside = [info for info in metrics if not info.main]
-    for first in range(0, len(main), _COLUMNS):
-        _print_metrics(f"{title}; the main metrics", each, main[first : first + _COLUMNS])
-    for first in range(0, len(beside), _COLUMNS):
-        _print_metrics("beside them", each, beside[first : first + _COLUMNS])
+    _print_all_metrics(title, each.means)
     _print_agreement(each)
-    for info in metrics:
-        names = each.not_worse_than_people(info)
-        if names and _is_contest(info):
-            print(f"{info.title}: no worse than recorded people: {', '.join(names)}.")
     for control in each.controls:
         if control.summary.edge_arrivals:
             print(f"{control.name}: {control.summary.edge_arrivals}.")
-    if summary.synthetic:
-        print("These are scores on synthetic data: never compare them with published ones.")
-    print("docs/audit.md says what each control does and what is to be learnt from it.")
+
+
+def _print_all_metrics(title: str, controls: Sequence[ControlMeans], *, only_main: bool = False) -> None:
+    """Print what every control earns, and in which metrics it does no worse than recorded people."""
+    from prbench.workflows.audit import metrics_of
+
+    metrics = metrics_of(controls)
+    columns = _COLUMNS if shown_width() >= _WIDE else _COLUMNS // 2
+    for kind, infos in (
+        (f"{title}; the main metrics", [info for info in metrics if info.main]),
+        ("beside them", [info for info in metrics if not info.main and not only_main]),
+    ):
+        for first in range(0, len(infos), columns):
+            _print_metrics(kind, controls, infos[first : first + columns])
+    titles = {info.id: info.title for info in metrics}
+    for metric, names in _as_good_as_people(controls).items():
+        if names:
+            print(f"{titles[metric]}: no worse than recorded people: {', '.join(names)}.")
 
 
 def _print_agreement(each: TableAudit) -> None:
@@ -165,7 +228,7 @@ def _print_agreement(each: TableAudit) -> None:
     print_table(title, header, rows, numbers=range(1, len(header)))
 
 
-def _print_metrics(title: str, each: TableAudit, metrics: Sequence[MetricInfo]) -> None:
+def _print_metrics(title: str, controls: Sequence[ControlMeans], metrics: Sequence[MetricInfo]) -> None:
     from prbench.metrics import printed_unit
 
     header = ["control"]
@@ -174,8 +237,10 @@ def _print_metrics(title: str, each: TableAudit, metrics: Sequence[MetricInfo]) 
         words = f"{info.title}{info.arrow}".replace(" ", "\n")
         header.append(f"{words}\n({unit})" if unit else words)
     rows = []
-    for control in each.controls:
-        means = {metric.metric: metric.mean for metric in control.summary.metrics}
-        cells = [f"{means[info.id] * info.scale:.2f}" if info.id in means else "–" for info in metrics]
+    for control in controls:
+        found = [control.means.get(info.id) for info in metrics]
+        cells = [
+            "–" if mean is None else f"{mean.mean * info.scale:.2f}" for mean, info in zip(found, metrics, strict=True)
+        ]
         rows.append((control.name, *cells))
     print_table(title, header, rows, numbers=range(1, len(header)))

@@ -151,8 +151,8 @@ def limit_option(default: str = "all") -> _Decorator:
         "--limit",
         type=POSITIVE,
         metavar="N",
-        help="At most N sequences of each dataset, for every command the same: those whose ids have the smallest"
-        f" SHA-256 (default: {default}).",
+        help="At most N sequences of each dataset, of every recording its share, for every command the same"
+        f" (default: {default}).",
     )
 
 

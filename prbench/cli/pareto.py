@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from prbench.cli.checked_runs import collected_runs
 from prbench.cli.commands import Answer, command, note
 from prbench.cli.options import PATH, data_option, out_file_option, workers_option
 from prbench.errors import UsageError, did_you_mean
@@ -125,15 +126,9 @@ def _rows(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> tuple
         UsageError: if the runs do not compare.
     """
     from prbench import leaderboard as boards
-    from prbench.engine import engine_for
     from prbench.leaderboard.tables import of_all_methods
-    from prbench.submitted.verification import RunChecker
-    from prbench.workflows.first_run import table_finder
 
-    collected = boards.collect_runs(runs, check=RunChecker(table_finder(data), engine_for(workers)).check)
-    for reason in collected.left_out:
-        note(f"left out: {reason}")
-    board = boards.make_leaderboard(collected)
+    board = boards.make_leaderboard(collected_runs(runs, data, workers))
     # Where a method left sequences out, all are shown on those that every one generated.
     tables = of_all_methods(board.tables)
     if len(tables) != 1:

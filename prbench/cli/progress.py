@@ -9,13 +9,12 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from prbench.cli.commands import session
+from prbench.progress_bar import ProgressCallback, progress_bar
 from prbench.shown import clean
 
 if TYPE_CHECKING:
     from prbench.training.loop import Progress
 
-ProgressCallback = Callable[[int, int, str], None]
-"""Called with finished items, all items, and what was finished last."""
 _SECONDS_BETWEEN_LINES = 5.0
 
 
@@ -28,28 +27,12 @@ def progress(description: str) -> Iterator[ProgressCallback]:
     elif now.verbose:
         yield _lines(description, seconds_between=0.0)
     elif sys.stderr.isatty():
-        with _bar(description) as callback:
+        from prbench.cli.terminal import console
+
+        with progress_bar(description, console(stderr=True)) as callback:
             yield callback
     else:
         yield _lines(description, seconds_between=_SECONDS_BETWEEN_LINES)
-
-
-@contextlib.contextmanager
-def _bar(description: str) -> Iterator[ProgressCallback]:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    from prbench.cli.terminal import console
-
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[last]}", style="dim", markup=False),
-    )
-    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
-        task = bar.add_task(clean(description), total=None, last="")
-        yield lambda done, total, last: bar.update(task, completed=done, total=total, last=clean(last))
 
 
 def _lines(description: str, *, seconds_between: float) -> ProgressCallback:

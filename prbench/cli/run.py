@@ -71,6 +71,7 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
         datasets: Scores of each dataset.
         means: Mean of each metric over the datasets, each counting alike; without metrics that a dataset lacks, and
             empty for a single dataset.
+        intervals: The two bounds of each mean's 95 % interval, where every dataset has one.
     """
 
     folder: Path
@@ -81,6 +82,7 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
     batches_found: int
     datasets: list[DatasetScores]
     means: dict[str, float]
+    intervals: dict[str, list[float]]
 
 
 class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
@@ -449,9 +451,10 @@ def _view(out: Path, folder: Path, request: RunRequest, permission: tuple[str, .
 
 
 def _made(report: RunReport) -> MadeRun:
-    from prbench.runs.summary import means_over_datasets
+    from prbench.runs.means import intervals_of_means, means_over_datasets
 
     record = report.folder.record
+    means = means_over_datasets(report.summaries) if len(report.summaries) > 1 else {}
     return MadeRun(
         folder=report.folder.path,
         method=record.method.name,
@@ -463,7 +466,8 @@ def _made(report: RunReport) -> MadeRun:
             dataset_scores(summary, _agreement(report, summary.dataset), motionless=record.method.motionless)
             for summary in report.summaries
         ],
-        means=means_over_datasets(report.summaries) if len(report.summaries) > 1 else {},
+        means={name: mean.mean for name, mean in means.items()},
+        intervals=intervals_of_means(means),
     )
 
 
@@ -479,7 +483,8 @@ def _print_run(report: RunReport, *, single: bool) -> None:
         return
     method = report.folder.record.method
     if len(report.summaries) > 1:
-        print_datasets(report.summaries, origin=method.origin, motionless=method.motionless)
+        agreements = [_agreement(report, summary.dataset) for summary in report.summaries]
+        print_datasets(report.summaries, agreements, origin=method.origin, motionless=method.motionless)
         return
     for summary in report.summaries:
         print_summary(summary, origin=method.origin, motionless=method.motionless)

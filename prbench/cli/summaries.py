@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from prbench.metrics import MetricInfo
     from prbench.runs import RunFolder
     from prbench.runs.agreement import DatasetAgreement
+    from prbench.runs.means import MeanOverDatasets
     from prbench.runs.summary import DatasetSummary, MetricSummary
 
 _MARKS = {
@@ -237,36 +238,50 @@ def _design_lines(summary: DatasetSummary) -> list[str]:
     return lines
 
 
-def print_datasets(summaries: Sequence[DatasetSummary], *, origin: str, motionless: bool = False) -> None:
+def print_datasets(
+    summaries: Sequence[DatasetSummary],
+    agreements: Sequence[DatasetAgreement],
+    *,
+    origin: str,
+    motionless: bool = False,
+) -> None:
     """Print the main metrics of one method on several datasets, one column a dataset, and their mean.
+
+    Below each rate stands its agreement with recorded people, and below the table what the datasets can decide.
 
     Args:
         summaries: One a dataset.
+        agreements: One a dataset, in the same order.
         origin: Whose method it is, in words.
         motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
     """
-    from prbench.leaderboard.decidable import FEWEST_RANKED
     from prbench.metrics import MAIN_METRICS
-    from prbench.runs.summary import means_over_datasets
+    from prbench.runs.means import means_over_datasets
 
     first = summaries[0]
     means = means_over_datasets(summaries)
     irrelevant = _irrelevant(motionless)
     is_wide = shown_width() >= _WIDE
-    cell = _interval_cell if is_wide else _bare_cell
-    rows = [("sequences (recordings)", *(f"{each.sequences} ({each.recordings})" for each in summaries), "")]
+    rows: list[tuple[str, ...]] = []
+    rows.append(("sequences (recordings)", *(f"{each.sequences} ({each.recordings})" for each in summaries), ""))
     for info in MAIN_METRICS:
-        cells = [_DASH if info.id in irrelevant else cell(each, info) for each in summaries]
-        mean = _DASH if info.id in irrelevant else _number(means.get(info.id), info)
-        rows.append((_with_unit(info), *cells, mean))
+        if info.id in irrelevant:
+            rows.append((_with_unit(info), *[_DASH] * (len(summaries) + 1)))
+            continue
+        found = [*(summary.metric(info.id) for summary in summaries), means.get(info.id)]
+        rows.append((_with_unit(info), *(_estimate_cell(each, info, interval=is_wide) for each in found)))
+        phis = [_phi_of(agreement, info, interval=is_wide) for agreement in agreements]
+        if any(phi != _DASH for phi in phis):
+            rows.append((_PHI, *phis, ""))
     control = f", {first.control}" if first.control else ""
     title = f"{first.method} ({origin}), condition {first.condition}{control}; split {first.split}"
     header = ("metric", *map(_short, summaries), "mean")
     print_table(title, header, rows, numbers=range(1, len(header)))
+    if any(row[0] == _PHI for row in rows):
+        print("phi: agreement with recorded people, sequence by sequence; 0 is unrelated, 1 the same sequences.")
     if not is_wide:
         print(f"Intervals of 95 %: on a terminal of {_WIDE} columns, in a file, or with --json.")
-    if min(each.sequences for each in summaries) < FEWEST_RANKED:
-        print(f"A first look: fewer than {FEWEST_RANKED} sequences of a dataset rank nothing.")
+    _print_decidable(summaries)
     unsupported = [f"{each.unsupported} of {_short(each)}" for each in summaries if each.unsupported]
     if unsupported:
         print(f"Longer than the method can generate, and not scored: {', '.join(unsupported)}.")
@@ -277,6 +292,30 @@ def print_datasets(summaries: Sequence[DatasetSummary], *, origin: str, motionle
         print(f"{first.best_of_mark}.")
     if any(each.synthetic for each in summaries):
         print("Synthetic data: never compare these scores with published ones.")
+
+
+def _print_decidable(summaries: Sequence[DatasetSummary]) -> None:
+    """Print which datasets decide nothing, and the smallest differences that the others could find."""
+    from prbench.leaderboard.decidable import why_undecided
+    from prbench.metrics import MAIN_METRICS
+
+    reasons: dict[str, list[str]] = {}
+    for each in summaries:
+        reason = why_undecided(each.sequences, each.recordings)
+        if reason:
+            reasons.setdefault(reason, []).append(_short(each))
+    for reason, names in reasons.items():
+        print(f"Cannot be decided: {', '.join(names)} ({reason}).")
+    rows = []
+    for info in MAIN_METRICS:
+        cells = [_detectable_cell(each.metric(info.id), info) for each in summaries]
+        if any(cell not in (_DASH, _NOT_EVEN) for cell in cells):
+            rows.append((_with_unit(info), *cells))
+    title = "Smallest difference to an unrelated method of this spread that four of five repetitions would find"
+    if rows:
+        print_table(title, ("metric", *map(_short, summaries)), rows, numbers=range(1, len(summaries) + 1))
+    else:
+        print("No difference between two unrelated methods would be found here, however large.")
 
 
 def print_methods_on_datasets(
@@ -290,18 +329,19 @@ def print_methods_on_datasets(
         motionless: Names of methods that stand still, which get no Foot Skating and the like.
     """
     from prbench.metrics import MAIN_METRICS
-    from prbench.runs.summary import means_over_datasets
+    from prbench.runs.means import means_over_datasets
 
     firsts = [summaries[0] for summaries in methods]
     means = [means_over_datasets(summaries) for summaries in methods]
     rows: list[tuple[str, ...]] = []
     for info in MAIN_METRICS:
         hidden = [first.method in motionless and info.irrelevant_if_motionless for first in firsts]
-        cells = (_DASH if no else _number(own.get(info.id), info) for no, own in zip(hidden, means, strict=True))
+        cells = (_DASH if no else _estimate_cell(own.get(info.id), info) for no, own in zip(hidden, means, strict=True))
         rows.append((_with_unit(info), *cells))
         if info.id in _SHOWN_BY_DATASET:
             for on_one in zip(*methods, strict=True):
-                rows.append((f"· {_short(on_one[0])}", *(_bare_cell(each, info) for each in on_one)))
+                cells = (_estimate_cell(each.metric(info.id), info) for each in on_one)
+                rows.append((f"· {_short(on_one[0])}", *cells))
     header = ["metric"]
     for summaries, first, origin in zip(methods, firsts, origins, strict=True):
         symbols = " ".join(dict.fromkeys(each.symbols for each in summaries if each.symbols))
@@ -317,6 +357,9 @@ def print_methods_on_datasets(
 
 
 _DASH = "–"
+_NOT_EVEN = "none"
+"""In place of a rate's smallest detectable difference, where not even 100 points would be found."""
+_PHI = "· phi"
 _SHOWN_BY_DATASET = ("prime_success", "reach_success")
 """Metrics in which datasets differ so much that a mean alone would not be understood."""
 _WIDE = 150
@@ -337,20 +380,37 @@ def _with_unit(info: MetricInfo) -> str:
     return f"{info.title}, {unit}" if unit else info.title
 
 
-def _number(mean: float | None, info: MetricInfo) -> str:
+def _estimate_cell(found: MetricSummary | MeanOverDatasets | None, info: MetricInfo, *, interval: bool = False) -> str:
+    """Return a mean, with its interval in a second line where that is wanted and given."""
     from prbench.metrics import printed_scale
 
-    return _DASH if mean is None else f"{mean * printed_scale(info.unit):.2f}"
+    if found is None:
+        return _DASH
+    scale = printed_scale(info.unit)
+    mean = f"{found.mean * scale:.2f}"
+    if not interval:
+        return mean
+    bounds = _DASH
+    if found.low is not None and found.high is not None:
+        bounds = f"[{found.low * scale:.2f}, {found.high * scale:.2f}]"
+    return f"{mean}\n{bounds}"
 
 
-def _bare_cell(summary: DatasetSummary, info: MetricInfo) -> str:
-    found = summary.metric(info.id)
-    return _DASH if found is None else _number(found.mean, info)
+def _phi_of(agreement: DatasetAgreement, info: MetricInfo, *, interval: bool) -> str:
+    rate = next((rate for rate in agreement.rates if rate.metric == info.id), None)
+    if rate is None or rate.phi is None:
+        return _DASH
+    return phi_cell(rate).replace(" ", "\n", 1) if interval else f"{rate.phi:+.2f}"
 
 
-def _interval_cell(summary: DatasetSummary, info: MetricInfo) -> str:
-    found = summary.metric(info.id)
-    return _DASH if found is None else f"{_number(found.mean, info)}\n{_cells(found)[1]}"
+def _detectable_cell(metric: MetricSummary | None, info: MetricInfo) -> str:
+    from prbench.metrics import printed_scale
+
+    if metric is None or metric.detectable is None:
+        return _DASH
+    if info.unit == "rate" and metric.detectable > 1:
+        return _NOT_EVEN
+    return f"{metric.detectable * printed_scale(info.unit):.2f}"
 
 
 def _cells(metric: MetricSummary) -> tuple[str, str]:

@@ -16,7 +16,7 @@ from jaxtyping import Int
 
 from prbench.errors import TableError, UsageError
 from prbench.sequences.chunk import SequenceChunk
-from prbench.sequences.table import SPLITS, SequenceTable, find_sequence_id, smallest_by_hash
+from prbench.sequences.table import SPLITS, SequenceTable, by_share, find_sequence_id
 from prbench.storage import text_digest
 
 WINDOW = 1024
@@ -97,7 +97,7 @@ def open_tables(folders: Iterable[Path]) -> list[SequenceTable]:
 
 
 def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
-    """Choose the sequences of a split; with ``limit`` those with the smallest SHA-256 of their id.
+    """Choose the sequences of a split; with ``limit`` every recording's share (:func:`by_share`).
 
     Raises:
         UsageError: for an unknown split or a limit below one.
@@ -140,7 +140,7 @@ def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
     )
     if limit is None:
         return everything
-    kept = set(smallest_by_hash(ids, limit))
+    kept = set(by_share(ids, everything.recording_ids)[:limit])
     return everything.chosen(np.array([name in kept for name in ids]))
 
 

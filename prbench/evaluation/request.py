@@ -40,7 +40,7 @@ class RunRequest:
     fold: str | None = None
     """A fold of the tables' participants, such as ``2/6``, whose split is meant; None for the tables as they are."""
     limit: int | None = None
-    """Run only the sequences with the smallest SHA-256 of their id, this many of each dataset."""
+    """Run only this many sequences of each dataset: of every recording its share, by the hashes of their ids."""
     sequences: tuple[str, ...] = ()
     """Run only these: ids, or parts of ids that fit one sequence of the split only."""
     seed: int = 0

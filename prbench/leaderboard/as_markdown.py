@@ -179,8 +179,9 @@ def _macro_blocks(macro: MacroTable) -> list[str]:
         for row in macro.rows
     ]
     legend = (
-        "- Every dataset counts alike. In parentheses: one more than the number of methods of its condition that are"
-        " better on every dataset by a supported difference; none for methods without a dataset."
+        "- Every dataset counts alike; in brackets the 95 % interval of the mean. In parentheses: one more than the"
+        " number of methods of its condition that are better on every dataset by a supported difference; none for"
+        " methods without a dataset."
     )
     return [title, _grid(header, rows), legend]
 
@@ -189,7 +190,11 @@ def _macro_cell(row: MacroRow, info: MetricInfo) -> str:
     if info.id not in row.means:
         return _DASH if row.means else ""
     rank = f" ({row.ranks[info.id]})" if info.id in row.ranks else ""
-    return f"{info.scale * row.means[info.id]:.2f}{rank}"
+    found = row.means[info.id]
+    bounds = ""
+    if found.low is not None and found.high is not None:
+        bounds = f" [{info.scale * found.low:.2f}, {info.scale * found.high:.2f}]"
+    return f"{info.scale * found.mean:.2f}{bounds}{rank}"
 
 
 def _column(info: MetricInfo) -> str:

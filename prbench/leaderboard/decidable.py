@@ -28,15 +28,11 @@ def undecided(
         recordings: Number of recordings that they come from.
         methods: The scores of each method.
     """
+    reason = why_undecided(sequences, recordings)
+    if reason:
+        yield f"{dataset} cannot be decided: {reason}."
     if recordings < FEWEST_FOR_TEST:
-        plural = "" if recordings == 1 else "s"
-        yield (
-            f"{dataset} cannot be decided: {recordings} recording{plural}, where a comparison of methods needs"
-            f" {FEWEST_FOR_TEST}."
-        )
         return
-    if sequences < FEWEST_RANKED:
-        yield f"{dataset} cannot be decided: {sequences} sequences, where a ranking needs {FEWEST_RANKED}."
     found: dict[str, list[float]] = {}
     for metrics in methods:
         for metric in metrics:
@@ -62,6 +58,16 @@ def undecided(
             f"{rate.title}: to find {_listed(POINTS)} points as surely, about {_listed(needed)} recordings like these"
             " are needed."
         )
+
+
+def why_undecided(sequences: int, recordings: int) -> str:
+    """Say why nothing can be decided on so few data; empty if something can."""
+    if recordings < FEWEST_FOR_TEST:
+        plural = "" if recordings == 1 else "s"
+        return f"{recordings} recording{plural}, where a comparison of methods needs {FEWEST_FOR_TEST}"
+    if sequences < FEWEST_RANKED:
+        return f"{sequences} sequences, where a ranking needs {FEWEST_RANKED}"
+    return ""
 
 
 def _listed(numbers: Sequence[int]) -> str:

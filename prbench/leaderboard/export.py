@@ -14,6 +14,7 @@ from prbench.leaderboard.as_markdown import as_markdown
 from prbench.leaderboard.costs import MotionCost
 from prbench.leaderboard.tables import DatasetTable, Leaderboard, MacroTable, TableRow, hides, undecided_lines
 from prbench.metrics import METRICS, exported_unit, printed_scale
+from prbench.runs.means import intervals_of_means
 from prbench.runs.summary import EDGE_ARRIVAL
 from prbench.shown import csv_text
 
@@ -141,9 +142,11 @@ def _csv_macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
                 "method": row.method,
                 "variant": row.variant,
                 "metric": metric,
-                "value": _csv_number(info.scale * mean),
+                "value": _csv_number(info.scale * mean.mean),
                 "unit": exported_unit(info.unit),
                 "higher_is_better": _csv_direction(metric),
+                "low": "" if mean.low is None else _csv_number(info.scale * mean.low),
+                "high": "" if mean.high is None else _csv_number(info.scale * mean.high),
                 "rank": str(row.ranks.get(metric, "")),
                 "verified": "unverified" if row.unverified else "verified",
                 "note": "; ".join(part for part in (*about, row.mark) if part),
@@ -240,7 +243,8 @@ def _json_macro(macro: MacroTable) -> dict[str, object]:
                 "mark": row.mark,
                 "condition": row.condition,
                 "variant": row.variant,
-                "means": row.means,
+                "means": {name: mean.mean for name, mean in row.means.items()},
+                "intervals": intervals_of_means(row.means),
                 "ranks": row.ranks,
                 "verified": not row.unverified,
                 "missing": list(row.missing),

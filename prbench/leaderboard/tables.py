@@ -20,6 +20,7 @@ from prbench.leaderboard.decidable import FEWEST_RANKED, undecided
 from prbench.leaderboard.separation import Separate, separate_by_comparison
 from prbench.manifests import load_protocol
 from prbench.metrics import MAIN_METRICS, RANKED_METRICS, MetricInfo
+from prbench.runs.means import MeanOverDatasets, mean_over_datasets
 from prbench.runs.record import CONTROL
 
 _CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
@@ -87,7 +88,7 @@ class MacroRow:
     is_control: bool
     condition: str
     variant: str
-    means: dict[str, float]
+    means: dict[str, MeanOverDatasets]
     ranks: dict[str, int]
     missing: tuple[str, ...]
     unverified: bool
@@ -338,14 +339,14 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
         )
 
 
-def _macro_means(entries: dict[str, LeaderboardRow], datasets: list[str]) -> dict[str, float]:
+def _macro_means(entries: dict[str, LeaderboardRow], datasets: list[str]) -> dict[str, MeanOverDatasets]:
     # A mean over the easier datasets alone would look like a better method.
     if any(name not in entries for name in datasets):
         return {}
     means = {}
     for info in MAIN_METRICS:
-        metrics = [entries[name].metric(info.id) for name in datasets if not hides(entries[name], info)]
-        values = [metric.mean for metric in metrics if metric is not None]
-        if len(values) == len(datasets):
-            means[info.id] = sum(values) / len(values)
+        shown = [None if hides(entries[name], info) else entries[name].metric(info.id) for name in datasets]
+        mean = mean_over_datasets(shown)
+        if mean is not None:
+            means[info.id] = mean
     return means

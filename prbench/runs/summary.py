@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -156,22 +155,3 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
                 f"{path}: expected schema version {RUN_SCHEMA_VERSION}, found {summary.schema_version}. Update prbench."
             )
         return summary
-
-
-def means_over_datasets(summaries: Sequence[DatasetSummary]) -> dict[str, float]:
-    """Return the mean of each metric over datasets, each counting alike, as in the study.
-
-    Args:
-        summaries: Of one method, one a dataset.
-
-    Returns:
-        Means by metric id; without those that a dataset lacks, since a mean over the others would look like a better or
-        worse method.
-    """
-    means = {}
-    for name in dict.fromkeys(metric.metric for summary in summaries for metric in summary.metrics):
-        found = [summary.metric(name) for summary in summaries]
-        values = [metric.mean for metric in found if metric is not None]
-        if len(values) == len(found):
-            means[name] = sum(values) / len(values)
-    return means

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
@@ -211,15 +212,31 @@ def why_no_sequences(info: DatasetInfo) -> str:
     return f"{counted}; what became of their {counts.events} events (`prbench explain`): {became}.{bodies}"
 
 
-def smallest_by_hash(sequence_ids: SequenceOf[str], limit: int) -> list[str]:
-    """The ``limit`` ids with the smallest SHA-256, so that every recording has its share; in the order given."""
-    chosen = set(by_hash(sequence_ids)[:limit])
-    return [name for name in sequence_ids if name in chosen]
+def by_share(sequence_ids: SequenceOf[str], recording_ids: SequenceOf[str]) -> list[str]:
+    """The ids in the order in which a growing limit takes them up: every recording has its share at any limit.
+
+    A recording of n sequences is taken up n times at equal distances, from a start that its hash decides, and its
+    sequences by their hashes. So of 10 sequences from 7 recordings of about the same size one recording gives one or
+    two, where the hash alone left out two recordings. Every sequence is as likely to be chosen as any other.
+
+    Args:
+        sequence_ids: All sequences of a split.
+        recording_ids: The recording of each.
+    """
+    recording_of = dict(zip(sequence_ids, recording_ids, strict=True))
+    sizes = Counter(recording_ids)
+    starts = {name: int.from_bytes(_hash(name)[:6], "big") / 2**48 for name in sizes}
+    taken: Counter[str] = Counter()
+    turns: dict[str, float] = {}
+    for name in sorted(sequence_ids, key=_hash):
+        recording = recording_of[name]
+        turns[name] = (taken[recording] + starts[recording]) / sizes[recording]
+        taken[recording] += 1
+    return sorted(turns, key=lambda name: (turns[name], _hash(name)))
 
 
-def by_hash(sequence_ids: SequenceOf[str]) -> list[str]:
-    """The ids by the SHA-256 of each: the order in which a growing limit takes them up."""
-    return sorted(sequence_ids, key=lambda name: hashlib.sha256(name.encode()).digest())
+def _hash(name: str) -> bytes:
+    return hashlib.sha256(name.encode()).digest()
 
 
 def find_sequence_id(wanted: str, known: SequenceOf[str], *, among: str) -> str:

@@ -84,7 +84,7 @@ class ValidationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields
     every: int = 0
     """Steps between validations; 0 for none."""
     sequences: int = 64
-    """Number of sequences of each dataset: those with the smallest SHA-256 of their id."""
+    """Number of sequences of each dataset: of every recording its share, as ``--limit`` takes them."""
     condition: Literal["none", "text", "goal-pose", "goal-loc"] | None = None
     """Condition that the method is given; None for losses alone."""
     batch_size: int = 32

@@ -31,7 +31,7 @@ from prbench.methods.motions import generate_checked
 from prbench.metrics import MAIN_METRICS
 from prbench.runs.predictions import PredictionRows, write_part
 from prbench.sequences import SequenceTable
-from prbench.sequences.table import smallest_by_hash
+from prbench.sequences.table import by_share
 from prbench.training.configuration import TrainingConfiguration
 from prbench.training.dataset import SequenceDataset, configured_dataset
 from prbench.training.items import collate
@@ -159,10 +159,11 @@ class Validation:
 
 
 def _chosen(dataset: SequenceDataset, tables: Iterable[Table], limit: int) -> tuple[int, ...]:
-    """Places of the rows of each table with the smallest hash of their id, in order of length."""
+    """Places of the rows of each table that the limit takes up, in order of length."""
     chosen: set[str] = set()
     for table in tables:
-        chosen.update(smallest_by_hash(table.scalars(split=_SPLIT)["sequence_id"].to_pylist(), limit))
+        rows = table.scalars(split=_SPLIT)
+        chosen.update(by_share(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist())[:limit])
     places = [place for place, name in enumerate(dataset.sequence_ids) if name in chosen]
     return tuple(sorted(places, key=lambda place: (int(dataset.lengths[place]), place)))
 

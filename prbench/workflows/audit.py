@@ -7,7 +7,7 @@ list of them and the comparison with recorded people.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +21,7 @@ from prbench.evaluation.run import run_method
 from prbench.locks import sole_writer
 from prbench.metrics import METRICS, MetricInfo
 from prbench.runs.agreement import DatasetAgreement
+from prbench.runs.means import MeanOverDatasets, means_over_datasets
 from prbench.runs.summary import DatasetSummary
 
 _ONLY_METHOD = "--method"
@@ -54,17 +55,46 @@ class TableAudit:
         """Scores of the recorded motion."""
         return next(control.summary for control in self.controls if control.name == GROUND_TRUTH)
 
-    def not_worse_than_people(self, info: MetricInfo) -> tuple[str, ...]:
-        """Return the controls that are no recorded motion and score as well as it does, or better.
+    @property
+    def means(self) -> tuple[ControlMeans, ...]:
+        """Mean of every metric, one entry a control."""
+        return means_of_controls([self])
 
-        A metric that compares with the recorded motion is never won this way, and one without a direction by nobody.
-        """
-        people = _mean(self.recorded, info)
-        if info.higher_is_better is None or info.compares_with_recorded or people is None:
-            return ()
-        sign = 1 if info.higher_is_better else -1
-        means = {each.name: _mean(each.summary, info) for each in self.controls if not each.is_recorded}
-        return tuple(name for name, mean in means.items() if mean is not None and sign * mean >= sign * people)
+
+@dataclass(frozen=True)
+class ControlMeans:
+    """Means of one control, over one dataset or over several that count alike."""
+
+    name: str
+    is_recorded: bool
+    means: Mapping[str, MeanOverDatasets]
+    """By metric id; without those that a dataset lacks."""
+
+
+def means_of_controls(tables: Sequence[TableAudit]) -> tuple[ControlMeans, ...]:
+    """Return the means of every control over some tables, each counting alike.
+
+    Args:
+        tables: Audits of the same controls.
+    """
+    found = []
+    for on_each in zip(*(table.controls for table in tables), strict=True):
+        means = means_over_datasets([control.summary for control in on_each])
+        found.append(ControlMeans(on_each[0].name, on_each[0].is_recorded, means))
+    return tuple(found)
+
+
+def not_worse_than_people(controls: Sequence[ControlMeans], info: MetricInfo) -> tuple[str, ...]:
+    """Return the controls that are no recorded motion and score as well as it does, or better.
+
+    A metric that compares with the recorded motion is never won this way, and one without a direction by nobody.
+    """
+    people = next(control for control in controls if control.name == GROUND_TRUTH).means.get(info.id)
+    if info.higher_is_better is None or info.compares_with_recorded or people is None:
+        return ()
+    sign = 1 if info.higher_is_better else -1
+    means = {each.name: each.means[info.id].mean for each in controls if not each.is_recorded and info.id in each.means}
+    return tuple(name for name, mean in means.items() if sign * mean >= sign * people.mean)
 
 
 def audit(
@@ -132,11 +162,7 @@ def _wanted(rates: set[float]) -> Iterator[tuple[str, str | None, str]]:
             yield control.name, None, control.summary
 
 
-def metrics_of(audited: TableAudit) -> list[MetricInfo]:
+def metrics_of(controls: Sequence[ControlMeans]) -> list[MetricInfo]:
     """Return the metrics that any control has a value of, in printed order."""
-    present = {metric.metric for control in audited.controls for metric in control.summary.metrics}
+    present = {name for control in controls for name in control.means}
     return [info for info in METRICS if info.id in present]
-
-
-def _mean(summary: DatasetSummary, info: MetricInfo) -> float | None:
-    return next((metric.mean for metric in summary.metrics if metric.metric == info.id), None)

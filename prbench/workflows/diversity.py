@@ -20,7 +20,7 @@ from prbench.manifests import BenchmarkProtocol, load_protocol
 from prbench.runs import RunFolder
 from prbench.sequences import SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice, require_may_pass_on
-from prbench.sequences.table import find_sequence_id, smallest_by_hash
+from prbench.sequences.table import find_sequence_id
 from prbench.submitted.score_predictions.again import scored_sequences
 from prbench.viewing.fan import Fan, FanGroup
 from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
@@ -104,7 +104,7 @@ def read_fan(
     Args:
         run: A run folder of two samples or more.
         data: Tables of the run; the embedded ones are known.
-        sequence: Id of the sequence, or a part that fits one only; by default the one with the smallest hash.
+        sequence: Id of the sequence, or a part that fits one only; by default the first by name.
         permitted: Datasets for which the user has permission to pass recorded motion on.
 
     Raises:
@@ -117,7 +117,7 @@ def read_fan(
     if not held:
         raise RunError(f"{run}: expected motions of one sequence or more, found none. Run the same command again.")
     among = ", ".join(table.info.dataset for table in tables)
-    name = smallest_by_hash(list(held), 1)[0]
+    name = min(held)
     if sequence is not None:
         name = find_sequence_id(sequence, list(held), among=f"the motions of {run} on {among}")
     info = held[name].info

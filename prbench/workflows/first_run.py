@@ -228,7 +228,7 @@ def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], SequenceTable 
 def _embedded() -> Iterator[Path]:
     """Folders of the embedded default tables, and of other ones that an earlier version left beside them."""
     tables = cache_folder() / "tables"
-    # Until version 0.5 there was a single table, not a folder of tables.
+    # Up to version 0.8.0 there was a single table, not a folder of tables.
     earlier = sorted(path.parent for pattern in ("*", "*/*") for path in tables.glob(f"{pattern}/{FILE_NAME}"))
     # The tables of the present version first: nearly every run was made on them.
     for folder in dict.fromkeys([*default_table_folders(), *earlier]):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from prbench.errors import UsageError
 from prbench.evaluation.controls import GROUND_TRUTH
 from prbench.runs import RunFolder
 from prbench.sequences import SequenceTable
-from prbench.sequences.table import find_sequence_id, smallest_by_hash
+from prbench.sequences.table import by_share, find_sequence_id
 from prbench.storage import turn_into_paths
 from prbench.submitted.verification import RunChecker
 from prbench.viewing.replay.parts import METHOD_COLOURS
@@ -156,12 +156,18 @@ def _opened(
 
 def _chosen(request: ViewRequest, shown: Sequence[Shown]) -> list[list[str]]:
     """Ids of each table: those asked for, else a few that every run holds."""
-    known = [part.table.scalars()["sequence_id"].to_pylist() for part in shown]
+    rows = [part.table.scalars() for part in shown]
+    known = [table["sequence_id"].to_pylist() for table in rows]
     if not request.sequences:
         held = [_held_by_all(part.runs, ids) for part, ids in zip(shown, known, strict=True)]
         if not any(held):
             raise UsageError("these runs have no sequence in common; run them with the same --split and --limit.")
-        return [smallest_by_hash(ids, request.limit or DEFAULT_LIMIT) for ids in held]
+        limit = request.limit or DEFAULT_LIMIT
+        recordings = [table["recording_id"].to_pylist() for table in rows]
+        return [
+            _limited(ids, dict(zip(names, recorded, strict=True)), limit)
+            for ids, names, recorded in zip(held, known, recordings, strict=True)
+        ]
     # A part of an id has to fit one sequence of all tables together, so it is looked for among all of them.
     everything = list(itertools.chain.from_iterable(known))
     among = ", ".join(part.table.info.dataset for part in shown)
@@ -173,6 +179,12 @@ def _chosen(request: ViewRequest, shown: Sequence[Shown]) -> list[list[str]]:
             _require_in_run(run, part.table, own)
         chosen.append(own)
     return chosen
+
+
+def _limited(ids: Sequence[str], recording_of: Mapping[str, str], limit: int) -> list[str]:
+    """Return those of the ids that the limit takes up, in the order given."""
+    chosen = set(by_share(ids, [recording_of[name] for name in ids])[:limit])
+    return [name for name in ids if name in chosen]
 
 
 def _held_by_all(runs: Sequence[RunMotions], ids: Sequence[str]) -> list[str]:

@@ -22,6 +22,27 @@ def test_every_control_is_printed_under_every_metric(tmp_path, capsys):
     assert "never compare them with published ones" in shown
 
 
+def test_of_several_tables_means_stand_first_and_each_table_follows_with_v(tmp_path, capsys):
+    folders = []
+    for name in ("adt", "gimo"):
+        folders.append(str(fake_dataset(tmp_path / name, 12, dataset=name).folder))
+    words = ["audit", "--limit", "3", "--data", *folders]
+    report = reported(words, AuditReport, capsys)
+    assert [control.name for control in report.means] == [control.name for control in report.tables[0].controls]
+    for control, *on_each in zip(report.means, *(table.controls for table in report.tables), strict=True):
+        rates = [
+            next(metric.mean for metric in each.scores.metrics if metric.metric == "reach_success") for each in on_each
+        ]
+        assert control.means["reach_success"] == sum(rates) / 2
+    assert "teleport" in report.as_good_as_people["reach_success"]
+    assert main(words) == 0
+    short = capsys.readouterr().out
+    assert short.startswith("Means over 2 datasets, 3 sequences of each, split test; the main metrics")
+    assert short.count("\n teleport ") == 1
+    assert main([*words, "-v"]) == 0
+    assert capsys.readouterr().out.count("\n teleport ") > 6
+
+
 def test_the_report_holds_every_score_and_the_runs_are_kept_on_request(tmp_path, capsys):
     table = fake_dataset(tmp_path / "table", 24)
     out = tmp_path / "runs"

@@ -20,7 +20,7 @@ def explained(command: str, option: str = "--limit") -> str:
 def test_commands_that_count_the_same_explain_it_in_the_same_words() -> None:
     sequences = {explained(name).partition(" (default")[0] for name in ("run", "export-conditions", "score", "view")}
     assert sequences == {
-        "At most N sequences of each dataset, for every command the same: those whose ids have the smallest SHA-256"
+        "At most N sequences of each dataset, of every recording its share, for every command the same"
     }
     recordings = {
         explained(name, "--max-recordings") for name in ("build-dataset", "build-corpus", "poses", "validate")

@@ -8,7 +8,8 @@ import msgspec
 import pytest
 
 from prbench.cli import main
-from prbench.cli.leaderboard import BoardReport, CompareReport
+from prbench.cli.leaderboard_compare import CompareReport
+from prbench.cli.leaderboard_export import BoardReport
 from prbench.errors import RunError
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method

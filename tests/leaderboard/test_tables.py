@@ -361,15 +361,15 @@ def test_the_macro_mean_weighs_datasets_alike_and_needs_all_of_them(tmp_path):
     board = leaderboard(tmp_path)
     assert len(board.tables) == 2
     rows = {row.method: row for row in only(board.macro).rows}
-    assert rows["one"].means["prime_success"] == pytest.approx(0.4)
-    assert rows["two"].means["prime_success"] == pytest.approx(0.3)
+    assert rows["one"].means["prime_success"].mean == pytest.approx(0.4)
+    assert rows["two"].means["prime_success"].mean == pytest.approx(0.3)
     assert rows["three"].means == {}
     assert rows["three"].missing == ("gimo",)
     # "two" is better on adt and "one" on gimo: the means alone, which made ranks 1 and 2 here, separate no methods.
     assert (rows["one"].ranks["prime_success"], rows["two"].ranks["prime_success"]) == (1, 1)
     assert rows["three"].ranks == {}
     printed = {row[1]: row for row in cells(export(board, "md"), "Mean over")[2:]}
-    assert printed["one"][3] == "40.00 (1)"
+    assert printed["one"][3] == "40.00 [36.84, 43.16] (1)"
     assert printed["three"][3:-1] == [""] * 8 + ["gimo"]
 
 

@@ -6,7 +6,7 @@ import msgspec
 import pyarrow as pa
 import pytest
 
-from prbench.cli.leaderboard import MergeReport
+from prbench.cli.leaderboard_merge import MergeReport
 from prbench.cli.main import main
 from prbench.cli.split_dataset import SplitReport
 from prbench.errors import RunError, StorageError, TableError, UsageError

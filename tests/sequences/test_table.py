@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -11,7 +13,7 @@ from prbench.errors import StorageError, TableError, UsageError
 from prbench.sequences import SequenceTable
 from prbench.sequences.schema import SEQUENCES, with_metadata
 from prbench.sequences.sequence import sequence_batch
-from prbench.sequences.table import find_sequence_id, smallest_by_hash
+from prbench.sequences.table import by_share, find_sequence_id
 from prbench.sequences.write import write_table_in_parts
 from tests.fakes import fake_dataset, fake_sequence
 
@@ -155,11 +157,31 @@ def test_a_folder_with_other_files_is_never_replaced(tmp_path):
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
 
 
-def test_the_limit_takes_the_same_sequences_whatever_their_order():
+def test_a_limit_takes_the_same_sequences_whatever_their_order():
     names = [f"d/r{i % 7}/{i}" for i in range(200)]
-    chosen = smallest_by_hash(names, 20)
-    assert sorted(smallest_by_hash(names[::-1], 20)) == sorted(chosen)
-    assert set(smallest_by_hash(names, 10)) < set(chosen)
+    recordings = [name.split("/")[1] for name in names]
+    order = by_share(names, recordings)
+    assert sorted(order) == sorted(names)
+    assert by_share(names[::-1], recordings[::-1]) == order
+
+
+def test_every_recording_has_its_share_at_any_limit():
+    sizes = {"a": 3, "b": 30, "c": 60, "d": 90}
+    names = [f"d/{recording}/{i}" for recording, size in sizes.items() for i in range(size)]
+    order = by_share(names, [name.split("/")[1] for name in names])
+    for limit in (1, 10, 61, 120, 183):
+        taken = Counter(name.split("/")[1] for name in order[:limit])
+        for recording, size in sizes.items():
+            assert taken[recording] == pytest.approx(limit * size / len(names), abs=2)
+
+
+def test_all_sequences_are_equally_likely_to_be_chosen_whatever_the_size_of_their_recording():
+    chosen: Counter[str] = Counter()
+    for trial in range(2_000):
+        names = [f"d/{trial}-small/{i}" for i in range(2)] + [f"d/{trial}-large/{i}" for i in range(8)]
+        order = by_share(names, [name.split("/")[1] for name in names])
+        chosen.update(name.split("-")[1].split("/")[0] for name in order[:5])
+    assert chosen["small"] / 2 == pytest.approx(chosen["large"] / 8, rel=0.05)
 
 
 def test_schema_metadata_says_units_and_joint_set():

@@ -50,9 +50,10 @@ def measured(tables, configuration=CONFIGURATION):
 
 
 def chosen_ids(table, n):
-    from prbench.sequences.table import smallest_by_hash
+    from prbench.sequences.table import by_share
 
-    return set(smallest_by_hash(table.scalars(split="validation")["sequence_id"].to_pylist(), n))
+    rows = table.scalars(split="validation")
+    return set(by_share(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist())[:n])
 
 
 def test_metrics_are_those_of_the_chosen_sequences_at_their_full_length(table):

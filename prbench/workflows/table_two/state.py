@@ -18,7 +18,7 @@ from prbench.engine import Engine, ProcessPool
 from prbench.errors import RunError, StorageError
 from prbench.evaluation.planning import select
 from prbench.sequences import SequenceTable
-from prbench.sequences.table import by_hash
+from prbench.sequences.table import by_share
 from prbench.storage import remove_leftovers, write_json
 from prbench.workflows.table_two.budget import (
     DatasetSize,
@@ -176,5 +176,6 @@ def dataset_size(table: SequenceTable, split: str) -> DatasetSize:
     """
     selection = select(table, split=split, limit=None)
     frames = dict(zip(selection.sequence_ids, selection.n_frames.tolist()))
-    # A growing limit takes sequences by the hash of their id, so the lengths have to stand in that order.
-    return DatasetSize(np.array([frames[name] for name in by_hash(list(frames))]))
+    # The lengths have to stand in the order in which a growing limit takes the sequences up.
+    order = by_share(selection.sequence_ids, selection.recording_ids)
+    return DatasetSize(np.array([frames[name] for name in order]))

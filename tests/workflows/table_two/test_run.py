@@ -350,7 +350,7 @@ def test_where_not_even_one_sequence_fits_it_says_so(small_tables, tmp_path):
     timed(asked, **{"reacher, goal, bundled": RowCost(seconds_per_frame=2.0, overhead=1.0)})
     report = run_table(asked, say=Say(notice=said.append))
     assert report.layout.limit == 1
-    assert "n = 1 of 5: the fewest there can be; about 3 min, more than the 1 min asked for" in said[-1]
+    assert re.search(r"n = 1 of 5: the fewest there can be; about \d min, more than the 1 min asked for", said[-1])
     assert "n is what fitted" not in (tmp_path / "t/table_2.md").read_text()
 
 
