@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast, get_args
 
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
@@ -108,8 +108,9 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
 
     Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the other
     ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`; ``guidance`` (1),
-    ``steps``; without optimisation also ``sampler`` (ddpm or ddim); ``bones`` (predicted, or initial for the initial
-    pose's lengths); ``text-path`` (files of the text encoder, if the weights need one that has some).
+    ``steps``; without optimisation also ``sampler`` (ddpm or ddim) and ``reach`` (predicted, or goal: a wrist is led to
+    a goal location at the end); ``bones`` (predicted, or initial for the initial pose's lengths); ``text-path`` (files
+    of the text encoder, if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
@@ -126,7 +127,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     from prbench_adapters.diffusion.noise_optimisation.settings import PRIME_AND_REACH_OPTIONS
     from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known
 
-    require_known(options, ("optimise", *SAMPLING_OPTIONS, "text-path", *PRIME_AND_REACH_OPTIONS))
+    require_known(options, ("optimise", *SAMPLING_OPTIONS, "text-path", "reach", *PRIME_AND_REACH_OPTIONS))
     text_path = options.get("text-path")
     if weights is None:
         paths = {condition: resolve(None, name) for condition, name in DEFAULT_WEIGHTS.items()}
@@ -137,6 +138,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
         models = {condition: trained for condition, kind in GOALS.items() if kind == goal}
     # Options hold for both models, so they have to be possible for both.
     fewest = min(trained.model.configuration.diffusion_steps for trained in models.values())
+    _require_reach(options, models)
     return PR(models, _generation(options, diffusion_steps=fewest))
 
 
@@ -172,8 +174,25 @@ def _load(path: Path, device: str, text_path: str | None, allowed: tuple[Conditi
     return TrainedFor(model, path)
 
 
+def _require_reach(options: Mapping[str, str], models: Mapping[Condition, TrainedFor]) -> None:
+    """Refuse ``reach=goal`` for weights that cannot.
+
+    Raises:
+        AdapterError: naming the weights.
+    """
+    if options.get("reach") != "goal":
+        return
+    for trained in models.values():
+        if trained.model.configuration.features != "goal-frame":
+            raise AdapterError(
+                f"option 'reach': weights {trained.path}: expected a model of goal-frame features, found one of"
+                f" {trained.model.configuration.features}. Leave the option out, or choose other weights."
+            )
+
+
 def _generation(options: Mapping[str, str], *, diffusion_steps: int) -> Generation:
     """Turn the options into settings, checked before anything is generated."""
+    from prbench_adapters.diffusion.model import Reach
     from prbench_adapters.diffusion.noise_optimisation.settings import (
         PRIME_AND_REACH_OPTIONS,
         fast,
@@ -188,7 +207,10 @@ def _generation(options: Mapping[str, str], *, diffusion_steps: int) -> Generati
         idle = [key for key in PRIME_AND_REACH_OPTIONS if key in options and key not in ("bones", *SAMPLING_OPTIONS)]
         if idle:
             raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=fast or paper.")
-        return Generation(sampling, None, own_bones=choice(options, "bones", _BONES) == "initial")
+        reach = cast(Reach, choice(options, "reach", get_args(Reach)))
+        return Generation(replace(sampling, reach=reach), None, own_bones=choice(options, "bones", _BONES) == "initial")
+    if "reach" in options:
+        raise ValueError("option 'reach': noise optimisation reaches by itself; choose optimise=off.")
     # ddpm is also the default of plain sampling, so only a user's own word is refused.
     if sampling.sampler == "ddpm" and "sampler" in options:
         raise ValueError("option 'sampler': noise optimisation needs a fixed map from noise to motion, which is ddim.")
