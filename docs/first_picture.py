@@ -1,7 +1,8 @@
-"""Draw the picture of the first page: ``python docs/first_picture.py [TABLE]``.
+"""Draw the picture of the first page: ``python docs/first_picture.py TABLE``.
 
-By default it shows a sequence of the embedded synthetic table, in which a person finds a bottle with the eyes, walks to
-it and takes it. Bodies stand where they stood, seen from the side, along the way from the first place to the bottle.
+TABLE is made by ``prbench synthesize adt --table --count 40 --seed 0 --out TABLE``. The picture shows a sequence in
+which a person finds a bottle with the eyes, walks to it and takes it. Bodies stand where they stood, seen from the
+side, along the way from the first place to the bottle.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from prbench.skeleton import Joint
 from prbench.viewing.event_story import StoryMotion
 from prbench.viewing.figures import draw_figure, horizontal_direction, new_figure, write_png
 from prbench.workflows.explain import explain_event
-from prbench.workflows.first_run import default_table_folder
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,7 +31,7 @@ LINE_WIDTH = 2.4
 
 def main() -> None:
     """Draw four moments of one sequence."""
-    folder = sys.argv[1] if len(sys.argv) > 1 else default_table_folder()
+    folder = sys.argv[1]
     story = explain_event(folder, EVENT)
     if story.motion is None or story.event.prime_time is None:
         raise SystemExit(f"{EVENT} did not become a sequence of {folder}")

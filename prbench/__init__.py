@@ -40,7 +40,7 @@ __all__ = [
     "__version__",
     "build_dataset",
     "compare",
-    "embedded_table",
+    "embedded_tables",
     "measure",
     "open_run",
     "open_table",

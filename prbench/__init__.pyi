@@ -20,7 +20,7 @@ from prbench.api import SyntheticRecordings as SyntheticRecordings
 from prbench.api import Table as Table
 from prbench.api import build_dataset as build_dataset
 from prbench.api import compare as compare
-from prbench.api import embedded_table as embedded_table
+from prbench.api import embedded_tables as embedded_tables
 from prbench.api import measure as measure
 from prbench.api import open_run as open_run
 from prbench.api import open_table as open_table

@@ -137,7 +137,7 @@ class CurationConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     minimum_movement: float
     ray_origin: Literal["eye", "camera"]
     largest_interpolated_gap: float
-    minimum_prime: float = 0.0
+    minimum_prime: float
     """Seconds that a look must last to prime; 0 = a single gaze sample primes."""
 
 
@@ -240,12 +240,8 @@ class BenchmarkProtocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 def digest_of(constants: msgspec.Struct) -> str:
     """SHA-256 of a manifest's, rule's or protocol's values."""
     values = msgspec.to_builtins(constants)
-    if isinstance(constants, BenchmarkProtocol):
-        # Keys that later versions added count where they change something, so that old rules keep their digest.
-        if not constants.is_own:
-            del values["name"]
-        if constants.curation.minimum_prime == 0:
-            del values["curation"]["minimum_prime"]
+    if isinstance(constants, BenchmarkProtocol) and not constants.is_own:
+        del values["name"]  # stands in no file of prbench's own rules
     return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
 
 

@@ -1,1 +1,1 @@
-"""What the protocol's choices change, measured on the embedded data."""
+"""What the protocol's choices change, measured on synthetic recordings."""

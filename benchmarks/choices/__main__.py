@@ -1,4 +1,4 @@
-"""Measure what the protocol's choices change on the embedded data: the numbers of ``docs/protocol-choices.md``.
+"""Measure what the protocol's choices change on synthetic recordings: the numbers of ``docs/protocol-choices.md``.
 
 Run from the repository's root: ``python -m benchmarks.choices [--recordings 40]``. The synthetic recordings are acted
 out once, in memory; each variant curates them into a table of its own in a temporary folder, and the recorded motion of
@@ -27,12 +27,13 @@ from prbench.recording import Recording
 from prbench.runs import read_scores
 from prbench.sequences import SequenceTable
 from prbench.synthetic.layouts import layout_for
-from prbench.workflows.first_run import RECORDINGS, SEED
 from prbench.workflows.matching import match_events
 from prbench.workflows.synthetic_table import Staging, SyntheticSource, synthetic_source
 from prbench.workflows.verify_synthetic import on_clock
 
 PRESET = "adt"
+RECORDINGS = 40
+SEED = 0
 STUDY_LENGTH = 150
 """N of the study (Prime and Reach, section 5.1), frames."""
 EARLY = 1.8
@@ -106,7 +107,7 @@ def _with_curation(**values: float) -> Callable[[BenchmarkProtocol], BenchmarkPr
 
 
 VARIANTS = (
-    Variant("version 1"),
+    Variant("version 2"),
     Variant("rays from the camera", CurationOptions(ray_origin="camera")),
     Variant("wrist in hand", CurationOptions(in_hand="wrist")),
     Variant("30 frames a second", change=_at_rate(30.0)),
@@ -124,7 +125,7 @@ VARIANTS = (
 def main() -> None:
     """Build, score and print every variant, and what a limit of 150 frames leaves."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--recordings", type=int, default=RECORDINGS, help="synthetic recordings (default: embedded)")
+    parser.add_argument("--recordings", type=int, default=RECORDINGS, help=f"how many (default: {RECORDINGS})")
     count = parser.parse_args().recordings
     staging = Staging(PRESET, SEED)
     acted: dict[str, Recording] = {}
@@ -185,7 +186,7 @@ def _means(run: Path, only: Collection[str] | None = None) -> list[str]:
 
 
 def _about(table: SequenceTable, planned: Mapping[str, float], first: Mapping[str, float]) -> list[str]:
-    """Counts of the table, of what it shares with version 1, and of primes that come before the intended look."""
+    """Counts of the table, of what it shares with version 2, and of primes that come before the intended look."""
     rows = table.scalars(split="test")
     gaps = np.asarray(rows["prime_gap"])
     too_long = int((np.asarray(rows["n_frames"]) > STUDY_LENGTH).sum())
@@ -212,7 +213,7 @@ def _primes(table: SequenceTable) -> dict[str, float]:
 
 
 def _intended_looks(staging: Staging, count: int, acted: dict[str, Recording]) -> dict[str, float]:
-    """Map the id of each sequence of version 1 to the time at which its person means to look at the goal."""
+    """Map the id of each sequence of version 2 to the time at which its person means to look at the goal."""
     layout = layout_for(staging.preset)
     looks = {}
     for index in range(count):

@@ -12,7 +12,7 @@ from prbench.api.pictures import Picture, Replay
 from prbench.api.running import Run, open_run, run
 from prbench.api.scoring import Scores, score
 from prbench.api.sequences import Gaze, Goal, Head, Sequence
-from prbench.api.tables import Table, embedded_table, open_table
+from prbench.api.tables import Table, embedded_tables, open_table
 from prbench.errors import PrbenchError
 from prbench.skeleton import Joint
 
@@ -39,7 +39,7 @@ __all__ = [
     "Table",
     "build_dataset",
     "compare",
-    "embedded_table",
+    "embedded_tables",
     "measure",
     "open_run",
     "open_table",

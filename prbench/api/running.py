@@ -17,7 +17,7 @@ from prbench.api.frames import frozen
 from prbench.api.pictures import Picture, Replay, picture_of, replay_of
 from prbench.api.progress import progress
 from prbench.api.scored import described, irrelevant_metrics, scores_for_notebook, scores_frame, summary_frame
-from prbench.api.tables import Table, embedded_table, table_folders
+from prbench.api.tables import Table, embedded_tables, table_folders
 from prbench.errors import UsageError
 from prbench.runs import DatasetSummary, Predictions, RunCost, RunFolder, RunRecord, read_scores
 from prbench.shown import html
@@ -281,11 +281,11 @@ def run(
         condition: What the method is given: nothing (``none``), a sentence (``text``), the pose at the goal
             (``goal-pose``), or the goal's place (``goal-loc``). By default what ``prbench run`` takes without
             ``--condition``.
-        data: A table or its folder, or several; without it prbench's own table of synthetic people is used.
+        data: A table or its folder, or several; without it prbench's own five tables of synthetic people are used.
         out: Run folder; by default one below ``runs`` whose name says what was run.
         split: The sequences to run.
         limit: At most so many sequences of each dataset, those whose ids have the smallest SHA-256; without ``data``
-            48 by default.
+            10 by default.
         sequence: Run these only: ids, or parts of ids that fit one sequence only.
         weights: Bundled weights of the method by name, a file or a folder.
         option: Options of the method, by name.
@@ -294,7 +294,7 @@ def run(
         control: ``shuffled-goal`` gives every sequence another one's goal.
         seed: Seed of the run.
         samples: Motions for each sequence.
-        batch_size: Sequences a batch; 64 by default, 12 without ``data``.
+        batch_size: Sequences a batch; 64 by default, 5 without ``data``.
         isolate: Run the method in a process that is given neither paths, objects nor environment.
         timeout: Seconds for each batch of a program or an isolated method; 600 by default.
         protocol: Your own ``protocol.toml``, stamped into the run; by default prbench's.
@@ -321,7 +321,7 @@ def run(
     sequences = as_texts(sequence)
     folders = table_folders(data)
     if not folders:
-        folders = (embedded_table(workers=workers).folder,)
+        folders = table_folders(embedded_tables(workers=workers))
         if not sequences:
             limit = limit or first_run.SEQUENCES
             batch_size = batch_size or first_run.BATCH_SIZE

@@ -35,7 +35,7 @@ class Table:
     ``len(table)`` is the number of sequences, ``for sequence in table`` reads them one group of rows after the other,
     ``table[0]`` and ``table["a part of an id"]`` look one up, and ``table[:3]`` gives a list. A table may hold events
     alone, and no sequence.
-    Make one with :func:`prbench.open_table`, :func:`prbench.embedded_table` or :func:`prbench.build_dataset`.
+    Make one with :func:`prbench.open_table`, :func:`prbench.embedded_tables` or :func:`prbench.build_dataset`.
     """
 
     def __init__(self, table: SequenceTable) -> None:
@@ -269,28 +269,28 @@ def open_table(path: PathLike) -> Table:
     return Table(SequenceTable.open(as_path(path)))
 
 
-def embedded_table(*, workers: int = 1) -> Table:
-    """Return prbench's own small table of synthetic people; it is built on the first call, in half a minute.
+def embedded_tables(*, workers: int = 1) -> tuple[Table, ...]:
+    """Return prbench's own small tables of synthetic people; they are built on the first call, in about a minute.
 
-    It is what :func:`prbench.run` uses when it is given no table. Scores on it must never be compared with published
-    ones.
+    They are what :func:`prbench.run` uses when it is given no table. Scores on them must never be compared with
+    published ones.
 
     Args:
-        workers: Processes that build it; changes no result. A script that asks for several needs
+        workers: Processes that build them; changes no result. A script that asks for several needs
             ``if __name__ == "__main__":``.
 
     Returns:
-        The table.
+        Five tables, each in the layout of another dataset; ``table.dataset`` names it.
 
     Raises:
         StorageError: if prbench's cache folder cannot be written.
     """
     from prbench.engine import engine_for
-    from prbench.workflows.first_run import default_table
+    from prbench.workflows.first_run import default_tables
 
     require_positive(workers=workers)
     with progress("building synthetic data") as show:
-        return Table(default_table(engine_for(workers), show))
+        return tuple(map(Table, default_tables(engine_for(workers), show)))
 
 
 def table_folders(data: PathLike | Table | Iterable[PathLike | Table]) -> tuple[Path, ...]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from prbench.cli.commands import Answer, command
-from prbench.cli.embedded import embedded_table
+from prbench.cli.embedded import embedded_tables
 from prbench.cli.options import (
     FIRST_RUN_SEQUENCES,
     data_option,
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 _COLUMNS = 7
 """Metrics side by side at most, so that a table fits on a usual terminal."""
+_SEQUENCES = 48
+"""Sequences of each dataset that is named with ``--data``, unless the user says how many."""
 
 
 class ControlScores(msgspec.Struct, frozen=True, kw_only=True):
@@ -74,9 +76,9 @@ class AuditReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @command("audit", example="prbench audit --data tables/adt --limit 100", report=AuditReport)
-@data_option(required=False, help="Built dataset folder(s); without it the embedded synthetic one is used.")
+@data_option(required=False, help="Built dataset folder(s); without it the five embedded synthetic ones are used.")
 @split_option()
-@limit_option(str(FIRST_RUN_SEQUENCES))
+@limit_option(f"{_SEQUENCES}; {FIRST_RUN_SEQUENCES} without --data")
 @out_folder_option("Keep the run folders in this one (default: they are thrown away).")
 @workers_option()
 def audit(data: tuple[Path, ...], split: str, limit: int | None, out: Path | None, workers: int) -> Answer:
@@ -89,11 +91,10 @@ def audit(data: tuple[Path, ...], split: str, limit: int | None, out: Path | Non
     from prbench.workflows.audit import metrics_of
 
     engine = engine_for(workers)
-    tables = data or (embedded_table(engine),)
+    default = _SEQUENCES if data else FIRST_RUN_SEQUENCES
+    tables = data or embedded_tables(engine)
     with progress("running controls") as show:
-        found = run_audit(
-            tables, split=split, limit=limit or FIRST_RUN_SEQUENCES, out=out, engine=engine, progress=show
-        )
+        found = run_audit(tables, split=split, limit=limit or default, out=out, engine=engine, progress=show)
     report = AuditReport(tables=[_audited_table(each) for each in found], out=out)
 
     def show_all() -> None:

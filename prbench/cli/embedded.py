@@ -1,4 +1,4 @@
-"""The embedded synthetic dataset, which commands take that are given no other."""
+"""The embedded synthetic datasets, which commands take that are given no other."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from prbench.engine import Engine
 
 
-def embedded_table(engine: Engine) -> Path:
-    """Return the folder of the embedded synthetic dataset, which is built on the first call."""
-    from prbench.workflows.first_run import RECORDINGS, default_table, default_table_folder
+def embedded_tables(engine: Engine) -> tuple[Path, ...]:
+    """Return the folders of the embedded synthetic datasets, which are built on the first call."""
+    from prbench.workflows.first_run import LAYOUTS, default_folder, default_tables, default_tables_are_built
 
-    folder = default_table_folder()
-    if (folder / "dataset.json").is_file():
-        note(f"no --data given: using the embedded synthetic dataset in {folder}")
+    folder = default_folder()
+    if default_tables_are_built():
+        note(f"no --data given: using the {len(LAYOUTS)} embedded synthetic datasets in {folder}")
     else:
-        note(f"no --data given: building a synthetic dataset of {RECORDINGS} recordings in {folder} (once)")
+        note(f"no --data given: building {len(LAYOUTS)} small synthetic datasets in {folder} (once)")
     with progress("building synthetic data") as show:
-        return default_table(engine, show, tell=note).folder
+        return tuple(table.folder for table in default_tables(engine, show, tell=note))

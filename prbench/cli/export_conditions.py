@@ -133,14 +133,14 @@ def export_conditions(
 
 
 def _tell_first_run(data: Sequence[Path]) -> None:
-    """Tell that runs without ``--data`` take a part of the embedded dataset, and this command all of it by default."""
-    from prbench.workflows.first_run import default_table_folder
+    """Tell that runs without ``--data`` take a part of the embedded datasets, and this command all by default."""
+    from prbench.workflows.first_run import default_table_folders
 
-    embedded = os.path.realpath(default_table_folder())
-    if any(os.path.realpath(folder) == embedded for folder in data):
+    embedded = {os.path.realpath(folder) for folder in default_table_folders()}
+    if any(os.path.realpath(folder) in embedded for folder in data):
         note(
-            f"this is the embedded dataset, of which `prbench run` without --data takes {FIRST_RUN_SEQUENCES}"
-            f" sequences: --limit {FIRST_RUN_SEQUENCES} exports the same ones."
+            f"these are embedded datasets, of which `prbench run` without --data takes {FIRST_RUN_SEQUENCES}"
+            f" sequences each: --limit {FIRST_RUN_SEQUENCES} exports the same ones."
         )
 
 

@@ -13,8 +13,8 @@ from prbench.cli.commands import SeveralValues
 
 CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
 """Conditions that a method can be given; spelt out here, so that ``--help`` imports no arrays."""
-FIRST_RUN_SEQUENCES = 48
-"""Limit of a run on the embedded dataset (``prbench.workflows.first_run``); spelt out for the same reason."""
+FIRST_RUN_SEQUENCES = 10
+"""Limit of a run on the embedded datasets, of each (``prbench.workflows.first_run``); spelt out for the same reason."""
 SPLITS = ("train", "validation", "test")
 PATH = click.Path(path_type=Path)
 

@@ -12,7 +12,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, command, note, session
-from prbench.cli.embedded import embedded_table
+from prbench.cli.embedded import embedded_tables
 from prbench.cli.options import (
     CONDITIONS,
     FIRST_RUN_SEQUENCES,
@@ -37,8 +37,9 @@ from prbench.cli.summaries import (
     DatasetScores,
     dataset_scores,
     print_agreement,
+    print_datasets,
+    print_methods_on_datasets,
     print_sequence_scores,
-    print_side_by_side,
     print_summary,
 )
 from prbench.cli.table_two import ALL, TableTwoAnswer, run_table_two
@@ -68,6 +69,8 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
         seed: Seed of the run.
         batches_found: Number of batches that an earlier call had left.
         datasets: Scores of each dataset.
+        means: Mean of each metric over the datasets, each counting alike; without metrics that a dataset lacks, and
+            empty for a single dataset.
     """
 
     folder: Path
@@ -77,6 +80,7 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
     seed: int
     batches_found: int
     datasets: list[DatasetScores]
+    means: dict[str, float]
 
 
 class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
@@ -121,7 +125,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
     " --weights and the like replace what it says.",
 )
 @click.option("--show-config", is_flag=True, help="Print the experiment that the command line means, and stop.")
-@data_option(required=False, help="Built dataset folder(s); without it a synthetic one is built and used.")
+@data_option(required=False, help="Built dataset folder(s); without it small synthetic ones are built and used.")
 @out_folder_option("Run folder (default: one under ./runs); resumes. Several runs: the folder of their folders.")
 @split_option()
 @limit_option(f"all; {FIRST_RUN_SEQUENCES} without --data; with all: what fits into --minutes")
@@ -169,7 +173,7 @@ def run(
 ) -> Answer | int:
     """Run a method over tables and score what it generates.
 
-    Without --data, an embedded synthetic dataset is used. The same command goes on with an interrupted run.
+    Without --data, five embedded synthetic datasets are used. The same command goes on with an interrupted run.
     """
     if ALL in (given["method"], given["condition"]):
         _refuse_with_all(config=config, show_config=show_config, view=view, permission=permission)
@@ -292,7 +296,7 @@ def _run_all(
     if first_run:
         for method in experiment.methods:
             _require_runnable(method, experiment.device)
-        experiment = _on_embedded_table(experiment, engine)
+        experiment = _on_embedded_tables(experiment, engine)
     requests = [replace(request, repeats=repeated and repeated.record) for request in experiment.requests()]
     if view is not None and len(requests) > 1:
         raise UsageError("--view: belongs to one run; `prbench view RUN RUN … --out FILE` shows several.")
@@ -322,13 +326,14 @@ def _run_all(
         if view is not None:
             print(f"view: {view}")
         elif first_run:
-            print(f"look at it: prbench view {reports[0].folder.path} --out motions.png   (or .mp4, .html)")
+            few = "" if experiment.sequences else "--limit 1 "
+            print(f"look at it: prbench view {reports[0].folder.path} {few}--out motions.png")
 
     return Answer(answer, show)
 
 
 def _require_runnable(method: ExperimentMethod, device: str) -> None:
-    """Refuse an unknown method, or one that has to be told its condition, before half a minute goes into a table."""
+    """Refuse an unknown method, or one that has to be told its condition, before half a minute goes into tables."""
     from prbench.methods.adapters import chosen_condition, find_adapter, load_adapter
     from prbench.methods.names import METHOD_CONTROLS
     from prbench.methods.programs.words import is_program
@@ -341,11 +346,11 @@ def _require_runnable(method: ExperimentMethod, device: str) -> None:
         chosen_condition(method.name, load_adapter(method.name, weights, method.option_texts, device), None)
 
 
-def _on_embedded_table(experiment: Experiment, engine: Engine) -> Experiment:
-    """Run on the embedded dataset, by default on a part of it, in batches that two workers can share."""
+def _on_embedded_tables(experiment: Experiment, engine: Engine) -> Experiment:
+    """Run on the embedded datasets, by default on a part of each, in batches that two workers can share."""
     from prbench.workflows import first_run
 
-    changes: dict[str, Any] = {"data": (str(embedded_table(engine)),)}
+    changes: dict[str, Any] = {"data": tuple(map(str, embedded_tables(engine)))}
     if not experiment.sequences:
         changes["limit"] = experiment.limit or first_run.SEQUENCES
         changes["batch_size"] = experiment.batch_size or first_run.BATCH_SIZE
@@ -430,6 +435,8 @@ def _view(out: Path, folder: Path, request: RunRequest, permission: tuple[str, .
 
 
 def _made(report: RunReport) -> MadeRun:
+    from prbench.runs.summary import means_over_datasets
+
     record = report.folder.record
     return MadeRun(
         folder=report.folder.path,
@@ -442,6 +449,7 @@ def _made(report: RunReport) -> MadeRun:
             dataset_scores(summary, _agreement(report, summary.dataset), motionless=record.method.motionless)
             for summary in report.summaries
         ],
+        means=means_over_datasets(report.summaries) if len(report.summaries) > 1 else {},
     )
 
 
@@ -456,6 +464,9 @@ def _print_run(report: RunReport, *, single: bool) -> None:
         print_sequence_scores(report.folder)
         return
     method = report.folder.record.method
+    if len(report.summaries) > 1:
+        print_datasets(report.summaries, origin=method.origin, motionless=method.motionless)
+        return
     for summary in report.summaries:
         print_summary(summary, origin=method.origin, motionless=method.motionless)
         print_agreement(_agreement(report, summary.dataset))
@@ -463,8 +474,8 @@ def _print_run(report: RunReport, *, single: bool) -> None:
 
 def _print_company(reports: list[RunReport]) -> None:
     still = {shown.folder.record.method.name for shown in reports if shown.folder.record.method.motionless}
-    print_side_by_side(
-        [shown.summaries[0] for shown in reports],
+    print_methods_on_datasets(
+        [shown.summaries for shown in reports],
         origins=[shown.folder.record.method.origin for shown in reports],
         motionless=frozenset(still),
     )
@@ -473,6 +484,6 @@ def _print_company(reports: list[RunReport]) -> None:
 def _tell_limit(request: RunRequest) -> None:
     """Tell which of the embedded sequences were run, and how a method that runs elsewhere gets the same ones."""
     note(
-        f"these are {request.limit} of its sequences (--limit N takes another number); for the same ones elsewhere:"
-        f" prbench export-conditions --data {request.data[0]} --limit {request.limit} …"
+        f"these are {request.limit} sequences of each dataset (--limit N takes another number); for the same ones"
+        f" elsewhere: prbench export-conditions --data {request.data[0].parent}/* --limit {request.limit} …"
     )

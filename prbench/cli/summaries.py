@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from prbench.cli.terminal import print_table
+from prbench.cli.terminal import print_table, shown_width
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from prbench.metrics import MetricInfo
     from prbench.runs import RunFolder
     from prbench.runs.agreement import DatasetAgreement, RateAgreement
     from prbench.runs.summary import DatasetSummary, MetricSummary
@@ -289,40 +290,115 @@ def _design_lines(summary: DatasetSummary) -> list[str]:
     return lines
 
 
-def print_side_by_side(
-    summaries: Sequence[DatasetSummary], *, origins: Sequence[str], motionless: frozenset[str]
-) -> None:
-    """Print the main metrics of several methods on the same sequences, one column a method.
+def print_datasets(summaries: Sequence[DatasetSummary], *, origin: str, motionless: bool = False) -> None:
+    """Print the main metrics of one method on several datasets, one column a dataset, and their mean.
 
     Args:
-        summaries: Of one dataset each, the same.
-        origins: Whose methods they are, in words, one a summary.
-        motionless: Names of methods that stand still, which get no Foot Skating and the like.
+        summaries: One a dataset.
+        origin: Whose method it is, in words.
+        motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
     """
-    from prbench.leaderboard.decidable import undecided
+    from prbench.leaderboard.decidable import FEWEST_RANKED
     from prbench.metrics import MAIN_METRICS
-    from prbench.runs.summary import TWICE_DAGGER
+    from prbench.runs.summary import means_over_datasets
 
     first = summaries[0]
-    rows = []
+    means = means_over_datasets(summaries)
+    irrelevant = _irrelevant(motionless)
+    is_wide = shown_width() >= _WIDE
+    cell = _interval_cell if is_wide else _bare_cell
+    rows = [("sequences (recordings)", *(f"{each.sequences} ({each.recordings})" for each in summaries), "")]
     for info in MAIN_METRICS:
-        cells = []
-        for summary in summaries:
-            found = next((metric for metric in summary.metrics if metric.metric == info.id), None)
-            absent = found is None or (summary.method in motionless and info.irrelevant_if_motionless)
-            cells.append("–" if found is None or absent else "\n".join(_cells(found)))
-        rows.append((info.title, *cells))
+        cells = [_DASH if info.id in irrelevant else cell(each, info) for each in summaries]
+        mean = _DASH if info.id in irrelevant else _number(means.get(info.id), info)
+        rows.append((_with_unit(info), *cells, mean))
+    control = f", {first.control}" if first.control else ""
+    title = f"{first.method} ({origin}), condition {first.condition}{control}; split {first.split}"
+    header = ("metric", *map(_short, summaries), "mean")
+    print_table(title, header, rows, numbers=range(1, len(header)))
+    if not is_wide:
+        print(f"Intervals of 95 %: on a terminal of {_WIDE} columns, in a file, or with --json.")
+    if min(each.sequences for each in summaries) < FEWEST_RANKED:
+        print(f"A first look: fewer than {FEWEST_RANKED} sequences of a dataset rank nothing.")
+    unsupported = [f"{each.unsupported} of {_short(each)}" for each in summaries if each.unsupported]
+    if unsupported:
+        print(f"Longer than the method can generate, and not scored: {', '.join(unsupported)}.")
+    for each in summaries:
+        if each.recorded_motion_mark:
+            print(f"{_short(each)}: {each.recorded_motion_mark}.")
+    if any(each.synthetic for each in summaries):
+        print("Synthetic data: never compare these scores with published ones.")
+
+
+def print_methods_on_datasets(
+    methods: Sequence[Sequence[DatasetSummary]], *, origins: Sequence[str], motionless: frozenset[str]
+) -> None:
+    """Print means over datasets of several methods, one column a method; the two successes also on each dataset.
+
+    Args:
+        methods: Summaries of each method on the same datasets, in the same order.
+        origins: Whose methods they are, in words, one a method.
+        motionless: Names of methods that stand still, which get no Foot Skating and the like.
+    """
+    from prbench.metrics import MAIN_METRICS
+    from prbench.runs.summary import TWICE_DAGGER, means_over_datasets
+
+    firsts = [summaries[0] for summaries in methods]
+    means = [means_over_datasets(summaries) for summaries in methods]
+    rows: list[tuple[str, ...]] = []
+    for info in MAIN_METRICS:
+        hidden = [first.method in motionless and info.irrelevant_if_motionless for first in firsts]
+        cells = (_DASH if no else _number(own.get(info.id), info) for no, own in zip(hidden, means, strict=True))
+        rows.append((_with_unit(info), *cells))
+        if info.id in _SHOWN_BY_DATASET:
+            for on_one in zip(*methods, strict=True):
+                rows.append((f"· {_short(on_one[0])}", *(_bare_cell(each, info) for each in on_one)))
     header = ["metric"]
-    for summary, origin in zip(summaries, origins, strict=True):
-        mark = f" {TWICE_DAGGER}" if summary.recorded_motion_mark else ""
-        header.append(f"{summary.method}{mark}\n({summary.condition})\n{origin}")
-    title = f"{first.title}, {first.sequences} sequences of {first.recordings} recordings, split {first.split}"
-    print_table(f"{title}: means and 95 % intervals", header, rows, numbers=range(1, len(header)), spaced=True)
-    for line in undecided(first.dataset, first.sequences, first.recordings, [summary.metrics for summary in summaries]):
-        print(line)
-    for summary in summaries:
-        if summary.recorded_motion_mark:
-            print(f"{summary.method} {summary.recorded_motion_mark}.")
+    for summaries, first, origin in zip(methods, firsts, origins, strict=True):
+        mark = f" {TWICE_DAGGER}" if any(each.recorded_motion_mark for each in summaries) else ""
+        header.append(f"{first.method}{mark}\n({first.condition})\n{origin}")
+    print_table(f"Means over {len(methods[0])} datasets", header, rows, numbers=range(1, len(header)))
+    for summaries in methods:
+        for each in summaries:
+            if each.recorded_motion_mark:
+                print(f"{each.method} on {_short(each)} {each.recorded_motion_mark}.")
+
+
+_DASH = "–"
+_SHOWN_BY_DATASET = ("prime_success", "reach_success")
+"""Metrics in which datasets differ so much that a mean alone would not be understood."""
+_WIDE = 150
+"""Columns that five datasets with intervals take."""
+
+
+def _short(summary: DatasetSummary) -> str:
+    """Return the name of a dataset without the word that stands below the table."""
+    from prbench.readers import SYNTHETIC_PREFIX
+
+    return summary.dataset.removeprefix(SYNTHETIC_PREFIX)
+
+
+def _with_unit(info: MetricInfo) -> str:
+    from prbench.metrics import printed_unit
+
+    unit = printed_unit(info.unit).strip()
+    return f"{info.title}, {unit}" if unit else info.title
+
+
+def _number(mean: float | None, info: MetricInfo) -> str:
+    from prbench.metrics import printed_scale
+
+    return _DASH if mean is None else f"{mean * printed_scale(info.unit):.2f}"
+
+
+def _bare_cell(summary: DatasetSummary, info: MetricInfo) -> str:
+    found = summary.metric(info.id)
+    return _DASH if found is None else _number(found.mean, info)
+
+
+def _interval_cell(summary: DatasetSummary, info: MetricInfo) -> str:
+    found = summary.metric(info.id)
+    return _DASH if found is None else f"{_number(found.mean, info)}\n{_cells(found)[1]}"
 
 
 def _cells(metric: MetricSummary) -> tuple[str, str]:

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
-import shutil
-import sys
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from prbench.cli.commands import Answer, note
-from prbench.cli.embedded import embedded_table
+from prbench.cli.embedded import embedded_tables
 from prbench.cli.progress import progress
-from prbench.cli.terminal import print_table
+from prbench.cli.terminal import print_table, shown_width
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
@@ -56,7 +53,7 @@ def run_table_two(given: Mapping[str, Any], *, minutes: int | None, workers: int
     from prbench.workflows.table_two.run import JSON, MARKDOWN, Say
 
     engine = engine_for(workers or _WORKERS)
-    request = _table_request(given, tuple(given["data"]) or (embedded_table(engine),), minutes)
+    request = _table_request(given, tuple(given["data"]) or embedded_tables(engine), minutes)
     say = Say(
         notice=note,
         timing=lambda: progress("timing a first batch"),
@@ -116,18 +113,13 @@ def _print_layout(layout: TableLayout) -> None:
     """Print each dataset's part, and what a reader has to know of them."""
     from prbench.workflows.table_two.as_markdown import heading, notes, orders
 
-    show = _print_dataset if _width() >= _WIDE else _print_narrow
+    show = _print_dataset if shown_width() >= _WIDE else _print_narrow
     for dataset in layout.datasets:
         show(dataset, heading(dataset, layout))
         for text in orders(dataset):
             print(text)
     for line in notes(layout):
         print(line)
-
-
-def _width() -> float:
-    """Return the columns of the terminal; files and pipes have no width."""
-    return shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
 
 
 def _print_dataset(dataset: DatasetLayout, title: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import shutil
 import sys
@@ -73,6 +74,11 @@ def console(*, stderr: bool = False, **settings: Any) -> Console:
     return Console(
         file=stream.raw if isinstance(stream, _CleanStream) else stream, highlight=False, markup=False, **settings
     )
+
+
+def shown_width() -> float:
+    """Return the columns of the terminal; files and pipes have no width."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else math.inf
 
 
 def print_table(

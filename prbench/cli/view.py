@@ -70,7 +70,7 @@ class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
 
 @command("view", example="prbench view runs/static --data tables/adt --out static.png", report=ViewReport)
 @click.argument("runs", type=PATH, nargs=-1, metavar="[RUN...]")
-@data_option(required=False, help="The table(s) of the runs; not needed for the embedded synthetic dataset.")
+@data_option(required=False, help="The table(s) of the runs; not needed for the embedded synthetic datasets.")
 @out_file_option("Picture (.png), film (.mp4) or page (.html).", required=True)
 @sequence_option("Show this sequence")
 @limit_option("4")

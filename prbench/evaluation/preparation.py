@@ -52,6 +52,8 @@ from prbench.storage import text_digest
 
 DEFAULT_PARENT = Path("runs")
 """Folder of run folders for which the user names none."""
+_NAMED_DATASETS = 2
+"""Number of datasets, at most, that the name of a run folder spells out."""
 _RECORDED_PACKAGES = ("numpy", "pyarrow", "scipy", "torch")  # those on which a result's last digits may depend
 
 
@@ -315,6 +317,8 @@ def package_versions(names: Iterable[str]) -> dict[str, str]:
 def _default_folder(record: RunRecord) -> Path:
     """``runs/<method>-<condition>-<datasets>-<digest>``; the same request finds its folder again."""
     control = f"-{record.control}" if record.control else ""
-    datasets = "+".join(table.dataset for table in record.tables)
+    # Five names would make a folder's name too long to be typed; the digest tells which datasets they are.
+    several = len(record.tables) > _NAMED_DATASETS
+    datasets = f"{len(record.tables)}-datasets" if several else "+".join(table.dataset for table in record.tables)
     name = f"{record.method.name}{control}-{record.condition}-{datasets}-{text_digest(repr(record))[:8]}"
     return DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)

@@ -8,6 +8,7 @@ same request finds out from the files what is left to do and ends with the same 
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,10 +109,29 @@ def _generate_all(parts: list[_Part], folder: RunFolder, engine: Engine) -> list
     if not isinstance(engine, InProcess):
         unload_method()  # every worker loads its own
     try:
-        return [part.generate() for part in parts]
+        missing = [part.missing() for part in parts]
+        tasks = (part.tasks(frozenset(wanted)) for part, wanted in zip(parts, missing, strict=True) if wanted)
+        owners = [part for part, wanted in zip(parts, missing, strict=True) for _ in wanted]
+        done = {part.dataset.name: len(part.dataset.plan) - len(own) for part, own in zip(parts, missing, strict=True)}
+        if owners:
+            owners[0].tell(done)
+        # One stream of work for all datasets, so that every worker starts once and loads the method once.
+        for _, part in zip(engine.map(run_batch, itertools.chain.from_iterable(tasks)), owners, strict=True):
+            done[part.dataset.name] += 1
+            part.tell(done)
+    except MemoryFullError as error:  # or a worker that ended without an answer
+        folder.discard_if_empty()
+        method = parts[0].prepared.record.method
+        if method.kind != PACKAGE:
+            raise
+        raise AdapterError(
+            f"method '{method.name}': {error} If the method itself ends the process, --isolate shows what it wrote"
+            " last."
+        ) from error
     except Exception:
         folder.discard_if_empty()
         raise
+    return [len(wanted) for wanted in missing]
 
 
 def _remove_empty(folder: Path) -> None:
@@ -129,27 +149,9 @@ class _Part:
     engine: Engine
     progress: ProgressCallback
 
-    def generate(self) -> int:
-        """Make the batches that are not there yet; returns how many."""
-        missing = self.missing()
-        total = len(self.dataset.plan)
-        done = total - len(missing)
-        if not missing:
-            return 0
-        self.progress(Progress(self.dataset.name, "generate", done, total))
-        try:
-            for _ in self.engine.map(run_batch, self.tasks(frozenset(missing))):
-                done += 1
-                self.progress(Progress(self.dataset.name, "generate", done, total))
-        except MemoryFullError as error:  # or a worker that ended without an answer
-            method = self.prepared.record.method
-            if method.kind != PACKAGE:
-                raise
-            raise AdapterError(
-                f"method '{method.name}': {error} If the method itself ends the process, --isolate shows what it wrote"
-                " last."
-            ) from error
-        return len(missing)
+    def tell(self, done: dict[str, int]) -> None:
+        """Report how many batches of this dataset are done."""
+        self.progress(Progress(self.dataset.name, "generate", done[self.dataset.name], len(self.dataset.plan)))
 
     def missing(self) -> list[int]:
         """Batches that no earlier call has made."""

@@ -11,11 +11,11 @@ import pyarrow as pa
 from jaxtyping import Float
 
 from prbench.contract import Condition, ConditionBatch, Motions
-from prbench.engine import Engine
+from prbench.engine import Engine, InProcess
 from prbench.errors import PredictionsError
 from prbench.evaluation.conditions import opaque_ids, run_salt
 from prbench.evaluation.lengths import length_problem
-from prbench.evaluation.planning import Selection
+from prbench.evaluation.planning import WINDOW, Selection
 from prbench.evaluation.recorded_motion import is_recorded_motion
 from prbench.evaluation.request import Progress, ProgressCallback
 from prbench.limits import FARTHEST_COORDINATE
@@ -101,6 +101,9 @@ def score_selection(
     """
     opened = Predictions.open(predictions) if isinstance(predictions, Path) else predictions
     opened.make_ready()
+    if len(selection) <= WINDOW:
+        # One window gains nothing from workers, whose start takes longer than a few hundred sequences.
+        engine = InProcess()
     yield from engine.map(_score_window, _windows(selection, opened, tuple(samples), rules))
 
 

@@ -15,6 +15,7 @@ from prbench.leaderboard.tables import (
     hides,
     undecided_lines,
 )
+from prbench.manifests import load_protocol
 from prbench.metrics import MAIN_METRICS, MetricInfo, printed_unit
 from prbench.runs.record import CONTROL
 from prbench.runs.summary import TWICE_DAGGER
@@ -43,6 +44,8 @@ def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
     title = f"## {markdown(table.title)}, {markdown_code(table.dataset)}: {markdown(table.split)}, {counts}"
     if table.protocol:
         title += f", own protocol {markdown(table.protocol)}"
+    if table.earlier_version is not None:
+        title += f", protocol version {table.earlier_version}"
     if shared_name:
         # Two tables of one dataset differ in a digest at most, so their titles have to show digests.
         protocol, identity, content, _, chosen = (part[:8] for part in table.key)
@@ -102,6 +105,11 @@ def _legend(table: DatasetTable) -> Iterable[str]:
         )
     if table.protocol:
         yield f"Scored under a protocol of the user's own, {markdown(table.protocol)}: no number here is the study's."
+    if table.earlier_version is not None:
+        yield (
+            f"Scored under version {table.earlier_version} of the protocol; version {load_protocol().version} is the"
+            " present one, and no number of the two is comparable. Run the methods again to compare them."
+        )
     if table.sequences < FEWEST_RANKED:
         yield f"Nothing is ranked: fewer than {FEWEST_RANKED} sequences."
     elif any(row.ranks for row in table.rows):
@@ -155,6 +163,8 @@ def _groups(table: DatasetTable) -> Iterable[str]:
 def _macro_blocks(macro: MacroTable) -> list[str]:
     word = " (synthetic data among them)" if macro.synthetic else ""
     title = f"## Mean over datasets: {', '.join(map(markdown, macro.datasets))}{word}"
+    if macro.earlier_version is not None:
+        title += f", protocol version {macro.earlier_version}"
     header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), "Missing", "Kind"]
     rows = [
         [

@@ -79,7 +79,7 @@ class LeaderboardRow:
 
     def metric(self, name: str) -> MetricSummary | None:
         """Return one metric, or None if the run lacks it."""
-        return next((metric for metric in self.summary.metrics if metric.metric == name), None)
+        return self.summary.metric(name)
 
 
 @dataclass(frozen=True)

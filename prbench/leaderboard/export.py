@@ -87,6 +87,8 @@ def _csv_dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, st
                 notes.append(f"common {table.sequences} of {table.of} sequences")
             if table.protocol:
                 notes.append(f"own protocol {table.protocol}")
+            if table.earlier_version is not None:
+                notes.append(f"protocol version {table.earlier_version}")
             if hidden:
                 notes.append("stands still")
             if row.entry.mark:
@@ -122,6 +124,8 @@ def _csv_cost(cost: MotionCost) -> dict[str, str]:
 
 def _csv_macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
     about = ["mean over datasets", *(["synthetic"] if macro.synthetic else [])]
+    if macro.earlier_version is not None:
+        about.append(f"protocol version {macro.earlier_version}")
     for row in macro.rows:
         for metric, mean in row.means.items():
             info = _INFOS[metric]

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 from prbench.leaderboard.collect import CollectedRuns, LeaderboardRow
 from prbench.leaderboard.decidable import FEWEST_RANKED, undecided
 from prbench.leaderboard.separation import Separate, separate_by_comparison
+from prbench.manifests import load_protocol
 from prbench.metrics import MAIN_METRICS, RANKED_METRICS, MetricInfo
 from prbench.runs.record import CONTROL
 
@@ -63,6 +64,8 @@ class DatasetTable:
     """Ids of the common sequences; None where the table is of all."""
     protocol: str = ""
     """Name and version of a user's own protocol; empty for prbench's."""
+    earlier_version: int | None = None
+    """Version of prbench's own protocol where it is not the present one."""
 
     @property
     def protocol_digest(self) -> str:
@@ -96,6 +99,8 @@ class MacroTable:
     datasets: tuple[str, ...]
     synthetic: bool
     rows: tuple[MacroRow, ...]
+    earlier_version: int | None = None
+    """See :attr:`DatasetTable.earlier_version`."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +208,13 @@ def _dataset_table(entries: list[LeaderboardRow], separate: Separate) -> Dataset
         key=_comparison_key(first),
         rows=tuple(TableRow(*row) for row in zip(ordered, variants, ranks, map(frozenset, leads), beaten_by)),
         protocol=first.protocol,
+        earlier_version=_earlier_version(first),
     )
+
+
+def _earlier_version(row: LeaderboardRow) -> int | None:
+    version = row.record.protocol_version
+    return None if row.protocol or version == load_protocol().version else version
 
 
 def _is_shown(entry: LeaderboardRow, info: MetricInfo) -> bool:
@@ -283,7 +294,8 @@ def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
         # A mean over one dataset is that dataset's table; two tables of one dataset would count it twice.
         if len(datasets) < 2 or len(set(datasets)) < len(datasets):
             continue
-        yield MacroTable(datasets, any(table.synthetic for table in under), tuple(_macro_rows(under)))
+        synthetic = any(table.synthetic for table in under)
+        yield MacroTable(datasets, synthetic, tuple(_macro_rows(under)), under[0].earlier_version)
 
 
 def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -69,6 +70,10 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     length_mismatches: int
     metrics: tuple[MetricSummary, ...]
 
+    def metric(self, name: str) -> MetricSummary | None:
+        """Return one metric, or None if there is no value of it."""
+        return next((metric for metric in self.metrics if metric.metric == name), None)
+
     @property
     def recorded_motions(self) -> int:
         """Number of motions that are the recorded ones, handed in as the method's own."""
@@ -116,3 +121,22 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
                 f"{path}: expected schema version {RUN_SCHEMA_VERSION}, found {summary.schema_version}. Update prbench."
             )
         return summary
+
+
+def means_over_datasets(summaries: Sequence[DatasetSummary]) -> dict[str, float]:
+    """Return the mean of each metric over datasets, each counting alike, as in the study.
+
+    Args:
+        summaries: Of one method, one a dataset.
+
+    Returns:
+        Means by metric id; without those that a dataset lacks, since a mean over the others would look like a better or
+        worse method.
+    """
+    means = {}
+    for name in dict.fromkeys(metric.metric for summary in summaries for metric in summary.metrics):
+        found = [summary.metric(name) for summary in summaries]
+        values = [metric.mean for metric in found if metric is not None]
+        if len(values) == len(found):
+            means[name] = sum(values) / len(values)
+    return means

@@ -52,7 +52,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     methods: tuple[ExperimentMethod, ...]
     data: tuple[str, ...] = ()
-    """Folders of tables, which every run is made on; empty for the embedded synthetic dataset."""
+    """Folders of tables, which every run is made on; empty for the embedded synthetic datasets."""
     split: str = "test"
     limit: int | None = None
     """Sequences of each dataset."""

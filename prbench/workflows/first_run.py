@@ -1,14 +1,15 @@
-"""Tables that nobody has to name: the embedded default of a first run, and the table that a run was made on.
+"""Tables that nobody has to name: the embedded defaults of a first run, and the tables that a run was made on.
 
-The default is a small synthetic dataset, on which a first run is shown beside other methods. A run folder holds digests
-only, no paths, so its table is looked for among the named and the embedded ones.
+The defaults are small synthetic datasets, one of each layout, on which a first run is shown beside other methods. A run
+folder holds digests only, no paths, so its tables are looked for among the named and the embedded ones.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import prbench
@@ -27,57 +28,96 @@ from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.storage import cache_folder, text_digest
 from prbench.synthetic import GENERATOR_VERSION
+from prbench.synthetic.people.presets import PRESETS
 
 if TYPE_CHECKING:
+    from prbench.synthetic.people.world import Split
     from prbench.workflows.synthetic_table import Progress
 
-_PRESET = "adt"
-RECORDINGS = 40
+LAYOUTS = tuple(PRESETS)
+"""Datasets that the embedded tables imitate, one table each."""
 SEED = 0
-SEQUENCES = 48
-"""Number of test sequences that a first run generates, unless the user names another."""
-BATCH_SIZE = 12
+PEOPLE: Mapping[Split, int] = MappingProxyType({"train": 4, "validation": 2, "test": 7})
+"""People of each split whose first recording is in each table; those of the test split are all there are."""
+SEQUENCES = 10
+"""Number of test sequences of each table that a first run generates, unless the user names another."""
+BATCH_SIZE = 5
 """Sequences a batch in a first run: small enough that two workers share the work."""
 _COMPANIONS = (("mdm", Condition.TEXT), (SCRIPTED, None), ("static", Condition.NONE), (GROUND_TRUTH, None))
 """Methods beside which a first run is shown, and their condition; None takes the run's own."""
 _SHOWN = 12  # characters of a digest
 
 
-def default_table(engine: Engine, progress: Progress, tell: Callable[[str], None] = lambda _: None) -> SequenceTable:
-    """Open the embedded dataset, building it first where it is not there yet.
+def default_tables(
+    engine: Engine, progress: Progress, tell: Callable[[str], None] = lambda _: None
+) -> tuple[SequenceTable, ...]:
+    """Open the embedded datasets, one of each layout, building those first that are not there yet.
 
     Args:
-        engine: Where it is built.
+        engine: Where they are built.
         progress: Called after each recording.
-        tell: Called with a line that names the process which is building it meanwhile, and is waited for.
+        tell: Called with a line that names the process which is building them meanwhile, and is waited for.
     """
-    folder = default_table_folder()
-    if not (folder / FILE_NAME).is_file():
-        _build_once(folder, engine, progress, tell)
-    return SequenceTable.open(folder)
+    if not default_tables_are_built():
+        _build_once(engine, progress, tell)
+    return tuple(SequenceTable.open(folder) for folder in default_table_folders())
 
 
-def default_table_folder() -> Path:
-    """Folder of the embedded dataset; another version of prbench, generator, protocol or schema gets another one."""
-    # Everything that the table's bytes depend on, so that no version reads the table of another.
+def default_tables_are_built() -> bool:
+    """Return True if every embedded dataset is there."""
+    return all(map(_is_built, default_table_folders()))
+
+
+def default_table_folders() -> tuple[Path, ...]:
+    """Return the folders of the embedded datasets, in the order of :data:`LAYOUTS`, built or not."""
+    return tuple(default_folder() / layout for layout in LAYOUTS)
+
+
+def default_folder() -> Path:
+    """Return the folder that holds the embedded datasets and nothing else.
+
+    Another version of prbench, generator, protocol or schema gets another one.
+    """
+    # Everything that the tables' bytes depend on, so that no version reads the tables of another.
     key = text_digest(
         prbench.__version__,
         str(GENERATOR_VERSION),
         str(SCHEMA_VERSION),
         load_protocol().digest,
-        digest_of(load_manifest(_PRESET)),
+        *(digest_of(load_manifest(layout)) for layout in LAYOUTS),
+        *(f"{split} {number}" for split, number in PEOPLE.items()),
     )
-    return cache_folder() / "tables" / f"synthetic-{_PRESET}-{RECORDINGS}-{key[:12]}"
+    return cache_folder() / "tables" / f"synthetic-{key[:12]}"
 
 
-def _build_once(folder: Path, engine: Engine, progress: Progress, tell: Callable[[str], None]) -> None:
-    from prbench.workflows.synthetic_table import build_synthetic_table  # every later run goes without it
+def _is_built(folder: Path) -> bool:
+    return (folder / FILE_NAME).is_file()
 
-    with in_turn(folder.with_name(f"{folder.name}.first-run"), tell):  # the build itself holds the folder
-        if not (folder / FILE_NAME).is_file():
+
+def _build_once(engine: Engine, progress: Progress, tell: Callable[[str], None]) -> None:
+    # Every later run goes without it.
+    from prbench.workflows.synthetic_table import build_synthetic_table, recordings_of_people
+
+    parent = default_folder()
+    with in_turn(parent.with_name(f"{parent.name}.first-run"), tell):  # each build itself holds its folder
+        # Tables that a killed process or another one has finished stay.
+        missing = {
+            layout: recordings_of_people(layout, SEED, PEOPLE)
+            for layout, folder in zip(LAYOUTS, default_table_folders(), strict=True)
+            if not _is_built(folder)
+        }
+        total = sum(map(len, missing.values()))
+        done = 0
+        for layout, recordings in missing.items():
+            before = done
+
+            def show(finished: int, _: int, last: str, before: int = before) -> None:
+                progress(before + finished, total, last)
+
             build_synthetic_table(
-                _PRESET, recordings=RECORDINGS, seed=SEED, out=folder, engine=engine, progress=progress
+                layout, recordings=recordings, seed=SEED, out=parent / layout, engine=engine, progress=show
             )
+            done += len(recordings)
 
 
 def companions(request: RunRequest) -> Iterator[RunRequest]:
@@ -142,7 +182,7 @@ def _datasets(run: RunFolder) -> set[str]:
 
 
 def _from_cache(run: RunFolder, record: TableRecord) -> SequenceTable:
-    """The embedded default table, or another one that an earlier version left beside it."""
+    """An embedded table, or another one that an earlier version left beside it."""
     for folder in _embedded():
         table = SequenceTable.open(folder)
         if table.info.dataset == record.dataset and _is_table_of(record, table):
@@ -185,11 +225,13 @@ def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], SequenceTable 
 
 
 def _embedded() -> Iterator[Path]:
-    """Folders of the embedded default table, and of other ones that an earlier version left beside it."""
-    default = default_table_folder()
-    # The table of the present version first: nearly every run was made on it.
-    for folder in dict.fromkeys([default, *sorted(path.parent for path in default.parent.glob("*/dataset.json"))]):
-        if (folder / "dataset.json").is_file():
+    """Folders of the embedded default tables, and of other ones that an earlier version left beside them."""
+    tables = cache_folder() / "tables"
+    # Until version 0.5 there was a single table, not a folder of tables.
+    earlier = sorted(path.parent for pattern in ("*", "*/*") for path in tables.glob(f"{pattern}/{FILE_NAME}"))
+    # The tables of the present version first: nearly every run was made on them.
+    for folder in dict.fromkeys([*default_table_folders(), *earlier]):
+        if _is_built(folder):
             yield folder
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -17,7 +18,7 @@ from prbench.storage import text_digest
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.layouts import layout_for, synthetic_recording
 from prbench.synthetic.people.perform import name_of_recording, perform
-from prbench.synthetic.people.world import Source, assign
+from prbench.synthetic.people.world import Source, Split, assign
 from prbench.synthetic.performance import Performance
 
 Progress = Callable[[int, int, str], None]
@@ -102,7 +103,7 @@ class SyntheticSource:
 
 def build_synthetic_table(
     preset: str,
-    recordings: int,
+    recordings: int | Sequence[int],
     seed: int,
     out: Path,
     *,
@@ -118,7 +119,7 @@ def build_synthetic_table(
 
     Args:
         preset: A preset with sensors (``adt``).
-        recordings: How many.
+        recordings: How many, or the indices of chosen ones.
         seed: Of the whole dataset.
         out: Folder of the new dataset.
         engine: Where recordings are acted out and curated.
@@ -135,20 +136,44 @@ def build_synthetic_table(
     """
     # Refuses a preset without sensors before anything is acted out.
     layout_for(preset)
-    if recordings < 1:
+    indices = range(recordings) if isinstance(recordings, int) else recordings
+    if not indices:
         raise UsageError(f"a synthetic table needs at least one recording, not {recordings}.")
     # Sorted, because the digest of the inputs must not depend on the order in which a user names them.
     shares = None if provocations is None else tuple(sorted(provocations.items()))
     staging = Staging(preset, seed, world, n_events, noise, shares)
+    shown = str(recordings) if isinstance(recordings, int) else " ".join(map(str, recordings))
     report = build_from_sources(
-        [synthetic_source(staging, index) for index in range(recordings)],
+        [synthetic_source(staging, index) for index in indices],
         out,
         options=options,
         engine=engine,
         progress=None if progress is None else lambda step: progress(step.done, step.total, step.record.recording_id),
-        extra_options=staging.described() | {"recordings": str(recordings)},
+        extra_options=staging.described() | {"recordings": shown},
     )
     return report
+
+
+def recordings_of_people(preset: str, seed: int, people: Mapping[Split, int]) -> tuple[int, ...]:
+    """Return the first recording of each of some people, in the order of the indices.
+
+    Args:
+        preset: The preset.
+        seed: Of the whole dataset.
+        people: How many people of each split; not more than the default world has.
+    """
+    source = Source(seed, preset, "default")
+    found: dict[Split, set[int]] = {split: set() for split in people}
+    chosen = []
+    for index in itertools.count():
+        if all(len(found[split]) == wanted for split, wanted in people.items()):
+            break
+        casting = assign(source, index, "person_and_room")
+        known = found.get(casting.split, set())
+        if len(known) < people.get(casting.split, 0) and casting.person not in known:
+            known.add(casting.person)
+            chosen.append(index)
+    return tuple(chosen)
 
 
 def synthetic_source(staging: Staging, index: int) -> SyntheticSource:

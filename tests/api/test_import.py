@@ -71,7 +71,7 @@ def test_star_import_and_stub_offer_the_same_names():
     assert set(prbench.api.__all__) == imported
 
 
-@pytest.mark.parametrize(("typed", "meant"), [("opn_table", "open_table"), ("embeded_table", "embedded_table")])
+@pytest.mark.parametrize(("typed", "meant"), [("opn_table", "open_table"), ("embedded_table", "embedded_tables")])
 def test_misspelt_names_are_answered_with_the_nearest(typed, meant):
     with pytest.raises(AttributeError, match=f"has no attribute '{typed}'. Did you mean '{meant}'"):
         getattr(prbench, typed)

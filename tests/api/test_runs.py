@@ -95,12 +95,12 @@ def test_options_and_single_values(table, tmp_path):
         run.motion("elsewhere")
 
 
-def test_without_data_the_embedded_table_is_run(table, tmp_path, monkeypatch):
+def test_without_data_the_embedded_tables_are_run(table, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("prbench.api.running.embedded_table", lambda workers: table)
+    monkeypatch.setattr("prbench.api.running.embedded_tables", lambda workers: (table,))
     run = prbench.run("ground-truth")
-    assert run.record.limit == 48
-    assert run.record.tables[0].batch_plan.batch_size == 12
+    assert run.record.limit == 10
+    assert run.record.tables[0].batch_plan.batch_size == 5
     assert run.folder.parent.name == "runs"
     name = table.sequence_ids(split="test")[0]
     assert prbench.run("ground-truth", sequence=name).record.limit is None

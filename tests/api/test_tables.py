@@ -253,18 +253,20 @@ def test_what_is_no_table_is_refused_as_on_the_command_line(tmp_path, missing):
         prbench.open_table(tmp_path / missing)
 
 
-def test_the_embedded_table_is_built_once(monkeypatch, tmp_path):
+def test_the_embedded_tables_are_built_once(monkeypatch, tmp_path):
     from prbench.workflows import first_run
 
     built = []
 
     def _build(preset, *, recordings, seed, out, engine, progress):
         built.append(out)
-        fakes.fake_dataset(Path(out), 12)
+        fakes.fake_dataset(Path(out), 12, dataset=f"synthetic-{preset}")
 
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path))
     monkeypatch.setattr("prbench.workflows.synthetic_table.build_synthetic_table", _build)
-    first = prbench.embedded_table()
-    assert prbench.embedded_table().folder == first.folder == first_run.default_table_folder()
-    assert len(built) == 1
-    assert len(first) == 12
+    first = prbench.embedded_tables()
+    folders = tuple(table.folder for table in prbench.embedded_tables())
+    assert folders == tuple(table.folder for table in first) == first_run.default_table_folders()
+    assert tuple(built) == folders
+    assert [table.dataset for table in first] == [f"synthetic-{layout}" for layout in first_run.LAYOUTS]
+    assert len(first[0]) == 12

@@ -36,8 +36,8 @@ def test_the_help_of_a_run_tells_how_many_sequences_it_takes_without_data() -> N
 @pytest.mark.parametrize("limit", [[], ["--limit", "5"]])
 def test_an_export_of_the_embedded_dataset_says_which_limit_matches_a_run(tmp_path, monkeypatch, capsys, limit) -> None:
     fake_dataset(tmp_path / "embedded", 60)
-    monkeypatch.setattr(first_run, "default_table_folder", lambda: tmp_path / "embedded")
+    monkeypatch.setattr(first_run, "default_table_folders", lambda: (tmp_path / "embedded",))
     words = ["export-conditions", "--data", str(tmp_path / "embedded"), "--condition", "text"]
     assert main([*words, "--out", str(tmp_path / "c.npz"), *limit]) == 0
-    told = "--limit 48 exports the same ones" in capsys.readouterr().err
+    told = "--limit 10 exports the same ones" in capsys.readouterr().err
     assert told is (not limit)

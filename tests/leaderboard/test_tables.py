@@ -338,6 +338,20 @@ def test_runs_that_do_not_compare_are_kept_apart_and_the_reason_is_given(tmp_pat
     assert {row["table"] for row in csv.DictReader(io.StringIO(export(board, "csv")))} == {"1", "2"}
 
 
+def test_runs_of_an_earlier_protocol_stand_apart_under_its_version(tmp_path):
+    earlier = {"record": {"protocol_version": 1, "protocol_digest": "e" * 64}}
+    for name, changes in (("old", earlier), ("new", {})):
+        write_run(tmp_path / name, name, datasets=("adt", "gimo"), prime_success=0.6, **changes)
+    text = export(leaderboard(tmp_path), "md")
+    # Two datasets and their mean, each once under version 1 and once under the present one.
+    assert len(re.findall(r"^## .*protocol version 1", text, re.M)) == 3
+    assert len(re.findall(r"^## ", text, re.M)) - len(re.findall(r"^## Notes", text, re.M)) == 6
+    assert text.count("Scored under version 1 of the protocol; version 2 is the present one") == 2
+    notes = {row["method"]: row["note"] for row in csv.DictReader(io.StringIO(export(leaderboard(tmp_path), "csv")))}
+    assert "protocol version 1" in notes["old"]
+    assert "protocol version" not in notes["new"]
+
+
 def test_the_macro_mean_weighs_datasets_alike_and_needs_all_of_them(tmp_path):
     write_run(tmp_path / "a", "one", datasets=("adt",), prime_success=0.2)
     write_run(tmp_path / "b", "one", datasets=("gimo",), prime_success=0.6, sequences=1000)

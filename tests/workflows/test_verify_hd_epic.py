@@ -75,23 +75,27 @@ def _found(acted: Performance, *exact: str) -> Verification:
 
 @pytest.mark.unchecked_shapes
 def test_the_sequences_that_curation_misses_are_missed_by_sensors_and_annotators() -> None:
-    """The explanation in docs/datasets.md ("What is missed of HD-EPIC"), on a recording with each of its reasons."""
-    acted = Staging("hd-epic", 1).perform(1)
-    missed = [miss.outcome for miss in _found(acted).missed_sequences]
-    assert sorted(set(missed)) == ["minimum_movement", "no_location", "not_primed"]
-    without_losses = [miss.outcome for miss in _found(acted, *MASKS).missed_sequences]
-    assert without_losses == [outcome for outcome in missed if outcome != "no_location"], "a lost mask loses its event"
-    exact = _found(acted, *MASKS, *GAZE, *PLACES, *TIMES)
-    assert exact.missed_sequences == ()
-    assert (exact.priming_recall, exact.false_primes) == (1.0, 0.0)
-    assert exact.prime_first.largest <= 1.0, "no look of seconds before is passed over"
+    """The explanation in docs/datasets.md ("What is missed of HD-EPIC"), on recordings with each of its reasons."""
+    outcomes = set()
+    for index in (2, 18):
+        acted = Staging("hd-epic", 1).perform(index)
+        missed = [miss.outcome for miss in _found(acted).missed_sequences]
+        outcomes |= set(missed)
+        without_losses = [miss.outcome for miss in _found(acted, *MASKS).missed_sequences]
+        kept = [outcome for outcome in missed if outcome != "no_location"]
+        assert without_losses == kept, "a lost mask loses its event"
+        exact = _found(acted, *MASKS, *GAZE, *PLACES, *TIMES)
+        assert exact.missed_sequences == ()
+        assert (exact.priming_recall, exact.false_primes) == (1.0, 0.0)
+        assert exact.prime_first.largest <= 1.0, "no look of seconds before is passed over"
+    assert outcomes == {"minimum_movement", "no_location", "not_primed"}
 
 
 @pytest.mark.unchecked_shapes
 def test_hands_that_the_glasses_lost_are_told_by_the_body() -> None:
-    """Three hands of this recording were wrong or unknown by tracked wrists alone; one became a sequence."""
-    counts = _found(Staging("hd-epic", 1).perform(0)).hands
-    assert counts.right >= 6
+    """Tracked wrists tell the hand, and the body where the glasses lost them."""
+    counts = _found(Staging("hd-epic", 1).perform(8)).hands
+    assert counts.right >= 8
     assert counts.wrong == counts.unknown == counts.contradicted == 0
 
 

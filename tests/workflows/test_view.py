@@ -16,7 +16,7 @@ from prbench.runs import Predictions, RunFolder, read_scores
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.viewing.replay.measures import score_row
 from prbench.viewing.replay.scene import RECORDED
-from prbench.workflows.first_run import default_table_folder
+from prbench.workflows.first_run import default_folder, default_table_folders
 from prbench.workflows.view import ViewRequest, scenes_of, view
 from tests.fakes import fake_dataset
 
@@ -114,12 +114,15 @@ def test_one_sequence_by_a_part_of_its_id(place):
     assert "/obj5/" in scene.sequence_id
 
 
-def test_the_embedded_table_is_found_by_its_digest(place, tmp_path, monkeypatch):
+def test_an_embedded_table_is_found_by_its_digest(place, tmp_path, monkeypatch):
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path))
     with pytest.raises(TableError, match=r"content digest [0-9a-f]{12}….*--data DIR"):
         scenes_of(_request(place, "scripted", data=()))
-    fake_dataset(default_table_folder(), 16)
-    fake_dataset(default_table_folder().parent / "of-an-earlier-version", 24)
+    for number, folder in enumerate(default_table_folders(), start=1):
+        fake_dataset(folder, 2 * number)
+    # Until version 0.5 the default was a single table, now it is a folder of tables.
+    fake_dataset(default_folder().parent / "of-an-earlier-version" / "adt", 16)
+    fake_dataset(default_folder().parent / "of-a-much-earlier-version", 24)
     assert scenes_of(_request(place, "scripted", data=(), limit=1))
 
 

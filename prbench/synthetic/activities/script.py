@@ -178,8 +178,8 @@ class ScriptWriter:
         return speed / (self.person.habits.walk_speed * float(1.0 - np.exp(-(distance + 0.15) / 0.75)))
 
     def go(self, goal: BasePose, pace: float) -> Segment | None:
-        """Walk or shuffle to a place."""
-        segment = plan_segment(self.person.habits, pace, self.base, goal, self.now)
+        """Walk to a place, or shuffle there without turning into the way."""
+        segment = plan_segment(self.person.habits, pace, self.base, goal, self.now, faces_on=True)
         if segment is not None:
             self.script.moves.append(segment)
             self.base = segment.goal

@@ -18,6 +18,8 @@ _HANGING = 0.96
 _OUTSIDE_SHOULDER = 0.032  # of the stature
 _CARRY_AFTER = 0.75
 _BACK_WITHIN = 0.8
+# Hands that grasp are fastest before the middle of their way and slow from three quarters of it on (Jeannerod 1984).
+_REACH_SKEW = 0.25
 _HUMP_UP = 0.06
 _HUMP_FORWARD = 0.09
 
@@ -60,7 +62,7 @@ def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Floa
 def _reach(wrist: np.ndarray, reach: Reach, beside: np.ndarray, times: np.ndarray) -> None:
     """Move a wrist to the grasp, on a path that bulges up and forward: past the table's edge and the own shoulder."""
     duration = reach.contact - reach.reach_start
-    blend(wrist, times, reach.reach_start, duration, reach.grasp.wrist + beside)
+    blend(wrist, times, reach.reach_start, duration, reach.grasp.wrist + beside, skew=_REACH_SKEW)
     add_bump(wrist, times, reach.reach_start, duration, _HUMP_UP * UP + _HUMP_FORWARD * reach.base.forward)
 
 

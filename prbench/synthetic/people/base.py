@@ -12,12 +12,18 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from prbench.synthetic.people.kinematics import blend, eased_trapezoid, wrap
+from prbench.synthetic.people.kinematics import blend, eased_trapezoid, minimum_jerk, wrap
 from prbench.synthetic.people.person import Habits
 
 _WALK_FROM = 0.7  # metres; shorter ways are shuffled
 _STAY_WITHIN = 0.04  # metres; nearer, and turned by less than 12 degrees, the feet stay
 _STAY_TURN = np.deg2rad(12.0)
+# People walk sideways for a step or two at most (Handford & Srinivasan 2014): on longer ways they turn into them.
+_SIDESTEP = (0.22, 0.42)  # metres; the turn into the way grows from none to whole between the two
+_SIDEWAYS_LEFT = np.deg2rad(40.0)  # angle between body and way that is not turned away
+_LARGEST_TURN = np.deg2rad(45.0)
+_LARGEST_TURNS = np.deg2rad(55.0)  # with the change of heading: a planted foot must not be left behind the pelvis
+_TURNING = 0.42  # share of a shuffle in which the body turns into the way, and of that in which it turns back
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,8 @@ class Segment:
     """Duration of the turn into the course."""
     last_turn: float
     translation_begin: float
+    turn_into: float = 0.0
+    """Of a shuffle: how far the body turns into the way before it turns back, radians; > 0 to the left."""
 
     @property
     def distance(self) -> float:
@@ -73,11 +81,13 @@ class Segment:
     def total_turn(self) -> float:
         """Sum of the turns' sizes, radians."""
         if self.kind == "shuffle":
-            return abs(self.goal.heading - self.start.heading)
+            return abs(self.goal.heading - self.start.heading) + 2.0 * abs(self.turn_into)
         return abs(self.course - self.start.heading) + abs(self.goal.heading - self.course)
 
 
-def plan_segment(habits: Habits, pace: float, start: BasePose, goal: BasePose, begin: float) -> Segment | None:
+def plan_segment(
+    habits: Habits, pace: float, start: BasePose, goal: BasePose, begin: float, *, faces_on: bool = False
+) -> Segment | None:
     """Plan the way from one standing place to another.
 
     Args:
@@ -86,6 +96,7 @@ def plan_segment(habits: Habits, pace: float, start: BasePose, goal: BasePose, b
         start: Where the person stands.
         goal: Where to; its heading is understood modulo full turns.
         begin: Motor start.
+        faces_on: Whether somebody who shuffles keeps facing the same way, however far.
 
     Returns:
         The segment, with ``goal`` unwrapped so that the person turns the short way; None if the feet may stay.
@@ -99,9 +110,20 @@ def plan_segment(habits: Habits, pace: float, start: BasePose, goal: BasePose, b
     if distance < _STAY_WITHIN and abs(turn) < _STAY_TURN:
         return None
     duration = max(0.55 + 0.8 * distance / max(speed, 0.25), 0.8 + 0.75 * distance, abs(turn) / habits.turn_rate + 0.3)
+    turn_into = 0.0 if faces_on else _turn_into(start, goal, distance, turn)
+    duration = max(duration, abs(turn_into) / (_TURNING * habits.turn_rate))
     end = begin + duration
     goal = BasePose(goal.x, goal.z, start.heading + turn)
-    return Segment("shuffle", start, goal, begin, end, end, speed, start.heading, duration, 0.0, begin)
+    return Segment("shuffle", start, goal, begin, end, end, speed, start.heading, duration, 0.0, begin, turn_into)
+
+
+def _turn_into(start: BasePose, goal: BasePose, distance: float, turn: float) -> float:
+    """Return how far the body turns towards a way that it shuffles, radians."""
+    way = float(wrap(np.arctan2(goal.x - start.x, goal.z - start.z) - start.heading - 0.5 * turn))
+    most = max(0.0, min(_LARGEST_TURN, _LARGEST_TURNS - abs(turn)))
+    excess = float(np.clip(abs(way) - _SIDEWAYS_LEFT, 0.0, most))
+    shortest, longest = _SIDESTEP
+    return float(np.sign(way)) * excess * float(minimum_jerk((distance - shortest) / (longest - shortest)))
 
 
 def _plan_walk(habits: Habits, speed: float, distance: float, start: BasePose, goal: BasePose, begin: float) -> Segment:
@@ -147,6 +169,7 @@ def sample_base(start: BasePose, segments: tuple[Segment, ...], times: Float[np.
             duration = segment.end - segment.begin
             blend(position, times, segment.begin, duration, np.array([segment.goal.x, segment.goal.z]))
             blend(heading, times, segment.begin, duration, segment.goal.heading)
+            _turn_there_and_back(heading, times, segment)
         else:
             blend(heading, times, segment.begin, segment.first_turn, segment.course)
             last_begin = segment.arrival - 0.85 * segment.last_turn
@@ -154,6 +177,17 @@ def sample_base(start: BasePose, segments: tuple[Segment, ...], times: Float[np.
             _translate(position, times, segment)
     velocity = np.gradient(position, times, axis=0)
     return BasePath(position[:, 0], position[:, 1], heading, np.hypot(velocity[:, 0], velocity[:, 1]))
+
+
+def _turn_there_and_back(heading: np.ndarray, times: np.ndarray, segment: Segment) -> None:
+    """Turn into the way of a shuffle and back, on top of the change of heading."""
+    if segment.turn_into == 0.0:
+        return
+    first, last = np.searchsorted(times, [segment.begin, segment.end])
+    progress = (times[first:last] - segment.begin) / (segment.end - segment.begin)
+    there = minimum_jerk(progress / _TURNING)
+    back = minimum_jerk((progress - (1.0 - _TURNING)) / _TURNING)
+    heading[first:last] += segment.turn_into * (there - back)
 
 
 def _translate(position: np.ndarray, times: np.ndarray, segment: Segment) -> None:

@@ -222,9 +222,14 @@ class _Scheduler:
 
 
 def _draw_gap(preset: Preset, rng: np.random.Generator) -> float:
+    """Draw a gap inside the window; what lies outside is drawn again, as clipped gaps would pile up at its end."""
     weights = np.array([part[0] for part in preset.gap])
-    _, median, spread = preset.gap[int(rng.choice(len(weights), p=weights / weights.sum()))]
-    return float(np.clip(median * np.exp(spread * rng.standard_normal()), *_GAP_LIMITS))
+    shortest, longest = _GAP_LIMITS
+    while True:
+        _, median, spread = preset.gap[int(rng.choice(len(weights), p=weights / weights.sum()))]
+        gap = float(median * np.exp(spread * rng.standard_normal()))
+        if shortest <= gap <= longest:
+            return gap
 
 
 _MARGIN = 0.05

@@ -45,6 +45,8 @@ def blend(
     start: float,
     duration: float,
     target: np.ndarray | float,
+    *,
+    skew: float = 0.0,
 ) -> None:
     """Make a channel take up a target from ``start`` on, within ``duration``, in place.
 
@@ -54,11 +56,13 @@ def blend(
         start: First instant of the blend.
         duration: Seconds until the target is reached.
         target: A constant (broadcast over frames), or one value a frame of the whole recording.
+        skew: From 0 to 1; above 0 the fastest moment comes before the middle and the end is approached slowly.
     """
     first, last = np.searchsorted(times, [start, start + duration])
     target = np.asarray(target, dtype=np.float64)
     moving = target.ndim == channel.ndim and target.shape[0] == times.shape[0]
-    progress = minimum_jerk((times[first:last] - start) / duration)
+    elapsed = (times[first:last] - start) / duration
+    progress = minimum_jerk(elapsed * (1.0 + skew * (1.0 - elapsed)))
     progress = progress.reshape(-1, *([1] * (channel.ndim - 1)))
     channel[first:last] += progress * ((target[first:last] if moving else target) - channel[first:last])
     channel[last:] = target[last:] if moving else target

@@ -148,7 +148,7 @@ def _draw_habits(stature: float, rng: np.random.Generator) -> Habits:
         goal_gain_vertical=float(rng.uniform(0.80, 1.0)),
         fill_gain_vertical=float(rng.uniform(0.35, 0.60)),
         eye_only_range=float(np.deg2rad(rng.uniform(8.0, 18.0))),
-        head_lag=float(rng.uniform(0.020, 0.090)),
+        head_lag=float(rng.uniform(-0.060, 0.030)),
         neck_share=float(rng.uniform(0.85, 1.0)),
         chest_share=float(rng.uniform(0.45, 0.65)),
         pelvis_share=float(rng.uniform(0.10, 0.22)),

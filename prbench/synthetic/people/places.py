@@ -108,7 +108,10 @@ class Reachability:
         places = [base] if stay else self._places(base, at_surface, goal, hand)
         bent_low = None
         for place in places:
-            segment = plan_segment(self.person.habits, self.preset.speed, base, place, begin)
+            # Whoever works along one table keeps facing it.
+            segment = plan_segment(
+                self.person.habits, self.preset.speed, base, place, begin, faces_on=self.preset.table_only
+            )
             here = base if segment is None else segment.goal
             if not self.is_seated and np.hypot(goal.centre[0] - here.x, goal.centre[2] - here.z) < _NEAREST:
                 break

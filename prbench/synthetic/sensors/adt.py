@@ -38,6 +38,23 @@ _FINGERS = {
     "Ring": (-0.020, (0.0, 0.042, 0.067)),
     "Pinky": (-0.038, (-0.006, 0.028, 0.047)),
 }
+_BODY_PARENTS = {
+    "Ab": "Skeleton", "Chest": "Ab", "Neck": "Chest", "Head": "Neck",
+    "LShoulder": "Chest", "LUArm": "LShoulder", "LFArm": "LUArm", "LHand": "LFArm",
+    "RShoulder": "Chest", "RUArm": "RShoulder", "RFArm": "RUArm", "RHand": "RFArm",
+    "LThigh": "Skeleton", "LShin": "LThigh", "LFoot": "LShin", "LToe": "LFoot",
+    "RThigh": "Skeleton", "RShin": "RThigh", "RFoot": "RShin", "RToe": "RFoot",
+}  # fmt: skip
+_FINGER_JOINTS = [name for name in adt.JOINT_NAMES if name[1:-1] in _FINGERS]
+_PARENTS = _BODY_PARENTS | {
+    name: f"{name[0]}Hand" if name[-1] == "1" else f"{name[:-1]}{int(name[-1]) - 1}" for name in _FINGER_JOINTS
+}
+"""Maps each native joint to the joint at the other end of its bone; parents stand before their children."""
+_RIGID_WITH = {
+    "Ab": "Skeleton", "LThigh": "Skeleton", "RThigh": "Skeleton",
+    "Neck": "Chest", "LShoulder": "Chest", "RShoulder": "Chest",
+} | {name: f"{name[0]}Hand" for name in _FINGER_JOINTS}  # fmt: skip
+"""Maps joints to the first joint of the rigid segment that they belong to."""
 _MARKED_BONES = (
     ("Skeleton", "Ab"), ("Ab", "Chest"), ("Chest", "Neck"), ("Neck", "Head"),
     ("LShoulder", "LUArm"), ("LUArm", "LFArm"), ("LFArm", "LHand"), ("LHand", "LMiddle1"),
@@ -53,7 +70,8 @@ GLASSES_SIZE = "DVT-L"
 _POSE_NOISE = 0.5e-3  # m
 _POSE_TURN = np.deg2rad(0.05)
 _POSE_LOSS = 0.01
-_BODY_NOISE = 0.8e-3
+# The third differences of the release's own sample have an r.m.s. of 0.2 mm at 120 Hz: white noise is at most 0.05 mm.
+_BODY_NOISE = 0.05e-3
 _BODY_WOBBLE = 3e-3
 _BODY_WOBBLE_HZ = (0.05, 0.3)
 _BODY_LOSS = 1e-4  # share of the frames at the origin or with a joint thrown off
@@ -200,7 +218,7 @@ def _sense_suit(
     performance = sensing.performance
     times = sensing.times(_BODY_RATE)
     native = interpolate(performance.times, suit_joints(joints, finger_bases), times)
-    native += _suit_noise(sensing, times, number)
+    native = with_rigid_bones(native, _suit_noise(sensing, times, number))
     markers = suit_markers(native)
     scale = sensing.strength("body_losses")
     rng = sensing.generator(f"body-losses-{number}")
@@ -248,24 +266,51 @@ def suit_joints(
     return native
 
 
-def _suit_noise(sensing: Sensing, times: Float[np.ndarray, " n"], number: int) -> Float[np.ndarray, "n 51 3"]:
+def _suit_noise(sensing: Sensing, times: Float[np.ndarray, " n"], number: int) -> Float[np.ndarray, "n segments 3"]:
+    """Return how far each segment of the suit is shifted at every frame, metres."""
+    segments = len(np.unique(suit_segments()))
     rng = sensing.generator(f"body-noise-{number}")
-    shift = rng.normal(0.0, _BODY_NOISE, (len(times), adt.N_NATIVE_JOINTS, 3)) * sensing.strength("body_noise")
+    shift = rng.normal(0.0, _BODY_NOISE, (len(times), segments, 3)) * sensing.strength("body_noise")
     scale = sensing.strength("body_wobble")
     if scale == 0:
         return shift
     rng = sensing.generator(f"body-wobble-{number}")
-    segments = suit_segments()
-    slow = [wobble(times, _BODY_WOBBLE, *_BODY_WOBBLE_HZ, rng) for _ in range(3 * (segments.max() + 1))]
-    return shift + np.stack(slow, axis=1).reshape(len(times), -1, 3)[:, segments] * scale
+    slow = [wobble(times, _BODY_WOBBLE, *_BODY_WOBBLE_HZ, rng) for _ in range(3 * segments)]
+    return shift + np.stack(slow, axis=1).reshape(len(times), segments, 3) * scale
 
 
 def suit_segments() -> Int[np.ndarray, "51"]:
-    """Return which joints the suit shifts together: a hand with its fingers, every other joint alone."""
-    hands = {"L": adt.JOINT_NAMES.index("LHand"), "R": adt.JOINT_NAMES.index("RHand")}
-    is_finger = [name[1:-1] in _FINGERS for name in adt.JOINT_NAMES]
-    owner = [hands[n[0]] if finger else i for i, (n, finger) in enumerate(zip(adt.JOINT_NAMES, is_finger, strict=True))]
+    """Return which joints the suit shifts together: pelvis, chest and hands are rigid, every other joint is alone."""
+    names = adt.JOINT_NAMES
+    owner = [names.index(_RIGID_WITH.get(name, name)) for name in names]
     return np.unique(owner, return_inverse=True)[1]
+
+
+def with_rigid_bones(
+    joints: Float[np.ndarray, "n 51 3"], shifts: Float[np.ndarray, "n segments 3"]
+) -> Float[np.ndarray, "n 51 3"]:
+    """Move the segments of a suit without changing the length of a bone, as its solver does.
+
+    The bones of the release's own sample keep their lengths to a millionth (docs/specification/adt.md#joints).
+
+    Args:
+        joints: True joints, metres.
+        shifts: Wanted shift of each segment (see :func:`suit_segments`), metres.
+
+    Returns:
+        Joints that lie in the wanted direction from their parents; a shift along a bone is passed on by its parent.
+    """
+    segments = suit_segments()
+    moved = joints + shifts[:, segments]
+    for name, parent_name in _PARENTS.items():
+        child = adt.JOINT_NAMES.index(name)
+        parent = adt.JOINT_NAMES.index(parent_name)
+        bone = joints[:, child] - joints[:, parent]
+        if segments[child] != segments[parent]:
+            wanted = moved[:, child] - moved[:, parent]
+            bone = wanted * np.sqrt((bone * bone).sum(axis=1) / (wanted * wanted).sum(axis=1))[:, None]
+        moved[:, child] = moved[:, parent] + bone
+    return moved
 
 
 def suit_markers(joints: Float[np.ndarray, "n 51 3"]) -> Float[np.ndarray, "n 57 3"]:

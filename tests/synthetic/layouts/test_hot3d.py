@@ -78,7 +78,7 @@ def test_headset_rows_are_rows_of_the_trajectory_at_the_nearest_millisecond(perf
 
 def test_rows_come_in_pairs_on_a_clock_of_their_own(performance, readings) -> None:
     step = np.diff(readings.headset.time_ns)
-    assert np.unique(step[::2]).tolist() == [91_000]
+    assert np.abs(step[::2] - 91_000).max() <= 1  # rounded to whole nanoseconds on a clock that drifts
     drift = clock_drift(Sensing(performance, 2.0, Switches()))
     assert 0 < abs(drift) <= 2e-6
     length = (readings.headset.time_ns[-1] - readings.headset.time_ns[0]) / 1e9

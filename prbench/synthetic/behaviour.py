@@ -1,0 +1,155 @@
+"""Numbers that say whether procedural people act as people do, beside what the literature and the study measured.
+
+Limits and their sources: docs/specification/synthetic-recordings.md#behaviour. :mod:`plausibility` asks whether a body
+could move so at all; this module asks whether somebody would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.skeleton import WRISTS, Joint, bone_lengths
+from prbench.synthetic.people.kinematics import forward_of
+from prbench.synthetic.performance import Performance, TrueEvent
+from prbench.synthetic.statistics import TARGETS, clips_of, sequence_statistics
+
+LONG_GAP = 9.0
+"""Seconds of a prime gap, in a window of ten."""
+_MOVING = 0.3
+"""Metres per second of the pelvis over the floor, from which on somebody is on their way."""
+_OFF_THE_WAY = 60.0
+"""Degrees between pelvis and direction of travel."""
+_AFTER_PRIME = 0.5
+_SACCADE = 0.12
+"""Seconds."""
+_SAME_LOOK = 10.0
+"""Degrees within which gaze rests on the same place."""
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """Means over the events and frames of some performances of one preset."""
+
+    long_gaps: float
+    """Share of the primed events whose prime gap is above nine seconds."""
+    body_movement: float
+    """(ours - published) / published standard deviation of the mean body movement."""
+    reach_peak: float
+    """Median over reaches: time of the wrist's greatest speed against the pelvis, as a share of the reach."""
+    off_the_way: float
+    """Share of moving frames in which the pelvis faces more than 60 degrees away from the direction of travel."""
+    gaze_to_head: float
+    """Mean angle between gaze and head over the half second after the prime, degrees."""
+    head_share: float
+    """Share of the angle between gaze and head at the prime that the head has made up half a second later, where gaze
+    still rests on the same place."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """Where a number must lie, borders included, and who measured it on people."""
+
+    low: float
+    high: float
+    source: str
+
+    def holds(self, value: float) -> bool:
+        """Return True where the number lies inside."""
+        return self.low <= value <= self.high
+
+
+RANGES: Mapping[str, Range] = MappingProxyType(
+    {
+        "long_gaps": Range(0.0, 0.08, "our choice: fewer than if all gaps of the window were equally likely"),
+        "body_movement": Range(-1 / 3, 1 / 3, "Prime and Reach, Table 1"),
+        "reach_peak": Range(0.30, 0.50, "Jeannerod 1984; at most .5, Flash & Hogan 1985"),
+        "off_the_way": Range(0.0, 0.15, "sideways for a step or two only, Handford & Srinivasan 2014"),
+        "gaze_to_head": Range(10.0, 25.0, "Ergonomics 2010 (head share .69) of a shift of 35 degrees"),
+        "head_share": Range(0.50, 0.85, "Ergonomics 2010: .69"),
+    }
+)
+"""Ranges by the names of :class:`Behaviour`."""
+_WITHOUT_WAYS = ("hot3d",)
+"""Presets whose people stay at one table: their ways are steps to the side."""
+
+
+def ranges(preset: str) -> dict[str, Range]:
+    """Return the range of every number that is asked of a preset."""
+    left_out = ("off_the_way",) if preset in _WITHOUT_WAYS else ()
+    return {name: limit for name, limit in RANGES.items() if name not in left_out}
+
+
+def measure_behaviour(performances: Sequence[Performance]) -> Behaviour:
+    """Measure how people of one preset act, on noise-free motion and gaze.
+
+    Raises:
+        ValueError: if none of them holds an event that should become a sequence.
+    """
+    events = [item for performance in performances for item in _sequence_events(performance)]
+    if not events:
+        raise ValueError("expected at least one primed event in the performances, found none")
+    gaps = np.array([event.event_time - prime for _, event, prime in events])
+    statistics = sequence_statistics(clips_of(performances))
+    ways = [_off_the_way(performance) for performance in performances]
+    looks = np.array([_gaze_to_head(performance, prime) for performance, _, prime in events])
+    resting = looks[looks[:, 3] < _SAME_LOOK]
+    return Behaviour(
+        long_gaps=float((gaps > LONG_GAP).mean()),
+        body_movement=statistics.deviations(TARGETS[performances[0].preset])["body"],
+        reach_peak=float(np.median([_reach_peak(performance, event) for performance, event, _ in events])),
+        off_the_way=sum(off for off, _ in ways) / max(sum(moving for _, moving in ways), 1),
+        gaze_to_head=float(looks[:, 0].mean()),
+        head_share=float(1.0 - resting[:, 2].mean() / resting[:, 1].mean()) if len(resting) else float("nan"),
+    )
+
+
+def _sequence_events(performance: Performance) -> Iterator[tuple[Performance, TrueEvent, float]]:
+    """Yield the events that should become sequences, with their prime times."""
+    for event in performance.events:
+        if event.expected == "sequence" and event.prime_time is not None:
+            yield performance, event, event.prime_time
+
+
+def _reach_peak(performance: Performance, event: TrueEvent) -> float:
+    first, last = np.searchsorted(performance.times, [event.reach_start, event.contact_time])
+    around = slice(max(int(first) - 1, 0), int(last) + 2)
+    wrist = performance.joints[around, WRISTS[event.hand == "right"]] - performance.joints[around, Joint.PELVIS]
+    speed = np.linalg.norm(np.gradient(wrist, axis=0), axis=1)[1:-1]
+    return float(speed.argmax()) / max(len(speed) - 1, 1)
+
+
+def _off_the_way(performance: Performance) -> tuple[int, int]:
+    """Return in how many frames the pelvis travels facing elsewhere, and in how many it travels."""
+    velocity = np.gradient(performance.joints[:, Joint.PELVIS][:, [0, 2]], performance.times, axis=0)
+    speed = np.linalg.norm(velocity, axis=1)
+    facing = forward_of(performance.rotations[:, Joint.PELVIS])[:, [0, 2]]
+    along = (velocity * facing).sum(axis=1) / np.linalg.norm(facing, axis=1)
+    moving = speed > _MOVING
+    off = moving & (along < np.cos(np.deg2rad(_OFF_THE_WAY)) * speed)
+    return int(off.sum()), int(moving.sum())
+
+
+def _gaze_to_head(performance: Performance, prime: float) -> tuple[float, float, float, float]:
+    """Return the angle between gaze and head after a prime (mean, first, last) and how far gaze moved, degrees."""
+    first, settled, last = np.searchsorted(performance.times, [prime, prime + _SACCADE, prime + _AFTER_PRIME])
+    last = min(int(last), performance.times.size - 1)
+    span = slice(int(first), last + 1)
+    angle = _angle(forward_of(performance.head_rotation[span]), performance.gaze[span])
+    moved = _angle(performance.gaze[min(int(settled), last)], performance.gaze[last])
+    return float(angle.mean()), float(angle[0]), float(angle[-1]), float(moved)
+
+
+def _angle(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the angle between unit vectors, degrees."""
+    return np.rad2deg(np.arccos(np.clip((first * second).sum(axis=-1), -1.0, 1.0)))
+
+
+def recorded_bone_change(clips: Sequence[Float[np.ndarray, "n 22 3"]]) -> float:
+    """Return the largest relative change of a bone within one recorded clip."""
+    lengths = [bone_lengths(clip) for clip in clips]
+    return max(float(np.abs(clip / clip[0] - 1.0).max()) for clip in lengths)
