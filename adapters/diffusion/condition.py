@@ -160,7 +160,7 @@ class ConditionScaling:
                 kept[part] = 0.0
         return cls(mean, std, kept)
 
-    def __call__(self, raw: Float[torch.Tensor, "batch size"]) -> Float[torch.Tensor, "batch size"]:
+    def __call__(self, raw: Float[torch.Tensor, "batch raw"]) -> Float[torch.Tensor, "batch size"]:
         """Scale a batch, on its own device."""
         mean, std, kept = (values.to(raw.device) for values in (self.mean, self.std, self.kept))
         seen = seen_condition(raw) if self.from_goal else raw

@@ -112,11 +112,11 @@ class FrameDenoiser(nn.Module):
 
     def forward(
         self,
-        noisy: Float[Tensor, "batch frames 66"],
+        noisy: Float[Tensor, "batch frames features"],
         step: Int[Tensor, " batch"],
         condition: EncodedCondition,
         n_frames: Int[Tensor, " batch"],
-    ) -> Float[Tensor, "batch frames 66"]:
+    ) -> Float[Tensor, "batch frames features"]:
         """Estimate the clean features; the arguments are those of :class:`~.denoiser.Denoiser`."""
         visible = frame_mask(n_frames, noisy.shape[1], noisy.device)
         return self.denoise(noisy, self.prepare(condition, step), visible)
@@ -136,19 +136,19 @@ class FrameDenoiser(nn.Module):
 
     def denoise(
         self,
-        noisy: Float[Tensor, "batch frames 66"],
+        noisy: Float[Tensor, "batch frames features"],
         prepared: PreparedFrames,
         visible: Bool[Tensor, "batch frames"] | None,
-    ) -> Float[Tensor, "batch frames 66"]:
+    ) -> Float[Tensor, "batch frames features"]:
         """The part of :meth:`forward` that depends on the noisy features; ``visible`` is :func:`frame_mask`'s."""
         return self.estimates(noisy, prepared, visible)[1]
 
     def estimates(
         self,
-        noisy: Float[Tensor, "batch frames 66"],
+        noisy: Float[Tensor, "batch frames features"],
         prepared: PreparedFrames,
         visible: Bool[Tensor, "batch frames"] | None,
-    ) -> tuple[Float[Tensor, "batch frames 66"], Float[Tensor, "batch frames 66"]]:
+    ) -> tuple[Float[Tensor, "batch frames features"], Float[Tensor, "batch frames features"]]:
         """The estimate half-way through the layers, and the one at their end."""
         frames = noisy.shape[1]
         if visible is None:
@@ -186,6 +186,6 @@ class FrameDenoiser(nn.Module):
         missing = -values.shape[1] % together
         return functional.pad(values, (0, 0, 0, missing)).unflatten(1, (-1, together)).flatten(2)
 
-    def _frames(self, tokens: Tensor, frames: int) -> Float[Tensor, "batch frames 66"]:
+    def _frames(self, tokens: Tensor, frames: int) -> Float[Tensor, "batch frames features"]:
         """Undo :meth:`_tokens`."""
         return tokens.unflatten(-1, (self.configuration.frames_per_token, -1)).flatten(1, 2)[:, :frames]

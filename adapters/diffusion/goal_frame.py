@@ -383,7 +383,12 @@ def _trunk_ancestry(like: Tensor) -> Float[Tensor, "trunk trunk"]:
 
 def planted(joints: Float[Tensor, "batch frames 22 3"], fps: float) -> Bool[Tensor, "batch frames 2"]:
     """True where a toe is low and still, coming into a frame or going out of it."""
+    steps = still_steps(joints, fps)
+    return functional.pad(steps, (0, 0, 1, 0)) | functional.pad(steps, (0, 0, 0, 1))
+
+
+def still_steps(joints: Float[Tensor, "batch frames 22 3"], fps: float) -> Bool[Tensor, "batch steps 2"]:
+    """True where a toe stays low and still from one frame to the next."""
     toes = joints[:, :, TOES]
-    still = _length(toes.diff(dim=1)) * fps < STILL
-    either = functional.pad(still, (0, 0, 1, 0)) | functional.pad(still, (0, 0, 0, 1))
-    return either & (toes[..., 1] < LOW)
+    low = toes[..., 1] < LOW
+    return (_length(toes.diff(dim=1)) * fps < STILL) & low[:, 1:] & low[:, :-1]

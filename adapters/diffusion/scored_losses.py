@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from prbench.skeleton import TOES, WRISTS, Joint
-from prbench_adapters.diffusion.goal_frame import head_axes, planted
+from prbench_adapters.diffusion.goal_frame import head_axes, still_steps
 
 Joints = Float[Tensor, "batch frames 22 3"]
 
@@ -52,8 +52,7 @@ def foot_loss(
     predicted: Joints, recorded: Joints, valid: Bool[Tensor, "batch frames"], fps: float
 ) -> Float[Tensor, ""]:
     """Squared steps of the toes between frames in which the recorded ones are planted."""
-    on_floor = planted(recorded, fps)
-    stays = on_floor[:, 1:] & on_floor[:, :-1] & valid[:, 1:, None]
+    stays = still_steps(recorded, fps) & valid[:, 1:, None]
     slid = predicted[:, :, TOES].diff(dim=1).square().sum(dim=-1)
     return (slid * stays).sum() / stays.sum().clamp_min(1)
 

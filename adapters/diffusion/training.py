@@ -16,6 +16,7 @@ from typing import Literal
 import msgspec
 import torch
 from jaxtyping import Bool, Float, Int
+from torch import nn
 
 from prbench.contract import Adapter
 from prbench.manifests import load_protocol
@@ -52,7 +53,7 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     wrist_loss_weight: float = 0.0
     """Weight of the squared error of the wrists at the end of the reach, m²; not in the study."""
     estimate_loss_weight: float = 0.5
-    """Weight of all losses of the estimate half-way through a network of the architecture ``frames``."""
+    """Weight of the features' error of the estimate half-way through a network of the architecture ``frames``."""
     noisiest_share: float = 0.0
     """Share of the sequences that are trained on the noisiest sixth of the diffusion steps, beyond the uniform draw of
     the study. There alone the condition decides where a motion goes: afterwards the noisy motion shows it already."""
@@ -225,9 +226,12 @@ class DiffusionTraining(TrainingModule):
         noise = self.noise[draw.step][:, None, None]
         estimates = self._estimates(signal * clean + noise * draw.noise, draw.step, condition, batch.n_frames)
         with torch.autocast(clean.device.type, enabled=False):  # joints are cumulative sums: float32 only
-            *early, found = (self._losses(estimate.float(), clean, batch, condition) for estimate in estimates)
+            *early, predicted = (estimate.float() for estimate in estimates)
+            found = self._losses(predicted, clean, batch, condition)
             for estimate in early:
-                found["loss"] = found["loss"] + self.objective.estimate_loss_weight * estimate["loss"]
+                missed = _squared(estimate - clean, ~batch.padding)
+                share = _average(self.objective, missed, ~batch.padding, clean.shape[-1])
+                found["loss"] = found["loss"] + self.objective.estimate_loss_weight * share
             return found
 
     def _features(
@@ -282,6 +286,10 @@ class DiffusionTraining(TrainingModule):
             return EncodedCondition(text, padding)
         raw = raw_condition_of_items(batch, self.denoiser.configuration.goal)
         return EncodedCondition(text, padding, self.scaling(raw), raw)
+
+    def hidden_matrices(self) -> tuple[nn.Parameter, ...]:
+        """The matrices of the layers."""
+        return tuple(parameter for parameter in self.denoiser.layers.parameters() if parameter.ndim == 2)
 
     def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         """The denoiser with its statistics, and the header of its file (``prbench.training.weights``)."""

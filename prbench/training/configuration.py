@@ -45,6 +45,9 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
     """Unit of ``batch_size``; frames are counted with their padding."""
     micro_batches: int = 1
     """Batches whose gradients are averaged into one step."""
+    optimiser: Literal["adamw", "muon"] = "adamw"
+    """``muon`` moves the matrices that a task names by orthogonal steps (Jordan et al. 2024), twice the learning rate
+    long, and everything else by AdamW."""
     learning_rate: float = 1e-4
     schedule: Literal["constant", "cosine"] = "constant"
     warmup_steps: int = 0

@@ -248,4 +248,4 @@ def test_a_module_knows_how_often_it_will_be_called_and_may_scale_the_learning_r
     state = fit(module, random_batches, configuration(schedule="constant", warmup_steps=0, log_every=1), tmp_path)
     assert module.calls == 14
     assert [row["learning_rate"] for row in state.rows] == pytest.approx([1e-2] * 4 + [5e-3] * 3)
-    assert state.optimiser.param_groups[0]["lr"] == pytest.approx(5e-3)
+    assert state.optimisers[0].param_groups[0]["lr"] == pytest.approx(5e-3)
