@@ -1,16 +1,13 @@
 """A small network whose frames know how long it is to the start and the end, and where the goal is.
 
-Ours, for small models (``architecture = "frames"``; docs/methods/pr.md), with three changes to the study's decoder.
+Ours, for small models (``architecture = "frames"``; docs/methods/pr.md), with two changes to the study's decoder.
 Condition, text and diffusion step are added to every frame token in every layer, where the decoder reaches them through
-attention. A token knows its time before the end as well as its time since the start. Half-way through, the network
-decodes an estimate of the motion and is shown where the goal is from its head and wrists, which noisy input does not
-tell.
+attention; and a token knows its time before the end as well as its time since the start.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -20,7 +17,6 @@ from torch.nn import functional
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import frame_mask, pooled
-from prbench_adapters.diffusion.goal_frame import N_SIGHT, GoalFrame, sight
 from prbench_adapters.diffusion.layers import sinusoid_table
 
 
@@ -60,24 +56,14 @@ class _Layer(nn.Module):
         return self.output((scores.softmax(dim=-1) @ value).transpose(1, 2).flatten(2))
 
 
-@dataclass(frozen=True)
-class PreparedFrames:
-    """Everything that a pass takes from condition and step."""
-
-    condition: Float[Tensor, "batch width"]
-    frame: GoalFrame
-
-
 class FrameDenoiser(nn.Module):
     """Estimates the clean goal-frame features from noisy ones, the step, and the condition.
 
     Args:
         configuration: Of ``features = "goal-frame"``.
-        mean: Of the features (66,), with which those of the network are standardised.
-        std: Likewise.
     """
 
-    def __init__(self, configuration: DenoiserConfiguration, mean: Tensor, std: Tensor) -> None:
+    def __init__(self, configuration: DenoiserConfiguration) -> None:
         super().__init__()
         self.configuration = configuration
         width = configuration.width
@@ -94,21 +80,12 @@ class FrameDenoiser(nn.Module):
             _Layer(width, configuration.heads, configuration.feed_forward, configuration.dropout)
             for _ in range(configuration.layers)
         )
-        self.estimate_norm = nn.LayerNorm(width)
-        self.estimate = nn.Linear(width, numbers)
-        self.sight_embedding = nn.Linear(N_SIGHT * configuration.frames_per_token, width)
         self.head_norm = nn.LayerNorm(width)
         self.head = nn.Linear(width, numbers)
-        for layer in (self.estimate, self.head):  # the first estimate is the mean motion
-            nn.init.zeros_(layer.weight)
-            nn.init.zeros_(layer.bias)
-        # A token's time counts in frames; two zeros of padding are the longest motion's last token.
+        nn.init.zeros_(self.head.weight)  # the first estimate is the mean motion
+        nn.init.zeros_(self.head.bias)
         self.register_buffer("sinusoid", sinusoid_table(configuration.max_frames + 1, width), persistent=False)
-        self.register_buffer("mean", mean, persistent=False)
-        self.register_buffer("std", std, persistent=False)
         self.sinusoid: Tensor
-        self.mean: Tensor
-        self.std: Tensor
 
     def forward(
         self,
@@ -121,57 +98,34 @@ class FrameDenoiser(nn.Module):
         visible = frame_mask(n_frames, noisy.shape[1], noisy.device)
         return self.denoise(noisy, self.prepare(condition, step), visible)
 
-    def prepare(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> PreparedFrames:
+    def prepare(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> Float[Tensor, "batch width"]:
         """The part of :meth:`forward` that depends on condition and step; ``step`` has one entry a row, or one for all.
 
         Raises:
             ValueError: if the condition has no vector.
         """
-        if condition.vector is None or condition.given is None:
+        if condition.vector is None:
             raise ValueError(f"a denoiser with goal '{self.configuration.goal}' needs a condition vector")
         text = pooled(condition.text, condition.padding)[:, 0]
         told = self.condition_embedding(torch.cat((condition.vector, text), dim=1))
-        told = functional.silu(told + self.step_embedding(step))
-        return PreparedFrames(told, GoalFrame.of(condition.given))
+        return functional.silu(told + self.step_embedding(step))
 
     def denoise(
         self,
         noisy: Float[Tensor, "batch frames features"],
-        prepared: PreparedFrames,
+        prepared: Float[Tensor, "batch width"],
         visible: Bool[Tensor, "batch frames"] | None,
     ) -> Float[Tensor, "batch frames features"]:
         """The part of :meth:`forward` that depends on the noisy features; ``visible`` is :func:`frame_mask`'s."""
-        return self.estimates(noisy, prepared, visible)[1]
-
-    def estimates(
-        self,
-        noisy: Float[Tensor, "batch frames features"],
-        prepared: PreparedFrames,
-        visible: Bool[Tensor, "batch frames"] | None,
-    ) -> tuple[Float[Tensor, "batch frames features"], Float[Tensor, "batch frames features"]]:
-        """The estimate half-way through the layers, and the one at their end."""
         frames = noisy.shape[1]
         if visible is None:
             visible = torch.ones(noisy.shape[:2], dtype=torch.bool, device=noisy.device)
-        n_frames = visible.sum(dim=1)
-        stream = self.frame_embedding(self._tokens(noisy, visible)) + self._times(frames, n_frames)
+        stream = self.frame_embedding(self._tokens(noisy, visible)) + self._times(frames, visible.sum(dim=1))
         keys = self._tokens(visible[..., None], visible).any(dim=2)[:, None, None]
-        half = len(self.layers) // 2
-        for layer in self.layers[:half]:
-            stream = layer(stream, prepared.condition, keys)
-        estimate = self._frames(self.estimate(self.estimate_norm(stream)), frames)
-        seen = self._sight(estimate, prepared.frame, n_frames)
-        stream = stream + self.sight_embedding(self._tokens(seen, visible).to(stream.dtype))
-        for layer in self.layers[half:]:
-            stream = layer(stream, prepared.condition, keys)
-        return estimate, estimate + self._frames(self.head(self.head_norm(stream)), frames)
-
-    def _sight(self, estimate: Tensor, frame: GoalFrame, n_frames: Tensor) -> Float[Tensor, "batch frames sight"]:
-        """What the goal looks like from an estimated body."""
-        with torch.autocast(estimate.device.type, enabled=False):  # centimetres are lost in bfloat16
-            features = estimate.to(self.mean.dtype) * self.std + self.mean
-            joints = frame.in_goal_frame(features, n_frames, self.configuration.fps)
-            return sight(joints, frame.height)
+        for layer in self.layers:
+            stream = layer(stream, prepared, keys)
+        clean = self.head(self.head_norm(stream))
+        return clean.unflatten(-1, (self.configuration.frames_per_token, -1)).flatten(1, 2)[:, :frames]
 
     def _times(self, frames: int, n_frames: Int[Tensor, " batch"]) -> Float[Tensor, "batch tokens width"]:
         """Embeddings of each token's time since the start and before the end."""
@@ -185,7 +139,3 @@ class FrameDenoiser(nn.Module):
         values = values.masked_fill(~visible[..., None], 0)
         missing = -values.shape[1] % together
         return functional.pad(values, (0, 0, 0, missing)).unflatten(1, (-1, together)).flatten(2)
-
-    def _frames(self, tokens: Tensor, frames: int) -> Float[Tensor, "batch frames features"]:
-        """Undo :meth:`_tokens`."""
-        return tokens.unflatten(-1, (self.configuration.frames_per_token, -1)).flatten(1, 2)[:, :frames]

@@ -137,7 +137,7 @@ class MotionModel:
         if configuration.features == "humanml3d":
             weights.require_representation(configuration.representation)
         mean, std = stored_statistics(weights, configuration)
-        denoiser = network(configuration, mean, std)
+        denoiser = network(configuration)
         weights.load_into(denoiser, "denoiser")
         return cls(
             denoiser.to(where),
@@ -193,21 +193,9 @@ class MotionModel:
         return frame.decode(features, n_frames, self.configuration.fps, plant=True, reach=reach == "goal")
 
 
-def network(
-    configuration: DenoiserConfiguration,
-    mean: Float[torch.Tensor, " features"],
-    std: Float[torch.Tensor, " features"],
-) -> Denoiser | FrameDenoiser:
-    """Make the network of a configuration, untrained.
-
-    Args:
-        configuration: Decides the class and the sizes.
-        mean: Of the features that it will see.
-        std: Likewise.
-    """
-    return (
-        FrameDenoiser(configuration, mean, std) if configuration.architecture == "frames" else Denoiser(configuration)
-    )
+def network(configuration: DenoiserConfiguration) -> Denoiser | FrameDenoiser:
+    """Make the network of a configuration, untrained."""
+    return FrameDenoiser(configuration) if configuration.architecture == "frames" else Denoiser(configuration)
 
 
 def goal_frame(condition: EncodedCondition, like: torch.Tensor) -> GoalFrame:

@@ -83,7 +83,7 @@ class DiffusionTask:
         if start is not None:
             _require_fitting_start(configuration, start)
         statistics, scaling = _scales(configuration, start, data)
-        denoiser = network(configuration, *statistics)
+        denoiser = network(configuration)
         if start is not None:
             _continue_from(denoiser, start)
         return DiffusionTraining(
@@ -129,7 +129,7 @@ def _require_fitting_start(configuration: DenoiserConfiguration, start: Weights)
 def _continue_from(denoiser: Denoiser | FrameDenoiser, start: Weights) -> None:
     """Fill a denoiser with trained weights; the parts that only the new configuration has keep their own start."""
     old = start.configuration(DenoiserConfiguration)
-    trained = network(old, *stored_statistics(start, old))
+    trained = network(old)
     start.load_into(trained, "denoiser")
     # Layers of a new condition are missing in the file and keep their start at zero.
     denoiser.load_state_dict(trained.state_dict(), strict=False)

@@ -26,7 +26,7 @@ from prbench.training import MotionBatch
 from prbench.training.task import TrainingModule
 from prbench.training.weights import representation_entry, weights_header
 from prbench_adapters.diffusion.condition import ConditionScaling, EncodedCondition, raw_condition_of_items
-from prbench_adapters.diffusion.denoiser import Denoiser, frame_mask
+from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
 from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors, goal_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule
@@ -52,8 +52,6 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Weight of the squared steps of planted toes, m²; not in the study."""
     wrist_loss_weight: float = 0.0
     """Weight of the squared error of the wrists at the end of the reach, m²; not in the study."""
-    estimate_loss_weight: float = 0.5
-    """Weight of the features' error of the estimate half-way through a network of the architecture ``frames``."""
     noisiest_share: float = 0.0
     """Share of the sequences that are trained on the noisiest sixth of the diffusion steps, beyond the uniform draw of
     the study. There alone the condition decides where a motion goes: afterwards the noisy motion shows it already."""
@@ -224,15 +222,9 @@ class DiffusionTraining(TrainingModule):
         clean = ((features - self.mean) / self.std).masked_fill(batch.padding[..., None], 0.0)
         signal = self.signal[draw.step][:, None, None]
         noise = self.noise[draw.step][:, None, None]
-        estimates = self._estimates(signal * clean + noise * draw.noise, draw.step, condition, batch.n_frames)
+        predicted = self.denoiser(signal * clean + noise * draw.noise, draw.step, condition, batch.n_frames)
         with torch.autocast(clean.device.type, enabled=False):  # joints are cumulative sums: float32 only
-            *early, predicted = (estimate.float() for estimate in estimates)
-            found = self._losses(predicted, clean, batch, condition)
-            for estimate in early:
-                missed = _squared(estimate - clean, ~batch.padding)
-                share = _average(self.objective, missed, ~batch.padding, clean.shape[-1])
-                found["loss"] = found["loss"] + self.objective.estimate_loss_weight * share
-            return found
+            return self._losses(predicted.float(), clean, batch, condition)
 
     def _features(
         self, batch: MotionBatch, condition: EncodedCondition
@@ -240,15 +232,6 @@ class DiffusionTraining(TrainingModule):
         if self.denoiser.configuration.features == "humanml3d":
             return batch.features
         return goal_frame(condition, batch.joints).encode(batch.joints, batch.fps)
-
-    def _estimates(
-        self, noisy: torch.Tensor, step: torch.Tensor, condition: EncodedCondition, n_frames: torch.Tensor
-    ) -> tuple[Float[torch.Tensor, "batch frames features"], ...]:
-        """The network's estimates of the clean features, the last of which is its output."""
-        if not isinstance(self.denoiser, FrameDenoiser):
-            return (self.denoiser(noisy, step, condition, n_frames),)
-        visible = frame_mask(n_frames, noisy.shape[1], noisy.device)
-        return self.denoiser.estimates(noisy, self.denoiser.prepare(condition, step), visible)
 
     def _losses(
         self, predicted: torch.Tensor, clean: torch.Tensor, batch: MotionBatch, condition: EncodedCondition
