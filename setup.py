@@ -22,7 +22,14 @@ DATA = [
     "weights/*.json",
     "weights/*.safetensors",
 ]
-NOT_SHIPPED = ["choices", "speed", "speed.*", "statistics", "statistics.*"]  # programs of use only beside the source
+NOT_SHIPPED = [
+    "choices",
+    "looking",
+    "speed",
+    "speed.*",
+    "statistics",
+    "statistics.*",
+]  # programs of use only beside the source
 
 packages = [
     name

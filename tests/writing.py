@@ -48,6 +48,9 @@ class Inputs:
         for name in ("run", "run-of-conditions"):
             run(made.folder, *_RUN, "--data", made.table, "--out", folder / name)
         run(made.folder, *_STATIC, "--data", made.table, "--out", folder / "static")
+        for fold in (1, 2):
+            chosen = ("--data", made.table, "--split", "participants", "--fold", f"{fold}/2")
+            run(made.folder, *_STATIC, *chosen, "--out", folder / f"fold-{fold}")
         run(made.folder, "export-release", made.table, "--out", made.release)
         run(made.folder, *_CONDITIONS, "--data", made.table, "--out", folder / "conditions.npz")
         _make_bodiless(made)
@@ -254,6 +257,10 @@ WRITING = (
         lambda given, out: ("audit", "--data", given.table, "--limit", 2, "--out", out),
         varies=("cost.json",),
     ),
+    Writing(
+        "error-budget --out",
+        lambda given, out: ("error-budget", given.static, "--data", given.table, "--out", out),
+    ),
     Writing("agreement --out", lambda given, out: ("agreement", given.run, "--out", out), "a.json"),
     Writing(
         "leaderboard pareto --out",
@@ -265,6 +272,10 @@ WRITING = (
     Writing(
         "split-dataset --out",
         lambda given, out: ("split-dataset", given.table, "--fold", "1/2", "--out", out),
+    ),
+    Writing(
+        "leaderboard merge --out",
+        lambda given, out: ("leaderboard", "merge", given.folder / "fold-1", given.folder / "fold-2", "--out", out),
     ),
     Writing("leaderboard export --out", lambda given, out: ("leaderboard", "export", given.run, "--out", out), "l.md"),
     Writing(

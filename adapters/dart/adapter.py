@@ -222,5 +222,5 @@ def _require_headings(batch: ConditionBatch) -> None:
             found = "hips on one vertical line" if finite[row] else "joints that are not finite"
             raise AdapterError(
                 f"adapter 'dart', row {row} of the batch (opaque id {batch.opaque_id[row][:12]}), {name}: expected a"
-                f" pose whose hips say which way it faces, found {found}. `prbench validate` checks a table."
+                f" pose whose hips say which way it faces, found {found}. `prbench view --data DIR` draws them."
             )

@@ -49,8 +49,8 @@ def require_goals_within_reach(batch: ConditionBatch, *, adapter: str) -> None:
         raise AdapterError(
             f"adapter '{adapter}', row {row} of the batch (opaque id {batch.opaque_id[row][:12]}): expected a goal"
             f" within {_FARTHEST_GOAL:g} m of the first pose and {_HIGHEST_GOAL:g} m of the floor, found ({where}),"
-            f" {distance[row]:.2f} m away. Goals are"
-            " metres in the canonical frame of the first pose; `prbench validate` checks a table."
+            f" {distance[row]:.2f} m away. Goals are metres in the canonical frame of the first pose; `prbench view"
+            " --data DIR` draws those of a table."
         )
 
 

@@ -5,6 +5,7 @@ Motions are rolled out frame after frame: intentions, a draw, a change (docs/spe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,6 +45,9 @@ class Generation:
     """Change that led to the first frame: the recorded one, or noise as in the original."""
     deviation: float = 1.0
     """Standard deviation of the latent of every step."""
+    most_speed: float = math.inf
+    """Longest intention of the wrist, metres a second; infinity is the original's. A body that is late is then asked
+    for speeds that it never saw in training, and falls towards the goal (docs/methods/wandr.md)."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,7 @@ class WANDR:
         assert batch.initial_joints is not None
         left = self._left_handed(batch)
         start, noise = self._start(_mirrored_where(left, batch))
-        joints = WORLD.to_y_up(roll_out(self.network, start, noise)).float().cpu().numpy()
+        joints = WORLD.to_y_up(roll_out(self.network, start, noise, self.generation.most_speed)).float().cpu().numpy()
         joints[left] = mirror(joints[left])
         # Fitting rotations and mirroring round; the first frame is given, to the bit.
         joints[:, 0] = batch.initial_joints
@@ -166,7 +170,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
     """Entry point ``wandr``.
 
     Options: ``hand`` (right, nearest, left), ``first-change`` (recorded, or random as in the original), ``deviation``
-    (1) of the latents.
+    (1) of the latents, ``most-speed`` (0, which is no limit, as in the original) of the wrist's intention,
+    metres a second.
 
     Args:
         weights: File, folder or name of bundled weights; None for ``wandr-small``.
@@ -178,11 +183,13 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
         InputFileError: if the file is not one of WANDR.
         ValueError: for options that are unknown or have impossible values.
     """
-    require_known(options, ("hand", "first-change", "deviation"))
+    require_known(options, ("hand", "first-change", "deviation", "most-speed"))
+    most_speed = number(options, "most-speed", 0.0)
     generation = Generation(
         hand=cast(Hand, choice(options, "hand", get_args(Hand))),
         first_change=cast(_FirstChange, choice(options, "first-change", get_args(_FirstChange))),
         deviation=number(options, "deviation", 1.0),
+        most_speed=most_speed or math.inf,
     )
     path = own_weights(WANDR.name, weights)
     return WANDR(load_network(path, device), path, generation)
@@ -190,7 +197,10 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
 
 @torch.no_grad()
 def roll_out(
-    network: WandrNetwork, start: Start, noise: Float[torch.Tensor, "batch steps latent"]
+    network: WandrNetwork,
+    start: Start,
+    noise: Float[torch.Tensor, "batch steps latent"],
+    most_speed: float = math.inf,
 ) -> Float[torch.Tensor, "batch frames 22 3"]:
     """Joints of all frames; those behind a sequence's own number of frames are padding.
 
@@ -198,6 +208,7 @@ def roll_out(
         network: In evaluation mode, of the precision of ``start``.
         start: Where the sequences begin, and where they are to go.
         noise: Standard normal: the latent of each step.
+        most_speed: Longest intention of the wrist, metres a second.
     """
     state = start.state
     delta = start.delta
@@ -205,7 +216,14 @@ def roll_out(
     for step in range(noise.shape[1]):
         left = (start.n_frames - 1 - step).clamp_min(1)  # padding goes on as in its last frame
         delta = _next_delta(
-            network, state, delta, joints[-1], goal=start.goal, frames_left=left[:, None], latent=noise[:, step]
+            network,
+            state,
+            delta,
+            joints[-1],
+            goal=start.goal,
+            frames_left=left[:, None],
+            latent=noise[:, step],
+            most_speed=most_speed,
         )
         state = state.changed(delta)
         joints.append(state.joints(start.offsets))
@@ -221,6 +239,7 @@ def _next_delta(
     goal: Float[torch.Tensor, "batch 3"],
     frames_left: Int[torch.Tensor, "batch 1"],
     latent: Float[torch.Tensor, "batch latent"],
+    most_speed: float,
 ) -> Float[torch.Tensor, "batch 135"]:
     """The change that follows a state.
 
@@ -232,6 +251,7 @@ def _next_delta(
         goal: Of the right wrist.
         frames_left: Until the goal.
         latent: What is drawn.
+        most_speed: Longest intention of the wrist, metres a second.
     """
     intention = intentions(
         state.yaw,
@@ -240,6 +260,7 @@ def _next_delta(
         goal=goal,
         frames_left=frames_left.to(goal),
         fps=network.configuration.fps,
+        most_speed=most_speed,
     )
     decoded = network.decode(latent, network.condition(state.seen(), delta, intention))
     return clean_delta(network.delta.undone(decoded))

@@ -7,6 +7,7 @@ World with Z up, metres; a body of yaw 0 has its left side on +x and faces -y. R
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -121,6 +122,7 @@ def intentions(
     frames_left: Float[torch.Tensor, "*batch 1"],
     fps: float,
     goal_heading: Float[torch.Tensor, "*batch 3"] | None = None,
+    most_speed: float = math.inf,
 ) -> Float[torch.Tensor, "*batch 9"]:
     """Intentions of wrist, pelvis and heading, all seen from the body's yaw; they are never standardised.
 
@@ -132,6 +134,7 @@ def intentions(
         frames_left: Frames until then.
         fps: Frames per second.
         goal_heading: Unit vector that the body should face then; towards the goal by default.
+        most_speed: Longest intention of the wrist, metres a second; a longer one keeps its direction.
     """
     heading = heading_of(yaw)
     if goal_heading is None:
@@ -140,6 +143,9 @@ def intentions(
         goal_heading = torch.where(above, heading, unit(to_goal))
     # The velocity that would bring the wrist to the goal just in time.
     velocity = _turned(yaw, goal - wrist) / (frames_left / fps + _SECONDS)
+    if most_speed < math.inf:
+        speed = velocity.norm(dim=-1, keepdim=True)
+        velocity = velocity * (most_speed / speed.clamp_min(most_speed))
     approach = _turned(yaw, goal - pelvis)
     distance = approach.norm(dim=-1, keepdim=True)
     # Saturates with the distance: a goal ten metres away asks for no faster walk than one four metres away.

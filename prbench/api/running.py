@@ -255,7 +255,8 @@ def run(
     condition: Literal["none", "text", "goal-pose", "goal-loc"] | None = None,
     data: PathLike | Table | Iterable[PathLike | Table] = (),
     out: PathLike | None = None,
-    split: Literal["train", "validation", "test"] = "test",
+    split: Literal["train", "validation", "test", "participants"] = "test",
+    fold: str | None = None,
     limit: int | None = None,
     sequence: str | Iterable[str] = (),
     weights: PathLike | None = None,
@@ -283,7 +284,8 @@ def run(
             ``--condition``.
         data: A table or its folder, or several; without it prbench's own five tables of synthetic people are used.
         out: Run folder; by default one below ``runs`` whose name says what was run.
-        split: The sequences to run.
+        split: The sequences to run; ``participants`` goes with ``fold``.
+        fold: Such as ``2/6``: the participants of this fold are tested on.
         limit: At most so many sequences of each dataset, those whose ids have the smallest SHA-256; without ``data``
             10 by default.
         sequence: Run these only: ids, or parts of ids that fit one sequence only.
@@ -317,6 +319,8 @@ def run(
     from prbench.workflows import first_run
 
     _require_one(method, condition)
+    if (split == "participants") != (fold is not None):
+        raise UsageError("split 'participants' and fold 'K/N' belong together.")
     require_positive(limit=limit, threads=threads, samples=samples, batch_size=batch_size, workers=workers)
     sequences = as_texts(sequence)
     folders = table_folders(data)
@@ -330,7 +334,8 @@ def run(
         data=folders,
         weights=as_optional_path(weights),
         options=as_options(option),
-        split=split,
+        split="test" if fold is not None else split,
+        fold=fold,
         limit=limit,
         sequences=sequences,
         seed=seed,
@@ -352,7 +357,8 @@ def run(
             engine=engine_for(workers),
             progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
         )
-    return Run(report.folder, folders, report.batches_found)
+    # A fold stands in prbench's cache, where the run finds its own.
+    return Run(report.folder, () if fold is not None else folders, report.batches_found)
 
 
 def _require_one(method: str, condition: str | None) -> None:

@@ -9,8 +9,9 @@ import msgspec
 
 from prbench.cli.commands import Answer, command
 from prbench.cli.options import PATH, data_option, workers_option
-from prbench.cli.summaries import AgreementReport, RateInBin, agreement_report, phi_cell
+from prbench.cli.summaries import AgreementReport, agreement_report, phi_cell
 from prbench.cli.terminal import print_table
+from prbench.rates_of_people import BinRate
 
 _UNITS = {"bearing": "°", "distance": " m", "height": " m"}
 
@@ -107,7 +108,7 @@ def _print(report: AgreementsReport) -> None:
             print("These are scores on synthetic data: never compare them with published ones.")
 
 
-def _bin_row(entry: RateInBin) -> tuple[str, ...]:
+def _bin_row(entry: BinRate) -> tuple[str, ...]:
     unit = _UNITS[entry.by]
     upper = f"from {entry.begin:g}{unit}" if entry.end is None else f"{entry.begin:g} to {entry.end:g}{unit}"
     counts = (str(entry.sequences), str(entry.recordings))

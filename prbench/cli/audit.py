@@ -144,6 +144,9 @@ def _print(each: TableAudit, metrics: Sequence[MetricInfo]) -> None:
         names = each.not_worse_than_people(info)
         if names and _is_contest(info):
             print(f"{info.title}: no worse than recorded people: {', '.join(names)}.")
+    for control in each.controls:
+        if control.summary.edge_arrivals:
+            print(f"{control.name}: {control.summary.edge_arrivals}.")
     if summary.synthetic:
         print("These are scores on synthetic data: never compare them with published ones.")
     print("docs/audit.md says what each control does and what is to be learnt from it.")

@@ -10,7 +10,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, Group, command, note
-from prbench.cli.options import PATH, data_option, out_file_option, workers_option
+from prbench.cli.options import PATH, data_option, out_file_option, out_folder_option, workers_option
 from prbench.cli.summaries import DatasetScores, dataset_scores, print_summary
 from prbench.cli.terminal import print_table
 
@@ -341,6 +341,8 @@ class MetricDifference(msgspec.Struct, frozen=True, kw_only=True):
         adjusted_p_value: The same after Holm's correction for everything compared here.
         detectable: Smallest true difference that is found with 80 % power at Holm's first step; null where it cannot be
             tested.
+        power: Maps differences in points to the probability that a true one of this size would be found at Holm's first
+            step; empty but for rates that can be tested.
         conclusion: ``higher``, ``lower``, ``not supported by the data`` or ``cannot be tested``: of the first run.
     """
 
@@ -358,6 +360,7 @@ class MetricDifference(msgspec.Struct, frozen=True, kw_only=True):
     p_value: float | None
     adjusted_p_value: float | None
     detectable: float | None
+    power: dict[str, float]
     conclusion: str
 
 
@@ -491,6 +494,8 @@ def _compared_run(path: Path, datasets: list[str]) -> ComparedRun:
 
 
 def _metric_difference(row: ComparedMetric) -> MetricDifference:
+    from prbench.evaluation.comparisons import POINTS
+
     difference = row.comparison.difference
     return MetricDifference(
         dataset=row.dataset,
@@ -507,6 +512,7 @@ def _metric_difference(row: ComparedMetric) -> MetricDifference:
         p_value=row.comparison.p_value,
         adjusted_p_value=row.comparison.adjusted_p_value,
         detectable=row.comparison.detectable,
+        power={str(points): power for points, power in zip(POINTS, row.comparison.power)},
         conclusion=row.comparison.conclusion,
     )
 
@@ -515,11 +521,14 @@ def _print_comparison(report: CompareReport) -> None:
     first = report.first.path.name
     print_table(
         f"{first} against {report.second.path.name}, sequence by sequence",
-        ("dataset", "metric", "difference", "95 % interval", "p (Holm)", "detectable", ""),
+        ("dataset", "metric", "difference", "95 % interval", "p (Holm)", "detectable", "power", ""),
         [_difference_row(first, row) for row in report.differences],
-        numbers=(2, 3, 4, 5),
+        numbers=(2, 3, 4, 5, 6),
     )
     print("detectable: smallest true difference that is found in four of five repetitions, at Holm's first step.")
+    if any(row.power for row in report.differences):
+        points = next(", ".join(row.power) for row in report.differences if row.power)
+        print(f"power: in % of repetitions, true differences of {points} points are found there.")
     for run in (report.first, report.second):
         print(f"{run.path.name}: {run.method}, {run.origin}")
         for dataset, mark in run.marks.items():
@@ -541,7 +550,8 @@ def _difference_row(first: str, row: MetricDifference) -> tuple[str, ...]:
     change = "–" if row.difference is None else f"{row.difference * scale:+.2f}{unit}"
     p_value = "–" if row.adjusted_p_value is None else f"{row.adjusted_p_value:.4f}"
     detectable = "–" if row.detectable is None else f"{row.detectable * scale:.2f}{unit}"
-    return (row.dataset, row.title, change, bounds, p_value, detectable, said)
+    power = ", ".join(f"{100 * share:.0f}" for share in row.power.values()) or "–"
+    return (row.dataset, row.title, change, bounds, p_value, detectable, power, said)
 
 
 class MergeReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -551,37 +561,46 @@ class MergeReport(msgspec.Struct, frozen=True, kw_only=True):
         runs: Their folders.
         scores: The merged scores.
         unverified: A sentence for each run whose scores could not be held against the motions.
+        out: The folder of the merged run, which `prbench leaderboard export` shows; null if none was asked for.
     """
 
     runs: list[Path]
     scores: DatasetScores
     unverified: list[str]
+    out: Path | None
 
 
 @command(
     "merge",
-    example="prbench leaderboard merge runs/fold-1 runs/fold-2 runs/fold-3",
+    example="prbench leaderboard merge runs/fold-1 runs/fold-2 runs/fold-3 --out runs/folds",
     report=MergeReport,
 )
 @click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")
+@out_folder_option("Write them as a run folder, which `prbench leaderboard export` and `compare` put beside others.")
 @_tables_option
 @workers_option()
-def merge(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> Answer:
-    """Put the scores of a method's runs on the folds of one dataset together (see `prbench split-dataset`)."""
-    from prbench.leaderboard.merging import merge_folds
-    from prbench.runs import RunFolder
+def merge(runs: tuple[Path, ...], out: Path | None, data: tuple[Path, ...], workers: int) -> Answer:
+    """Put the scores of a method's runs on the folds of one dataset together.
 
-    summary, unverified = merge_folds(runs, checker=_checker(data, workers))
-    first = RunFolder.open(runs[0])
-    if first.protocol is not None and first.protocol.is_own:
-        note(f"scored under a protocol of your own, {first.protocol.label}: no number here is the study's")
-    method = first.record.method
-    scores = dataset_scores(summary, None, motionless=method.motionless)
-    report = MergeReport(runs=list(runs), scores=scores, unverified=list(unverified))
+    The runs are made by `prbench run --split participants --fold K/N`, one for each K.
+    """
+    from prbench.leaderboard.merging import merge_folds
+
+    merged = merge_folds(runs, checker=_checker(data, workers))
+    protocol = merged.folds[0].protocol
+    if protocol is not None and protocol.is_own:
+        note(f"scored under a protocol of your own, {protocol.label}: no number here is the study's")
+    if out is not None:
+        merged.write(out)
+    method = merged.record.method
+    scores = dataset_scores(merged.summary, None, motionless=method.motionless)
+    report = MergeReport(runs=list(runs), scores=scores, unverified=list(merged.unverified), out=out)
 
     def show() -> None:
-        print_summary(summary, origin=method.origin, motionless=method.motionless)
-        for reason in unverified:
+        print_summary(merged.summary, origin=method.origin, motionless=method.motionless)
+        for reason in merged.unverified:
             print(f"unverified: {reason}")
+        if out is not None:
+            print(f"run folder: {out}")
 
     return Answer(report, show)

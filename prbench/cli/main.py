@@ -56,6 +56,7 @@ _COMMANDS = {
         "leaderboard": "prbench.cli.leaderboard:leaderboard",
         "agreement": "prbench.cli.agreement:agreement",
         "audit": "prbench.cli.audit:audit",
+        "error-budget": "prbench.cli.error_budget:error_budget",
         "study": "prbench.cli.study:study",
         "ablation": "prbench.cli.ablation:ablation",
     },

@@ -116,6 +116,35 @@ def split_option(default: str | None = "test", *, help: str = "") -> _Decorator:
     )
 
 
+PARTICIPANTS = "participants"
+"""Value of ``--split`` that goes with ``--fold``."""
+
+
+def fold_options(split: str | None = "test") -> _Decorator:
+    """Add ``--split``, which also takes ``participants``, and ``--fold K/N``.
+
+    Args:
+        split: Default of ``--split``; None for a command that takes ``participants`` alone.
+    """
+    choices = [PARTICIPANTS] if split is None else [*SPLITS, PARTICIPANTS]
+    default = "" if split is None else f"Split of the table (default {split}); "
+
+    def add(function: _Function) -> _Function:
+        folded = click.option(
+            "--fold",
+            metavar="K/N",
+            help="With --split participants: the fold to test on, such as 2/6 (`prbench split-dataset`).",
+        )(function)
+        return click.option(
+            "--split",
+            type=click.Choice(choices),
+            default=split,
+            help=f"{default}participants: the people of --fold are tested on, all others learnt from.",
+        )(folded)
+
+    return add
+
+
 def limit_option(default: str = "all") -> _Decorator:
     """Add ``--limit N`` sequences of each dataset; equal limits mean the same sequences in every command."""
     return click.option(

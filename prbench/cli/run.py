@@ -22,6 +22,7 @@ from prbench.cli.options import (
     complete_method,
     control_option,
     data_option,
+    fold_options,
     limit_option,
     method_settings,
     out_folder_option,
@@ -29,7 +30,6 @@ from prbench.cli.options import (
     protocol_option,
     seed_option,
     sequence_option,
-    split_option,
     workers_option,
 )
 from prbench.cli.progress import progress
@@ -127,7 +127,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
 @click.option("--show-config", is_flag=True, help="Print the experiment that the command line means, and stop.")
 @data_option(required=False, help="Built dataset folder(s); without it small synthetic ones are built and used.")
 @out_folder_option("Run folder (default: one under ./runs); resumes. Several runs: the folder of their folders.")
-@split_option()
+@fold_options()
 @limit_option(f"all; {FIRST_RUN_SEQUENCES} without --data; with all: what fits into --minutes")
 @click.option(
     "--minutes",
@@ -137,6 +137,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
 )
 @sequence_option("Run this one only")
 @click.option("--view", type=PATH, metavar="FILE", help="Show the motions as .png, .mp4 or .html.")
+@click.option("--with-controls", is_flag=True, help="With all: the cheats of docs/audit.md and nearest-neighbour, too.")
 @protocol_option("the numbers of the metrics, stamped into the run; the table must have been built by the same rules.")
 @permission_option
 @method_settings
@@ -181,6 +182,8 @@ def run(
         return replace(made, report=RunAnswer(runs=[], companions=[], view=None, table_two=made.report))
     if minutes is not None:
         raise UsageError("--minutes: belongs to --method all or --condition all; --limit N chooses N sequences.")
+    if given["with_controls"]:
+        raise UsageError("--with-controls: belongs to --method all or --condition all.")
     if config is None and given["method"] is None:
         raise UsageError("--method NAME is needed, or --config FILE. `prbench adapters list` shows the methods.")
     repeated, experiment = _experiment(config, given)
@@ -244,6 +247,7 @@ _SHARED = (
     "data",
     "out",
     "split",
+    "fold",
     "limit",
     "samples",
     "batch_size",
@@ -429,7 +433,8 @@ def _in_company(request: RunRequest, report: RunReport, engine: Engine) -> list[
 def _view(out: Path, folder: Path, request: RunRequest, permission: tuple[str, ...]) -> tuple[str, ...]:
     from prbench.workflows.view import ViewRequest, view
 
-    wanted = ViewRequest(out=out, runs=(folder,), data=request.data, sequences=request.sequences, permitted=permission)
+    data = () if request.fold else request.data  # folds stand in the cache, where the run's own is found
+    wanted = ViewRequest(out=out, runs=(folder,), data=data, sequences=request.sequences, permitted=permission)
     with progress(f"drawing {out.name}") as show:
         return tuple(view(wanted, show).notices)
 

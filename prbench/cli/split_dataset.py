@@ -9,7 +9,6 @@ import msgspec
 
 from prbench.cli.commands import Answer, command
 from prbench.cli.options import PATH, out_folder_option
-from prbench.errors import UsageError
 
 
 class SplitReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -47,10 +46,10 @@ def split_dataset(data: Path, split: str, fold: str, out: Path) -> Answer:
     One run on each fold, put together by `prbench leaderboard merge`, scores every sequence once.
     """
     from prbench.sequences import SequenceTable
-    from prbench.sequences.folds import participant_folds, write_fold
+    from prbench.sequences.folds import parse_fold, participant_folds, write_fold
 
     del split  # the only one so far
-    number, count = _fold(fold)
+    number, count = parse_fold(fold)
     table = SequenceTable.open(data).with_sequences()
     write_fold(table, out, fold=number, folds=count)
     rows = SequenceTable.open(out).scalars()["split"].to_pylist()
@@ -63,13 +62,6 @@ def split_dataset(data: Path, split: str, fold: str, out: Path) -> Answer:
         sequences={name: rows.count(name) for name in ("train", "validation", "test")},
     )
     return Answer(report, lambda: _print(report))
-
-
-def _fold(text: str) -> tuple[int, int]:
-    number, _, count = text.partition("/")
-    if not (number.isdecimal() and count.isdecimal()):
-        raise UsageError(f"--fold {text}: expected K/N, such as 2/6.")
-    return int(number), int(count)
 
 
 def _print(report: SplitReport) -> None:

@@ -65,6 +65,8 @@ class StudyNumber(msgspec.Struct, frozen=True, kw_only=True):
         sd: Standard deviation over sequences, or the number after ± in the study.
         sequences: Number of sequences behind the value.
         recordings: Number of recordings that they come from.
+        detectable: Smallest difference to an unrelated method of the same spread that would be found with 80 % power;
+            null where nothing can be tested.
         origin: ``measured``, ``measured on synthetic data``, ``published: …`` or ``measured - published: …``.
         note: What a reader of the number needs to know.
     """
@@ -81,6 +83,7 @@ class StudyNumber(msgspec.Struct, frozen=True, kw_only=True):
     sd: float | None
     sequences: int | None
     recordings: int | None
+    detectable: float | None
     origin: str
     note: str
 

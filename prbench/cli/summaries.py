@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from prbench.cli.terminal import print_table, shown_width
+from prbench.rates_of_people import BinRate, RateAgreement
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from prbench.metrics import MetricInfo
     from prbench.runs import RunFolder
-    from prbench.runs.agreement import DatasetAgreement, RateAgreement
+    from prbench.runs.agreement import DatasetAgreement
     from prbench.runs.summary import DatasetSummary, MetricSummary
 
 _MARKS = {
@@ -60,62 +61,6 @@ class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
     means_nothing: bool
 
 
-class RateOfPeople(msgspec.Struct, frozen=True, kw_only=True):
-    """One rate: the method's success beside that of recorded people on the same sequences.
-
-    Attributes:
-        metric: Id of the metric.
-        title: Its name as printed.
-        phi: Phi coefficient, from -1 to 1; null where one side has a single outcome.
-        low: Lower bound of its 95 % interval; null where the data allow none.
-        high: Upper bound of the interval.
-        sequences: Number of sequences.
-        recordings: Number of recordings that they come from.
-        people: Share of the sequences on which recorded people succeed.
-        remark: Why there is no coefficient or no interval; empty if there are both.
-    """
-
-    metric: str
-    title: str
-    phi: float | None
-    low: float | None
-    high: float | None
-    sequences: int
-    recordings: int
-    people: float
-    remark: str
-
-
-class RateInBin(msgspec.Struct, frozen=True, kw_only=True):
-    """One rate on the sequences whose goal lies in one bin.
-
-    Attributes:
-        metric: Id of the metric.
-        title: Its name as printed.
-        by: ``bearing`` (degrees), ``distance`` or ``height`` (metres).
-        begin: Lower end of the bin, included.
-        end: Upper end, excluded; null for the last bin.
-        sequences: Number of sequences in it.
-        recordings: Number of recordings that they come from.
-        mean: The method's rate; null without sequences.
-        low: Lower bound of its 95 % interval; null where the data allow none.
-        high: Upper bound of the interval.
-        people: The rate of recorded people on the same sequences; null without sequences.
-    """
-
-    metric: str
-    title: str
-    by: str
-    begin: float
-    end: float | None
-    sequences: int
-    recordings: int
-    mean: float | None
-    low: float | None
-    high: float | None
-    people: float | None
-
-
 class AgreementReport(msgspec.Struct, frozen=True, kw_only=True):
     """How a method's successes go with those of recorded people, and with where the goal is.
 
@@ -124,8 +69,8 @@ class AgreementReport(msgspec.Struct, frozen=True, kw_only=True):
         breakdown: Rates by the goal's bearing, distance and height.
     """
 
-    rates: list[RateOfPeople]
-    breakdown: list[RateInBin]
+    rates: list[RateAgreement]
+    breakdown: list[BinRate]
 
 
 class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
@@ -214,8 +159,7 @@ def dataset_scores(
 
 def agreement_report(agreement: DatasetAgreement) -> AgreementReport:
     """Turn the file of a run into the shape that ``--json`` prints."""
-    values = msgspec.to_builtins(agreement)
-    return msgspec.convert({"rates": values["rates"], "breakdown": values["breakdown"]}, AgreementReport)
+    return AgreementReport(rates=list(agreement.rates), breakdown=list(agreement.breakdown))
 
 
 def print_agreement(agreement: DatasetAgreement | None) -> None:
@@ -228,7 +172,7 @@ def print_agreement(agreement: DatasetAgreement | None) -> None:
         print(f"agreement with recorded people (phi): {', '.join(parts)}")
 
 
-def phi_cell(rate: RateOfPeople | RateAgreement) -> str:
+def phi_cell(rate: RateAgreement) -> str:
     """Return a coefficient with its interval as far as there is one."""
     if rate.phi is None:
         return "–"

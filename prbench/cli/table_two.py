@@ -12,6 +12,7 @@ import msgspec
 
 from prbench.cli.commands import Answer, note
 from prbench.cli.embedded import embedded_tables
+from prbench.cli.options import PARTICIPANTS
 from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table, shown_width
 from prbench.errors import UsageError
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 ALL = "all"
 _WORKERS = 2
-_SINGLE_RUN = {"sequences": "sequence", "isolate": "isolate", "timeout": "timeout"}
+_SINGLE_RUN = {"sequences": "sequence", "isolate": "isolate", "timeout": "timeout", "fold": "fold"}
 _WIDE = 180
 """Columns that the whole layout takes."""
 _LEADS = "¹"
@@ -67,6 +68,7 @@ def run_table_two(given: Mapping[str, Any], *, minutes: int | None, workers: int
     def show() -> None:
         _print_layout(report.layout)
         print(f"table: {report.folder / MARKDOWN}, {report.folder / JSON}")
+        print(f"beside the study's numbers: prbench study table-2 {report.folder} --data DIR... --with-published")
 
     answer = TableTwoAnswer(
         folder=report.folder,
@@ -89,6 +91,8 @@ def _table_request(given: Mapping[str, Any], data: tuple[Path, ...], minutes: in
     for name, option in _SINGLE_RUN.items():
         if given[name]:
             raise UsageError(f"--{option}: belongs to a run of one method under one condition; leave it out.")
+    if given["split"] == PARTICIPANTS:
+        raise UsageError("--split participants: run --method all on a table of each fold (`prbench split-dataset`).")
     return TableRequest(
         data=data,
         method=None if given["method"] == ALL else given["method"],
@@ -105,6 +109,7 @@ def _table_request(given: Mapping[str, Any], data: tuple[Path, ...], minutes: in
         threads=given["threads"],
         protocol=given["protocol"],
         shuffled_goal=given["control"] is not None,
+        more_controls=given["with_controls"],
         out=given["out"],
     )
 

@@ -10,7 +10,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, command, note
-from prbench.cli.options import PATH, POSITIVE, KeyValue, data_option, out_folder_option, threads_option
+from prbench.cli.options import PATH, POSITIVE, KeyValue, data_option, fold_options, out_folder_option, threads_option
 from prbench.cli.progress import show_training
 from prbench.errors import UsageError
 
@@ -76,6 +76,7 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
     is_flag=True,
     help="Learn from the split 'validation' as well, once nothing is chosen by it; needs validation.every=0.",
 )
+@fold_options(None)
 @click.option("--init", type=PATH, metavar="FILE", help="Weights to start from.")
 @click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1, mps.")
 @click.option("--devices", type=POSITIVE, default=1, metavar="N", help="Processes to train in (default 1).")
@@ -90,6 +91,8 @@ def train(
     config: Path,
     overrides: tuple[tuple[str, str], ...],
     refit: bool,
+    split: str | None,
+    fold: str | None,
     init: Path | None,
     device: str,
     devices: int,
@@ -107,11 +110,14 @@ def train(
         raise UsageError("--data DIR is needed.")
     if out is None:
         raise UsageError("--out DIR is needed.")
+    if (split is None) != (fold is None):
+        raise UsageError("--split participants and --fold K/N belong together.")
     request = TrainRequest(
         method=method,
         data=data,
         out=out,
         refit=refit,
+        fold=fold,
         stage=stage,
         configuration=str(config),
         overrides=overrides,

@@ -21,7 +21,8 @@ from prbench.evaluation.planning import Selection
 from prbench.evaluation.scoring import score_recorded
 from prbench.manifests import BenchmarkProtocol
 from prbench.metrics import METRICS, MetricInfo
-from prbench.runs.agreement import FILE_NAME, BinRate, DatasetAgreement, RateAgreement
+from prbench.rates_of_people import BinRate, RateAgreement
+from prbench.runs.agreement import FILE_NAME, DatasetAgreement
 from prbench.runs.folder import DatasetFolder
 
 RATES: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.unit == "rate")

@@ -28,6 +28,7 @@ FEWEST_FOR_TEST = 6
 """Recordings below which neither skewness nor spread is known well enough for a p-value."""
 _FEWEST_DEGREES = 1.5  # of freedom: below, one recording outweighs all others together
 _UNSEEN_TAIL = 5.0  # recordings; see `_tail_share`
+_UNSEEN_SKEWNESS = 1.5  # times the measured one in the test: the tail that is not seen is skewness that is not measured
 _LARGEST_CORRELATION = 0.3  # within recordings, assumed where a single recording holds all events
 _TINY = 1e-300
 _CERTAIN = 1e9  # standard errors, so that powers of them are finite
@@ -120,16 +121,18 @@ def mean_bounds(spread: Spread) -> tuple[PerSet, PerSet]:
 def p_values(spread: Spread) -> PerSet:
     """Two-sided p-values of the mean being 0; NaN where it cannot be tested.
 
-    The smaller of Student's and Hall's statistic counts. Its degrees of freedom are at most the number of recordings
-    that the measured spread rests on: Holm's first step asks for tails far out, where a spread that is that of a few
-    recordings is worth no more than those.
+    The smaller of Student's and Hall's statistic counts; the latter takes half as much skewness again as is measured,
+    because few recordings show less than there is. The degrees of freedom are at most the number of recordings that the
+    measured spread rests on: Holm's first step asks for tails far out, where a spread that is that of a few recordings
+    is worth no more than those.
     """
     if spread.recordings < FEWEST_FOR_TEST or spread.degrees < _FEWEST_DEGREES:
         return np.full(np.shape(spread.mean), np.nan)
     studentised = np.clip(spread.mean / np.maximum(spread.error, _TINY), -_CERTAIN, _CERTAIN)
-    statistic = np.minimum(np.abs(studentised), np.abs(_with_skewness(studentised, spread.skewness)))
+    symmetric = _with_skewness(studentised, _UNSEEN_SKEWNESS * spread.skewness)
+    statistic = np.minimum(np.abs(studentised), np.abs(symmetric))
     both_tails = 2 * special.stdtr(test_degrees(spread), -statistic)
-    return np.minimum(both_tails / _tail_share(spread.recordings), 1.0)
+    return np.minimum(both_tails / _tail_share_of_test(spread.recordings), 1.0)
 
 
 def detectable_difference(spread: Spread, *, comparisons: int, power: float) -> PerSet:
@@ -143,8 +146,55 @@ def detectable_difference(spread: Spread, *, comparisons: int, power: float) -> 
     if spread.recordings < FEWEST_FOR_TEST or spread.degrees < _FEWEST_DEGREES:
         return np.full(np.shape(spread.mean), np.nan)
     degrees = test_degrees(spread)
-    tail = SIGNIFICANCE / 2 / comparisons * _tail_share(spread.recordings)
+    tail = SIGNIFICANCE / 2 / comparisons * _tail_share_of_test(spread.recordings)
     return (special.stdtrit(degrees, 1 - tail) + special.stdtrit(degrees, power)) * spread.error
+
+
+def power_of(spread: Spread, difference: float, *, comparisons: int) -> PerSet:
+    """Probability that a true difference of this size would be found at Holm's first step; NaN where none can be.
+
+    Args:
+        spread: Of the differences of two methods.
+        difference: The true one.
+        comparisons: Number of comparisons made together.
+    """
+    if spread.recordings < FEWEST_FOR_TEST or spread.degrees < _FEWEST_DEGREES:
+        return np.full(np.shape(spread.mean), np.nan)
+    degrees = test_degrees(spread)
+    tail = SIGNIFICANCE / 2 / comparisons * _tail_share_of_test(spread.recordings)
+    reached = np.clip(abs(difference) / np.maximum(spread.error, _TINY), 0, _CERTAIN)
+    return special.stdtr(degrees, reached - special.stdtrit(degrees, 1 - tail))
+
+
+def recordings_needed(detectable: float, wanted: float, *, recordings: int, comparisons: int, power: float) -> int:
+    """About how many recordings of the same spread find a smaller or larger difference with this power.
+
+    Args:
+        detectable: The difference that the present recordings find with this power, above 0.
+        wanted: The difference to be found, above 0.
+        recordings: Number of the present ones.
+        comparisons: Number of comparisons made together.
+        power: Such as 0.8.
+    """
+
+    def found_by(count: int) -> float:
+        """The difference that this many find, but for the spread of a recording."""
+        tail = SIGNIFICANCE / 2 / comparisons * _tail_share_of_test(count)
+        reach = special.stdtrit(count - 1, 1 - tail) + special.stdtrit(count - 1, power)
+        return float(reach) / np.sqrt(count)
+
+    aim = found_by(recordings) * wanted / detectable * (1 + 1e-9)  # what rounding adds needs no recording more
+    most = FEWEST_FOR_TEST
+    while found_by(most) > aim:
+        most *= 2
+    fewest = FEWEST_FOR_TEST
+    while fewest < most:
+        middle = (fewest + most) // 2
+        if found_by(middle) > aim:
+            fewest = middle + 1
+        else:
+            most = middle
+    return most
 
 
 def test_degrees(spread: Spread) -> PerSet:
@@ -203,9 +253,14 @@ def _tail_share(recordings: int) -> float:
     """Share of the nominal tail that is used: recordings / (recordings + 5), found by simulation.
 
     Skewed recordings hide their tail the likelier the fewer they are; then spread and skewness are both measured too
-    small, and no function of the data can tell. With 3 recordings, 97.5 % becomes 99.1 %, with 47 it becomes 97.7 %.
+    small, and no function of the data can tell. In intervals 97.5 % becomes 99.1 % with 3 recordings, 97.7 % with 47.
     """
     return recordings / (recordings + _UNSEEN_TAIL)
+
+
+def _tail_share_of_test(recordings: int) -> float:
+    """The same for p-values, cubed: Holm's first step asks for tails far out, which few recordings show later still."""
+    return _tail_share(recordings) ** 3
 
 
 def _with_skewness(studentised: PerSet, skewness: PerSet) -> PerSet:

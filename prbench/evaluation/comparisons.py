@@ -12,10 +12,13 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from prbench.evaluation.clusters import SIGNIFICANCE, detectable_difference, p_values
+from prbench.evaluation.clusters import SIGNIFICANCE, detectable_difference, p_values, power_of
 from prbench.evaluation.intervals import EQUAL_WITHIN, Estimate, Ids, clustered, difference_interval
 
-_POWER = 0.8  # with which the smallest detectable difference would be found
+POWER = 0.8
+"""Probability with which the smallest detectable difference would be found."""
+POINTS = (5, 10, 20)
+"""Differences of rates, in points, for which the probability of finding them is told."""
 
 Conclusion = Literal["higher", "lower", "not supported by the data", "cannot be tested"]
 
@@ -42,6 +45,8 @@ class Comparison:
     """After Holm's correction for all comparisons made together."""
     detectable: float | None = None
     """Smallest difference that is found with 80 % power at Holm's first step; None where none can be."""
+    power: tuple[float, ...] = ()
+    """Probability that true differences of :data:`POINTS` would be found at Holm's first step; empty but for rates."""
 
     @property
     def conclusion(self) -> Conclusion:
@@ -68,16 +73,25 @@ def compare(pairs: Mapping[str, PairedValues]) -> dict[str, Comparison]:
     values = list(pairs.values())
     unadjusted = [paired_p_value(pair.first - pair.second, pair.recording_ids) for pair in values]
     adjusted = holm(unadjusted)
-    family = sum(p is not None for p in unadjusted)
+    family = max(sum(p is not None for p in unadjusted), 1)
     found = {}
     for name, pair, p_value, adjusted_p_value in zip(pairs, values, unadjusted, adjusted, strict=True):
         found[name] = Comparison(
             difference=difference_interval(pair.first, pair.second, pair.recording_ids, rate=pair.rate),
             p_value=p_value,
             adjusted_p_value=adjusted_p_value,
-            detectable=smallest_detectable(pair.first - pair.second, pair.recording_ids, comparisons=max(family, 1)),
+            detectable=smallest_detectable(pair.first - pair.second, pair.recording_ids, comparisons=family),
+            power=_power_at_points(pair, comparisons=family) if pair.rate else (),
         )
     return found
+
+
+def _power_at_points(pair: PairedValues, *, comparisons: int) -> tuple[float, ...]:
+    data = clustered(pair.first - pair.second, pair.recording_ids)
+    if "all_equal" in data.marks:
+        return ()
+    found = [float(power_of(data.spread, points / 100, comparisons=comparisons)) for points in POINTS]
+    return () if np.isnan(found).any() else tuple(found)
 
 
 def smallest_detectable(
@@ -96,7 +110,7 @@ def smallest_detectable(
     data = clustered(differences, recording_ids)
     if "all_equal" in data.marks:
         return None
-    found = float(detectable_difference(data.spread, comparisons=comparisons, power=_POWER))
+    found = float(detectable_difference(data.spread, comparisons=comparisons, power=POWER))
     return None if np.isnan(found) else found
 
 
@@ -114,7 +128,7 @@ def smallest_detectable_unpaired(
     data = clustered(values, recording_ids, sequence_ids)
     if "all_equal" in data.marks:
         return None
-    found = np.sqrt(2) * float(detectable_difference(data.spread, comparisons=comparisons, power=_POWER))
+    found = np.sqrt(2) * float(detectable_difference(data.spread, comparisons=comparisons, power=POWER))
     return None if np.isnan(found) else float(found)
 
 

@@ -128,7 +128,7 @@ def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]], *, through
         offsets = chunk.offsets
         n_frames = chunk.n_frames
         if through_features:
-            joints = _through_features(chunk)
+            joints = recorded_through_features(chunk)
         taken = 0
         while taken < len(chunk):
             rows = next(waiting) - place.start
@@ -141,7 +141,7 @@ def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]], *, through
             taken += len(rows)
 
 
-def _through_features(chunk: SequenceChunk) -> Float[np.ndarray, "total 22 3"]:
+def recorded_through_features(chunk: SequenceChunk) -> Float[np.ndarray, "total 22 3"]:
     """All motions of a chunk, encoded and decoded: as many frames as recorded, the last step led by the true next one.
 
     Raises:

@@ -6,7 +6,7 @@ import re
 import sys
 from collections.abc import Iterable
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -48,6 +48,7 @@ from prbench.runs.record import (
 )
 from prbench.runs.scores import RUN_SCHEMA_VERSION
 from prbench.sequences import SequenceTable
+from prbench.sequences.folds import OPTION, WHOLE_TABLE, fold_table
 from prbench.storage import text_digest
 
 DEFAULT_PARENT = Path("runs")
@@ -107,6 +108,9 @@ def prepare_run(request: RunRequest) -> PreparedRun:
     """
     # A method that an earlier run of this process has loaded may hold its state.
     forget_loaded_methods()
+    if request.fold is not None:
+        folds = tuple(fold_table(folder, request.fold).folder for folder in request.data)
+        request = replace(request, data=folds, fold=None)
     tables = open_tables(request.data)
     protocol = protocol_for(request.protocol, (table.described_protocol for table in tables))
     spec = None if request.is_control else _spec(request)
@@ -300,6 +304,8 @@ def table_record(chosen: Selection, selection: Selection, plan: BatchPlanRecord)
         unsupported=len(chosen) - len(selection),
         selection_digest=chosen.digest,
         batch_plan=plan,
+        fold=info.options.get(OPTION),
+        whole_table=info.options.get(WHOLE_TABLE),
     )
 
 

@@ -36,6 +36,8 @@ class RunRequest:
     weights: Path | None = None
     options: Mapping[str, str] = field(default_factory=dict)
     split: str = "test"
+    fold: str | None = None
+    """A fold of the tables' participants, such as ``2/6``, whose split is meant; None for the tables as they are."""
     limit: int | None = None
     """Run only the sequences with the smallest SHA-256 of their id, this many of each dataset."""
     sequences: tuple[str, ...] = ()

@@ -29,7 +29,7 @@ from prbench.runs.scores import SCORES
 from prbench.runs.summary import RECORDED_MOTION
 from prbench.sequences.chunk import SequenceChunk
 
-_COLUMNS = ["goal_location", "prime_time", "start_time", "hand", "head_tilt_deg", "fps", "joints"]
+COLUMNS = ["goal_location", "prime_time", "start_time", "hand", "head_tilt_deg", "fps", "joints"]
 _GAZE_COLUMNS = ["gaze_origin", "gaze_direction", "gaze_valid"]
 _SIDES = {"left": 0, "right": 1}
 SAME_LENGTH = "Give every motion the length of the recorded one, or pass --allow-length-mismatch."
@@ -123,10 +123,10 @@ def score_recorded(
     wanted = [info.id for family in FAMILIES if not family.needs_gaze for info in family.metrics if info.id in metrics]
     parts: list[dict[str, np.ndarray]] = []
     goals: list[np.ndarray] = []
-    for _, chunk in selection.windows(_COLUMNS):
+    for _, chunk in selection.windows(COLUMNS):
         recorded = MotionBatch(chunk.joints, chunk.offsets)
         goals.append(chunk.vectors("goal_location"))
-        values = score(recorded, recorded, _targets_of(chunk, goals[-1], None), constants, metrics=wanted)
+        values = score(recorded, recorded, targets_of(chunk, goals[-1], None), constants, metrics=wanted)
         parts.append({name: column.value for name, column in values.items()})
     return {name: np.concatenate([part[name] for part in parts]) for name in wanted}, np.concatenate(goals)
 
@@ -145,7 +145,7 @@ def _windows(
 ) -> Iterator[_Window]:
     opaque = predictions.id_column == "opaque_id"
     salt = run_salt(rules.id_seed, selection.table.identity) if opaque else b""
-    columns = _COLUMNS + (_GAZE_COLUMNS if rules.recorded_motion else [])
+    columns = COLUMNS + (_GAZE_COLUMNS if rules.recorded_motion else [])
     for place, chunk in selection.windows(columns):
         names = opaque_ids(chunk.sequence_ids, salt) if opaque else chunk.sequence_ids
         goals = chunk.vectors("goal_location") if rules.other_goals is None else rules.other_goals[place]
@@ -179,10 +179,11 @@ def _targets(chunk: SequenceChunk, window: _Window) -> ScoringTargets:
             chunk.frames("gaze_direction").astype(np.float64),
             chunk.frames("gaze_valid"),
         )
-    return _targets_of(chunk, window.goals, gaze)
+    return targets_of(chunk, window.goals, gaze)
 
 
-def _targets_of(chunk: SequenceChunk, goals: Float[np.ndarray, "n 3"], gaze: GazeRays | None) -> ScoringTargets:
+def targets_of(chunk: SequenceChunk, goals: Float[np.ndarray, "n 3"], gaze: GazeRays | None) -> ScoringTargets:
+    """Return what metrics need of the sequences of a chunk, read with :data:`COLUMNS`."""
     return ScoringTargets(
         goal_location=goals.astype(np.float64),
         prime_time=chunk.numbers("prime_time") - chunk.numbers("start_time"),

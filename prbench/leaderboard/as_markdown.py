@@ -123,6 +123,8 @@ def _legend(table: DatasetTable) -> Iterable[str]:
         # Remarks stand under the table, because a cell has no room for a sentence.
         if row.entry.mark:
             yield f"{markdown(row.entry.method)} {row.entry.mark}."
+        if row.entry.summary.edge_arrivals:
+            yield f"{markdown(row.entry.method)}: {row.entry.summary.edge_arrivals}."
         if row.entry.summary.unsupported:
             yield (
                 f"{markdown(row.entry.method)}: {row.entry.summary.unsupported} sequences are longer than it can"

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from prbench.boundary import foreign_input
 from prbench.errors import RunError
 from prbench.leaderboard.costs import UNMEASURED, MotionCost, cost_of
+from prbench.leaderboard.merging import merge_folds
 from prbench.methods.names import BUILT_IN_METHODS, METHOD_CONTROLS, name_problem
 from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
+from prbench.runs.merged import FILE_NAME as MERGED
+from prbench.runs.merged import FoldRun, MergedFrom
 from prbench.runs.record import MethodRecord, RunRecord, TableRecord
+from prbench.runs.scores import read_scores
 from prbench.runs.summary import DatasetSummary, MetricSummary
 from prbench.submitted.verification import CheckedSummary, RunChecker, ScoredSequences
 
@@ -116,6 +120,8 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> Collec
         folders |= {Path(os.path.realpath(folder)): None for folder in found}
     rows: list[LeaderboardRow] = []
     left_out: list[str] = []
+    merged: list[tuple[LeaderboardRow, RunFolder]] = []
+    of_folds: dict[tuple[str, str], tuple[LeaderboardRow, RunFolder]] = {}
     for folder in sorted(folders):
         run = RunFolder.open(folder)
         # A foreign method under the name of ours would stand in the study's own row.
@@ -140,8 +146,48 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> Collec
                 scores=files.scores,
                 cost=cost_of(files),
             )
-            rows.append(row)
+            if (run.path / MERGED).is_file():
+                merged.append((row, run))
+            elif table.fold is not None:
+                of_folds[FoldRun.of(run).key] = row, run
+            else:
+                rows.append(row)
+    within: set[tuple[str, str]] = set()
+    for row, run in merged:
+        keys = [fold.key for fold in MergedFrom.read(run.path).folds]
+        rows.append(replace(row, unverified=_why_unverified(run, [of_folds.get(key) for key in keys])))
+        within.update(keys)
+    # The scores of a fold's run are among the merged ones; beside them it would count its sequences twice.
+    rows += [row for key, (row, _) in of_folds.items() if key not in within]
     return CollectedRuns(tuple(rows), tuple(left_out))
+
+
+def _why_unverified(merged: RunFolder, named: Sequence[tuple[LeaderboardRow, RunFolder] | None]) -> str:
+    """Hold merged scores against those of the runs on the folds.
+
+    Args:
+        merged: The merged run.
+        named: The runs that it says it was put together from, as far as they were named.
+
+    Returns:
+        Why its scores are unverified, or an empty text.
+
+    Raises:
+        RunError: if it does not follow from those runs.
+    """
+    found = [pair for pair in named if pair is not None]
+    if len(found) < len(named):
+        return "the runs that it was merged from are not among those named; name them, too"
+    again = merge_folds([run.path for _, run in found])
+    table = again.record.tables[0]
+    stored = read_scores(merged.dataset(table.dataset).scores)
+    if again.record != merged.record or not again.scores.equals(stored.cast(again.scores.schema)):
+        raise RunError(
+            f"{merged.path}: does not follow from the runs that {MERGED} names. It was edited; merge them again into"
+            " another folder: `prbench leaderboard merge RUN … --out DIR`."
+        )
+    reasons = [row.unverified for row, _ in found if row.unverified]
+    return f"one of the runs that it was merged from is unverified: {reasons[0]}" if reasons else ""
 
 
 def _own_protocol(run: RunFolder) -> str:

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from statistics import median
 
-from prbench.evaluation.clusters import FEWEST_FOR_TEST
+from prbench.evaluation.clusters import FEWEST_FOR_TEST, recordings_needed
+from prbench.evaluation.comparisons import POINTS, POWER
 from prbench.metrics import METRICS, MetricInfo, printed_unit
 from prbench.runs.summary import MetricSummary
 
@@ -48,6 +49,24 @@ def undecided(
             "Smallest difference between two unrelated methods of this spread that would be found in four of five"
             f" repetitions, at the first step of Holm's correction for {len(main)} metrics: {', '.join(texts)}."
         )
+
+    rate = next((info for info in main if info.unit == "rate" and found.get(info.id)), None)
+    if rate is not None:
+        needed = [
+            recordings_needed(
+                median(found[rate.id]), points / 100, recordings=recordings, comparisons=len(main), power=POWER
+            )
+            for points in POINTS
+        ]
+        yield (
+            f"{rate.title}: to find {_listed(POINTS)} points as surely, about {_listed(needed)} recordings like these"
+            " are needed."
+        )
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    *first, last = map(str, numbers)
+    return f"{', '.join(first)} and {last}"
 
 
 def _detectable_text(info: MetricInfo, detectable: float) -> str:

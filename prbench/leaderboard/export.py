@@ -14,6 +14,7 @@ from prbench.leaderboard.as_markdown import as_markdown
 from prbench.leaderboard.costs import MotionCost
 from prbench.leaderboard.tables import DatasetTable, Leaderboard, MacroTable, TableRow, hides, undecided_lines
 from prbench.metrics import METRICS, exported_unit, printed_scale
+from prbench.runs.summary import EDGE_ARRIVAL
 from prbench.shown import csv_text
 
 _CSV_COLUMNS: tuple[str, ...] = (
@@ -30,6 +31,7 @@ _CSV_COLUMNS: tuple[str, ...] = (
     "high",
     "sequences",
     "recordings",
+    "detectable",
     "rank",
     "verified",
     "note",
@@ -93,6 +95,8 @@ def _csv_dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, st
                 notes.append("stands still")
             if row.entry.mark:
                 notes.append(row.entry.mark)
+            if EDGE_ARRIVAL in metric.flags:
+                notes.append(row.entry.summary.edge_arrivals)
             yield {
                 "table": number,
                 "dataset": table.dataset,
@@ -108,6 +112,7 @@ def _csv_dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, st
                 "high": "" if hidden or metric.high is None else _csv_number(scale * metric.high),
                 "sequences": str(metric.sequences),
                 "recordings": str(metric.recordings),
+                "detectable": "" if hidden or metric.detectable is None else _csv_number(scale * metric.detectable),
                 "rank": str(row.ranks.get(metric.metric, "")),
                 "verified": "unverified" if row.entry.unverified else "verified",
                 "note": "; ".join(notes),

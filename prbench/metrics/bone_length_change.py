@@ -24,6 +24,19 @@ def bone_length_change(motion: MotionBatch) -> tuple[Float[np.ndarray, " n"], Bo
         The change (docs/specification/metrics.md#bone-length-change), and which sequences have a bone of zero length in
         frame 0. Such a bone has no relative change and is left out.
     """
+    change, missing = change_of_each_bone(motion)
+    return change.max(axis=0), np.asarray(missing.any(axis=0))
+
+
+def change_of_each_bone(motion: MotionBatch) -> tuple[Float[np.ndarray, "21 n"], Bool[np.ndarray, "21 n"]]:
+    """Largest relative change of each bone against frame 0, in the order of :data:`~prbench.skeleton.BONES`.
+
+    Args:
+        motion: Metres, any frame.
+
+    Returns:
+        The change, 0 for a bone of zero length in frame 0, and which bones have no length there.
+    """
     parents, children = np.transpose(BONES)
     squared = motion.columns[children]
     squared -= motion.columns[parents]
@@ -34,8 +47,7 @@ def bone_length_change(motion: MotionBatch) -> tuple[Float[np.ndarray, " n"], Bo
     shortest = np.sqrt(np.minimum.reduceat(squared, motion.first, axis=1))
     missing = initial < _NO_LENGTH
     deviation = np.maximum(longest - initial, initial - shortest)
-    change = np.where(missing, 0.0, deviation / np.where(missing, 1.0, initial))
-    return change.max(axis=0), np.asarray(missing.any(axis=0))
+    return np.where(missing, 0.0, deviation / np.where(missing, 1.0, initial)), missing
 
 
 def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:

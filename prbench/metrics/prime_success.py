@@ -54,7 +54,7 @@ def primed(
         variant: Which of the readings.
         margin: Metres beyond ``prime_distance`` from which on a ray counts as having been elsewhere (``arrival``).
     """
-    on_target = track.usable & _near(track, constants, variant)
+    on_target = track.usable & near_goal(track, constants, variant)
     sequence = np.repeat(np.arange(len(candidates.count)), candidates.count)
     frame = ranges(candidates.first, candidates.count)
     row = track.row_of_frame_0[sequence] + frame
@@ -78,7 +78,7 @@ def primed(
     return success
 
 
-def _near(track: RayTrack, constants: MetricConstants, variant: Variant) -> Bool[np.ndarray, " rows"]:
+def near_goal(track: RayTrack, constants: MetricConstants, variant: Variant) -> Bool[np.ndarray, " rows"]:
     """Return True for each row whose ray is near enough to the goal."""
     # The tolerance puts a value on the threshold inside: tables hold positions as float32.
     if variant == "angle":

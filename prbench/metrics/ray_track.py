@@ -64,6 +64,10 @@ class RayTrack:
     """Turn since the frame before, rad/s; NaN where that is unknown."""
     usable: Bool[np.ndarray, " rows"]
     """False where the ray itself is not to be trusted; such a frame is off target."""
+    direction: Float[np.ndarray, "rows 3"]
+    """Unit vectors of the ray, canonical frame."""
+    to_goal: Float[np.ndarray, "rows 3"]
+    """From the ray's origin to the goal, canonical frame, metres."""
     sequence: Int[np.ndarray, " rows"]
     row_of_frame_0: Int[np.ndarray, " n"]
     """``row_of_frame_0[i] + t`` is the row of frame t of sequence i, where the track holds that frame."""
@@ -96,7 +100,7 @@ def head_track(
     distance = ray_distance(origin, direction, goal)
     angle = ray_angle_deg(origin, direction, goal)
     speed = _turning_speed(direction, sequence, fps)
-    return RayTrack(distance, angle, speed, ~degenerate, sequence, row_of_frame_0)
+    return RayTrack(distance, angle, speed, ~degenerate, direction, goal - origin, sequence, row_of_frame_0)
 
 
 def gaze_track(
@@ -128,7 +132,7 @@ def gaze_track(
     # A turn has two ends: both the one into an invalid sample and the one out of it are unknown.
     speed[~valid] = np.nan
     speed[1:][~valid[:-1]] = np.nan
-    return RayTrack(distance, angle, speed, valid, sequence, row_of_frame_0)
+    return RayTrack(distance, angle, speed, valid, direction, goal - origin, sequence, row_of_frame_0)
 
 
 def ray_distance(

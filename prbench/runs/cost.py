@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -97,6 +97,30 @@ def read_batch_costs(paths: Iterable[Path]) -> list[BatchCost]:
         except (msgspec.ValidationError, msgspec.DecodeError) as error:
             raise RunError(f"{path}: not a valid measurement: {error}. Delete the file and run again.") from error
     return costs
+
+
+def joined_costs(costs: Sequence[RunCost]) -> RunCost:
+    """Sum up the costs of several runs; what belongs to single batches is left out."""
+    motions = sum(cost.motions for cost in costs)
+    seconds = sum(cost.seconds for cost in costs)
+    device = [cost.peak_device_bytes for cost in costs if cost.peak_device_bytes is not None]
+    parameters = [cost.parameters for cost in costs if cost.parameters is not None]
+    passes = [cost.network_passes_declared for cost in costs if cost.network_passes_declared is not None]
+    return RunCost(
+        motions=motions,
+        frames=sum(cost.frames for cost in costs),
+        seconds=seconds,
+        seconds_per_motion=seconds / motions if motions else None,
+        warm_up_motions=sum(cost.warm_up_motions for cost in costs),
+        warm_up_seconds=sum(cost.warm_up_seconds for cost in costs),
+        peak_process_bytes=max((cost.peak_process_bytes for cost in costs), default=0),
+        peak_device_bytes=max(device, default=None),
+        halved_batches={},
+        network_passes_declared=sum(passes) if passes else None,
+        batches=sum(cost.batches for cost in costs),
+        batches_measured=sum(cost.batches_measured for cost in costs),
+        parameters=max(parameters, default=None),
+    )
 
 
 def total_cost(costs: list[BatchCost], *, batches: int) -> RunCost:

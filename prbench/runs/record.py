@@ -76,13 +76,17 @@ class BatchPlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     """Over the sequence ids of every batch, in order."""
 
 
-class TableRecord(msgspec.Struct, frozen=True, kw_only=True):
+class TableRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The sequences of a table that a run was made on."""
 
     dataset: str
     title: str
     synthetic: bool
     redistribution: str
+    fold: str | None = None
+    """The fold of participants that was tested on, such as ``2/6``; absent for a table that is no fold."""
+    whole_table: str | None = None
+    """Content digest of the table that the fold is of; absent for a table that is no fold."""
     identity_digest: str
     content_digest: str
     sequences: int

@@ -16,6 +16,8 @@ from prbench.storage import write_json
 FILE_NAME = "summary.json"
 RECORDED_MOTION = "recorded_motion"
 """Flag of a motion that is the recorded one, beside its MPJPE."""
+EDGE_ARRIVAL = "arrived_from_the_edge"
+"""Flag of a motion that came onto the target from less than ``arrival_margin`` outside it, beside its arrival."""
 _RECORDED_SHARE = 0.01
 """Share of such motions above which a method is not ranked."""
 TWICE_DAGGER = "††"
@@ -92,6 +94,17 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
             return ""
         rank = "; never ranked" if self.hands_in_recordings else ""
         return f"{TWICE_DAGGER} equals the recorded motion in {self.recorded_motions} of {self._motions} motions{rank}"
+
+    @property
+    def edge_arrivals(self) -> str:
+        """Words on arrivals from so little outside the target that a trembling ray earns them; empty if none is."""
+        metric = next((metric for metric in self.metrics if EDGE_ARRIVAL in metric.flags), None)
+        if metric is None:
+            return ""
+        return (
+            f"{metric.flags[EDGE_ARRIVAL]} of {round(metric.mean * self._motions)} arrivals of {metric.title} come from"
+            " just outside the target, as those of a ray that trembles on its border do"
+        )
 
     @property
     def _motions(self) -> int:

@@ -14,15 +14,61 @@ import pyarrow as pa
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+import prbench
 from prbench.errors import TableError, UsageError
-from prbench.locks import sole_writer
-from prbench.sequences.dataset_info import DatasetInfo
+from prbench.locks import in_turn, sole_writer
+from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
+from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.table import SequenceTable
 from prbench.sequences.write import write_dataset
+from prbench.storage import cache_folder, text_digest
 
 _UNKNOWN = ("", "unknown")
 OPTION = "participant_fold"
 """Key of the options of a table that holds the fold, such as ``2/6``."""
+WHOLE_TABLE = "participant_fold_of"
+"""Key of the options of a table that holds the content digest of the whole table."""
+
+
+def parse_fold(text: str) -> tuple[int, int]:
+    """Return the number of a fold and the number of folds of a text such as ``2/6``.
+
+    Raises:
+        UsageError: for another text, or a fold that does not exist.
+    """
+    number, _, count = text.partition("/")
+    # Few digits, so that no number is too long for Python to read.
+    if not all(part.isdecimal() and len(part) <= 6 for part in (number, count)):
+        raise UsageError(f"--fold {text}: expected K/N, such as 2/6.")
+    fold = int(number)
+    folds = int(count)
+    if folds < 2 or not 1 <= fold <= folds:
+        raise UsageError(f"--fold {text}: expected K/N with N of at least 2 and K from 1 to N.")
+    return fold, folds
+
+
+def fold_table(folder: Path, fold: str) -> SequenceTable:
+    """Open one fold of a table; it is written into prbench's cache first where it is not there yet.
+
+    Args:
+        folder: The whole table.
+        fold: Such as ``2/6``.
+
+    Raises:
+        UsageError: see :func:`write_fold`.
+        TableError: see :func:`participant_folds`.
+        StorageError: if the cache cannot be written.
+    """
+    number, count = parse_fold(fold)
+    table = SequenceTable.open(folder).with_sequences()
+    _require_whole(table)
+    # Everything that the fold's bytes depend on. The place is that of all tables in the cache, where runs find theirs.
+    key = text_digest(prbench.__version__, str(SCHEMA_VERSION), table.info.content_digest, table.info.protocol_digest)
+    out = cache_folder() / "tables" / f"{table.info.dataset}-fold-{number}-of-{count}-{key[:12]}"
+    with in_turn(out.with_name(f"{out.name}.fold")):  # writing holds the folder itself
+        if not (out / FILE_NAME).is_file():
+            write_fold(table, out, fold=number, folds=count)
+    return SequenceTable.open(out)
 
 
 def participant_folds(table: SequenceTable, folds: int) -> dict[str, int]:
@@ -85,10 +131,8 @@ def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> Dat
         TableError: see :func:`participant_folds`.
         StorageError: if the folder holds something else, or cannot be written.
     """
-    if folds < 2 or not 1 <= fold <= folds:
-        raise UsageError(f"--fold {fold}/{folds}: expected k/n with n of at least 2 and k from 1 to n.")
-    if OPTION in table.info.options:
-        raise UsageError(f"{table.folder}: is fold {table.info.options[OPTION]} already; name the whole table.")
+    parse_fold(f"{fold}/{folds}")
+    _require_whole(table)
     table.require_unchanged()
     fold_of = participant_folds(table, folds)
 
@@ -97,7 +141,8 @@ def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> Dat
         new = [_split(fold_of.get(person) == fold, old) for person, old in pairs]
         return batch.set_column(batch.schema.get_field_index("split"), batch.schema.field("split"), pa.array(new))
 
-    info = msgspec.structs.replace(table.info, options={**table.info.options, OPTION: f"{fold}/{folds}"})
+    options = {**table.info.options, OPTION: f"{fold}/{folds}", WHOLE_TABLE: table.info.content_digest}
+    info = msgspec.structs.replace(table.info, options=options)
     with sole_writer(out):
         return write_dataset(
             out,
@@ -106,6 +151,11 @@ def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> Dat
             events=table.events().to_batches(),
             recordings=map(split, table.recordings().to_batches()),
         )
+
+
+def _require_whole(table: SequenceTable) -> None:
+    if OPTION in table.info.options:
+        raise UsageError(f"{table.folder}: is fold {table.info.options[OPTION]} already; name the whole table.")
 
 
 def _rows(table: SequenceTable) -> Iterator[pa.RecordBatch]:

@@ -20,6 +20,7 @@ from prbench.bounded import read_whole
 from prbench.errors import StorageError, TrainingError
 from prbench.evaluation.preparation import package_versions
 from prbench.sequences import CorpusTable, SequenceTable
+from prbench.sequences.folds import OPTION
 from prbench.storage import read_json, remove_leftovers, write_json
 from prbench.training.configuration import TrainingConfiguration
 from prbench.training.motions import parts_of
@@ -34,7 +35,7 @@ _CURVE_POINTS = 100
 _PACKAGES = ("numpy", "pyarrow", "torch", "lightning-fabric", "safetensors", "transformers")
 
 
-class TableRecord(msgspec.Struct, frozen=True, kw_only=True):
+class TableRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One table that was learnt from."""
 
     dataset: str
@@ -45,6 +46,8 @@ class TableRecord(msgspec.Struct, frozen=True, kw_only=True):
     content_digest: str
     sequences: int
     """Number of sequences in the split that is trained on."""
+    fold: str | None = None
+    """The fold of participants that was not learnt from, such as ``2/6``; absent for a table that is no fold."""
 
 
 class TrainingRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -72,6 +75,7 @@ def table_records(tables: Iterable[SequenceTable | CorpusTable], *, split: str) 
             identity_digest=table.info.identity_digest,
             content_digest=table.info.content_digest,
             sequences=sum(table.scalars(split=part).num_rows for part in parts_of(split)),
+            fold=table.info.options.get(OPTION) if isinstance(table, SequenceTable) else None,
         )
         for table in tables
     )

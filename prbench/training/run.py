@@ -13,6 +13,8 @@ import torch
 
 from prbench.errors import TrainingStopped, UsageError
 from prbench.locks import sole_writer
+from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
+from prbench.sequences.folds import fold_table, parse_fold
 from prbench.training.batches import LengthBatches, load_batches
 from prbench.training.configuration import DEFAULT_STAGES, TrainingConfiguration, load_configuration
 from prbench.training.dataset import SequenceDataset, configured_dataset
@@ -46,6 +48,8 @@ class TrainRequest:
     """The training folder; goes on with the same training, refuses another."""
     refit: bool = False
     """Learn from the split ``validation`` as well, once nothing is chosen by it any more."""
+    fold: str | None = None
+    """A fold of the tables' participants, such as ``2/6``, who are not learnt from; None for the tables' own split."""
     stage: str | None = None
     """Stage of the training; by default the task's first."""
     configuration: str = _DEFAULT_CONFIGURATION
@@ -150,7 +154,7 @@ def _run(
     report: Callable[[Progress], None],
 ) -> TrainReport:
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
-        data = configured_dataset(request.data, configuration, split=_split(request))
+        data = configured_dataset(_folders(request), configuration, split=_split(request))
         record = _record(request, stage, configuration, data)
         require_same_training(request.out, record)
         module = _module(request, task, stage, configuration, data)
@@ -184,6 +188,19 @@ def _run(
             raise  # one process speaks for all; Fabric would kill it if another left with a code that is not 0
         raise SystemExit(0) from stopped
     return TrainReport(request.out / WEIGHTS, state.step, state.seconds, state.waiting, fabric.is_global_zero)
+
+
+def _folders(request: TrainRequest) -> tuple[Path, ...]:
+    """The tables to learn from: those that were named, or a fold of each."""
+    if request.fold is None:
+        return request.data
+    parse_fold(request.fold)
+    for folder in request.data:
+        if not (folder / DATASET_FILE).is_file():
+            raise UsageError(
+                f"--fold: {folder} holds no {DATASET_FILE}; only built datasets have folds of participants."
+            )
+    return tuple(fold_table(folder, request.fold).folder for folder in request.data)
 
 
 def _split(request: TrainRequest) -> str:

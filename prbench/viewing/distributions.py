@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.published import Spread, load_table_one
 from prbench.sequences.table_one import TableStatistics
 from prbench.shown import figure_text
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 
 _BINS = 30
+_HEADROOM = 1.2
+"""Height of a panel over that of its bars, so that no legend lies on a bar."""
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple")
 _COLUMNS = (("duration", "s", 14.0), ("gap", "s", 12.0), ("body", "m", 6.0), ("hand", "m", 1.5))
 
@@ -76,13 +79,16 @@ def _histogram(
     # Common edges for all datasets; a quantity without spread still needs a bin of some width.
     edges = np.linspace(low, high, _BINS + 1) if low < high else np.linspace(low - 0.5, low + 0.5, _BINS + 1)
     if published is not None:
-        _draw_band(axes, published, label="published mean, sd shaded")
-        axes.legend(fontsize=7, frameon=False)
+        synthetic = statistics[0].dataset.startswith(SYNTHETIC_PREFIX)
+        whose = "published mean of real people" if synthetic else "published mean"
+        _draw_band(axes, published, label=f"{whose}, sd shaded")
+        axes.legend(fontsize=7, edgecolor="none")
     for colour, each in zip(_COLOURS, values, strict=False):
         axes.hist(each, bins=edges.tolist(), density=True, color=colour, alpha=0.7 if len(values) == 1 else 0.4)
         axes.axvline(float(each.mean()), color=colour, linewidth=1.0)
     _dress(axes, title)
     axes.set_yticks([])
+    axes.set_ylim(top=_HEADROOM * axes.get_ylim()[1])
 
 
 def _draw_band(axes: Axes, published: Spread, label: str | None = None) -> None:

@@ -5,6 +5,7 @@ Every panel is a view at right angles to the way from the first frame's pelvis t
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,6 +28,7 @@ from prbench.viewing.replay.scene import Scene, ShownMotion
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+_NOTE_CHARACTERS = 90  # that fit below a panel
 _POSES = 6
 _ARROW = 0.45  # metres
 _MARGIN = 0.45  # metres
@@ -62,9 +64,9 @@ def draw_examples(scenes: Sequence[Scene], path: Path, *, title: str, columns: i
     for place in axes[len(scenes) :]:
         place.set_axis_off()
     figure.suptitle(figure_text(title), fontsize=10, x=0.01, ha="left")
-    figure.supxlabel(
-        figure_text(_foot(scenes, "Darker: later. Green: gaze at the prime time.")), fontsize=7, color="0.35"
-    )
+    # A figure of a single panel is narrower than the note.
+    foot = textwrap.fill(_foot(scenes, "Darker: later. Green: gaze at the prime time."), _NOTE_CHARACTERS * wide)
+    figure.supxlabel(figure_text(foot), fontsize=7, color="0.35")
     write_figure(figure, path)
 
 

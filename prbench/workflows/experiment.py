@@ -22,8 +22,13 @@ from prbench.evaluation.request import DEFAULT_BATCH_SIZE, RunRequest
 from prbench.limits import HARMLESS_SIZE
 from prbench.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.runs import RunFolder, read_scores
-from prbench.runs.record import FILE, FILE_NAME, PROGRAM, UNKNOWN
+from prbench.runs.record import FILE, FILE_NAME, PROGRAM, UNKNOWN, TableRecord
+from prbench.sequences import DatasetInfo, SequenceTable
+from prbench.sequences.folds import fold_table, parse_fold
 from prbench.workflows.first_run import table_finder
+
+PARTICIPANTS = "participants"
+"""Split of an experiment that is a fold of participants."""
 
 
 class ExperimentMethod(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
@@ -54,6 +59,9 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     data: tuple[str, ...] = ()
     """Folders of tables, which every run is made on; empty for the embedded synthetic datasets."""
     split: str = "test"
+    """``participants`` goes with ``fold``."""
+    fold: str | None = None
+    """Such as ``2/6``: the participants of this fold are tested on."""
     limit: int | None = None
     """Sequences of each dataset."""
     sequences: tuple[str, ...] = ()
@@ -85,6 +93,10 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         Raises:
             UsageError: if a run's parts do not fit together, or two runs are the same.
         """
+        if (self.split == PARTICIPANTS) != (self.fold is not None):
+            raise UsageError("--split participants and --fold K/N belong together.")
+        if self.fold is not None:
+            parse_fold(self.fold)
         single = sum(max(1, len(method.conditions)) for method in self.methods) * len(self.seeds) == 1
         taken: set[str] = set()
         for method in self.methods:
@@ -109,7 +121,8 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             condition=condition,
             weights=Path(method.weights) if method.weights else None,
             options=method.option_texts,
-            split=self.split,
+            split="test" if self.fold is not None else self.split,
+            fold=self.fold,
             limit=self.limit,
             sequences=self.sequences,
             seed=seed,
@@ -213,7 +226,7 @@ def _tables_of(run: RunFolder, data: tuple[Path, ...]) -> tuple[str, ...]:
     find = table_finder(data)
     folders = []
     for table in run.record.tables:
-        found = find(table)
+        found = find(table) or _fold_of(table, data)
         if found is None:
             raise RunError(
                 f"{run.path}: the run was made on a table of {table.dataset} with content digest"
@@ -221,6 +234,17 @@ def _tables_of(run: RunFolder, data: tuple[Path, ...]) -> tuple[str, ...]:
             )
         folders.append(str(found.folder))
     return tuple(folders)
+
+
+def _fold_of(record: TableRecord, data: tuple[Path, ...]) -> SequenceTable | None:
+    """The fold that a run was made on, made anew from the whole table if that is named; else None."""
+    if record.fold is None:
+        return None
+    for folder in data:
+        if DatasetInfo.read(folder).content_digest == record.whole_table:
+            made = fold_table(folder, record.fold)
+            return made if made.info.content_digest == record.content_digest else None
+    return None
 
 
 def same_scores(first: RunFolder, second: RunFolder) -> bool:

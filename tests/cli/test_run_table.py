@@ -50,6 +50,9 @@ def test_a_table_is_printed_in_the_studys_layout(table, tmp_path, capsys):
         (["--method", "all", "--weights", "mdm-small"], "expected a folder of weights for a table, found no folder"),
         (["--method", "scripted", "--condition", "all"], "Table 2 has no rows of 'scripted'"),
         (["--method", "static", "--minutes", "3"], "--minutes: belongs to --method all"),
+        (["--method", "static", "--with-controls"], "--with-controls: belongs to --method all"),
+        (["--method", "all", "--fold", "1/2"], "--fold: belongs to a run of one method"),
+        (["--method", "all", "--split", "participants"], "run --method all on a table of each fold"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(words, message, table, tmp_path, capsys):
@@ -73,7 +76,7 @@ def test_what_suits_a_table_reaches_its_rows(table, tmp_path, capsys):
 
 
 def test_a_narrow_terminal_gets_a_narrow_layout(table, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(table_two, "_width", lambda: 80)
+    monkeypatch.setattr(table_two, "shown_width", lambda: 80)
     words = ["run", "--method", "static", "--condition", "all", "--limit", "2", "--workers", "1"]
     assert main([*words, "--data", str(table.folder), "--out", str(tmp_path / "t")]) == 0
     printed = capsys.readouterr().out

@@ -16,6 +16,7 @@ from prbench.cli import main
 from prbench.cli.train import TrainReport
 from prbench.errors import TrainingError, UsageError
 from prbench.sequences import SequenceTable
+from prbench.sequences.folds import participant_folds
 from prbench.storage import file_digest, read_json
 from prbench.training import installed
 from prbench.training.dataset import SequenceDataset
@@ -298,3 +299,22 @@ def test_refit_learns_from_train_and_validation(data, tmp_path, capsys):
 def test_refit_and_validation_exclude_one_another(data, tmp_path, capsys):
     words = command(data, tmp_path / "out", "--refit", *VALIDATED)
     refused(words, capsys, code=UsageError.exit_code, message="measuring on it would say nothing")
+
+
+def test_a_fold_is_learnt_from_without_its_people(tmp_path, capsys):
+    table = fake_dataset(tmp_path / "table", 24)
+    out = tmp_path / "out"
+    fold = ["--split", "participants", "--fold", "1/3"]
+    assert main([*command(table.folder, out), *fold]) == 0
+    fold_of = participant_folds(table, 3)
+    people = table.scalars()["participant_id"].to_pylist()
+    rows = zip(people, table.scalars()["split"].to_pylist())
+    learnt = sum(fold_of[person] != 1 and split != "validation" for person, split in rows)
+    (told,) = read_json(out / "training.json")["data"]
+    assert (told["fold"], told["sequences"]) == ("1/3", learnt)
+    (card,) = read_json(out / "weights.json")["data"]
+    assert card["fold"] == "1/3"
+    other = [*command(table.folder, out), *fold[:3], "2/3"]
+    refused(other, capsys, code=TrainingError.exit_code, message="holds another training")
+    together = "--split participants and --fold K/N belong together"
+    refused([*command(table.folder, out), "--fold", "1/3"], capsys, code=UsageError.exit_code, message=together)

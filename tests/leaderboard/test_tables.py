@@ -27,6 +27,7 @@ from prbench.runs.record import RunRecord, TableRecord
 from prbench.runs.scores import read_scores
 from prbench.runs.summary import DatasetSummary, MetricSummary
 from prbench.submitted.verification import CheckedSummary
+from prbench.workflows.study.methods import methods_table
 from tests.fakes import fake_dataset
 from tests.runs.test_record import METHOD, RECORD, SUMMARY, TABLE
 
@@ -610,6 +611,24 @@ def test_a_dataset_that_cannot_be_decided_says_so(tmp_path, recordings, sequence
     assert any(reason in line for line in json.loads(export(board, "json"))["tables"][0]["undecided"])
 
 
+def test_arrivals_from_the_edge_are_counted_on_every_board(tmp_path):
+    arrival = next(entry for entry in metrics() if entry.metric == "prime_success")
+    arrival = msgspec.structs.replace(
+        arrival, metric="prime_success_arrival", title="Prime Success (arrival)", mean=0.5,
+        flags={"arrived_from_the_edge": 7},
+    )  # fmt: skip
+    write_run(tmp_path / "a", "one", summary={"metrics": (*metrics(), arrival)})
+    board = leaderboard(tmp_path)
+    said = "7 of 40 arrivals of Prime Success (arrival) come from just outside the target"
+    assert f"one: {said}" in export(board, "md").replace("\\", "")
+    rows = list(csv.DictReader(io.StringIO(export(board, "csv"))))
+    assert {row["metric"] for row in rows if said in row["note"]} == {"prime_success_arrival"}
+    (row,) = json.loads(export(board, "json"))["tables"][0]["rows"]
+    assert row["metrics"][-1]["flags"] == {"arrived_from_the_edge": 7}
+    (table,) = methods_table(board, "2", with_published=False)
+    assert any(said in note for note in table.notes)
+
+
 def test_the_smallest_detectable_difference_stands_below_the_table(tmp_path):
     known = {"prime_success": 0.27, "mpjpe": 0.034, "reach_success": 1.3}
     entries = tuple(msgspec.structs.replace(entry, detectable=known.get(entry.metric)) for entry in metrics())
@@ -618,3 +637,10 @@ def test_the_smallest_detectable_difference_stands_below_the_table(tmp_path):
     assert "Prime Success 27 points" in text
     assert "Reach Success none (not even 100 points)" in text
     assert "MPJPE 0.034 m" in text
+    assert "to find 5, 10 and 20 points as surely, about" in text
+    rows = list(csv.DictReader(io.StringIO(export(leaderboard(tmp_path), "csv"))))
+    assert {row["metric"]: row["detectable"] for row in rows if row["detectable"]} == {
+        "prime_success": "27",
+        "reach_success": "130",
+        "mpjpe": "0.034",
+    }

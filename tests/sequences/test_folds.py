@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import msgspec
+import pyarrow as pa
 import pytest
 
 from prbench.cli.leaderboard import MergeReport
+from prbench.cli.main import main
 from prbench.cli.split_dataset import SplitReport
-from prbench.errors import RunError, TableError, UsageError
+from prbench.errors import RunError, StorageError, TableError, UsageError
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
+from prbench.leaderboard.collect import CollectedRuns, collect_runs
 from prbench.leaderboard.merging import merge_folds
+from prbench.leaderboard.tables import make_leaderboard
+from prbench.runs.folder import RunFolder
+from prbench.runs.scores import read_scores, write_scores
+from prbench.runs.summary import DatasetSummary
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import participant_folds, write_fold
+from prbench.submitted.verification import RunChecker, recording_key, summary_of
+from prbench.workflows.first_run import table_finder
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 
@@ -59,7 +69,7 @@ def test_what_cannot_be_split_is_refused(table, folds, tmp_path):
         participant_folds(table, 9)
     with pytest.raises(UsageError, match="is fold 1/3 already"):
         write_fold(folds[0], tmp_path / "again", fold=1, folds=3)
-    with pytest.raises(UsageError, match="expected k/n"):
+    with pytest.raises(UsageError, match="expected K/N"):
         write_fold(table, tmp_path / "again", fold=4, folds=3)
 
 
@@ -68,14 +78,22 @@ def test_merged_folds_are_the_scores_of_all_sequences(table, folds, tmp_path, ca
     for number, fold in enumerate(folds):
         paths.append(tmp_path / f"run-{number}")
         run_method(RunRequest(method="scripted", data=(fold.folder,), out=paths[-1]))
-    merged, _ = merge_folds(paths)
+    merged = merge_folds(paths[::-1]).summary
     assert merged.sequences == table.scalars().num_rows
     assert merged.split == "3 folds"
     words = ["leaderboard", "merge", *map(str, paths)]
     report = reported(words, MergeReport, capsys)
     assert report.scores.sequences == merged.sequences
-    with pytest.raises(RunError, match="folds share no sequence"):
+    with pytest.raises(RunError, match="fold 1/3 is that of"):
         merge_folds([paths[0], paths[0]])
+    with pytest.raises(RunError, match="each of the 3 folds, found none of 2"):
+        merge_folds([paths[0], paths[2]])
+    whole = tmp_path / "whole"
+    run_method(RunRequest(method="scripted", data=(table.folder,), out=whole))
+    with pytest.raises(RunError, match="expected whole table"):
+        merge_folds([paths[0], whole])
+    with pytest.raises(RunError, match="found one on a table that is no fold"):
+        merge_folds([whole, whole])
     with pytest.raises(RunError, match="expected a run of each fold"):
         merge_folds(paths[:1])
     other = tmp_path / "other"
@@ -90,3 +108,92 @@ def test_the_command_says_who_is_tested_on(table, tmp_path, capsys):
     assert report.tested == sorted(_tested(SequenceTable.open(tmp_path / "two"), "participant_id"))
     assert sum(report.sequences.values()) == table.scalars().num_rows
     refused([*words[:3], "half", *words[4:]], capsys, code=UsageError.exit_code, message="expected K/N")
+
+
+def _runs_of_folds(table, root, method="scripted"):
+    paths = []
+    for fold in ("1/3", "2/3", "3/3"):
+        paths.append(root / f"{method}-{fold[0]}")
+        words = ["run", "--method", method, "--data", str(table.folder), "--split", "participants", "--fold", fold]
+        assert main([*words, "--out", str(paths[-1])]) == 0
+    return paths
+
+
+@pytest.fixture(scope="module")
+def fold_runs(table, tmp_path_factory):
+    root = tmp_path_factory.mktemp("fold-runs")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PRBENCH_CACHE", str(root / "cache"))
+        yield _runs_of_folds(table, root)
+
+
+def test_a_run_on_a_fold_is_that_on_the_table_of_the_fold_and_says_so(table, folds, fold_runs, tmp_path, capsys):
+    made = RunFolder.open(fold_runs[1]).record
+    assert made.tables[0].fold == "2/3"
+    assert made.tables[0].whole_table == table.info.content_digest
+    run_method(RunRequest(method="scripted", data=(folds[1].folder,), out=tmp_path / "beside"))
+    assert RunFolder.open(tmp_path / "beside").record == made
+    repeated = tmp_path / "repeated"
+    words = ["run", "--config", str(fold_runs[1]), "--data", str(table.folder), "--out", str(repeated)]
+    assert main(words) == 0
+    assert RunFolder.open(repeated).record == made
+    assert "every score is the same" in capsys.readouterr().err
+
+
+def test_a_fold_and_its_split_are_named_together(table, fold_runs, tmp_path, capsys):
+    words = ["run", "--method", "scripted", "--data", str(table.folder), "--out", str(tmp_path / "run")]
+    together = "--split participants and --fold K/N belong together"
+    refused([*words, "--fold", "1/3"], capsys, code=UsageError.exit_code, message=together)
+    refused([*words, "--split", "participants"], capsys, code=UsageError.exit_code, message=together)
+    beyond = [*words, "--split", "participants", "--fold", "4/3"]
+    refused(beyond, capsys, code=UsageError.exit_code, message="--fold 4/3: expected K/N")
+    # A run folder never goes on with another fold.
+    other = ["--split", "participants", "--fold", "1/3", "--out", str(fold_runs[1])]
+    refused([*words[:5], *other], capsys, code=RunError.exit_code, message="fold: expected 1/3 for this run, found 2/3")
+
+
+def test_an_experiment_may_be_of_a_fold(table, fold_runs, tmp_path):
+    file = tmp_path / "experiment.toml"
+    file.write_text(
+        f'data = [{str(table.folder)!r}]\nsplit = "participants"\nfold = "3/3"\n[[methods]]\nname = "scripted"\n'
+    )
+    assert main(["run", "--config", str(file), "--out", str(tmp_path / "run")]) == 0
+    assert RunFolder.open(tmp_path / "run").record == RunFolder.open(fold_runs[2]).record
+
+
+def test_merged_scores_stand_beside_others_and_are_held_against_their_runs(table, fold_runs, tmp_path, capsys):
+    out = tmp_path / "merged"
+    merge = ["leaderboard", "merge", *map(str, fold_runs), "--out", str(out)]
+    assert reported(merge, MergeReport, capsys).out == out
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert main(merge) == 0, "the same again changes nothing"
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    (board,) = collect_runs([out]).rows
+    assert "name them, too" in board.unverified
+    assert board.summary.sequences == table.scalars().num_rows
+    (board,) = collect_runs([out, *fold_runs], check=RunChecker(table_finder([])).check).rows
+    assert board.unverified == "", "the tables of the folds stand in the cache"
+    alone = collect_runs(fold_runs).rows
+    assert {row.table.fold for row in alone} == {"1/3", "2/3", "3/3"}
+    assert len(make_leaderboard(CollectedRuns(alone, ())).tables) == 3, "different folds never share a table"
+
+
+def test_forged_merged_scores_are_refused(fold_runs, tmp_path, capsys):
+    out = tmp_path / "merged"
+    merge_folds(fold_runs).write(out)
+    summary = DatasetSummary.read(out)
+    better = msgspec.structs.replace(summary.metrics[0], mean=0.99)
+    msgspec.structs.replace(summary, metrics=(better, *summary.metrics[1:])).write(out)
+    with pytest.raises(RunError, match="follows from"):
+        collect_runs([out])
+    scores = read_scores(out / "scores.parquet")
+    scores = scores.set_column(4, scores.schema.field("value"), pa.array(0.5 * scores["value"].to_numpy()))
+    write_scores(out / "scores.parquet", [scores])
+    record = RunFolder.open(out).record
+    names = {name: recording_key(name) for name in scores["sequence_id"].to_pylist()}
+    summary_of(record, record.tables[0], scores, names).write(out)
+    assert collect_runs([out]).rows[0].unverified, "alone it cannot be known, and is not called verified"
+    with pytest.raises(RunError, match="does not follow from the runs"):
+        collect_runs([out, *fold_runs])
+    words = ["leaderboard", "merge", *map(str, fold_runs), "--out"]
+    refused([*words, str(fold_runs[0])], capsys, code=StorageError.exit_code, message="it is no merged run")

@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow.compute as pc
 
 from prbench.errors import UsageError
+from prbench.evaluation.clusters import FEWEST_FOR_TEST
 from prbench.evaluation.intervals import Estimate, metric_interval
 from prbench.leaderboard.tables import MAIN_METRICS
 from prbench.metrics import MetricInfo, exported_unit
@@ -96,6 +97,7 @@ def breakdown_table(scores: Sequence[GroupScore], by: str) -> StudyTable:
         word = ", measured on synthetic data" if run.record.synthetic else ""
         blocks.append(StudyBlock(f"{run.title}{word}", tuple(rows)))
     synthetic = any(one.run.record.synthetic for one in scores)
+    few = dict.fromkeys(one.group for one in scores if one.estimate.n_recordings < FEWEST_FOR_TEST)
     return StudyTable(
         number="of Figure 4",
         title=f"scores by {by}",
@@ -104,6 +106,7 @@ def breakdown_table(scores: Sequence[GroupScore], by: str) -> StudyTable:
         values=tuple(_value(one, by) for one in scores),
         notes=(
             "Rates in %, lengths in m; 95 % intervals over the recordings of each group in brackets.",
+            *((f"Cannot be decided, with fewer than {FEWEST_FOR_TEST} recordings: {', '.join(few)}.",) if few else ()),
             "The study prints no numbers for its Figure 4, so that nothing published stands beside.",
             *((SYNTHETIC_NOTE,) if synthetic else ()),
         ),

@@ -28,6 +28,8 @@ class StudyValue:
     """Standard deviation over sequences, or the number after ± in the study."""
     sequences: int | None = None
     recordings: int | None = None
+    detectable: float | None = None
+    """Smallest difference to an unrelated method of the same spread that would be found with 80 % power."""
     origin: str = MEASURED
     """``measured``, ``measured on synthetic data``, ``published: …``, or ``measured - published``."""
     note: str = ""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
-from prbench.leaderboard.tables import MAIN_METRICS, DatasetTable, Leaderboard, TableRow, hides
+from prbench.leaderboard.tables import MAIN_METRICS, DatasetTable, Leaderboard, TableRow, hides, undecided_lines
 from prbench.metrics import METRICS, MetricInfo, exported_unit
 from prbench.published import PublishedNumber, load_assumptions, load_published, load_table_one, published_table
 from prbench.runs.record import CONTROL
@@ -222,6 +222,7 @@ def measured_values(row: TableRow, table: DatasetTable) -> Iterable[StudyValue]:
             unit=exported_unit(info.unit),
             sequences=metric.sequences,
             recordings=metric.recordings,
+            detectable=None if hidden or metric.detectable is None else info.scale * metric.detectable,
             origin=SYNTHETIC if table.synthetic else MEASURED,
             note="; ".join(part for part in notes if part),
         )
@@ -324,9 +325,12 @@ def table_notes(table: DatasetTable) -> Iterable[str]:
         )
     if table.synthetic:
         yield SYNTHETIC_NOTE
+    yield from undecided_lines(table)
     for row in table.rows:
         if row.entry.mark:
             yield f"{row.entry.method} {row.entry.mark}."
+        if row.entry.summary.edge_arrivals:
+            yield f"{row.entry.method}: {row.entry.summary.edge_arrivals}."
         if row.entry.unverified:
             yield f"{row.entry.method} ({row.entry.run}): unverified, because {row.entry.unverified}."
 

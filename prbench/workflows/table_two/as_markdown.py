@@ -14,6 +14,7 @@ from prbench.metrics import STUDY_METRICS, exported_unit
 from prbench.shown import markdown
 from prbench.workflows.table_two.layout import (
     ARRIVAL,
+    CONTROL,
     DECIDING,
     BlockLayout,
     Cell,
@@ -81,6 +82,10 @@ def notes(layout: TableLayout) -> Iterable[str]:
             "Bold or ¹: better than every other method of the block, each by a supported difference. Controls are not"
             " ranked."
         )
+    for dataset in layout.datasets:
+        yield from _controls_arrival(dataset)
+        yield from dataset.edge_arrivals
+        yield from dataset.undecided
     if any(dataset.synthetic for dataset in layout.datasets):
         yield "Scores on synthetic data: they say nothing about real people; never compare them with published ones."
     stand_ins = [f"{line.label} ({line.weights_used})" for line in lines if line.stands_in and line.state == "run"]
@@ -99,6 +104,14 @@ def notes(layout: TableLayout) -> Iterable[str]:
             )
     if any(dataset.redistribution == "non-commercial" for dataset in layout.datasets):
         yield "Some of the data may be used for non-commercial purposes only."
+
+
+def _controls_arrival(dataset: DatasetLayout) -> Iterable[str]:
+    """Yield the metric that tells staring from priming, of which the study's table has no column."""
+    lines = [line for block in dataset.blocks if block.condition == CONTROL for line in block.lines]
+    shown = [f"{line.label} {line.arrival.mean:.2f}" for line in lines if line.arrival is not None]
+    if shown:
+        yield f"{ARRIVAL.title} of the controls on {dataset.dataset}, in %: {', '.join(shown)}."
 
 
 def _grid(dataset: DatasetLayout) -> str:

@@ -17,7 +17,7 @@ from prbench.evaluation.comparisons import Comparison, compare
 from prbench.evaluation.planning import Selection, select
 from prbench.leaderboard import collect_runs, make_leaderboard
 from prbench.leaderboard.comparison import paired_scores
-from prbench.leaderboard.tables import FEWEST_RANKED, DatasetTable, TableRow, hides, of_all_methods
+from prbench.leaderboard.tables import FEWEST_RANKED, DatasetTable, TableRow, hides, of_all_methods, undecided_lines
 from prbench.metrics import METRICS, STUDY_METRICS, MetricInfo
 from prbench.runs.cost import RunCost
 from prbench.runs.folder import RunFolder
@@ -30,7 +30,7 @@ DECIDING = STUDY_METRICS[0]
 ARRIVAL = next(info for info in METRICS if info.id == "prime_success_arrival")
 """Orders a block a second time: a body that stares at the goal from the start is first by :data:`DECIDING`."""
 _CONTROLS_TITLE = "Controls"
-_CONTROL = "control"
+CONTROL = "control"
 _MEBIBYTE = 2**20
 
 
@@ -143,6 +143,10 @@ class DatasetLayout:
     """Number of sequences that were asked for."""
     recordings: int
     blocks: tuple[BlockLayout, ...]
+    undecided: tuple[str, ...] = ()
+    """Sentences on what the data cannot decide, and the smallest differences that they can."""
+    edge_arrivals: tuple[str, ...] = ()
+    """Sentences on arrivals that a ray trembling on the border of the target earns."""
 
     @property
     def is_ranked(self) -> bool:
@@ -211,8 +215,8 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, part: DatasetTab
     lines = [(outcome.planned, _line(outcome, rows.get(outcome.planned.name))) for outcome in outcomes]
     under: dict[str, list[Line]] = defaultdict(list)
     for planned, line in lines:
-        under[_CONTROL if planned.is_control else planned.condition.value].append(line)
-    titles = {block.condition.value: block.title for block in load_table_two().blocks} | {_CONTROL: _CONTROLS_TITLE}
+        under[CONTROL if planned.is_control else planned.condition.value].append(line)
+    titles = {block.condition.value: block.title for block in load_table_two().blocks} | {CONTROL: _CONTROLS_TITLE}
     return DatasetLayout(
         dataset=info.dataset,
         title=info.title,
@@ -225,6 +229,12 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, part: DatasetTab
             BlockLayout(title, name, tuple(under[name]), *_orders(under[name], folders, info.dataset, common))
             for name, title in titles.items()
             if name in under
+        ),
+        undecided=() if part is None else undecided_lines(part),
+        edge_arrivals=tuple(
+            f"{line.label} ({line.name}): {rows[line.name].entry.summary.edge_arrivals}."
+            for _, line in lines
+            if line.name in rows and rows[line.name].entry.summary.edge_arrivals
         ),
     )
 

@@ -11,7 +11,7 @@ from prbench.evaluation.controls import GROUND_TRUTH, SHUFFLED_GOAL
 from prbench.evaluation.request import RunRequest
 from prbench.methods.adapters import load_adapter
 from prbench.methods.installed import list_adapters
-from prbench.workflows.table_two.request import CONTROLS, Row, TableRequest, load_table_two
+from prbench.workflows.table_two.request import CONTROLS, MORE_CONTROLS, Row, TableRequest, load_table_two
 
 ALL = "all"
 """The value of ``--method`` or ``--condition`` that asks for all that Table 2 has."""
@@ -64,7 +64,8 @@ def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> li
         AdapterError: if a method refuses its options or the device.
     """
     planned = [_planned(request, row, data, folder) for row in request.rows]
-    controls = [_control(request, name, data, folder) for name in CONTROLS]
+    names = (*CONTROLS, *MORE_CONTROLS) if request.more_controls else CONTROLS
+    controls = [_control(request, name, data, folder) for name in names]
     shuffled = [_shuffled(row, folder) for row in planned if row.run.condition in GOALS]
     return planned + controls + (shuffled if request.shuffled_goal else [])
 

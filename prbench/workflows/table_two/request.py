@@ -16,9 +16,11 @@ import prbench
 from prbench.contract import Condition
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import UsageError, did_you_mean
+from prbench.evaluation.cheats import CHEATS
 from prbench.evaluation.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
 from prbench.evaluation.preparation import DEFAULT_PARENT
 from prbench.manifests import read_toml
+from prbench.methods.names import NEAREST_NEIGHBOUR
 from prbench.own_protocol import read_protocol
 from prbench.published import load_table_one
 from prbench.sequences import SequenceTable
@@ -29,6 +31,8 @@ _FILE = "table_2.toml"
 DEFAULT_MINUTES = 30
 CONTROLS = (GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED)
 """Controls that always stand beside the rows."""
+MORE_CONTROLS = (*CHEATS, NEAREST_NEIGHBOUR)
+"""Controls that stand there if asked for: what the metrics give a body that cheats, and a training motion."""
 
 
 class Block(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -166,6 +170,8 @@ class TableRequest:
     """The user's own protocol; None for prbench's."""
     shuffled_goal: bool = False
     """True if every goal row stands there with other sequences' goals, too."""
+    more_controls: bool = False
+    """True if :data:`MORE_CONTROLS` stand beside the rows, too."""
     out: Path | None = None
     """Folder of the table; by default one under ``runs`` whose name says what was asked."""
 
@@ -256,6 +262,8 @@ class TableRequest:
             "--threads": str(self.threads),
             "--control": SHUFFLED_GOAL if self.shuffled_goal else "",
         }
+        if self.more_controls:
+            settings["--with-controls"] = "yes"
         if self.protocol is not None:
             settings["--protocol"] = read_protocol(self.protocol).digest
         return settings | {f"table {table.info.dataset}": f"{table.identity} {table.content}" for table in tables}

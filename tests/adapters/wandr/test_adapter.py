@@ -61,6 +61,15 @@ def test_a_body_that_follows_its_intention_has_its_right_wrist_at_the_goal_in_th
         assert (np.diff(distance) < 0).all()
 
 
+def test_a_body_that_is_late_is_asked_for_no_more_than_the_most_speed():
+    batch = tiny.batch(frames=(20,))
+    distance = np.linalg.norm(batch.initial_joints[:, RIGHT] - batch.goal_location, axis=-1)
+    half = float(distance[0]) / (19 / 30) / 2  # metres a second that bring the wrist half of the way
+    method = _follower(Generation(most_speed=half))
+    steps = np.linalg.norm(np.diff(method.generate(batch, seed=0).joints[0, :, RIGHT], axis=0), axis=-1)
+    assert steps == pytest.approx(half / 30, rel=1e-4)
+
+
 @pytest.mark.parametrize(("hand", "wrist"), [("right", RIGHT), ("left", LEFT)])
 def test_the_hand_that_is_asked_for_reaches(hand, wrist):
     batch = tiny.batch(frames=(20,))
@@ -152,6 +161,8 @@ def test_weights_are_found_and_declared(tmp_path):
         assert method.weights_for(Condition.GOAL_LOCATION) == path
         assert method.native_fps == 30
         assert method.generation == Generation(hand="nearest", deviation=0.5)
+    assert load_adapter("wandr", path, {"most-speed": "0"}, "cpu").generation == Generation()
+    assert load_adapter("wandr", path, {"most-speed": "1.5"}, "cpu").generation == Generation(most_speed=1.5)
     assert load_adapter("wandr", path, {}, "cpu").generate(tiny.batch(), seed=0).joints.shape == (3, 30, 22, 3)
 
 
@@ -161,6 +172,7 @@ def test_weights_are_found_and_declared(tmp_path):
         ({"hands": "left"}, "unknown option 'hands'. Did you mean 'hand'"),
         ({"hand": "both"}, "expected right or nearest or left, found 'both'"),
         ({"deviation": "-1"}, "expected a number of 0 or more"),
+        ({"most-speed": "fast"}, "option 'most-speed': expected a number of 0 or more"),
         ({"first-change": "none"}, "option 'first-change'"),
     ],
 )

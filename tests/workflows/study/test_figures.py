@@ -28,6 +28,7 @@ from prbench.workflows.study.breakdown import GROUPINGS, break_down, breakdown_t
 from prbench.workflows.study.genuine import genuine_runs
 from prbench.workflows.study.sweep import sweep, sweep_table
 from tests.fakes import fake_dataset
+from tests.workflows.study.test_formats import require_whole_latex
 
 PNG = b"\x89PNG"
 
@@ -211,6 +212,7 @@ def test_tables_are_made_by_their_commands(runs, table, tmp_path, capsys):
         report = json.loads(capsys.readouterr().out)["report"]
         assert report["tables"][0]["values"]
         assert all(path.stat().st_size for path in files)
+        require_whole_latex(files[1].read_text())
 
 
 def test_an_unknown_part_is_refused(runs, table, capsys):

@@ -52,6 +52,19 @@ def require_balanced(text: str) -> None:
     assert "%" not in bare
 
 
+def require_whole_latex(text: str) -> None:
+    """Every table of a file ends, and each of its rows has as many cells as the table has columns."""
+    tables = text.split(r"\begin{table}")[1:]
+    assert tables
+    for table in tables:
+        require_balanced(r"\begin{table}" + table)
+        columns = re.search(r"\\begin\{tabular\}\{([lr]+)\}", table)
+        assert columns is not None
+        rows = tabular_rows(table)
+        assert len(rows) > 1
+        assert {len(row) for row in rows} == {len(columns[1])}
+
+
 @pytest.mark.parametrize("name", ["P&R", HOSTILE, "x\x1b[31m\n\\end{tabular}"])
 def test_latex_has_the_rows_and_nothing_that_a_name_brings(name):
     text = as_latex([table_of(name)])

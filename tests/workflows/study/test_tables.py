@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 
 import msgspec
@@ -10,13 +12,15 @@ import pytest
 from prbench.published import load_published, load_table_one
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
+from prbench.workflows.study.formats import FORMATS
 from prbench.workflows.study.methods import methods_table, poses_table
 from prbench.workflows.study.sizes import table_one, table_s2
 from prbench.workflows.study.text import table_s8
 from prbench.workflows.text_to_motion.report import Interval, ResultRow, TextEvaluation
 from tests.fakes import fake_dataset
-from tests.leaderboard.test_tables import write_run
+from tests.leaderboard.test_tables import metrics, write_run
 from tests.workflows.study.test_beside import board_of, write_real
+from tests.workflows.study.test_formats import require_whole_latex
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +91,22 @@ def test_runs_stand_in_the_study_s_places_and_others_beside(tmp_path):
     assert any("the study names no frame rate" in note.lower() for note in table.notes)
 
 
+@pytest.mark.parametrize("suffix", [".md", ".tex", ".csv"])
+def test_every_format_says_what_cannot_be_decided_and_what_could_be_found(suffix, tmp_path):
+    known = tuple(msgspec.structs.replace(entry, detectable=0.27) for entry in metrics())
+    write_run(tmp_path / "a", "pr", kind="built-in", record={"condition": "goal-loc"}, summary={"metrics": known})
+    other = {"datasets": ("synthetic-gimo",), "summary": {"recordings": 3}}
+    write_run(tmp_path / "b", "pr", kind="built-in", record={"condition": "goal-loc"}, **other)
+    text = FORMATS[suffix](methods_table(board_of(tmp_path), "2", with_published=False))
+    if suffix == ".csv":
+        rows = list(csv.DictReader(io.StringIO(text)))
+        assert {row["detectable"] for row in rows if row["metric"] == "prime_success"} >= {"27"}
+        return
+    assert "synthetic-gimo cannot be decided: 3 recordings" in text
+    assert "Prime Success 27 points" in text
+    assert "to find 5, 10 and 20 points as surely" in text
+
+
 def test_a_synthetic_table_has_no_difference_and_says_so(tmp_path):
     write_run(tmp_path / "a", "pr", kind="built-in", record={"condition": "goal-loc"})
     (table,) = methods_table(board_of(tmp_path), "2", with_published=True)
@@ -152,6 +172,7 @@ def test_table_s8_is_read_from_evaluations_and_says_that_nothing_was_recomputed(
     assert table.blocks[0].rows == (("mdm", "70.00 ± 1.00", "0.70 ± 0.01", "–", "–"),)
     assert table.blocks[1].rows[0] == ("recorded motion", "75.43 ± 0.12", "0", "2.79 ± 0.00", "9.70 ± 0.13")
     assert any("motions are not at hand" in note for note in table.notes)
+    require_whole_latex(FORMATS[".tex"]([table]))
 
 
 def test_the_number_of_test_sequences_of_the_study_stands_in_the_csv_rows(tmp_path):

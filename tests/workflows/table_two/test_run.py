@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from prbench.runs import read_scores
 from prbench.workflows.table_two import TableRequest, plan, run, run_table
 from prbench.workflows.table_two import state as subset
 from prbench.workflows.table_two.budget import RowCost
-from prbench.workflows.table_two.request import CONTROLS
+from prbench.workflows.table_two.request import CONTROLS, MORE_CONTROLS
 from prbench.workflows.table_two.run import Say
 from prbench.workflows.table_two.state import TablePlan
 from tests.fakes import fake_dataset
@@ -65,6 +66,20 @@ def test_rows_end_well_break_or_are_skipped_and_the_table_goes_on(small_tables, 
     assert "synthetic-adt n = 3 of 5" in text
     assert [outcome.planned.name for outcome in report.failed] == ["text-breaker-finetuned"]
     assert all(cell is None for cell in lines(report)["text-breaker-finetuned"].cells.values())
+
+
+def test_cheats_stand_among_the_controls_if_asked_for_and_arrival_tells_them_apart(small_tables, tmp_path):
+    asked = request(small_tables[0], out=tmp_path / "t", condition=Condition.NONE, more_controls=True)
+    report = run_table(asked)
+    controls = report.layout.datasets[0].blocks[-1]
+    assert [line.label for line in controls.lines] == ["ground-truth", *MORE_CONTROLS]
+    assert {line.state for line in controls.lines} == {"run"}
+    cells = {line.label: line for line in controls.lines}
+    assert cells["stare"].arrival.mean == 0.0
+    page = (tmp_path / "t/table_2.md").read_text()
+    assert re.search(r"Prime Success \(arrival\) of the controls on synthetic-adt, in %: .*stare 0\.00", page)
+    with pytest.raises(RunError, match="--with-controls"):
+        run_table(replace(asked, more_controls=False))
 
 
 def test_a_defect_costs_one_row_and_a_full_disk_all(small_tables, tmp_path, monkeypatch):
@@ -150,6 +165,7 @@ def test_several_tables_stand_in_the_studys_order_in_both_files(small_tables, tm
     page = (tmp_path / "t/table_2.md").read_text()
     assert page.count("| + Initial State & Object Loc. | Absent | – | – | – | – | – | – | – | – | – |") == 2
     assert "n = 3 sequences of" in page
+    assert "synthetic-adt cannot be decided: " in page
     assert "Nothing is ranked on synthetic-hd-epic, synthetic-adt: fewer than 50 sequences." in page
     assert "never compare them with published ones" in page
     assert "Reacher (reacher-small)" in page  # what stands in is named

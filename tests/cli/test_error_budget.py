@@ -1,0 +1,98 @@
+"""``prbench error-budget``: budgets of runs, alone and beside one another, printed, as JSON and one row a motion."""
+
+from __future__ import annotations
+
+import shutil
+
+import pyarrow.csv
+import pyarrow.parquet as pq
+import pytest
+
+from prbench.cli import main
+from prbench.cli.run import RunAnswer
+from prbench.workflows.error_budget.report import ErrorBudgetReport
+from tests.cli.reports import refused, reported
+from tests.fakes import fake_dataset
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A table, and runs of two controls and of recorded people on it."""
+    made = tmp_path_factory.mktemp("budget")
+    table = str(fake_dataset(made / "table", 48).folder)
+    for method, name in (("nearest-neighbour", "run"), ("scripted", "other"), ("ground-truth", "people")):
+        words = ["run", "--method", method, "--data", table, "--split", "validation", "--out", str(made / name)]
+        assert main([*words, "-q"]) == 0
+    return made
+
+
+def budget(folder, capsys, *words, run="run"):
+    given = ["error-budget", str(folder / run), "--data", str(folder / "table"), *map(str, words)]
+    return reported(given, ErrorBudgetReport, capsys)
+
+
+def test_shares_add_up_and_rates_are_those_of_the_run(folder, tmp_path, capsys):
+    words = ["run", "--config", str(folder / "run"), "--data", str(folder / "table"), "--out", str(tmp_path / "again")]
+    (made,) = reported(words, RunAnswer, capsys).runs
+    scores = {metric.metric: metric.mean for metric in made.datasets[0].metrics}
+    (found,) = budget(folder, capsys).runs
+    for group in found.method_groups + found.people_groups:
+        assert sum(group.looking.values()) == pytest.approx(1)
+        assert sum(group.reaching.values()) == pytest.approx(1)
+    everything = found.method_groups[0]
+    assert (everything.by, everything.sequences) == ("all", 12)
+    assert everything.primed == everything.looking["primed"] == pytest.approx(scores["prime_success"])
+    assert everything.reached == everything.reaching["reached"] == pytest.approx(scores["reach_success"])
+    assert everything.skating == pytest.approx(scores["foot_skating"])
+    assert everything.bone_change == pytest.approx(scores["bone_length_change"])
+    for each in found.parts:
+        shares = (each.always, each.noise, each.optimisation, each.representation, each.not_learnt, each.nor_people)
+        assert sum(shares) == pytest.approx(1)
+        assert each.best_of_k == pytest.approx(each.always + each.noise)
+    bearings = [group.sequences for group in found.method_groups if group.by == "bearing"]
+    assert sum(bearings) == everything.sequences
+
+
+def test_recorded_motion_is_people(folder, capsys):
+    (found,) = budget(folder, capsys, run="people").runs
+    assert found.method_groups == found.people_groups
+    primed = next(each for each in found.parts if each.metric == "prime_success" and each.layout == "all")
+    assert (primed.representation, primed.not_learnt) == (0, 0)
+    assert primed.people == primed.mean == primed.always
+
+
+def test_a_run_beside_gains_and_loses(folder, capsys):
+    (found,) = budget(folder, capsys, "--beside", folder / "other").runs
+    primed = next(each for each in found.beside if each.metric == "prime_success")
+    assert primed.sequences == 12
+    assert primed.rate + primed.gained - primed.lost == pytest.approx(primed.rate_beside)
+    parts = next(each for each in found.parts if each.metric == "prime_success" and each.layout == "all")
+    assert parts.optimisation == pytest.approx(primed.gained)
+    assert {line.who for line in found.gains} == {"method", "people", "beside"}
+
+
+def test_every_motion_is_a_row(folder, tmp_path, capsys):
+    report = budget(folder, capsys, "--out", tmp_path / "out")
+    assert report.out == tmp_path / "out"
+    rows = pq.read_table(tmp_path / "out" / "motions.parquet")
+    assert rows.num_rows == 36  # twelve sequences of the method, of people, and of people through the features
+    assert {"run", "who", "sequence_id", "look_cause", "look_miss_up_deg", "reach_cause"} <= set(rows.column_names)
+    assert pyarrow.csv.read_csv(tmp_path / "out" / "motions.csv").num_rows == 36
+
+
+def test_the_report_fits_on_a_terminal(folder, capsys):
+    words = ["error-budget", str(folder / "run"), "--beside", str(folder / "other"), "--data", str(folder / "table")]
+    assert main([*words, "-q"]) == 0
+    shown = capsys.readouterr().out
+    assert "never looks" not in shown
+    assert "Gain: slope of the ray's angle against the goal's" in shown
+    assert max(map(len, shown.splitlines())) <= 100
+
+
+def test_a_run_without_table_or_motions_is_refused(folder, tmp_path, capsys):
+    refused(["error-budget", str(folder / "run")], capsys, code=4, message="Name it with --data DIR")
+    bare = tmp_path / "bare"
+    shutil.copytree(folder / "run", bare)
+    shutil.rmtree(bare / "predictions")
+    words = ["error-budget", str(bare), "--data", str(folder / "table")]
+    refused(words, capsys, code=7, message="expected the motions of the run, found none")
