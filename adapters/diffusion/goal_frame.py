@@ -139,12 +139,6 @@ class GoalFrame:
             pose = self._reaching(pose, n_frames, fps)
         return self._turned(self._joints(pose), back=True) + self.origin[:, None, None]
 
-    def in_goal_frame(
-        self, features: Float[Tensor, "batch frames 68"], n_frames: Int[Tensor, " batch"], fps: float
-    ) -> Float[Tensor, "batch frames 22 3"]:
-        """The joints of :meth:`decode`, seen from the goal."""
-        return self._joints(self._pose(features, n_frames, fps))
-
     def _pose(self, features: Tensor, n_frames: Tensor, fps: float) -> Float[Tensor, "batch frames 66"]:
         """Smooth features of unit directions, with the frames that are given."""
         features = _smoothed(features[..., :N_POSE_FEATURES], n_frames)

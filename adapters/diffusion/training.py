@@ -128,7 +128,7 @@ def scored_losses(
     parts: dict[str, torch.Tensor] = {}
     if objective.ray_loss_weight:
         frame = torch.arange(predicted.shape[1], device=predicted.device)
-        # Sequences begin a fixed time before the prime time (docs/specification/curation.md), cropped ones end alike.
+        # Sequences begin a fixed time before the prime time (docs/specification/constants.md, `lead`).
         after_prime = frame / batch.fps - load_protocol().curation.lead
         parts["ray"] = ray_loss(predicted, batch.joints, batch.goal_location, valid, after_prime)
     if objective.foot_loss_weight:
