@@ -19,9 +19,15 @@ from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import frame_mask, pooled
 from prbench_adapters.diffusion.layers import sinusoid_table
 
+_NEIGHBOURS = 2  # tokens before and after
+
 
 class _Layer(nn.Module):
-    """Self-attention and feed-forward, each normalised before and added to the stream; the condition is added first."""
+    """Self-attention and feed-forward, each normalised before and added to the stream; the condition is added first.
+
+    Before the feed-forward part each number of a token takes in those of its :data:`_NEIGHBOURS` neighbours, by weights
+    that start at zero: motion is local in time, which attention would first have to learn.
+    """
 
     def __init__(self, width: int, heads: int, hidden: int, dropout: float) -> None:
         super().__init__()
@@ -31,6 +37,7 @@ class _Layer(nn.Module):
         self.query_key_value = nn.Linear(width, 3 * width)
         self.output = nn.Linear(width, width)
         self.feed_forward_norm = nn.LayerNorm(width)
+        self.neighbours = nn.Parameter(torch.zeros(2 * _NEIGHBOURS + 1, width))
         self.expand = nn.Linear(width, hidden)
         self.contract = nn.Linear(hidden, width)
         self.dropout = nn.Dropout(dropout)
@@ -39,20 +46,26 @@ class _Layer(nn.Module):
         self,
         stream: Float[Tensor, "batch tokens width"],
         condition: Float[Tensor, "batch width"],
-        visible: Bool[Tensor, "batch 1 1 tokens"] | None,
+        visible: Bool[Tensor, "batch tokens"],
     ) -> Float[Tensor, "batch tokens width"]:
         stream = stream + self.condition(condition)[:, None]
         stream = stream + self.dropout(self._attended(self.attention_norm(stream), visible))
-        hidden = functional.gelu(self.expand(self.feed_forward_norm(stream)), approximate="tanh")
+        around = self._with_neighbours(self.feed_forward_norm(stream) * visible[..., None])
+        hidden = functional.gelu(self.expand(around), approximate="tanh")
         return stream + self.dropout(self.contract(hidden))
 
-    def _attended(self, stream: Tensor, visible: Tensor | None) -> Tensor:
+    def _with_neighbours(self, stream: Tensor) -> Tensor:
+        padded = functional.pad(stream, (0, 0, _NEIGHBOURS, _NEIGHBOURS))
+        for place, weight in enumerate(self.neighbours):
+            stream = stream + weight * padded[:, place : place + stream.shape[1]]
+        return stream
+
+    def _attended(self, stream: Tensor, visible: Tensor) -> Tensor:
         parts = self.query_key_value(stream).chunk(3, dim=-1)
         query, key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in parts)
         # Written out: for so few tokens it takes a third of the time of the fused kernels of processors.
         scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
-        if visible is not None:
-            scores = scores.masked_fill(~visible, -math.inf)
+        scores = scores.masked_fill(~visible[:, None, None], -math.inf)
         return self.output((scores.softmax(dim=-1) @ value).transpose(1, 2).flatten(2))
 
 
@@ -121,9 +134,9 @@ class FrameDenoiser(nn.Module):
         if visible is None:
             visible = torch.ones(noisy.shape[:2], dtype=torch.bool, device=noisy.device)
         stream = self.frame_embedding(self._tokens(noisy, visible)) + self._times(frames, visible.sum(dim=1))
-        keys = self._tokens(visible[..., None], visible).any(dim=2)[:, None, None]
+        shown = self._tokens(visible[..., None], visible).any(dim=2)
         for layer in self.layers:
-            stream = layer(stream, prepared, keys)
+            stream = layer(stream, prepared, shown)
         clean = self.head(self.head_norm(stream))
         return clean.unflatten(-1, (self.configuration.frames_per_token, -1)).flatten(1, 2)[:, :frames]
 

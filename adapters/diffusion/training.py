@@ -271,8 +271,9 @@ class DiffusionTraining(TrainingModule):
         return EncodedCondition(text, padding, self.scaling(raw), raw)
 
     def hidden_matrices(self) -> tuple[nn.Parameter, ...]:
-        """The matrices of the layers."""
-        return tuple(parameter for parameter in self.denoiser.layers.parameters() if parameter.ndim == 2)
+        """The matrices of the layers; weights of neighbours are no matrix."""
+        named = self.denoiser.layers.named_parameters()
+        return tuple(matrix for name, matrix in named if matrix.ndim == 2 and not name.endswith("neighbours"))
 
     def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         """The denoiser with its statistics, and the header of its file (``prbench.training.weights``)."""
