@@ -30,10 +30,11 @@ from prbench.skeleton import BONES, N_JOINTS, PARENTS, TOES, WRISTS, Joint
 
 FADE = 0.5
 """Seconds over which corrections of the first and last frame fade out; choice: about a step."""
-STILL = 0.1
-"""Metres a second below which a toe counts as planted, where it is also below :data:`LOW`."""
+STILL = 0.2
+"""Metres a second over the floor below which a toe counts as planted: the protocol's ``slide_speed``. Noise of body
+trackers moves planted toes by half of it."""
 LOW = 0.05
-"""Metres above the floor."""
+"""Metres above the floor below which it must be, too: the protocol's ``foot_height``."""
 N_SIGHT = 17
 """Numbers that :func:`sight` returns for each frame."""
 
@@ -289,7 +290,7 @@ def head_axes(
     return torch.linalg.cross(left, up), up
 
 
-def _length(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
+def _length(vectors: Float[Tensor, "*batch axes"]) -> Float[Tensor, "*batch"]:
     """Lengths whose gradient at 0 is finite."""
     return (vectors.square().sum(dim=-1) + _SHORTEST**2).sqrt()
 
@@ -382,7 +383,8 @@ def planted(joints: Float[Tensor, "batch frames 22 3"], fps: float) -> Bool[Tens
 
 
 def still_steps(joints: Float[Tensor, "batch frames 22 3"], fps: float) -> Bool[Tensor, "batch steps 2"]:
-    """True where a toe stays low and still from one frame to the next."""
+    """True where a toe stays low and in its place from one frame to the next."""
     toes = joints[:, :, TOES]
     low = toes[..., 1] < LOW
-    return (_length(toes.diff(dim=1)) * fps < STILL) & low[:, 1:] & low[:, :-1]
+    steps = _length(toes[..., ::2].diff(dim=1))
+    return (steps * fps < STILL) & low[:, 1:] & low[:, :-1]
