@@ -34,6 +34,7 @@ _FEWEST_VERIFIED = 4
 """Recordings on which each noise level is verified at least."""
 _SCENES_OF_ONE_PRESET = 12
 _RECORDINGS_OF_A_HISTOGRAM = 10
+_RECORDINGS_OF_PEOPLE = 20
 
 
 class SyntheticRecording(msgspec.Struct, frozen=True, kw_only=True):
@@ -113,6 +114,30 @@ class SensorCheck(msgspec.Struct, frozen=True, kw_only=True):
     missed_sequences: int
 
 
+class PeopleCheck(msgspec.Struct, frozen=True, kw_only=True):
+    """One number of synthetic people beside the range in which it must lie.
+
+    Attributes:
+        preset: The people: a dataset whose people they imitate.
+        number: Its name, as on the page of synthetic recordings.
+        acted: Of noise-free motion and gaze, null without a sample; of body numbers the worst sequence.
+        recorded: Of sequences that curation makes of the sensors' recordings, the worst; null for behaviour.
+        low: Smallest value allowed; null without one.
+        high: Largest value allowed; null without one.
+        holds: True if both lie in the range.
+        source: Why the range is there: measured on people, our own limit, or the protocol's.
+    """
+
+    preset: str
+    number: str
+    acted: float | None
+    recorded: float | None
+    low: float | None
+    high: float | None
+    holds: bool
+    source: str
+
+
 class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
     """The recordings and pictures that were written.
 
@@ -125,6 +150,7 @@ class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
         table: The table, with ``--table``.
         gallery: The picture of sequences, if one was asked for.
         histograms: The picture of durations, gaps and movements, if one was asked for.
+        people: How the people act and what their bodies keep, with ``--people``; else empty.
     """
 
     folder: Path | None
@@ -134,6 +160,7 @@ class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
     table: BuiltTable | None
     gallery: Path | None
     histograms: Path | None
+    people: list[PeopleCheck]
 
 
 @dataclass(frozen=True)
@@ -208,6 +235,11 @@ _NOTHING = _Written(lambda: None)
 @click.option(
     "--histograms", type=PATH, metavar="FILE", help="Draw durations, gaps and movements beside the study's, as PNG."
 )
+@click.option(
+    "--people",
+    is_flag=True,
+    help="Print how the people of LAYOUT, or of all presets, act and move beside the ranges asked of them.",
+)
 @workers_option()
 def synthesize(
     *,
@@ -225,20 +257,22 @@ def synthesize(
     no_verify: bool,
     gallery: Path | None,
     histograms: Path | None,
+    people: bool,
     workers: int,
 ) -> Answer:
     """Write synthetic recordings in a dataset's native layout, with the truth beside them.
 
     LAYOUT is the native layout to write: any dataset of `prbench datasets`. For --gallery alone it is any preset.
+    --people acts out 20 recordings of six events a preset, or --count.
     """
     from prbench.errors import UsageError
 
-    draws = gallery is not None or histograms is not None
+    draws = gallery is not None or histograms is not None or people
     written = _NOTHING
     if layout is None:
         if not draws:
             raise UsageError(
-                "name a layout to write (for example: prbench synthesize adt --out DIR), or --gallery FILE."
+                "name a layout to write (for example: prbench synthesize adt --out DIR), --gallery FILE or --people."
             )
     elif out is not None or not draws:
         request = _Request(
@@ -260,6 +294,7 @@ def synthesize(
         _draw_gallery(gallery, layout=layout, seed=seed)
     if histograms is not None:
         _draw_histograms(histograms, layout=layout, seed=seed, count=count)
+    checked = _check_people(layout, seed=seed, count=count, workers=workers) if people else []
     report = SynthesizeReport(
         folder=written.folder,
         recordings=list(written.recordings),
@@ -268,6 +303,7 @@ def synthesize(
         table=written.table,
         gallery=gallery,
         histograms=histograms,
+        people=checked,
     )
 
     def show() -> None:
@@ -276,6 +312,8 @@ def synthesize(
             print(f"gallery: {gallery}")
         if histograms is not None:
             print(f"histograms: {histograms}")
+        if checked:
+            _print_people(checked)
 
     return Answer(report, show)
 
@@ -517,3 +555,61 @@ def _draw_histograms(file: Path, *, layout: str | None, seed: int, count: int | 
         for preset in presets
     }
     render_histograms(acted, file)
+
+
+def _check_people(layout: str | None, *, seed: int, count: int | None, workers: int) -> list[PeopleCheck]:
+    """Measure the people of the preset that was named, or of all presets."""
+    import math
+
+    from prbench.engine import engine_for
+    from prbench.synthetic.people import PRESETS
+    from prbench.workflows.synthetic_people import people_numbers
+
+    presets = tuple(PRESETS) if layout is None else (layout,)
+    checked: list[PeopleCheck] = []
+    with progress("acting out people") as tell:
+        for done, preset in enumerate(presets):
+            tell(done, len(presets), preset)
+            numbers = people_numbers(
+                preset, recordings=count or _RECORDINGS_OF_PEOPLE, seed=seed, engine=engine_for(workers)
+            )
+            checked += [
+                PeopleCheck(
+                    preset=preset,
+                    number=each.name,
+                    acted=None if math.isnan(each.acted) else each.acted,
+                    recorded=each.recorded,
+                    low=each.range.low if math.isfinite(each.range.low) else None,
+                    high=each.range.high if math.isfinite(each.range.high) else None,
+                    holds=each.holds,
+                    source=each.range.source,
+                )
+                for each in numbers
+            ]
+    return checked
+
+
+def _print_people(checked: list[PeopleCheck]) -> None:
+    print_table(
+        "how synthetic people act and move",
+        ("preset", "number", "acted out", "recorded", "range", "", "why"),
+        [_people_row(each) for each in checked],
+        numbers=(2, 3),
+    )
+    print(
+        "of bodies the worst sequence; metres, seconds, degrees (docs/specification/synthetic-recordings.md#behaviour)"
+    )
+
+
+def _people_row(each: PeopleCheck) -> tuple[str, ...]:
+    low = "" if each.low is None else f"{each.low:.4g}"
+    high = "" if each.high is None else f"{each.high:.4g}"
+    return (
+        each.preset,
+        each.number,
+        "" if each.acted is None else f"{each.acted:.3g}",
+        "" if each.recorded is None else f"{each.recorded:.3g}",
+        f"{low} … {high}",
+        "" if each.holds else "OUTSIDE",
+        each.source,
+    )

@@ -52,11 +52,12 @@ class Behaviour:
 
 @dataclass(frozen=True)
 class Range:
-    """Where a number must lie, borders included, and who measured it on people."""
+    """Where a number must lie, borders included, and why there."""
 
     low: float
     high: float
     source: str
+    """``people:`` and who measured it on people, or ``our limit:`` and what it is for."""
 
     def holds(self, value: float) -> bool:
         """Return True where the number lies inside."""
@@ -65,12 +66,12 @@ class Range:
 
 RANGES: Mapping[str, Range] = MappingProxyType(
     {
-        "long_gaps": Range(0.0, 0.08, "our choice: fewer than if all gaps of the window were equally likely"),
-        "body_movement": Range(-1 / 3, 1 / 3, "Prime and Reach, Table 1"),
-        "reach_peak": Range(0.30, 0.50, "Jeannerod 1984; at most .5, Flash & Hogan 1985"),
-        "off_the_way": Range(0.0, 0.15, "sideways for a step or two only, Handford & Srinivasan 2014"),
-        "gaze_to_head": Range(10.0, 25.0, "Ergonomics 2010 (head share .69) of a shift of 35 degrees"),
-        "head_share": Range(0.50, 0.85, "Ergonomics 2010: .69"),
+        "long_gaps": Range(0.0, 0.08, "our limit: fewer than if all gaps of the window were equally likely"),
+        "body_movement": Range(-1 / 3, 1 / 3, "our limit: presets were fitted to Prime and Reach, Table 1"),
+        "reach_peak": Range(0.30, 0.50, "people: Jeannerod 1984; at most .5, Flash & Hogan 1985"),
+        "off_the_way": Range(0.0, 0.15, "our limit: Handford & Srinivasan 2014 say a step or two, without a number"),
+        "gaze_to_head": Range(10.0, 25.0, "people: Ergonomics 2010 (head share .69), of a shift of 35 degrees"),
+        "head_share": Range(0.50, 0.85, "people: Ergonomics 2010, .69"),
     }
 )
 """Ranges by the names of :class:`Behaviour`."""

@@ -50,7 +50,21 @@ def test_a_table_and_a_picture_are_reported(tmp_path, capsys) -> None:
     assert report.table.counts["recordings_read"] == len(report.table.recordings) == 1
     assert (report.folder, report.recordings) == (None, [])
     assert report.gallery == tmp_path / "g.png"
-    assert report.gallery.is_file()
+    assert (tmp_path / "g.png").is_file()
+
+
+def test_people_are_reported_with_the_ranges_asked_of_them(capsys) -> None:
+    words = ["synthesize", "gimo", "--people", "--count", "1", "--seed", "3"]
+    report = reported(words, SynthesizeReport, capsys)
+    assert (report.folder, report.table) == (None, None)
+    assert {each.preset for each in report.people} == {"gimo"}
+    numbers = {each.number: each for each in report.people}
+    assert (numbers["reach_peak"].low, numbers["reach_peak"].high, numbers["reach_peak"].recorded) == (0.3, 0.5, None)
+    assert numbers["reach_peak"].source.startswith("people: ")
+    assert (numbers["lowest_pelvis"].high, numbers["jerk"].low) == (None, None)
+    assert numbers["jerk"].recorded is not None
+    assert main(words) == 0
+    assert "reach_peak" in capsys.readouterr().out
 
 
 def test_the_number_of_recordings_is_called_count(tmp_path, capsys) -> None:

@@ -57,12 +57,15 @@ def _require_belongs(
         exact: Whether ``points`` are the central pupil frame; the limit for head joints is wider.
 
     Raises:
-        InputFileError: if no frame falls into the tracked time, or the median distance is above 5 cm.
+        InputFileError: if no frame falls into the recording's time, or the median distance is above 5 cm.
     """
     times = time_ns / 1e9
     whole = cpf
     cpf = _around(cpf, times)
     posed = covered(cpf.times, cpf.valid, times, max_gap=LONGEST_POSE_STEP)
+    during = (times >= whole.times[0]) & (times <= whole.times[-1])
+    if during.any() and not posed.any():
+        return  # all of it lies in a gap of the trajectory: nothing tells, and its frames become invalid
     if not posed.any():
         raise InputFileError(
             path,

@@ -151,12 +151,14 @@ def _offset_from_shoulder(plan: Plan, trunk: Trunk, hand: int, offset: tuple[flo
 def elbow_poles(flare: float, trunk: Trunk, wrists: Float[np.ndarray, "n 2 3"]) -> Float[np.ndarray, "n 2 3"]:
     """Return where the elbows point, in the chest's frame; follows the direction of the arm.
 
-    A fixed pole would be antiparallel to an arm that reaches up and forward, and the elbow would flip.
+    A fixed pole would be antiparallel to an arm that reaches up and forward, and the elbow would flip. Upward is the
+    chest's: in a deep bend, the world's would leave the pole antiparallel to an arm that hangs in front of the face.
     """
+    chest_up = turn(trunk.yaws[3], trunk.pitches[3], np.array([0.0, 1.0, 0.0]))
     poles = []
     for hand in (0, 1):
         side = 1.0 if hand == 0 else -1.0
-        upward = unit(wrists[:, hand] - trunk.shoulders[hand])[:, 1]
+        upward = np.sum(unit(wrists[:, hand] - trunk.shoulders[hand]) * chest_up, axis=-1)
         raised = minimum_jerk((upward + 0.3) / 0.8)
         outward = side * (flare + 0.6 * raised)
         poles.append(np.stack([outward, np.full(upward.size, -0.85), -0.65 * (1.0 - raised)], axis=-1))

@@ -171,6 +171,22 @@ def test_an_output_of_another_time_is_refused(root):
         read_bodies(_found(root), cpf=PoseStream(later.times + 60, later.position, later.rotation, later.valid))
 
 
+def test_an_output_within_a_gap_of_the_trajectory_is_kept(root):
+    write(poses_folder(root, "rec"), output())
+    lost = walk()
+    body = read_bodies(
+        _found(root),
+        cpf=PoseStream(
+            np.append(lost.times[0] - 5, lost.times + 60),
+            np.vstack([lost.position[:1], lost.position]),
+            np.vstack([lost.rotation[:1], lost.rotation]),
+            np.append(True, lost.valid),
+        ),
+    )
+    assert body is not None
+    np.testing.assert_array_equal(body.joints, _body(root).joints)
+
+
 def test_files_with_joints_only_need_no_model_and_must_be_near_the_head(root):
     path = poses_folder(root, "rec") / "x.npz"
     path.parent.mkdir(parents=True)

@@ -46,7 +46,7 @@ def recording(performance):
     return synthetic_recording(performance, noise=0.0)
 
 
-def test_solved_joints_are_exact_below_the_chest_and_within_three_centimetres_above(performance) -> None:
+def test_solved_joints_are_exact_below_the_chest_and_those_of_the_back_within_centimetres(performance) -> None:
     solved = solve_body(performance.joints, performance.rotations)
     positions, rotations = forward_kinematics(solved.state, link_offsets(solved.fixed))
     world = Y_UP_FROM_Z_UP[:3, :3]
@@ -56,12 +56,15 @@ def test_solved_joints_are_exact_below_the_chest_and_within_three_centimetres_ab
     legs = [j for j in direct if "HIP" in j.name or "KNEE" in j.name or "ANKLE" in j.name or "FOOT" in j.name]
     assert error[:, [Joint.PELVIS, *legs]].max() < 1e-9
     chest = Rotation.from_quat(performance.rotations[:, Joint.SPINE3], scalar_first=True)
-    upright = chest.apply((0.0, 1.0, 0.0))[:, 1] > np.cos(np.deg2rad(12))
+    lean = np.rad2deg(np.arccos(chest.apply((0.0, 1.0, 0.0))[:, 1].clip(-1.0, 1.0)))
+    upright = lean < 12
     assert 0.3 < upright.mean() < 1.0, "both upright and bent frames are there"
     assert error[upright][:, direct].max() < 1e-3
     assert error[:, direct].max() < 0.015
-    assert error[:, DERIVED].max() < 0.045, "the back of the performance is no straight line"
-    assert np.quantile(error[:, DERIVED], 0.90) < 0.03  # the rest are the deepest bends
+    # The back of the performance is no straight line: the more it is bent, the farther are the joints derived from one.
+    assert error[lean < 30][:, DERIVED].max() < 0.03
+    assert error[:, DERIVED].max() < 0.045
+    assert lean.max() > 60
     head = world @ rotations[:, 4] @ np.transpose([(1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)])
     truth = Rotation.from_quat(performance.head_rotation, scalar_first=True).as_matrix()
     assert head == pytest.approx(truth, abs=1e-9)
@@ -119,11 +122,12 @@ def test_segments_alternate_and_borders_touch_or_follow(performance) -> None:
 
 
 def test_every_object_of_a_recording_has_a_name_of_its_own() -> None:
-    crowded = perform("mogaze", seed=1, index=3, n_events=1, rate=30.0)
+    acted = (perform("mogaze", seed=1, index=index, n_events=1, rate=30.0) for index in range(12))
+    crowded = next(each for each in acted if len({motion.name for motion in each.objects}) < len(each.objects))
     names = body_names(crowded)
-    assert len({motion.name for motion in crowded.objects}) < len(names), "some kinds are there twice"
-    assert len(set(names.values())) == len(names)
-    assert {mogaze.kind_of_body(name) for name in names.values()} >= {"plate", "jug"}
+    assert len(set(names.values())) == len(names) == len(crowded.objects)
+    for motion in crowded.objects:
+        assert mogaze.kind_of_body(names[motion.object_id]) == mogaze.kind_of_body(motion.name)
 
 
 @pytest.mark.parametrize("noise", [0.0, 2.0])
