@@ -18,7 +18,7 @@ from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.generation import SamplingSettings, generate
 from prbench_adapters.diffusion.model import MotionModel
 from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised
-from prbench_adapters.diffusion.noise_optimisation.settings import fast
+from prbench_adapters.diffusion.noise_optimisation.settings import finishing
 from prbench_adapters.diffusion.training import DiffusionTraining
 from tests.fakes import STANDING, fake_dataset
 
@@ -162,7 +162,7 @@ def test_a_wrist_can_be_led_to_the_goal_and_noise_can_be_optimised(data):
     plain = generate(model, batch, SAMPLING).joints
     led = generate(model, batch, dataclasses.replace(SAMPLING, reach="goal")).joints
     assert distance(led) < min(distance(plain), 0.1)
-    settings = dataclasses.replace(fast(4), iterations=3, hand="nearest")
+    settings = dataclasses.replace(finishing(4), iterations=3)
     assert np.isfinite(generate_optimised(model, batch, settings).joints).all()
 
 
