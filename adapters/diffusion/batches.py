@@ -73,10 +73,14 @@ class SequenceNoise:
 
 
 def start_noise(
-    noise_seed: Sequence[int], n_frames: Int[np.ndarray, " batch"], device: torch.device | str = "cpu"
-) -> Float[torch.Tensor, "batch frames 263"]:
+    noise_seed: Sequence[int],
+    n_frames: Int[np.ndarray, " batch"],
+    device: torch.device | str = "cpu",
+    *,
+    columns: int = N_FEATURES,
+) -> Float[torch.Tensor, "batch frames columns"]:
     """The noise that sampling starts from, and that noise optimisation starts with: the first draw of each sequence."""
-    return SequenceNoise(noise_seed, n_frames, device).draw()
+    return SequenceNoise(noise_seed, n_frames, device).draw(columns)
 
 
 @runtime_checkable

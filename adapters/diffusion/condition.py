@@ -8,14 +8,17 @@ stands in the vector.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 
 from prbench.contract import ConditionBatch
+from prbench.training.items import Goal, MotionBatch
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
+from prbench_adapters.diffusion.goal_frame import seen_condition
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,8 @@ class EncodedCondition:
     """True where a row has no word piece. The first token of a row always counts, so that no row is without any."""
     vector: Float[torch.Tensor, "batch size"] | None = None
     """Initial pose, initial velocity and goal, scaled (docs/specification/pr-model.md#network); None without a goal."""
+    given: Float[torch.Tensor, "batch raw"] | None = None
+    """The same as it was given (:func:`raw_condition`): what goal-frame features are measured from."""
 
     def __len__(self) -> int:
         return len(self.text)
@@ -38,8 +43,7 @@ class EncodedCondition:
 
     def rows(self, index: slice | Sequence[int] | torch.Tensor) -> EncodedCondition:
         """Some of the motions, in the order of ``index``."""
-        vector = None if self.vector is None else self.vector[index]
-        return EncodedCondition(self.text[index], self.padding[index], vector)
+        return self._each(lambda values: values[index])
 
     def then(self, other: EncodedCondition) -> EncodedCondition:
         """These motions and those of ``other`` as one batch; both have the same number of tokens.
@@ -49,13 +53,22 @@ class EncodedCondition:
         """
         if (self.vector is None) is not (other.vector is None):
             raise ValueError("conditions with and without a vector cannot share a batch")
-        vector = None if self.vector is None or other.vector is None else torch.cat([self.vector, other.vector])
-        return EncodedCondition(torch.cat([self.text, other.text]), torch.cat([self.padding, other.padding]), vector)
+        joined: dict[str, Any] = {}
+        for field in fields(self):
+            ours = getattr(self, field.name)
+            joined[field.name] = None if ours is None else torch.cat([ours, getattr(other, field.name)])
+        return EncodedCondition(**joined)
 
     def to(self, device: torch.device | str) -> EncodedCondition:
         """Move the conditions to another device."""
-        vector = None if self.vector is None else self.vector.to(device)
-        return EncodedCondition(self.text.to(device), self.padding.to(device), vector)
+        return self._each(lambda values: values.to(device))
+
+    def _each(self, change: Callable[[torch.Tensor], torch.Tensor]) -> EncodedCondition:
+        changed: dict[str, Any] = {}
+        for field in fields(self):
+            ours = getattr(self, field.name)
+            changed[field.name] = None if ours is None else change(ours)
+        return EncodedCondition(**changed)
 
 
 def raw_condition(
@@ -75,6 +88,17 @@ def raw_condition(
     # Per second, so that tables of another frame rate mean the same by the same number.
     velocity = (initial_joints - previous_joints) * fps
     return torch.cat([part.flatten(1) for part in (initial_joints, velocity, goal)], dim=1).float()
+
+
+def raw_condition_of_items(batch: MotionBatch, goal: Goal) -> Float[torch.Tensor, "batch size"]:
+    """:func:`raw_condition` of motions that are trained on.
+
+    Args:
+        batch: The motions.
+        goal: ``pose`` or ``location``.
+    """
+    target = batch.goal_joints if goal == "pose" else batch.goal_location
+    return raw_condition(batch.initial_joints, batch.previous_joints, target, batch.fps)
 
 
 def raw_condition_of(
@@ -98,12 +122,17 @@ def raw_condition_of(
 
 @dataclass(frozen=True)
 class ConditionScaling:
-    """Scales a raw vector for the network: ``(raw - mean) / std``, dropped conditions zero."""
+    """Scales a raw vector for the network: ``(raw - mean) / std``, dropped conditions zero.
+
+    With goal-frame features the raw vector is first seen from the goal (:func:`.goal_frame.seen_condition`).
+    """
 
     mean: Float[torch.Tensor, " size"]
     std: Float[torch.Tensor, " size"]
     kept: Float[torch.Tensor, " size"]
     """0 for conditions that the model never sees, in training and test alike (table 3), else 1."""
+    from_goal: bool = False
+    """True with goal-frame features."""
 
     @classmethod
     def of(
@@ -117,6 +146,8 @@ class ConditionScaling:
         ``condition_scaling = "none"`` is the literal reading of the study: metres, and metres per frame for the
         velocity (docs/specification/pr-model.md#gaps-in-the-study, gap 8).
         """
+        if configuration.features == "goal-frame":
+            return cls(mean, std, torch.ones_like(mean), from_goal=True)
         parts = configuration.condition_parts
         kept = torch.ones_like(mean)
         if configuration.condition_scaling == "none":
@@ -129,7 +160,8 @@ class ConditionScaling:
                 kept[part] = 0.0
         return cls(mean, std, kept)
 
-    def __call__(self, raw: Float[torch.Tensor, "batch size"]) -> Float[torch.Tensor, "batch size"]:
+    def __call__(self, raw: Float[torch.Tensor, "batch raw"]) -> Float[torch.Tensor, "batch size"]:
         """Scale a batch, on its own device."""
         mean, std, kept = (values.to(raw.device) for values in (self.mean, self.std, self.kept))
-        return (raw - mean) / std * kept
+        seen = seen_condition(raw) if self.from_goal else raw
+        return (seen - mean) / std * kept

@@ -6,6 +6,9 @@ from typing import Literal
 
 import msgspec
 
+from prbench.representation.features import N_FEATURES
+from prbench_adapters.diffusion.goal_frame import N_GOAL_FRAME_FEATURES, seen_size
+
 _ConditionPart = Literal["initial_pose", "initial_velocity", "goal", "text"]
 
 _POSE = 66  # 22 joints with x, y, z
@@ -33,7 +36,11 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
         ValueError: for sizes that do not fit together.
     """
 
-    architecture: Literal["decoder", "encoder"] = "decoder"
+    architecture: Literal["decoder", "encoder", "frames"] = "decoder"
+    """``frames`` is ours, for small models with a goal (:mod:`prbench_adapters.diffusion.frame_denoiser`)."""
+    features: Literal["humanml3d", "goal-frame"] = "humanml3d"
+    """What the network sees of a motion: HumanML3D's 263 numbers a frame, or ours
+    (:mod:`prbench_adapters.diffusion.goal_frame`), which the architecture ``frames`` is made for."""
     width: int = 512
     heads: int = 4
     layers: int = 8
@@ -77,6 +84,23 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
             raise ValueError(f"'dropout' must be in [0, 1), found {self.dropout}")
         if self.fps <= 0:
             raise ValueError(f"'fps' must be positive, found {self.fps}")
+        self._require_fitting_features()
+
+    def _require_fitting_features(self) -> None:
+        if (self.architecture == "frames") is not (self.features == "goal-frame"):
+            raise ValueError(
+                f"'architecture' and 'features': expected frames with goal-frame, or neither, found"
+                f" {self.architecture} with {self.features}"
+            )
+        if self.features == "goal-frame" and (self.goal == "none" or set(self.dropped) - {"text"}):
+            raise ValueError("'features': goal-frame needs 'goal' and the initial state; only text can be dropped")
+        if self.features == "goal-frame" and self.uniform_skeleton:
+            raise ValueError("'uniform_skeleton': goal-frame keeps everybody's own bones; leave the key out")
+
+    @property
+    def n_features(self) -> int:
+        """Numbers of a frame."""
+        return N_FEATURES if self.features == "humanml3d" else N_GOAL_FRAME_FEATURES
 
     @property
     def condition_parts(self) -> dict[_ConditionPart, slice]:
@@ -91,5 +115,7 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
 
     @property
     def condition_size(self) -> int:
-        """Numbers in the condition vector: 0 without a goal, 135 with a goal location, 198 with a goal pose."""
+        """Numbers in the condition vector: in the study 0 without a goal, 135 with a location, 198 with a pose."""
+        if self.features == "goal-frame":
+            return seen_size(self.goal)
         return 0 if self.goal == "none" else 2 * _POSE + _GOAL_SIZE[self.goal]

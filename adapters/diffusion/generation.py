@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -20,8 +20,9 @@ from prbench.errors import AdapterError
 from prbench.skeleton import N_JOINTS
 from prbench_adapters.diffusion.batches import ModelBodies, SequenceNoise, parts_of_similar_length
 from prbench_adapters.diffusion.condition import EncodedCondition
-from prbench_adapters.diffusion.denoiser import Denoiser, PreparedCondition, frame_mask
-from prbench_adapters.diffusion.model import MotionModel
+from prbench_adapters.diffusion.denoiser import Denoiser, frame_mask
+from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
+from prbench_adapters.diffusion.model import MotionModel, Reach
 from prbench_adapters.diffusion.sampling import sample_ddim, sample_ddpm
 
 Precision = Literal["float32", "bfloat16"]
@@ -79,7 +80,7 @@ class Guided(Guidance):
 
     def __init__(
         self,
-        denoiser: Denoiser,
+        denoiser: Denoiser | FrameDenoiser,
         condition: EncodedCondition,
         n_frames: Int[Tensor, " batch"],
         scale: float,
@@ -93,10 +94,12 @@ class Guided(Guidance):
         # On the CPU a batch without padding is recognised without waiting for the device, and then needs no mask.
         host = n_frames.cpu()
         self._n_frames = self.both(host, host)
-        self._prepared: dict[int, PreparedCondition] | None = {} if reuse else None
+        self._prepared: dict[int, Any] | None = {} if reuse else None
         self._masks: dict[int, Tensor | None] = {}
 
-    def __call__(self, noisy: Float[Tensor, "batch frames 263"], step: int) -> Float[Tensor, "batch frames 263"]:
+    def __call__(
+        self, noisy: Float[Tensor, "batch frames features"], step: int
+    ) -> Float[Tensor, "batch frames features"]:
         """The guided estimate of the clean features at ``step`` of the training schedule."""
 
         def predict(rows: Tensor) -> Tensor:
@@ -106,7 +109,7 @@ class Guided(Guidance):
 
         return self.estimate(predict, noisy)
 
-    def prepared(self, step: int) -> PreparedCondition:
+    def prepared(self, step: int) -> Any:
         """Keys and values of the condition at ``step``: computed anew, or once only with ``reuse``."""
         if self._prepared is None:
             return self._prepare(step)
@@ -114,7 +117,7 @@ class Guided(Guidance):
             self._prepared[step] = self._prepare(step)
         return self._prepared[step]
 
-    def _prepare(self, step: int) -> PreparedCondition:
+    def _prepare(self, step: int) -> Any:
         where = self.condition.text.device
         return self.denoiser.prepare(self.condition, torch.full((1,), step, dtype=torch.long, device=where))
 
@@ -142,6 +145,8 @@ class SamplingSettings:
     precision: Precision = "float32"
     """``bfloat16`` takes two thirds of the time on processors that have it. Its rounding turns and shifts the path of a
     motion by some centimetres (poses by some millimetres), otherwise in another batch, so float32 is the default."""
+    reach: Reach = "predicted"
+    """``goal`` leads the nearer wrist to a goal location within the last half second, in closed form."""
 
 
 def generate(model: MotionModel, batch: ConditionBatch, settings: SamplingSettings) -> Motions:
@@ -190,9 +195,10 @@ def _sample(
     denoise = Guided(
         model.denoiser, condition, torch.as_tensor(n_frames), settings.guidance, precision=settings.precision
     )
-    start = noise.draw()
+    columns = model.configuration.n_features
+    start = noise.draw(columns)
     if settings.sampler == "ddim":
         clean = sample_ddim(denoise, model.schedule, start, steps=settings.steps)
     else:
-        clean = sample_ddpm(denoise, model.schedule, start, lambda _: noise.draw(), steps=settings.steps)
-    return model.joints(clean).cpu().numpy(), denoise.passes
+        clean = sample_ddpm(denoise, model.schedule, start, lambda _: noise.draw(columns), steps=settings.steps)
+    return model.joints(clean, condition, torch.as_tensor(n_frames), reach=settings.reach).cpu().numpy(), denoise.passes

@@ -4,25 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError, UsageError
-from prbench.representation.features import N_FEATURES
 from prbench.representation.tensors import decode
 from prbench.text import TextEncoder, text_encoder
 from prbench.training.weights import Weights, read_weights
 from prbench_adapters.diffusion.condition import ConditionScaling, EncodedCondition, raw_condition_of
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
+from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
+from prbench_adapters.diffusion.goal_frame import GoalFrame
 from prbench_adapters.diffusion.sampling import CosineSchedule
 
 _MOST_TEXTS = 65_536
 """Kept at once; of Nymeria's narrations in DistilBERT's vectors these are about 3 GB."""
 KIND = "denoiser"
+Reach = Literal["predicted", "goal"]
+"""Where a motion ends: as the network predicts it, or with a wrist at the goal."""
 
 
 class TextVectors:
@@ -94,10 +98,10 @@ class MotionModel:
 
     def __init__(
         self,
-        denoiser: Denoiser,
+        denoiser: Denoiser | FrameDenoiser,
         *,
-        mean: Float[torch.Tensor, " 263"],
-        std: Float[torch.Tensor, " 263"],
+        mean: Float[torch.Tensor, " features"],
+        std: Float[torch.Tensor, " features"],
         scaling: ConditionScaling | None,
         texts: TextVectors,
         digest: str | None = None,
@@ -130,13 +134,15 @@ class MotionModel:
         where = torch_device(device)
         weights = read_weights(path, kind=KIND)
         configuration = weights.configuration(DenoiserConfiguration)
-        weights.require_representation(configuration.representation)
-        denoiser = Denoiser(configuration)
+        if configuration.features == "humanml3d":
+            weights.require_representation(configuration.representation)
+        mean, std = stored_statistics(weights, configuration)
+        denoiser = network(configuration)
         weights.load_into(denoiser, "denoiser")
         return cls(
             denoiser.to(where),
-            mean=weights.require("statistics.mean", (N_FEATURES,)),
-            std=weights.require("statistics.std", (N_FEATURES,)),
+            mean=mean,
+            std=std,
             scaling=stored_scaling(weights, configuration),
             texts=TextVectors(text_encoder(configuration.text_encoder, text_path)),
             digest=weights.digest,
@@ -158,13 +164,44 @@ class MotionModel:
         text, padding = self.texts(wanted)
         raw = raw_condition_of(batch, self.configuration)
         vector = None if raw is None or self.scaling is None else self.scaling(raw)
-        return EncodedCondition(text, padding, vector).to(self.device)
+        return EncodedCondition(text, padding, vector, raw).to(self.device)
 
-    def joints(self, normalised: Float[torch.Tensor, "batch frames 263"]) -> Float[torch.Tensor, "batch frames 22 3"]:
-        """Joints of standardised features, canonical frame, metres; differentiable, in float32 at least."""
+    def joints(
+        self,
+        normalised: Float[torch.Tensor, "batch frames features"],
+        condition: EncodedCondition,
+        n_frames: Int[torch.Tensor, " batch"],
+        *,
+        reach: Reach = "predicted",
+    ) -> Float[torch.Tensor, "batch frames 22 3"]:
+        """Joints of standardised features, canonical frame, metres; differentiable, in float32 at least.
+
+        With goal-frame features, feet that the network says are planted stay where they are.
+
+        Args:
+            normalised: As the network makes them.
+            condition: What it was told: goal-frame features are measured from it.
+            n_frames: Valid frames of each row.
+            reach: ``goal`` leads a wrist to the goal at the end, which takes goal-frame features.
+        """
         # Decoding sums up over frames, for which half precision is too coarse.
         features = normalised if normalised.dtype == torch.float64 else normalised.float()
-        return decode(features * self.std.to(features.dtype) + self.mean.to(features.dtype))
+        features = features * self.std + self.mean
+        if self.configuration.features == "humanml3d":
+            return decode(features)
+        frame = goal_frame(condition, features)
+        return frame.decode(features, n_frames, self.configuration.fps, plant=True, reach=reach == "goal")
+
+
+def network(configuration: DenoiserConfiguration) -> Denoiser | FrameDenoiser:
+    """Make the network of a configuration, untrained."""
+    return FrameDenoiser(configuration) if configuration.architecture == "frames" else Denoiser(configuration)
+
+
+def goal_frame(condition: EncodedCondition, like: torch.Tensor) -> GoalFrame:
+    """The frame that goal-frame features of these motions are measured in, in the precision of ``like``."""
+    assert condition.given is not None
+    return GoalFrame.of(condition.given.to(like.dtype))
 
 
 def require_goal(model: MotionModel, path: Path, goal: str) -> None:
@@ -196,6 +233,16 @@ def torch_device(name: str) -> torch.device:
         reason = str(error).splitlines()[0]
         raise AdapterError(f"--device {name}: cannot be used: {reason}. Use cpu, cuda, cuda:1 …") from error
     return device
+
+
+def stored_statistics(weights: Weights, configuration: DenoiserConfiguration) -> tuple[torch.Tensor, torch.Tensor]:
+    """Mean and standard deviation of the features in a weights file.
+
+    Raises:
+        InputFileError: if they are missing or misshaped.
+    """
+    shape = (configuration.n_features,)
+    return weights.require("statistics.mean", shape), weights.require("statistics.std", shape)
 
 
 def stored_scaling(weights: Weights, configuration: DenoiserConfiguration) -> ConditionScaling | None:

@@ -5,25 +5,38 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 
 from prbench.contract import Adapter
 from prbench.errors import UsageError
-from prbench.representation.features import N_FEATURES
+from prbench.training.items import Goal, collate
 from prbench.training.task import TrainingData, split_model_table
 from prbench.training.weights import Weights, origin_of, read_weights
-from prbench_adapters.diffusion.condition import ConditionScaling
+from prbench_adapters.diffusion.condition import ConditionScaling, raw_condition_of_items
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors, stored_scaling
+from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
+from prbench_adapters.diffusion.goal_frame import GoalFrame, seen_condition
+from prbench_adapters.diffusion.model import (
+    KIND,
+    MotionModel,
+    TextVectors,
+    network,
+    stored_scaling,
+    stored_statistics,
+)
 from prbench_adapters.diffusion.training import DiffusionTraining, Objective
 
 FREE_TO_CHANGE = frozenset(
     {"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames", "uniform_skeleton"}
 )
 """Keys that fine-tuning may set otherwise than the weights that it starts from."""
+_TOGETHER = 64  # sequences whose features are measured at once
+_LEAST_FEATURE_STD = 0.05
+"""Metres, or of a unit vector: bones that hardly turn are not blown up."""
+_LEAST_CONDITION_STD = 0.01
 
 
 @dataclass(frozen=True)
@@ -67,13 +80,16 @@ class DiffusionTask:
         _require_one_skeleton(configuration, data)
         texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
         start = read_weights(initial, kind=KIND) if initial is not None else None
-        denoiser = Denoiser(configuration)
+        if start is not None:
+            _require_fitting_start(configuration, start)
+        statistics, scaling = _scales(configuration, start, data)
+        denoiser = network(configuration)
         if start is not None:
             _continue_from(denoiser, start)
         return DiffusionTraining(
             denoiser,
-            statistics=_statistics(start, data),
-            scaling=_scaling(configuration, start, data),
+            statistics=statistics,
+            scaling=scaling,
             texts=texts,
             objective=objective,
             validating=self.validating,
@@ -98,8 +114,8 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[DenoiserConfiguration, O
     return split_model_table(model, DenoiserConfiguration, Objective)
 
 
-def _continue_from(denoiser: Denoiser, start: Weights) -> None:
-    """Fill a denoiser with trained weights; the parts that only the new configuration has keep their own start.
+def _require_fitting_start(configuration: DenoiserConfiguration, start: Weights) -> None:
+    """Refuse initial weights that a model cannot continue from.
 
     Raises:
         InputFileError: if the weights are of another architecture, or were trained for another goal.
@@ -107,8 +123,13 @@ def _continue_from(denoiser: Denoiser, start: Weights) -> None:
     old = start.configuration(DenoiserConfiguration)
     # Pre-training without a goal leaves the kind of goal open; afterwards the condition's layers are sized for it.
     fixed_by_goal = frozenset() if old.goal == "none" else {"goal", "injection"}
-    start.require_same(denoiser.configuration, apart_from=FREE_TO_CHANGE - fixed_by_goal)
-    trained = Denoiser(old)
+    start.require_same(configuration, apart_from=FREE_TO_CHANGE - fixed_by_goal)
+
+
+def _continue_from(denoiser: Denoiser | FrameDenoiser, start: Weights) -> None:
+    """Fill a denoiser with trained weights; the parts that only the new configuration has keep their own start."""
+    old = start.configuration(DenoiserConfiguration)
+    trained = network(old)
     start.load_into(trained, "denoiser")
     # Layers of a new condition are missing in the file and keep their start at zero.
     denoiser.load_state_dict(trained.state_dict(), strict=False)
@@ -126,20 +147,44 @@ def _require_one_skeleton(configuration: DenoiserConfiguration, data: TrainingDa
             )
 
 
-def _statistics(start: Weights | None, data: TrainingData) -> tuple[torch.Tensor, torch.Tensor]:
-    if start is not None:
-        shape = (N_FEATURES,)
-        return start.require("statistics.mean", shape), start.require("statistics.std", shape)
-    found = data.train.statistics()
-    return torch.as_tensor(found.mean), torch.as_tensor(found.std)
+_Statistics = tuple[torch.Tensor, torch.Tensor]
+"""Mean and standard deviation."""
 
 
-def _scaling(
+def _scales(
     configuration: DenoiserConfiguration, start: Weights | None, data: TrainingData
-) -> ConditionScaling | None:
-    if configuration.goal == "none":
-        return None
-    found = data.train.condition_statistics(configuration.goal)  # refuses data without goals, whatever we start from
-    if start is not None and start.part("condition"):
-        return stored_scaling(start, configuration)
-    return ConditionScaling.of(configuration, torch.as_tensor(found.mean), torch.as_tensor(found.std))
+) -> tuple[_Statistics, ConditionScaling | None]:
+    """Scales of features and of the condition vector: those of the initial weights where they have them."""
+    # Asked first, because it refuses data without goals, whatever we start from.
+    own = None if configuration.goal == "none" else data.train.condition_statistics(configuration.goal)
+    if start is not None and (configuration.goal == "none" or start.part("condition")):
+        return stored_statistics(start, configuration), stored_scaling(start, configuration)
+    if configuration.features == "goal-frame":
+        return _goal_frame_scales(configuration, data)
+    if start is not None:
+        features = stored_statistics(start, configuration)
+    else:
+        found = data.train.statistics()
+        features = torch.as_tensor(found.mean), torch.as_tensor(found.std)
+    if own is None:
+        return features, None
+    return features, ConditionScaling.of(configuration, torch.as_tensor(own.mean), torch.as_tensor(own.std))
+
+
+def _goal_frame_scales(
+    configuration: DenoiserConfiguration, data: TrainingData
+) -> tuple[_Statistics, ConditionScaling]:
+    """Scales of goal-frame features; no deviation is below 0.05."""
+    features = []
+    conditions = []
+    for start in range(0, len(data.train), _TOGETHER):
+        batch = collate([data.train[index] for index in range(start, min(start + _TOGETHER, len(data.train)))])
+        raw = raw_condition_of_items(batch, cast(Goal, configuration.goal))
+        features.append(GoalFrame.of(raw).encode(batch.joints, batch.fps)[~batch.padding])
+        conditions.append(seen_condition(raw))
+    stacked = torch.cat(features)
+    std = stacked.std(dim=0)
+    std = std.clamp_min(_LEAST_FEATURE_STD)
+    seen = torch.cat(conditions)
+    scaling = ConditionScaling.of(configuration, seen.mean(dim=0), seen.std(dim=0).clamp_min(_LEAST_CONDITION_STD))
+    return (stacked.mean(dim=0), std), scaling

@@ -3,7 +3,7 @@
 Source: docs/specification/pr-model.md#training (*Prime and Reach*, section 4.2: L + L_joint).
 
 Minimised are squared errors of features and of joints over the valid frames. Both sums are divided by 263 x valid
-frames, which keeps the study's ratio between them and MDM's scale.
+frames, which keeps the study's ratio between them and MDM's scale. Small configurations add losses of their own.
 """
 
 from __future__ import annotations
@@ -16,18 +16,21 @@ from typing import Literal
 import msgspec
 import torch
 from jaxtyping import Bool, Float, Int
+from torch import nn
 
 from prbench.contract import Adapter
-from prbench.representation.features import N_FEATURES
+from prbench.manifests import load_protocol
 from prbench.representation.tensors import decode
 from prbench.skeleton import BONES
 from prbench.training import MotionBatch
 from prbench.training.task import TrainingModule
 from prbench.training.weights import representation_entry, weights_header
-from prbench_adapters.diffusion.condition import ConditionScaling, EncodedCondition, raw_condition
+from prbench_adapters.diffusion.condition import ConditionScaling, EncodedCondition, raw_condition_of_items
 from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors
+from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
+from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors, goal_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule
+from prbench_adapters.diffusion.scored_losses import foot_loss, ray_loss, wrist_loss
 
 _PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
 
@@ -42,6 +45,13 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     bone_loss_weight: float = 0.0
     """Weight of the squared error of the 21 bone vectors, m²; not in the study. It teaches small models to keep
     lengths, and where the head points."""
+    ray_loss_weight: float = 0.0
+    """Weight of the miss of the head's axes at the goal's distance, m², most of all around the prime time; not in the
+    study, where the neck-head bone has a thousandth of the loss."""
+    foot_loss_weight: float = 0.0
+    """Weight of the squared steps of planted toes, m²; not in the study."""
+    wrist_loss_weight: float = 0.0
+    """Weight of the squared error of the wrists at the end of the reach, m²; not in the study."""
     noisiest_share: float = 0.0
     """Share of the sequences that are trained on the noisiest sixth of the diffusion steps, beyond the uniform draw of
     the study. There alone the condition decides where a motion goes: afterwards the noisy motion shows it already."""
@@ -64,6 +74,8 @@ def losses(
 ) -> dict[str, torch.Tensor]:
     """The weighted sum ``loss`` and its parts ``features``, ``joints``, ``velocities`` and ``bones``, unweighted.
 
+    Sums of squares are divided by the number of features (the study's 263) and of valid frames.
+
     Args:
         objective: The weights.
         predicted: The network's clean features, standardised.
@@ -74,12 +86,15 @@ def losses(
     """
     valid = ~padding
     error = predicted_joints - joints
-    parts = {
-        "features": _average(objective, _squared(predicted - clean, valid), valid),
-        "joints": _average(objective, _squared(error, valid), valid),
-        "velocities": _average(objective, _squared(error.diff(dim=1), valid[:, 1:]), valid),
-        "bones": _average(objective, _squared(error[:, :, _CHILDREN] - error[:, :, _PARENTS], valid), valid),
+    bones = error[:, :, _CHILDREN] - error[:, :, _PARENTS]
+    sums = {
+        "features": _squared(predicted - clean, valid),
+        "joints": _squared(error, valid),
+        "velocities": _squared(error.diff(dim=1), valid[:, 1:]),
+        "bones": _squared(bones, valid),
     }
+    n_features = clean.shape[-1]
+    parts = {name: _average(objective, summed, valid, n_features) for name, summed in sums.items()}
     total = (
         parts["features"]
         + objective.joint_loss_weight * parts["joints"]
@@ -97,14 +112,49 @@ def _squared(
     return torch.where(valid, per_frame, 0.0).sum(dim=1)
 
 
+def scored_losses(
+    objective: Objective,
+    predicted: Float[torch.Tensor, "batch frames 22 3"],
+    batch: MotionBatch,
+) -> dict[str, torch.Tensor]:
+    """The weighted sum ``loss`` of those of :mod:`.scored_losses` that have a weight, and these, unweighted.
+
+    Args:
+        objective: The weights.
+        predicted: Decoded joints, canonical frame, metres.
+        batch: The recorded motion.
+    """
+    valid = ~batch.padding
+    parts: dict[str, torch.Tensor] = {}
+    if objective.ray_loss_weight:
+        frame = torch.arange(predicted.shape[1], device=predicted.device)
+        # Sequences begin a fixed time before the prime time (docs/specification/constants.md, `lead`).
+        after_prime = frame / batch.fps - load_protocol().curation.lead
+        parts["ray"] = ray_loss(predicted, batch.joints, batch.goal_location, valid, after_prime)
+    if objective.foot_loss_weight:
+        parts["feet"] = foot_loss(predicted, batch.joints, valid, batch.fps)
+    if objective.wrist_loss_weight:
+        parts["wrists"] = wrist_loss(predicted, batch.joints, valid, batch.n_frames, batch.fps)
+    weights = {
+        "ray": objective.ray_loss_weight,
+        "feet": objective.foot_loss_weight,
+        "wrists": objective.wrist_loss_weight,
+    }
+    total = sum((weights[name] * part for name, part in parts.items()), predicted.new_zeros(()))
+    return {"loss": total, **{name: part.detach() for name, part in parts.items()}}
+
+
 def _average(
-    objective: Objective, summed: Float[torch.Tensor, " batch"], valid: Bool[torch.Tensor, "batch frames"]
+    objective: Objective,
+    summed: Float[torch.Tensor, " batch"],
+    valid: Bool[torch.Tensor, "batch frames"],
+    n_features: int,
 ) -> Float[torch.Tensor, ""]:
-    # Divided by 263 for joints as well, which keeps the study's ratio of the two losses.
+    # The divisor of the features for joints as well, which keeps the study's ratio of the two losses.
     frames = valid.sum(dim=1)
     if objective.loss_average == "sequences":
-        return (summed / (N_FEATURES * frames)).mean()
-    return summed.sum() / (N_FEATURES * frames.sum())
+        return (summed / (n_features * frames)).mean()
+    return summed.sum() / (n_features * frames.sum())
 
 
 @dataclass(frozen=True)
@@ -124,7 +174,7 @@ class DiffusionTraining(TrainingModule):
 
     Args:
         denoiser: In its state before the first step.
-        statistics: Mean and standard deviation (263,) that features are standardised with.
+        statistics: Mean and standard deviation that features are standardised with.
         scaling: Of the condition vector; None for a model without a goal.
         texts: Vectors of the captions.
         objective: Weights of the losses.
@@ -134,9 +184,9 @@ class DiffusionTraining(TrainingModule):
 
     def __init__(
         self,
-        denoiser: Denoiser,
+        denoiser: Denoiser | FrameDenoiser,
         *,
-        statistics: tuple[Float[torch.Tensor, " 263"], Float[torch.Tensor, " 263"]],
+        statistics: tuple[Float[torch.Tensor, " features"], Float[torch.Tensor, " features"]],
         scaling: ConditionScaling | None,
         texts: TextVectors,
         objective: Objective,
@@ -167,16 +217,33 @@ class DiffusionTraining(TrainingModule):
             ``loss`` and its parts (:func:`prbench_adapters.diffusion.training.losses`).
         """
         draw = self.draw(batch, step)
-        padding = batch.padding
-        clean = ((batch.features - self.mean) / self.std).masked_fill(padding[..., None], 0.0)
+        condition = self.condition(batch, draw.without_text)
+        features = self._features(batch, condition)
+        clean = ((features - self.mean) / self.std).masked_fill(batch.padding[..., None], 0.0)
         signal = self.signal[draw.step][:, None, None]
         noise = self.noise[draw.step][:, None, None]
-        condition = self.condition(batch, draw.without_text)
         predicted = self.denoiser(signal * clean + noise * draw.noise, draw.step, condition, batch.n_frames)
         with torch.autocast(clean.device.type, enabled=False):  # joints are cumulative sums: float32 only
-            predicted = predicted.float()
-            joints = decode(predicted * self.std + self.mean)
-            return losses(self.objective, predicted, clean, joints, batch.joints, padding)
+            return self._losses(predicted.float(), clean, batch, condition)
+
+    def _features(
+        self, batch: MotionBatch, condition: EncodedCondition
+    ) -> Float[torch.Tensor, "batch frames features"]:
+        if self.denoiser.configuration.features == "humanml3d":
+            return batch.features
+        return goal_frame(condition, batch.joints).encode(batch.joints, batch.fps)
+
+    def _losses(
+        self, predicted: torch.Tensor, clean: torch.Tensor, batch: MotionBatch, condition: EncodedCondition
+    ) -> dict[str, torch.Tensor]:
+        features = predicted * self.std + self.mean
+        if self.denoiser.configuration.features == "humanml3d":
+            joints = decode(features)
+        else:
+            joints = goal_frame(condition, features).decode(features, batch.n_frames, batch.fps)
+        found = losses(self.objective, predicted, clean, joints, batch.joints, batch.padding)
+        scored = scored_losses(self.objective, joints, batch)
+        return {**found, **scored, "loss": found["loss"] + scored["loss"]}
 
     def draw(self, batch: MotionBatch, step: int) -> Draw:
         """Draw the random numbers of a step for a batch of this shape: a function of seed, step and rank."""
@@ -185,7 +252,8 @@ class DiffusionTraining(TrainingModule):
         n = len(batch.features)
         t = torch.randint(len(self.signal), (n,), generator=generator)
         without_text = torch.rand(n, generator=generator) < self.objective.text_drop
-        noise = torch.randn(batch.features.shape, generator=generator)
+        columns = self.denoiser.configuration.n_features
+        noise = torch.randn((*batch.padding.shape, columns), generator=generator)
         # Drawn last, so that the numbers above are the same with and without it.
         if self.objective.noisiest_share:
             noisiest = len(self.signal) - 1 - torch.randint(-(-len(self.signal) // 6), (n,), generator=generator)
@@ -197,13 +265,15 @@ class DiffusionTraining(TrainingModule):
         device = batch.features.device
         text, padding = (values.to(device, non_blocking=True) for values in self.texts(batch.text))
         text = text.masked_fill(without_text[:, None, None], 0.0)
-        return EncodedCondition(text, padding, self._vector(batch))
-
-    def _vector(self, batch: MotionBatch) -> Float[torch.Tensor, "batch size"] | None:
         if self.scaling is None:
-            return None
-        goal = batch.goal_joints if self.denoiser.configuration.goal == "pose" else batch.goal_location
-        return self.scaling(raw_condition(batch.initial_joints, batch.previous_joints, goal, batch.fps))
+            return EncodedCondition(text, padding)
+        raw = raw_condition_of_items(batch, self.denoiser.configuration.goal)
+        return EncodedCondition(text, padding, self.scaling(raw), raw)
+
+    def hidden_matrices(self) -> tuple[nn.Parameter, ...]:
+        """The matrices of the layers; weights of neighbours are no matrix."""
+        named = self.denoiser.layers.named_parameters()
+        return tuple(matrix for name, matrix in named if matrix.ndim == 2 and not name.endswith("neighbours"))
 
     def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         """The denoiser with its statistics, and the header of its file (``prbench.training.weights``)."""
@@ -212,7 +282,9 @@ class DiffusionTraining(TrainingModule):
         tensors |= {"statistics.mean": self.mean, "statistics.std": self.std}
         if self.scaling is not None:
             tensors |= {"condition.mean": self.scaling.mean, "condition.std": self.scaling.std}
-        metadata = weights_header(KIND, configuration, representation_entry(configuration.representation))
+        standard = configuration.features == "humanml3d"
+        representation = representation_entry(configuration.representation) if standard else configuration.features
+        metadata = weights_header(KIND, configuration, representation)
         return tensors, metadata
 
     def adapter(self, device: str) -> Adapter:

@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast, get_args
 
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
 from prbench_adapters.diffusion.method import GOALS, IN_TRAINING, TEXT_GUIDANCE, TextSampler, require_goals_within_reach
 
 if TYPE_CHECKING:
+    from prbench_adapters.diffusion.configuration import DenoiserConfiguration
     from prbench_adapters.diffusion.generation import SamplingSettings
     from prbench_adapters.diffusion.model import MotionModel
     from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
@@ -27,14 +28,6 @@ DEFAULT_WEIGHTS = {Condition.GOAL_LOCATION: "pr-small-goal-loc", Condition.GOAL_
 _GUIDANCE = 1.0  # the conditional estimate alone (docs/specification/pr-model.md#sampling-without-optimisation)
 _MODES = ("fast", "paper", "off")
 _BONES = ("predicted", "initial")
-
-
-@dataclass(frozen=True)
-class TrainedFor:
-    """A model and the file that it came from."""
-
-    model: MotionModel
-    path: Path
 
 
 @dataclass(frozen=True)
@@ -49,19 +42,27 @@ class Generation:
     """Keep the bone lengths of the initial pose in sampled motions; an optimisation has its own setting."""
 
 
+@dataclass(frozen=True)
+class TrainedFor:
+    """A model, the file that it came from, and how it generates."""
+
+    model: MotionModel
+    path: Path
+    generation: Generation
+
+
 class PR:
     """Generates motions towards a goal pose or an object location, with a model for each.
 
     Args:
         models: By condition; those of one file or one folder may serve one condition only.
-        generation: Sampling or noise optimisation.
     """
 
     name = "pr"
     conditions = frozenset(GOALS)
 
-    def __init__(self, models: Mapping[Condition, TrainedFor], generation: Generation) -> None:
-        self.models, self.generation = dict(models), generation
+    def __init__(self, models: Mapping[Condition, TrainedFor]) -> None:
+        self.models = dict(models)
         configurations = [trained.model.configuration for trained in self.models.values()]
         # One limit for the method: the harness asks for it before it knows the condition.
         self.max_frames = min(configuration.max_frames for configuration in configurations)
@@ -81,17 +82,18 @@ class PR:
         Raises:
             AdapterError: for a goal that no body can reach, or weights of the other kind of goal.
         """
-        model = self._trained_for(batch.condition).model
+        trained = self._trained_for(batch.condition)
+        generation = trained.generation
         require_goals_within_reach(batch, adapter=self.name)
-        if self.generation.optimisation is None:
+        if generation.optimisation is None:
             from prbench_adapters.diffusion.batches import on_own_bones
             from prbench_adapters.diffusion.generation import generate
 
-            motions = generate(model, batch, self.generation.sampling)
-            return on_own_bones(motions, batch) if self.generation.own_bones else motions
+            motions = generate(trained.model, batch, generation.sampling)
+            return on_own_bones(motions, batch) if generation.own_bones else motions
         from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised
 
-        return generate_optimised(model, batch, self.generation.optimisation)
+        return generate_optimised(trained.model, batch, generation.optimisation)
 
     def _trained_for(self, condition: Condition) -> TrainedFor:
         if condition in self.models:
@@ -108,8 +110,9 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
 
     Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the other
     ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`; ``guidance`` (1),
-    ``steps``; without optimisation also ``sampler`` (ddpm or ddim); ``bones`` (predicted, or initial for the initial
-    pose's lengths); ``text-path`` (files of the text encoder, if the weights need one that has some).
+    ``steps``; without optimisation also ``sampler`` (ddpm or ddim) and ``reach`` (predicted, or goal: a wrist is led to
+    a goal location at the end); ``bones`` (predicted, or initial for the initial pose's lengths); ``text-path`` (files
+    of the text encoder, if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
@@ -126,18 +129,15 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     from prbench_adapters.diffusion.noise_optimisation.settings import PRIME_AND_REACH_OPTIONS
     from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known
 
-    require_known(options, ("optimise", *SAMPLING_OPTIONS, "text-path", *PRIME_AND_REACH_OPTIONS))
-    text_path = options.get("text-path")
+    require_known(options, ("optimise", *SAMPLING_OPTIONS, "text-path", "reach", *PRIME_AND_REACH_OPTIONS))
     if weights is None:
         paths = {condition: resolve(None, name) for condition, name in DEFAULT_WEIGHTS.items()}
-        models = {condition: _load(path, device, text_path, (condition,)) for condition, path in paths.items()}
+        models = {condition: _load(path, device, options, (condition,)) for condition, path in paths.items()}
     else:
-        trained = _load(resolve(weights, ""), device, text_path, tuple(GOALS))
+        trained = _load(resolve(weights, ""), device, options, tuple(GOALS))
         goal = trained.model.configuration.goal
         models = {condition: trained for condition, kind in GOALS.items() if kind == goal}
-    # Options hold for both models, so they have to be possible for both.
-    fewest = min(trained.model.configuration.diffusion_steps for trained in models.values())
-    return PR(models, _generation(options, diffusion_steps=fewest))
+    return PR(models)
 
 
 def training_task() -> DiffusionTask:
@@ -156,44 +156,56 @@ def _in_training(model: MotionModel) -> Adapter:
     if goal == "none":
         return TextSampler(model, IN_TRAINING, SamplingSettings(guidance=TEXT_GUIDANCE))
     condition = next(key for key, kind in GOALS.items() if kind == goal)
-    return PR({condition: TrainedFor(model, IN_TRAINING)}, Generation(SamplingSettings(guidance=_GUIDANCE), None))
+    return PR({condition: TrainedFor(model, IN_TRAINING, Generation(SamplingSettings(guidance=_GUIDANCE), None))})
 
 
-def _load(path: Path, device: str, text_path: str | None, allowed: tuple[Condition, ...]) -> TrainedFor:
+def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Condition, ...]) -> TrainedFor:
     from prbench_adapters.diffusion.model import MotionModel
 
-    model = MotionModel.load(path, device, text_path=text_path)
+    model = MotionModel.load(path, device, text_path=options.get("text-path"))
     wanted = [GOALS[condition] for condition in allowed]
     if model.configuration.goal not in wanted:
         raise AdapterError(
             f"weights {path}: expected a model of goal {' or '.join(wanted)}, found one of goal"
             f" '{model.configuration.goal}'. Choose weights that `prbench train --method pr --stage finetune` made."
         )
-    return TrainedFor(model, path)
+    if options.get("reach") == "goal" and model.configuration.features != "goal-frame":
+        raise AdapterError(
+            f"option 'reach': weights {path}: expected a model of goal-frame features, found one of"
+            f" {model.configuration.features}. Leave the option out, or choose other weights."
+        )
+    return TrainedFor(model, path, _generation(options, model.configuration))
 
 
-def _generation(options: Mapping[str, str], *, diffusion_steps: int) -> Generation:
-    """Turn the options into settings, checked before anything is generated."""
+def _generation(options: Mapping[str, str], configuration: DenoiserConfiguration) -> Generation:
+    """Turn the options into settings for a model, checked before anything is generated."""
+    from prbench_adapters.diffusion.model import Reach
     from prbench_adapters.diffusion.noise_optimisation.settings import (
         PRIME_AND_REACH_OPTIONS,
         fast,
+        finishing,
         optimisation_settings,
         paper,
     )
     from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, choice, sampling_settings
 
+    diffusion_steps = configuration.diffusion_steps
     sampling = sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=diffusion_steps)
     mode = choice(options, "optimise", _MODES)
     if mode == "off":
         idle = [key for key in PRIME_AND_REACH_OPTIONS if key in options and key not in ("bones", *SAMPLING_OPTIONS)]
         if idle:
             raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=fast or paper.")
-        return Generation(sampling, None, own_bones=choice(options, "bones", _BONES) == "initial")
+        reach = cast(Reach, choice(options, "reach", get_args(Reach)))
+        return Generation(replace(sampling, reach=reach), None, own_bones=choice(options, "bones", _BONES) == "initial")
+    if "reach" in options:
+        raise ValueError("option 'reach': noise optimisation reaches by itself; choose optimise=off.")
     # ddpm is also the default of plain sampling, so only a user's own word is refused.
     if sampling.sampler == "ddpm" and "sampler" in options:
         raise ValueError("option 'sampler': noise optimisation needs a fixed map from noise to motion, which is ddim.")
     if "steps" in options and "ddim-steps" in options:
         raise ValueError("options 'steps' and 'ddim-steps' mean the same in noise optimisation; give one of them.")
-    preset = {"fast": fast, "paper": paper}[mode](diffusion_steps)
+    quick = finishing if configuration.features == "goal-frame" else fast
+    preset = {"fast": quick, "paper": paper}[mode](diffusion_steps)
     preset = replace(preset, guidance=sampling.guidance, ddim_steps=sampling.steps or preset.ddim_steps)
     return Generation(sampling, optimisation_settings(options, preset, diffusion_steps=diffusion_steps))

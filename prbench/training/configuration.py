@@ -45,6 +45,9 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
     """Unit of ``batch_size``; frames are counted with their padding."""
     micro_batches: int = 1
     """Batches whose gradients are averaged into one step."""
+    optimiser: Literal["adamw", "muon"] = "adamw"
+    """``muon`` moves the matrices that a task names by orthogonal steps (Jordan et al. 2024), twice the learning rate
+    long, and everything else by AdamW."""
     learning_rate: float = 1e-4
     schedule: Literal["constant", "cosine"] = "constant"
     warmup_steps: int = 0
@@ -57,7 +60,8 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
     """Decay of the average of the weights, which is what is saved; 0 keeps no average."""
     ema_warmup: bool = True
     """Average over fewer steps at first: the decay at step n is at most (1 + n) / (10 + n)."""
-    precision: Literal["32-true", "bf16-mixed"] = "32-true"
+    precision: Literal["32-true", "bf16-mixed", "auto"] = "32-true"
+    """``auto`` is the quicker one of the two on this machine; the card and ``training.json`` name it."""
     seed: int = 0
     save_every: int = 1000
     log_every: int = 50

@@ -172,8 +172,9 @@ class _Session:
         """One step of the optimiser over ``micro_batches`` batches."""
         state = self.state
         settings = self.settings
-        for group in state.optimiser.param_groups:
-            group["lr"] = self._learning_rate(state.step)
+        for optimiser in state.optimisers:
+            for group in optimiser.param_groups:
+                group["lr"] = self._learning_rate(state.step) * group.get("scale", 1.0)
         for micro in range(settings.micro_batches):
             started = time.perf_counter()
             batch = next(incoming).to(self.fabric.device)
@@ -187,8 +188,9 @@ class _Session:
         if settings.gradient_clip is not None:
             for group in state.module.gradient_groups():
                 torch.nn.utils.clip_grad_norm_(group, settings.gradient_clip)
-        state.optimiser.step()
-        state.optimiser.zero_grad()
+        for optimiser in state.optimisers:
+            optimiser.step()
+            optimiser.zero_grad()
         state.step += 1
         state.average.update(state.step)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import torch
 
 from prbench.errors import TrainingStopped, UsageError
@@ -21,6 +22,7 @@ from prbench.training.installed import load_task
 from prbench.training.loop import Progress, fit, silent
 from prbench.training.motions import REFIT
 from prbench.training.outputs import WEIGHTS
+from prbench.training.precision import chosen_precision
 from prbench.training.processes import make_fabric
 from prbench.training.record import TrainingRecord, require_same_training, table_records, training_card, write_record
 from prbench.training.state import Row, TrainingState
@@ -96,8 +98,11 @@ def train(request: TrainRequest, *, report: Callable[[Progress], None] = silent)
             "--refit: the validation split is learnt from, so measuring on it would say nothing; add"
             " --set validation.every=0."
         )
-    fabric = make_fabric(request.device, devices=request.devices, precision=configuration.training.precision)
     torch.set_num_threads(request.threads)
+    precision = chosen_precision(configuration.training.precision, device=request.device, out=request.out)
+    training = msgspec.structs.replace(configuration.training, precision=precision)
+    configuration = msgspec.structs.replace(configuration, training=training)
+    fabric = make_fabric(request.device, devices=request.devices, precision=precision)
     fabric.launch()
     torch.set_num_threads(request.threads)  # launching several processes sets one of its own
     return run(request, task, stage, configuration, fabric, report)

@@ -14,10 +14,13 @@ from dataclasses import dataclass, field
 import torch
 from torch import nn
 
-from prbench.errors import TrainingError
+from prbench.errors import TrainingError, UsageError
 from prbench.training.configuration import OptimisationConfiguration
 from prbench.training.task import TrainingModule
 
+_MUON_SCALE = 2.0
+"""Length of Muon's steps against AdamW's; tried with small P&R models (docs/methods/pr.md#training)."""
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq", "momentum_buffer")
 Row = dict[str, float | int]
 """One line of the log: ``step`` and what was measured there, by name."""
 
@@ -91,7 +94,8 @@ class TrainingState:
     """A training between two steps."""
 
     module: TrainingModule
-    optimiser: torch.optim.AdamW
+    optimisers: tuple[torch.optim.Optimizer, ...]
+    """Each with parameters of its own; a group's ``scale`` is its factor on the learning rate."""
     average: WeightAverage
     step: int = 0
     """Steps done."""
@@ -110,15 +114,31 @@ class TrainingState:
     def start(cls, module: TrainingModule, settings: OptimisationConfiguration) -> TrainingState:
         """The state before the first step; the module is where it will be trained."""
         average = WeightAverage(module, settings.ema, warmup=settings.ema_warmup)
-        parameters = list(average.parameters.values())
-        optimiser = torch.optim.AdamW(
-            parameters,
-            lr=settings.learning_rate,
-            betas=settings.betas,
-            weight_decay=settings.weight_decay,
-            fused=all(parameter.device.type in ("cpu", "cuda") for parameter in parameters),
-        )
-        return cls(module, optimiser, average)
+        matrices = list(module.hidden_matrices()) if settings.optimiser == "muon" else []
+        if settings.optimiser == "muon" and not matrices:
+            raise UsageError("training.optimiser: this task names no matrices for muon. Use adamw.")
+        apart = {id(matrix) for matrix in matrices}
+        others = [parameter for parameter in average.parameters.values() if id(parameter) not in apart]
+        optimisers: list[torch.optim.Optimizer] = [
+            torch.optim.AdamW(
+                others,
+                lr=settings.learning_rate,
+                betas=settings.betas,
+                weight_decay=settings.weight_decay,
+                fused=all(parameter.device.type in ("cpu", "cuda") for parameter in others),
+            )
+        ]
+        if matrices:
+            group = {"params": matrices, "scale": _MUON_SCALE}
+            # Scaled so that a step changes an entry as much as one of AdamW at the same rate would.
+            muon = torch.optim.Muon(
+                [group],
+                lr=settings.learning_rate,
+                weight_decay=settings.weight_decay,
+                adjust_lr_fn="match_rms_adamw",
+            )
+            optimisers.append(muon)
+        return cls(module, tuple(optimisers), average)
 
     @property
     def waiting(self) -> float:
@@ -135,8 +155,9 @@ class TrainingState:
                 tensors[f"module.{name}"] = tensor
         for name, parameter in self.average.parameters.items():
             tensors[f"average.{name}"] = self.average.averages[name]
-            for moment, tensor in self.optimiser.state.get(parameter, {}).items():
-                tensors[f"optimiser.{moment}.{name}"] = tensor
+            for optimiser in self.optimisers:
+                for moment, tensor in optimiser.state.get(parameter, {}).items():
+                    tensors[f"optimiser.{moment}.{name}"] = tensor
         return tensors
 
     @torch.no_grad()
@@ -160,11 +181,17 @@ class TrainingState:
         for name, parameter in self.average.parameters.items():
             moments = {
                 key: tensors[f"optimiser.{key}.{name}"].to(parameter.device, copy=True)
-                for key in ("step", "exp_avg", "exp_avg_sq")
+                for key in _MOMENTS
                 if f"optimiser.{key}.{name}" in tensors
             }
             if moments:
-                self.optimiser.state[parameter] = moments
+                self._optimiser_of(parameter).state[parameter] = moments
+
+    def _optimiser_of(self, parameter: nn.Parameter) -> torch.optim.Optimizer:
+        for optimiser in self.optimisers:
+            if any(parameter is own for group in optimiser.param_groups for own in group["params"]):
+                return optimiser
+        raise AssertionError("every trained parameter has an optimiser")
 
 
 def learning_rate(step: int, settings: OptimisationConfiguration) -> float:

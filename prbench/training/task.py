@@ -125,6 +125,10 @@ class TrainingModule(nn.Module):
         """The parameters whose gradients are clipped together, by the norm of each group: all of them by default."""
         return (tuple(self.parameters()),)
 
+    def hidden_matrices(self) -> Sequence[nn.Parameter]:
+        """The matrices that ``training.optimiser = "muon"`` moves by orthogonal steps: those between hidden layers."""
+        return ()
+
     def generator(self, step: int) -> torch.Generator:
         """A generator on the CPU that depends on seed, step and rank alone, so that a resumed run repeats its draws.
 

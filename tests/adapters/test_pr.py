@@ -51,6 +51,13 @@ def test_the_motion_depends_on_its_goal(weights, condition):
     assert _largest_change(_generate(adapter, condition), _generate(adapter, condition, **{field: moved})) > 1e-3
 
 
+def test_a_wrist_is_led_to_the_goal_only_by_weights_that_can(weights):
+    with pytest.raises(AdapterError, match=r"option 'reach'.* expected a model of goal-frame features"):
+        load(weights[Condition.GOAL_LOCATION], options={**SAMPLING, "reach": "goal"}, device="cpu")
+    with pytest.raises(ValueError, match="option 'reach': noise optimisation reaches by itself"):
+        load(weights[Condition.GOAL_LOCATION], options={"reach": "predicted"}, device="cpu")
+
+
 @pytest.mark.parametrize("field", ["initial_joints", "previous_joints"])
 def test_the_motion_depends_on_its_initial_state(weights, field):
     adapter = load(weights[Condition.GOAL_LOCATION], options=SAMPLING, device="cpu")

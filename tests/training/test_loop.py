@@ -10,7 +10,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from prbench.errors import TrainingError, TrainingStopped
+from prbench.errors import TrainingError, TrainingStopped, UsageError
 from prbench.storage import read_json, write_json
 from prbench.training.configuration import (
     OptimisationConfiguration,
@@ -85,6 +85,26 @@ def test_a_training_stopped_at_any_step_and_resumed_ends_with_the_same_bits(step
     fit(toy(), random_batches, configuration(), tmp_path, report=lambda progress: seen.append(progress.step))
     assert seen == list(range(step + 1, 8)), "nothing is done twice"
     assert final_files(tmp_path) == uninterrupted
+
+
+def _with_matrices():
+    module = toy()
+    module.hidden_matrices = lambda: (module.network[3].weight,)
+    return module
+
+
+def test_a_training_with_muon_resumes_to_the_same_bits(tmp_path):
+    muon = configuration(optimiser="muon")
+    fit(_with_matrices(), random_batches, muon, tmp_path / "whole")
+    with pytest.raises(TrainingStopped):
+        fit(_with_matrices(), signalled_in(4, signal.SIGTERM), muon, tmp_path / "parts")
+    fit(_with_matrices(), random_batches, muon, tmp_path / "parts")
+    assert final_files(tmp_path / "parts") == final_files(tmp_path / "whole")
+
+
+def test_muon_is_refused_where_no_matrices_are_named(tmp_path):
+    with pytest.raises(UsageError, match=r"training\.optimiser: this task names no matrices"):
+        fit(toy(), random_batches, configuration(optimiser="muon"), tmp_path)
 
 
 def test_a_checkpoint_that_a_kill_kept_from_being_deleted_goes_with_the_next_call(tmp_path):
@@ -248,4 +268,4 @@ def test_a_module_knows_how_often_it_will_be_called_and_may_scale_the_learning_r
     state = fit(module, random_batches, configuration(schedule="constant", warmup_steps=0, log_every=1), tmp_path)
     assert module.calls == 14
     assert [row["learning_rate"] for row in state.rows] == pytest.approx([1e-2] * 4 + [5e-3] * 3)
-    assert state.optimiser.param_groups[0]["lr"] == pytest.approx(5e-3)
+    assert state.optimisers[0].param_groups[0]["lr"] == pytest.approx(5e-3)

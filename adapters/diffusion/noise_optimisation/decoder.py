@@ -5,14 +5,16 @@ from __future__ import annotations
 import copy
 import weakref
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
+from torch import nn
 
 from prbench_adapters.diffusion.batches import with_bone_lengths
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser
+from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
 from prbench_adapters.diffusion.generation import Guided
 from prbench_adapters.diffusion.noise_optimisation.objective import Joints
 from prbench_adapters.diffusion.noise_optimisation.optimise import NoiseDecoder
@@ -20,7 +22,8 @@ from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationS
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim
 
 Noise = Float[torch.Tensor, "batch frames features"]
-_COMPILED: weakref.WeakKeyDictionary[Denoiser, Denoiser] = weakref.WeakKeyDictionary()
+Network = TypeVar("Network", bound=Denoiser | FrameDenoiser)
+_COMPILED: weakref.WeakKeyDictionary[nn.Module, Any] = weakref.WeakKeyDictionary()
 
 
 @runtime_checkable
@@ -28,11 +31,11 @@ class FrozenModel(Protocol):
     """The part of a ``MotionModel`` that the optimisation needs."""
 
     @property
-    def denoiser(self) -> Denoiser:
+    def denoiser(self) -> Denoiser | FrameDenoiser:
         """The network, in evaluation mode, its weights without gradients."""
         ...
 
-    def joints(self, normalised: Float[torch.Tensor, "batch frames 263"]) -> Joints:
+    def joints(self, normalised: Noise, condition: EncodedCondition, n_frames: Int[torch.Tensor, " batch"]) -> Joints:
         """Joints of standardised features, canonical frame, metres."""
         ...
 
@@ -88,7 +91,7 @@ class UnrolledChain:
             spacing=settings.spacing,
             checkpointing=settings.checkpointing,
         )
-        return self._model.joints(clean)
+        return self._model.joints(clean, self._condition, self._n_frames)
 
     def rows(self, index: Int[torch.Tensor, " kept"]) -> UnrolledChain:
         """The chain of some of the sequences; passes are counted together."""
@@ -130,7 +133,7 @@ class OnOwnBones:
         return OnOwnBones(self._decoder.rows(index), self._lengths[index])
 
 
-def compiled(denoiser: Denoiser) -> Denoiser:
+def compiled(denoiser: Network) -> Network:
     """Send the passes of a network through ``torch.compile``, for any batch and length; compiled at most once.
 
     Weights are shared. The first pass takes a minute or more, and on a processor needs a C++ compiler.

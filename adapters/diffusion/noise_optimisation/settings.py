@@ -140,6 +140,24 @@ def fast(diffusion_steps: int) -> OptimisationSettings:
     )
 
 
+def finishing(diffusion_steps: int) -> OptimisationSettings:
+    """Lead a motion to its goal that starts in the initial pose by construction, and change it no further.
+
+    For goal-frame features. Longer and harder pursuit costs priming: with an early state of the weights, 99 iterations
+    of :func:`fast` lowered Prime Success from 77 to 60 % (30 validation sequences), and these left it (73 and 75 %, 60
+    sequences). It stops when the wrist is 5 cm from the goal, because a hand holds an object, not the wrist.
+    """
+    return replace(
+        fast(diffusion_steps),
+        iterations=20,
+        warmup=2,
+        learning_rate=0.03,
+        decorrelation_weight=0.0,
+        hand="nearest",
+        stop_below=0.0025,
+    )
+
+
 def optimisation_settings(
     options: Mapping[str, str], preset: OptimisationSettings, *, diffusion_steps: int
 ) -> OptimisationSettings:

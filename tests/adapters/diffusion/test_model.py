@@ -52,7 +52,12 @@ def test_joints_are_those_of_the_restored_features():
     model = tiny.model()
     normalised = torch.randn((2, 6, 263), generator=torch.Generator().manual_seed(0))
     expected = decode((normalised * model.std + model.mean).numpy())
-    np.testing.assert_allclose(model.joints(normalised).numpy(), expected, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(
+        model.joints(normalised, model.encode(tiny.text_batch([6, 6])), torch.tensor([6, 6])).numpy(),
+        expected,
+        rtol=0,
+        atol=1e-5,
+    )
 
 
 @pytest.mark.parametrize(("goal", "condition"), [("location", Condition.GOAL_LOCATION), ("pose", Condition.GOAL_POSE)])

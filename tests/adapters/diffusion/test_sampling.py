@@ -142,8 +142,10 @@ def _chain(**kwargs: int) -> tuple[torch.Tensor, torch.Tensor]:
     model = tiny.model()
     start = torch.randn((2, 6, 263), generator=torch.Generator().manual_seed(2)).requires_grad_()
     batch = tiny.text_batch([6, 4])
-    denoise = Guided(model.denoiser, model.encode(batch), torch.tensor([6, 4]), 2.5, reuse=True)
-    joints = model.joints(sample_ddim(denoise, model.schedule, start, **kwargs))
+    condition = model.encode(batch)
+    n_frames = torch.tensor([6, 4])
+    denoise = Guided(model.denoiser, condition, n_frames, 2.5, reuse=True)
+    joints = model.joints(sample_ddim(denoise, model.schedule, start, **kwargs), condition, n_frames)
     (gradient,) = torch.autograd.grad(joints[0].square().sum() + joints[1, :4].square().sum(), start)
     return joints, gradient
 
@@ -175,10 +177,11 @@ def test_the_gradient_with_respect_to_the_noise_is_that_of_finite_differences():
     model.denoiser.double()
     condition = model.encode(tiny.text_batch([5]))
     condition = type(condition)(condition.text.double(), condition.padding)
-    denoise = Guided(model.denoiser, condition, torch.tensor([5]), 2.5)
+    n_frames = torch.tensor([5])
+    denoise = Guided(model.denoiser, condition, n_frames, 2.5)
 
     def last_wrist(start: torch.Tensor) -> torch.Tensor:
-        return model.joints(sample_ddim(denoise, model.schedule, start))[0, -1, 21].sum()
+        return model.joints(sample_ddim(denoise, model.schedule, start), condition, n_frames)[0, -1, 21].sum()
 
     start = _normal(4, (1, 5, 263)).requires_grad_()
     (gradient,) = torch.autograd.grad(last_wrist(start), start)

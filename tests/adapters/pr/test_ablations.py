@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +74,8 @@ def test_every_row_trains_a_step_and_generates_at_its_smoke_size(name, data, tmp
     assert torch.isfinite(losses["loss"])
     adapter = module.adapter("cpu")
     few = SamplingSettings(guidance=1.0, sampler="ddim", steps=5)
-    adapter.generation = Generation(few, None)
+    quick = replace(adapter.models[Condition.GOAL_LOCATION], generation=Generation(few, None))
+    adapter.models[Condition.GOAL_LOCATION] = quick
     motions = adapter.generate(conditions(Condition.GOAL_LOCATION, 2), seed=0)
     assert np.isfinite(motions.ragged()).all()
 

@@ -39,7 +39,7 @@ def test_the_chain_is_that_of_plain_sampling(guidance):
     condition = model.encode(tiny.text_batch(LENGTHS.tolist()))
     plain = sample_ddim(Guided(model.denoiser, condition, LENGTHS, guidance), model.schedule, _noise(), steps=4)
     chain = _chain(replace(SETTINGS, guidance=guidance), model)
-    torch.testing.assert_close(chain(_noise()), model.joints(plain))
+    torch.testing.assert_close(chain(_noise()), model.joints(plain, condition, LENGTHS))
     assert chain.network_passes == (4 if guidance == 1.0 else 8)
 
 

@@ -28,7 +28,7 @@ class GoldenModel:
     mean: torch.Tensor
     std: torch.Tensor
 
-    def joints(self, normalised):
+    def joints(self, normalised, condition, n_frames):
         return tensors.decode(normalised * self.std + self.mean)
 
 

@@ -1,0 +1,390 @@
+"""Motions seen from their goal: where body, hands and feet are in a frame that faces the goal.
+
+A representation of ours for small networks, beside HumanML3D's 263 features (docs/methods/pr.md). The frame stands
+under the goal (of a goal pose, under the middle between its wrists); +Z is the way from the first pelvis to a goal
+location, or where a goal pose faces. Each frame of a motion is 68 numbers:
+
+* the pelvis (3);
+* unit directions of the 11 bones of the trunk, of thighs and upper arms, and of the feet (51);
+* the ankles and the wrists (12): a planted foot and a hand at its goal are numbers that do not change;
+* whether each foot is planted (2).
+
+Decoding keeps what is given. Knees and elbows follow from the lengths of the bones of the initial pose, so that all
+bones keep them. The first frame is the initial pose, and the last one a goal pose if there is one: what a network
+predicts for them is corrected, and the correction fades out within :data:`FADE` seconds. Neighbouring frames are
+averaged with weights 1, 2, 1, which leaves a fifth of the jerk of independent errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.nn import functional
+
+from prbench.skeleton import BONES, N_JOINTS, PARENTS, TOES, WRISTS, Joint
+
+FADE = 0.5
+"""Seconds over which corrections of the first and last frame fade out; choice: about a step."""
+STILL = 0.2
+"""Metres a second over the floor below which a toe counts as planted: the protocol's ``slide_speed``. Noise of body
+trackers moves planted toes by half of it."""
+LOW = 0.05
+"""Metres above the floor below which it must be, too: the protocol's ``foot_height``."""
+N_SIGHT = 17
+"""Numbers that :func:`sight` returns for each frame."""
+
+_TRUNK = (1, 2, 3, 6, 9, 12, 13, 14, 15, 16, 17)
+"""Joints whose bones are chained from the pelvis: hips, spine, neck, head, collars, shoulders."""
+_ROOTS = (Joint.LEFT_HIP, Joint.RIGHT_HIP, Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER)
+_MIDDLES = (Joint.LEFT_KNEE, Joint.RIGHT_KNEE, Joint.LEFT_ELBOW, Joint.RIGHT_ELBOW)
+_ENDS = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, *WRISTS)
+_DIRECTED = (*_TRUNK, *_MIDDLES, *TOES)
+"""Joints whose bones have directions among the features."""
+_DIRECTIONS = slice(3, 3 + 3 * len(_DIRECTED))
+_PLACES = slice(_DIRECTIONS.stop, _DIRECTIONS.stop + 3 * len(_ENDS))
+N_POSE_FEATURES = _PLACES.stop
+N_GOAL_FRAME_FEATURES = N_POSE_FEATURES + len(TOES)
+
+_PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
+_SHORTEST = 1e-6  # metres; keeps the direction of a vanished bone, and its gradient, finite
+_CERTAIN = 0.5  # of a foot's contact, which is 1 where it is planted, else 0
+_TOUCH = 0.05  # metres between wrist and goal: a hand holds an object, the wrist is not inside it
+_BEND = 5e-3  # metres that a knee or elbow stands out at least; a straight limb has no gradient
+_POSE = 3 * N_JOINTS
+
+
+@dataclass(frozen=True)
+class GoalFrame:
+    """The frame of each sequence's goal, with the poses that are given in it."""
+
+    origin: Float[Tensor, "batch 3"]
+    """Under the goal, on the floor; canonical frame, metres."""
+    forward: Float[Tensor, "batch 2"]
+    """Unit vector (x, z) of the frame's +Z axis, canonical frame."""
+    height: Float[Tensor, " batch"]
+    """Of the goal above the floor; of a goal pose, of the middle between its wrists. Metres."""
+    lengths: Float[Tensor, "batch 21"]
+    """Of the bones of the initial pose, metres."""
+    first: Float[Tensor, "batch 66"]
+    """Features of the initial pose, contacts left out."""
+    last: Float[Tensor, "batch 66"] | None
+    """Features of the goal pose, if that is the goal."""
+
+    @classmethod
+    def of(cls, raw: Float[Tensor, "batch size"]) -> GoalFrame:
+        """The frame of a condition vector.
+
+        Args:
+            raw: Initial pose, initial velocity and goal (:func:`prbench_adapters.diffusion.condition.raw_condition`).
+        """
+        initial = raw[:, :_POSE].unflatten(1, (N_JOINTS, 3))
+        goal = raw[:, 2 * _POSE :]
+        pose = goal.unflatten(1, (N_JOINTS, 3)) if goal.shape[1] == _POSE else None
+        if pose is None:
+            place = goal
+            forward = (goal - initial[:, Joint.PELVIS])[:, ::2]
+        else:
+            place = pose[:, WRISTS].mean(dim=1)
+            left = pose[:, Joint.LEFT_HIP] - pose[:, Joint.RIGHT_HIP]
+            left = left + pose[:, Joint.LEFT_SHOULDER] - pose[:, Joint.RIGHT_SHOULDER]
+            forward = torch.stack((-left[:, 2], left[:, 0]), dim=1)  # left × up, on the floor
+        # A goal right above or below the pelvis has no direction; then the frame faces as the canonical one.
+        ahead = forward.new_tensor((0.0, 1.0)).expand_as(forward)
+        forward = torch.where(forward.norm(dim=1, keepdim=True) > _SHORTEST, forward, ahead)
+        forward = forward / forward.norm(dim=1, keepdim=True)
+        origin = place * place.new_tensor((1.0, 0.0, 1.0))
+        lengths = _bones(initial).norm(dim=-1)
+        frame = cls(origin, forward, place[:, 1], lengths, initial.flatten(1), None)
+        first = frame._pose_features(initial[:, None])[:, 0]
+        last = None if pose is None else frame._pose_features(pose[:, None])[:, 0]
+        return replace(frame, first=first, last=last)
+
+    def encode(self, joints: Float[Tensor, "batch frames 22 3"], fps: float) -> Float[Tensor, "batch frames 68"]:
+        """Features of canonical joints; lengths of bones are lost."""
+        pose = self._pose_features(joints)
+        return torch.cat((pose, planted(joints, fps).to(pose.dtype)), dim=2)
+
+    def _pose_features(self, joints: Tensor) -> Float[Tensor, "batch frames 66"]:
+        directions = _unit(_bones(joints))[:, :, [joint - 1 for joint in _DIRECTED]]
+        places = joints[:, :, (Joint.PELVIS, *_ENDS)] - self.origin[:, None, None]
+        pelvis, ends = self._turned(places).split((1, len(_ENDS)), dim=2)
+        return torch.cat([part.flatten(2) for part in (pelvis, self._turned(directions), ends)], dim=2)
+
+    def decode(
+        self,
+        features: Float[Tensor, "batch frames 68"],
+        n_frames: Int[Tensor, " batch"],
+        fps: float,
+        *,
+        plant: bool = False,
+        reach: bool = False,
+    ) -> Float[Tensor, "batch frames 22 3"]:
+        """Canonical joints, metres, with the bones, the first frame and the goal pose that are given.
+
+        Args:
+            features: Not standardised.
+            n_frames: Valid frames of each row.
+            fps: Frames per second.
+            plant: Keep each foot in one place for as long as the features say that it is planted.
+            reach: Lead the wrist that ends nearer to the goal up to it.
+        """
+        pose = self._pose(features, n_frames, fps)
+        if plant:
+            pose = self._planted(pose, features[..., N_POSE_FEATURES:] > _CERTAIN, n_frames)
+        if reach:
+            pose = self._reaching(pose, n_frames, fps)
+        return self._turned(self._joints(pose), back=True) + self.origin[:, None, None]
+
+    def _pose(self, features: Tensor, n_frames: Tensor, fps: float) -> Float[Tensor, "batch frames 66"]:
+        """Smooth features of unit directions, with the frames that are given."""
+        features = _smoothed(features[..., :N_POSE_FEATURES], n_frames)
+        return self._kept(_with_unit_directions(features), n_frames, fps)
+
+    def _joints(self, features: Float[Tensor, "batch frames 66"]) -> Float[Tensor, "batch frames 22 3"]:
+        """Chain the bones of the trunk from the pelvis, and let arms and legs reach from there to their ends."""
+        pelvis = features[:, :, None, :3]
+        directions = _unit(features[..., _DIRECTIONS].unflatten(2, (-1, 3)))
+        targets = features[..., _PLACES].unflatten(2, (-1, 3))
+        trunk, poles, feet = directions.split((len(_TRUNK), len(_MIDDLES), len(TOES)), dim=2)
+        # Positions are sums of bones along the way from the pelvis, which one product with the ancestry gives for all.
+        trunk = pelvis + _trunk_ancestry(features) @ (trunk * self._lengths_to(_TRUNK))
+        roots = trunk[:, :, [_TRUNK.index(joint) for joint in _ROOTS]]
+        upper = self._lengths_to(_MIDDLES)
+        middles, ends = _two_bones(roots, targets, poles, upper, self._lengths_to(_ENDS))
+        toes = ends[:, :, : len(TOES)] + feet * self._lengths_to(TOES)
+        order = (Joint.PELVIS, *_TRUNK, *_MIDDLES, *_ENDS, *TOES)
+        together = torch.cat((pelvis, trunk, middles, ends, toes), dim=2)
+        return together[:, :, [order.index(joint) for joint in range(N_JOINTS)]]
+
+    def _planted(
+        self, pose: Float[Tensor, "batch frames 66"], on_floor: Bool[Tensor, "batch frames 2"], n_frames: Tensor
+    ) -> Float[Tensor, "batch frames 66"]:
+        """Keep each foot in its place while it is on the floor.
+
+        The place is the mean of the toe's places meanwhile. While a foot is in the air, its correction passes from that
+        of the one step to that of the next. A foot that is planted in a given pose stays where it is given.
+        """
+        with torch.no_grad():
+            toes = self._joints(pose)[:, :, TOES].cpu().double().numpy()
+            contacts = on_floor.cpu().numpy()
+            moves = np.zeros_like(toes)
+            for row, n in enumerate(n_frames.tolist()):
+                given = {0} if self.last is None else {0, n - 1}
+                for foot in range(len(TOES)):
+                    moves[row, :n, foot] = _planting_moves(toes[row, :n, foot], contacts[row, :n, foot], given)
+        return _with_places_moved(pose, torch.as_tensor(moves).to(pose), first=0)
+
+    def _reaching(
+        self, pose: Float[Tensor, "batch frames 66"], n_frames: Tensor, fps: float
+    ) -> Float[Tensor, "batch frames 66"]:
+        """Lead the wrist that ends nearer to the goal up to it, within the last :data:`FADE` seconds.
+
+        It stops :data:`_TOUCH` before the goal. Where the arm is too short, the pelvis makes up for the rest.
+        """
+        last = n_frames.to(pose.device) - 1
+        frame = torch.arange(pose.shape[1], device=pose.device)
+        fade = _fade((last[:, None] - frame).clamp_min(0) / fps)[..., None]
+        pose = _with_places_moved(pose, fade[..., None] * self._missing(pose, last)[:, None], first=len(TOES))
+        rest = self._missing(pose, last).sum(dim=1)
+        return pose + functional.pad(fade * rest[:, None], (0, N_POSE_FEATURES - 3))
+
+    def _missing(self, pose: Tensor, last: Int[Tensor, " batch"]) -> Float[Tensor, "batch 2 3"]:
+        """What each wrist lacks to touch the goal in the last frame; zeros for the one that is farther away."""
+        wrists = self._joints(pose)[torch.arange(len(pose), device=pose.device), last][:, WRISTS]
+        missing = functional.pad(self.height[:, None, None], (1, 1)) - wrists
+        distance = _length(missing)
+        nearer = distance == distance.amin(dim=1, keepdim=True)
+        return missing * ((1 - _TOUCH / distance).clamp_min(0.0) * nearer)[..., None]
+
+    def _lengths_to(self, joints: tuple[int, ...]) -> Float[Tensor, "batch 1 joints 1"]:
+        return self.lengths[:, None, [joint - 1 for joint in joints], None]
+
+    def _kept(self, features: Tensor, n_frames: Tensor, fps: float) -> Tensor:
+        """Move the first frame, and with a goal pose the last one, to where it is known to be."""
+        frame = torch.arange(features.shape[1], device=features.device)
+        fade = _fade(frame / fps)[None, :, None]
+        kept = features + fade * (self.first - features[:, 0])[:, None]
+        if self.last is None:
+            return kept
+        last = n_frames.to(features.device) - 1
+        rows = torch.arange(len(features), device=features.device)
+        fade = _fade((last[:, None] - frame).abs() / fps)[..., None]
+        return kept + fade * (self.last - kept[rows, last])[:, None]
+
+    def _turned(self, vectors: Float[Tensor, "batch n m 3"], *, back: bool = False) -> Float[Tensor, "batch n m 3"]:
+        """Vectors turned into the frame of the goal, or back."""
+        x, y, z = vectors.unbind(-1)
+        sin, cos = self.forward[:, :, None, None].unbind(1)
+        if back:
+            sin = -sin
+        return torch.stack((cos * x - sin * z, y, sin * x + cos * z), dim=-1)
+
+    def seen(self, joints: Float[Tensor, "batch frames 22 3"]) -> Float[Tensor, "batch frames 22 3"]:
+        """Canonical joints as they are seen from the goal."""
+        return self._turned(joints - self.origin[:, None, None])
+
+    def velocity(self, raw: Float[Tensor, "batch size"]) -> Float[Tensor, "batch 66"]:
+        """Initial velocities of a condition vector, seen from the goal, m/s."""
+        return self._turned(raw[:, None, _POSE : 2 * _POSE].unflatten(2, (N_JOINTS, 3))).flatten(1)
+
+
+def seen_condition(raw: Float[Tensor, "batch size"]) -> Float[Tensor, "batch seen"]:
+    """A condition vector as a network of goal-frame features is told it, not standardised.
+
+    Args:
+        raw: Initial pose, initial velocity and goal (:func:`prbench_adapters.diffusion.condition.raw_condition`).
+
+    Returns:
+        Features of the initial pose, velocities of the joints (m/s), bone lengths (m), distance of the first pelvis on
+        the floor (m), and what :func:`sight` says of the initial pose; at last the features of a goal pose.
+    """
+    frame = GoalFrame.of(raw)
+    away = frame.first[:, (0, 2)].norm(dim=1, keepdim=True)
+    joints = frame.seen(raw[:, None, :_POSE].unflatten(2, (N_JOINTS, 3)))
+    parts = (frame.first, frame.velocity(raw), frame.lengths, away, sight(joints, frame.height)[:, 0])
+    return torch.cat(parts if frame.last is None else (*parts, frame.last), dim=1)
+
+
+def seen_size(goal: str) -> int:
+    """Numbers in :func:`seen_condition` for a kind of goal, ``location`` or ``pose``."""
+    return 2 * _POSE + (N_JOINTS - 1) + 1 + N_SIGHT + (_POSE if goal == "pose" else 0)
+
+
+def sight(
+    joints: Float[Tensor, "batch frames 22 3"], height: Float[Tensor, " batch"]
+) -> Float[Tensor, "batch frames sight"]:
+    """Where the goal is from head, wrists and feet.
+
+    Args:
+        joints: In the frame of the goal, metres.
+        height: Of the goal, metres.
+
+    Returns:
+        Goal direction minus head-forward vector of a head without tilt (3), neck-head direction (3), distance of the
+        goal from the head (1), wrists relative to the goal (6), heights of the toes (2) and their way since the frame
+        before (2); metres.
+    """
+    goal = functional.pad(height[:, None, None], (1, 1))
+    to_goal = goal - joints[:, :, Joint.HEAD]
+    distance = to_goal.norm(dim=-1, keepdim=True)
+    forward, up = head_axes(joints)
+    wrists = joints[:, :, WRISTS] - goal[:, :, None]
+    toes = joints[:, :, TOES]
+    way = functional.pad(_length(toes.diff(dim=1)), (0, 0, 1, 0))
+    parts = (to_goal / distance.clamp_min(_SHORTEST) - forward, up, distance, wrists.flatten(2), toes[..., 1], way)
+    return torch.cat(parts, dim=-1)
+
+
+def head_axes(
+    joints: Float[Tensor, "*batch 22 3"],
+) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
+    """The unit vectors that :func:`prbench.skeleton.head_forward` mixes: forward without tilt, and neck to head."""
+    up = _unit(joints[..., Joint.HEAD, :] - joints[..., Joint.NECK, :])
+    left = joints[..., Joint.LEFT_SHOULDER, :] - joints[..., Joint.RIGHT_SHOULDER, :]
+    left = _unit(left - (left * up).sum(dim=-1, keepdim=True) * up)
+    return torch.linalg.cross(left, up), up
+
+
+def _length(vectors: Float[Tensor, "*batch axes"]) -> Float[Tensor, "*batch"]:
+    """Lengths whose gradient at 0 is finite."""
+    return (vectors.square().sum(dim=-1) + _SHORTEST**2).sqrt()
+
+
+def _bones(joints: Float[Tensor, "*batch 22 3"]) -> Float[Tensor, "*batch 21 3"]:
+    return joints[..., _CHILDREN, :] - joints[..., _PARENTS, :]
+
+
+def _unit(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    return vectors / vectors.norm(dim=-1, keepdim=True).clamp_min(_SHORTEST)
+
+
+def _smoothed(features: Tensor, n_frames: Int[Tensor, " batch"]) -> Tensor:
+    """Average neighbouring frames with weights 1, 2, 1; the first and the last frame stay."""
+    bend = functional.pad(features.diff(n=2, dim=1), (0, 0, 1, 1))
+    frame = torch.arange(features.shape[1], device=features.device)
+    between = (frame < n_frames.to(features.device)[:, None] - 1)[..., None]
+    return features + torch.where(between, bend, 0.0) / 4
+
+
+def _with_unit_directions(features: Tensor) -> Tensor:
+    directions = _unit(features[..., _DIRECTIONS].unflatten(-1, (-1, 3))).flatten(-2)
+    return torch.cat((features[..., : _DIRECTIONS.start], directions, features[..., _DIRECTIONS.stop :]), dim=-1)
+
+
+def _with_places_moved(features: Tensor, moves: Float[Tensor, "batch frames 2 3"], *, first: int) -> Tensor:
+    """Features with two neighbouring ankles or wrists moved; ``first`` counts among ankles and wrists."""
+    start = _PLACES.start + 3 * first
+    return features + functional.pad(moves.flatten(2), (start, features.shape[-1] - start - 6))
+
+
+def _planting_moves(toe: np.ndarray, on_floor: np.ndarray, given: Collection[int]) -> np.ndarray:
+    """Moves (n, 3) that keep a toe (n, 3) in one place during each run of ``on_floor``; none in the given frames."""
+    moves = np.zeros_like(toe)
+    edges = np.flatnonzero(np.diff(on_floor, prepend=False, append=False))
+    known = np.zeros(len(toe), dtype=bool)
+    for start, stop in edges.reshape(-1, 2):
+        kept = [frame for frame in given if start <= frame < stop]
+        place = toe[kept[0]] if kept else toe[start:stop].mean(axis=0)
+        moves[start:stop] = place - toe[start:stop]
+        known[start:stop] = True
+    for frame in given:
+        moves[frame] = 0.0
+        known[frame] = True
+    frames = np.arange(len(toe))
+    return np.stack([np.interp(frames, frames[known], axis[known]) for axis in moves.T], axis=1)
+
+
+def _two_bones(
+    root: Tensor, target: Tensor, pole: Tensor, upper: Tensor, lower: Tensor
+) -> tuple[Float[Tensor, "batch frames limbs 3"], Float[Tensor, "batch frames limbs 3"]]:
+    """Middle and end of limbs of two bones whose ends are at their targets, or as near as their bones reach.
+
+    Args:
+        root: Hips and shoulders.
+        target: Where the ends are wanted.
+        pole: Unit direction of the upper bone; it decides about the way in which a limb bends.
+        upper: Length of the upper bone.
+        lower: Likewise.
+    """
+    way = target - root
+    distance = _length(way)[..., None]
+    along = way / distance
+    distance = distance.clamp_max(upper + lower).clamp_min((upper - lower).abs())
+    # Law of cosines: the foot of the middle joint on the line from root to end, and its distance from that line.
+    foot = (upper.square() - lower.square() + distance.square()) / (2 * distance).clamp_min(_SHORTEST)
+    height = (upper.square() - foot.square()).clamp_min(_BEND**2).sqrt()
+    aside = _unit(pole - (pole * along).sum(dim=-1, keepdim=True) * along)
+    return root + along * foot + aside * height, root + along * distance
+
+
+def _fade(seconds: Tensor) -> Tensor:
+    """1 at 0, falling smoothly to 0 at :data:`FADE`."""
+    return 0.5 + 0.5 * torch.cos(torch.pi * (seconds / FADE).clamp(max=1.0))
+
+
+def _trunk_ancestry(like: Tensor) -> Float[Tensor, "trunk trunk"]:
+    """1 where a bone of the trunk leads from the pelvis to a joint, else 0."""
+    leads = torch.eye(len(_TRUNK))
+    for row, joint in enumerate(_TRUNK):  # parents come before their children
+        if PARENTS[joint] != Joint.PELVIS:
+            leads[row] += leads[_TRUNK.index(PARENTS[joint])]
+    return leads.to(like)
+
+
+def planted(joints: Float[Tensor, "batch frames 22 3"], fps: float) -> Bool[Tensor, "batch frames 2"]:
+    """True where a toe is low and still, coming into a frame or going out of it."""
+    steps = still_steps(joints, fps)
+    return functional.pad(steps, (0, 0, 1, 0)) | functional.pad(steps, (0, 0, 0, 1))
+
+
+def still_steps(joints: Float[Tensor, "batch frames 22 3"], fps: float) -> Bool[Tensor, "batch steps 2"]:
+    """True where a toe stays low and in its place from one frame to the next."""
+    toes = joints[:, :, TOES]
+    low = toes[..., 1] < LOW
+    steps = _length(toes[..., ::2].diff(dim=1))
+    return (steps * fps < STILL) & low[:, 1:] & low[:, :-1]
