@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from prbench.manifests import load_protocol
 from prbench.randomness import named_generator
 from prbench.sequences import EventRecord, RecordingRecord, Sequence, SequenceTable
 from prbench.sequences.sequence import event_batch, recording_batch, sequence_batch
@@ -70,9 +72,11 @@ def looking_table(folder: Path, n: int = 24, *, dataset: str = "synthetic-adt") 
         )
         for name, split in sorted({row.recording_id: row.split for row in rows}.items())
     ]  # fmt: skip
+    # An import is a table of the present protocol, so only one of the same protocol can come back as it was.
+    info = msgspec.structs.replace(fake_info(dataset), protocol_version=load_protocol().version)
     write_dataset(
         folder,
-        fake_info(dataset),
+        info,
         sequences=[sequence_batch(rows)],
         events=[event_batch(events)],
         recordings=[recording_batch(records)],
