@@ -66,7 +66,6 @@ def _predicted(table, weights: Path, out: Path, control: str | None) -> np.ndarr
             condition=Condition.TEXT,
             weights=weights,
             options={"sampler": "ddim", "steps": "2"},
-            limit=6,
             control=control,
             out=out,
         )
