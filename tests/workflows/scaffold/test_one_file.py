@@ -49,7 +49,7 @@ def folder(tmp_path_factory):
 
 def given() -> dict[str, np.ndarray]:
     rng = np.random.default_rng(0)
-    walk = person(80, 700)
+    walk = person(80, 430)  # here the person walks: people who stand give no reason to refuse the scale of their steps
     features = encode(walk)
     joints, rotations = person_rotations(40, 300)
     mean = rng.normal(size=263).astype(np.float32)
