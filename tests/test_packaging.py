@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from prbench.manifests import load_protocol
+
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[1]
@@ -81,7 +83,7 @@ def test_data_files_are_found_in_the_installed_wheel(distributions, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert str(tmp_path) in done.stdout
-    assert done.stdout.split()[1:] == ["adt", "1"]
+    assert done.stdout.split()[1:] == ["adt", str(load_protocol().version)]
 
 
 def _environment(folder: Path) -> dict[str, str]:

@@ -12,6 +12,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 
 from prbench.cli import main
 from prbench.corpora.sources import CorpusOptions, corpus_for, find_groups
@@ -147,7 +148,13 @@ def _ran(folder: Path, *words: str, out: str = "") -> Seen:
     written = sorted(
         path for path in (folder / out).rglob("*.parquet") if path.stem in ("sequences", "events", "scores")
     )
-    return Seen(digest_of([path.read_bytes() for path in written]), tuple(text.splitlines()))
+    return Seen(digest_of([path.read_bytes() for path in written]), (*text.splitlines(), *_remarks(folder / out)))
+
+
+def _remarks(table: Path) -> list[str]:
+    """What a build says of each recording, which its table keeps (`prbench explain` shows it)."""
+    recordings = table / "recordings.parquet"
+    return pq.read_table(recordings, columns=["message"])["message"].to_pylist() if recordings.is_file() else []
 
 
 def _command(name: str, make: Callable[[Path], object], *words: str, out: str = "") -> Door:

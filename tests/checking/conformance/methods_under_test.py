@@ -328,6 +328,17 @@ class Elsewhere(Glide):
         return super().start(batch) + np.array([3.0, 0.0, 2.0])
 
 
+class HoldsAPoseElsewhere(Glide):
+    """An average pose, farther from the origin than averages lie."""
+
+    conditions = frozenset({Condition.NONE})
+    motionless = True
+
+    def joints(self, batch, start, way, sway):
+        pose = np.broadcast_to(STANDING + np.array([0.4, 0.0, 0.0]), (len(batch), 1, 22, 3))
+        return np.repeat(pose, int(batch.n_frames.max()), axis=1)
+
+
 class StartsFromAStandingPose(Glide):
     def start(self, batch):
         raised = STANDING.copy()
@@ -340,7 +351,9 @@ class AnyHeading(Glide):
     conditions = frozenset({Condition.TEXT})
 
     def joints(self, batch, start, way, sway):
-        return turned(super().joints(batch, start, way, sway), 200 * sway[:, :1, None])
+        # 45 degrees off or more, whatever the noise says: three motions are too few to leave that to chance.
+        heading = np.pi + 0.75 * np.pi * np.tanh(20 * sway[:, :1, None])
+        return turned(super().joints(batch, start, way, sway), heading)
 
 
 class Stretches(Glide):

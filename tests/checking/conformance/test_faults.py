@@ -58,6 +58,7 @@ WARNINGS = {
     "limited": "lengths",
     "dividesbyframes": "short",
     "writesintoitsinput": "inputs",
+    "holdsaposeelsewhere": "canonical-frame",
     "startsfromastandingpose": "initial-pose",
     "stretches": "bone-lengths",
 }

@@ -155,7 +155,17 @@ def _slowed(motion: np.ndarray, times: int) -> np.ndarray:
 @pytest.mark.parametrize("fault", TIME, ids=lambda fault: fault.name)
 def test_a_stumbling_clock_is_named_alone(fault: Fault, crowds: dict[str, list[np.ndarray]]) -> None:
     for preset in ("adt", "gimo", "mogaze"):
-        assert certain(changed(fault, crowds[preset])) == ["clock"], preset
+        motions = crowds[preset]
+        if fault.name.startswith("begins"):
+            motions = [motion for motion in motions if _starts_in_full_speed(fault, motion)]
+            assert len(motions) >= 3, preset
+        assert certain(changed(fault, motions)) == ["clock"], preset
+
+
+def _starts_in_full_speed(fault: Fault, motion: np.ndarray) -> bool:
+    """Whether there is a speed to start at: who stands and moves a hand only never has it."""
+    late = np.asarray(fault.change(motion), dtype=np.float64)
+    return float(np.linalg.norm(np.diff(late[:12], axis=0), axis=-1).mean(axis=1).max() * 20) > 0.2  # m/s
 
 
 @pytest.mark.parametrize("fault", RATES[:3], ids=lambda fault: fault.name)

@@ -183,7 +183,7 @@ def test_a_still_body_shows_foreign_statistics_by_its_contacts(released) -> None
 
 
 def test_features_that_were_never_restored_are_noticed(released) -> None:
-    for start in (300, 700, 1100, 1500):  # standing and walking
+    for start in (300, 420, 700, 1100, 1240, 1500):  # walking from 420 and from 1240, standing otherwise
         with pytest.raises(InputFileError, match="never restored"):
             joints_from_features(released.standardise(encode(person(120, start))))
 
@@ -200,7 +200,15 @@ def unlike(features: np.ndarray, *, times: float) -> np.ndarray:
     return changed
 
 
-WALKING = encode(person(120, 700))
+# At 20 frames a second. A person of the kitchen stands for most of the time; at sample 380 a way begins.
+WALKING = encode(person(606, 380)[::6])
+
+
+@pytest.mark.parametrize("rows", [50, len(WALKING)])
+def test_the_person_who_is_to_walk_walks(rows) -> None:
+    """Slower pelvises have no vote on steps, so that the tests below would ask nothing."""
+    steps = np.linalg.norm(WALKING[:rows, 1:3], axis=1)
+    assert steps.mean() > feature_checks._WALKS
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ from prbench.representation.converters import (
 from prbench.representation.uniform_skeleton import retarget
 from prbench.skeleton import Joint
 from prbench.timelines import interpolate
-from tests.representation.converters.bodies import mean_error, person_rotations, write_body_model
+from tests.representation.converters.bodies import mean_error, person, person_rotations, write_body_model
 from tests.representation.converters.foreign import known_motion, seen_as
 from tests.representation.converters.test_smpl_joints import written
 from tests.representation.motions import turned
@@ -240,8 +240,8 @@ def test_recorded_motions_have_none_of_the_faults() -> None:
 
 
 def five_motions() -> list[np.ndarray]:
-    joints, _ = known_motion()
-    return [canonicalise(joints[first : first + 100].astype(np.float32)) for first in (0, 35, 70, 100, 140)]
+    """Parts of a person's motion, five seconds each, at 20 frames a second (recorded at 120)."""
+    return [canonicalise(person(600, start)[::6]) for start in (300, 475, 650, 800, 1000)]
 
 
 def known_of(motion: np.ndarray) -> Expected:

@@ -32,6 +32,7 @@ _BONES_FAILURE = 0.50
 _NO_BODY = frozenset({"shape", "features", "not-finite", "empty-frames", "standardised", "unit", "joint-order"})
 _ELSEWHERE = _NO_BODY | {"up-axis", "left-right", "mirrored", "root", "facing", "position"}
 """Kinds of diagnosis that would only be told once more, of bones and of places."""
+_PLACES = frozenset({"facing", "position"})
 _CANONICAL = (
     "Give positions in the canonical frame of the sequence's first frame: metres, Y up, the pelvis of frame 0 over the"
     " origin and facing +Z (the left side on +X), the lowest joint of the motion on Y = 0."
@@ -45,6 +46,9 @@ def doctor(subject: Subject) -> Iterator[Observation]:
     for condition in subject.working:
         diagnoses = _diagnosed(subject, condition)
         for diagnosis in diagnoses:
+            # An average pose stands where the average person stood; 'canonical-frame' measures how far that is off.
+            if subject.declared.motionless and diagnosis.kind in _PLACES:
+                continue
             evidence = diagnosis.evidence.rstrip(".")
             cause = diagnosis.cause.rstrip(".")
             text = f"{diagnosis.kind}, under {condition.value}: {evidence}. Likely cause: {cause}."
