@@ -74,7 +74,7 @@ class PublishedNumber:
 
     @property
     def source(self) -> str:
-        """Where it is printed."""
+        """Name the place where the number is printed, such as a table and its section."""
         return f"published: {cite(self.table)}"
 
 

@@ -258,7 +258,7 @@ def seen_size(goal: str) -> int:
 def sight(
     joints: Float[Tensor, "batch frames 22 3"], height: Float[Tensor, " batch"]
 ) -> Float[Tensor, "batch frames sight"]:
-    """Where the goal is from head, wrists and feet.
+    """Measure where the goal is, seen from head, wrists and feet.
 
     Args:
         joints: In the frame of the goal, metres.

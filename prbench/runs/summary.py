@@ -108,7 +108,7 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def mark(self) -> str:
-        """What readers must know about the motions, or an empty text."""
+        """Return the remarks that readers must know about the motions; empty if there are none."""
         return "; ".join(part for part in (self.recorded_motion_mark, self.best_of_mark) if part)
 
     @property

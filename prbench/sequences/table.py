@@ -72,7 +72,7 @@ class BuiltTable(Generic[Info]):
 
     @property
     def described_protocol(self) -> DescribedTable:
-        """What the table says of the protocol that it was built with."""
+        """Return what the table says of the protocol that it was built with."""
         return DescribedTable(self.folder, self.info.protocol_digest, self.info.options)
 
     def part_paths(self, name: str) -> list[Path]:

@@ -36,7 +36,7 @@ class BasePose:
 
     @property
     def point(self) -> Float[np.ndarray, "3"]:
-        """On the floor."""
+        """Return the position on the floor: x, 0, z in metres, world frame."""
         return np.array([self.x, 0.0, self.z])
 
     @property
