@@ -30,7 +30,7 @@ from prbench_adapters.diffusion.model import (
 from prbench_adapters.diffusion.training import DiffusionTraining, Objective
 
 FREE_TO_CHANGE = frozenset(
-    {"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames", "uniform_skeleton"}
+    {"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames", "smoothed", "uniform_skeleton"}
 )
 """Keys that fine-tuning may set otherwise than the weights that it starts from."""
 _TOGETHER = 64  # sequences whose features are measured at once

@@ -28,6 +28,7 @@ from prbench.training.weights import representation_entry, weights_header
 from prbench_adapters.diffusion.condition import ConditionScaling, EncodedCondition, raw_condition_of_items
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
+from prbench_adapters.diffusion.goal_frame import smoothed
 from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors, goal_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.diffusion.scored_losses import foot_loss, ray_loss, wrist_loss
@@ -237,8 +238,9 @@ class DiffusionTraining(TrainingModule):
         self, predicted: torch.Tensor, clean: torch.Tensor, batch: MotionBatch, condition: EncodedCondition
     ) -> dict[str, torch.Tensor]:
         features = predicted * self.std + self.mean
-        if self.denoiser.configuration.features == "humanml3d":
-            joints = decode(features)
+        configuration = self.denoiser.configuration
+        if configuration.features == "humanml3d":
+            joints = decode(smoothed(features, batch.n_frames) if configuration.smoothed else features)
         else:
             joints = goal_frame(condition, features).decode(features, batch.n_frames, batch.fps)
         found = losses(self.objective, predicted, clean, joints, batch.joints, batch.padding)
