@@ -234,11 +234,11 @@ class WandrTraining(TrainingModule):
 
     def hidden_matrices(self) -> tuple[torch.nn.Parameter, ...]:
         """The matrices of all layers but the first and the last of encoder and decoder."""
-        linear = [
-            [layer.weight for layer in stack if isinstance(layer, torch.nn.Linear)][1:-1]
+        encoder, decoder = (
+            [parameter for parameter in stack.parameters() if parameter.ndim == 2]
             for stack in (self.network.encoder, self.network.decoder)
-        ]
-        return (*linear[0], *linear[1])
+        )
+        return (*encoder[1:-1], *decoder[1:-1])
 
     def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         """The network with its statistics, and the header of its file."""
