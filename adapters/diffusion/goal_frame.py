@@ -179,7 +179,7 @@ class GoalFrame:
             moves = np.zeros_like(toes)
             for move, wanted, on_floor, n in zip(moves, toes, stands.cpu().numpy(), n_frames.tolist(), strict=True):
                 move[:n] = stepped(wanted[:n], on_floor[:n], fps, keeps_last=self.last is not None) - wanted[:n]
-        return _with_places_moved(pose, torch.as_tensor(moves).to(pose), first=0)
+        return self._moved(pose, torch.as_tensor(moves).to(pose), first=0)
 
     def _reaching(
         self, pose: Float[Tensor, "batch frames 66"], n_frames: Tensor, fps: float
@@ -191,9 +191,30 @@ class GoalFrame:
         last = n_frames.to(pose.device) - 1
         frame = torch.arange(pose.shape[1], device=pose.device)
         fade = _fade((last[:, None] - frame).clamp_min(0) / fps)[..., None]
-        pose = _with_places_moved(pose, fade[..., None] * self._missing(pose, last)[:, None], first=len(TOES))
+        pose = self._moved(pose, fade[..., None] * self._missing(pose, last)[:, None], first=len(TOES))
         rest = self._missing(pose, last).sum(dim=1)
         return pose + functional.pad(fade * rest[:, None], (0, N_POSE_FEATURES - 3))
+
+    def _moved(
+        self, pose: Float[Tensor, "batch frames 66"], moves: Float[Tensor, "batch frames 2 3"], *, first: int
+    ) -> Float[Tensor, "batch frames 66"]:
+        """Move two neighbouring ankles or wrists, and turn the way in which their limbs bend with them.
+
+        Args:
+            pose: Features.
+            moves: In the frame of the goal, metres.
+            first: Of the two, counted among ankles and wrists.
+        """
+        limbs = slice(first, first + 2)
+        roots = self._joints(pose)[:, :, _ROOTS[limbs]]
+        places = pose[..., _PLACES].unflatten(2, (-1, 3))[:, :, limbs]
+        # Without the turn, a limb that swings past the direction in which it is said to bend would bend the other way.
+        pole = slice(_DIRECTIONS.start + 3 * (len(_TRUNK) + first), _DIRECTIONS.start + 3 * (len(_TRUNK) + first + 2))
+        bends = pose[..., pole].unflatten(2, (-1, 3))
+        turned = _turned_along(bends, _unit(places - roots), _unit(places + moves - roots)).flatten(2)
+        end = slice(_PLACES.start + 3 * first, _PLACES.start + 3 * first + 6)
+        parts = (pose[..., : pole.start], turned, pose[..., pole.stop : end.start])
+        return torch.cat((*parts, pose[..., end] + moves.flatten(2), pose[..., end.stop :]), dim=2)
 
     def _missing(self, pose: Tensor, last: Int[Tensor, " batch"]) -> Float[Tensor, "batch 2 3"]:
         """What each wrist lacks to touch the goal in the last frame; zeros for the one that is farther away."""
@@ -326,10 +347,12 @@ def _with_unit_directions(features: Tensor) -> Tensor:
     return torch.cat((features[..., : _DIRECTIONS.start], directions, features[..., _DIRECTIONS.stop :]), dim=-1)
 
 
-def _with_places_moved(features: Tensor, moves: Float[Tensor, "batch frames 2 3"], *, first: int) -> Tensor:
-    """Features with two neighbouring ankles or wrists moved; ``first`` counts among ankles and wrists."""
-    start = _PLACES.start + 3 * first
-    return features + functional.pad(moves.flatten(2), (start, features.shape[-1] - start - 6))
+def _turned_along(vectors: Tensor, source: Tensor, target: Tensor) -> Float[Tensor, "*batch 3"]:
+    """Vectors, turned by the smallest rotation that turns one unit vector into another (Rodrigues)."""
+    axis = torch.linalg.cross(source, target)
+    once = torch.linalg.cross(axis, vectors)
+    cos = (source * target).sum(dim=-1, keepdim=True)
+    return vectors + once + torch.linalg.cross(axis, once) / (1 + cos).clamp_min(_SHORTEST)
 
 
 def _two_bones(
