@@ -155,11 +155,11 @@ def _ending_as_wanted(
 def _way(
     wanted: Float[np.ndarray, "frames 3"], swings: list[_Swing], fps: float, *, keeps_last: bool
 ) -> Float[np.ndarray, "frames 3"]:
-    """The toe's way: the lowest wanted heights while it stands, and between them the swings."""
+    """The toe's way: the lowest wanted heights above the floor while it stands, and between them the swings."""
     n = len(wanted)
     frames = np.arange(n)
     edges = [0, *(frame for swing in swings for frame in (swing.start, swing.stop)), n - 1]
-    stood = [wanted[first : last + 1, 1].min() for first, last in zip(edges[::2], edges[1::2], strict=True)]
+    stood = [max(wanted[first : last + 1, 1].min(), 0) for first, last in zip(edges[::2], edges[1::2], strict=True)]
     way = np.repeat(wanted[:1], n, axis=0)
     way[:, 1] = np.interp(frames, edges, np.repeat(stood, 2))
     way[:, 1] += _fading(frames, fps) * (wanted[0, 1] - way[0, 1])

@@ -106,6 +106,12 @@ def test_feet_on_a_step_stay_at_its_height():
     assert found[..., 1].min() == pytest.approx(0.3)
 
 
+def test_feet_wanted_below_the_floor_stand_on_it():
+    toes = gliding(height=-0.04)
+    toes[0, :, 1] = 0.0
+    assert stepped(toes, nowhere(toes), FPS, keeps_last=False)[..., 1].min() == 0
+
+
 def test_a_longer_motion_at_another_rate_steps_as_often():
     coarse = gliding()
     fine = np.repeat(coarse, 2, axis=0)
