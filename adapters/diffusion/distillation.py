@@ -1,6 +1,6 @@
 """Distillation: a student learns to walk in one to four network passes where its teacher walks in many.
 
-Source: Salimans and Ho, *Progressive Distillation for Fast Sampling of Diffusion Models*, ICLR 2022, section 3. There a
+Source: Salimans and Ho, *Progressive Distillation for Fast Sampling of Diffusion Models*, ICLR 2022. There a
 student's step stands for two of its teacher's, and the number of steps is halved again and again. Here one student
 stands for all: motions are short and strongly conditioned, and so a single stage is enough.
 
