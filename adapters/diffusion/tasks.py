@@ -128,7 +128,7 @@ class DiffusionTask:
             origin=(
                 texts.origin,
                 f"distilled from {start.path.name}, sha256 {start.digest}, of {teacher.configuration.diffusion_steps}"
-                f" diffusion steps; makes a motion in {configuration.diffusion_steps} passes",
+                f" diffusion steps; network passes a motion: {configuration.diffusion_steps}",
             ),
         )
 

@@ -19,6 +19,7 @@ from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.distillation import Distillation, student_of, teacher_walks
 from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
+from prbench_adapters.diffusion.generation import SamplingSettings
 from prbench_adapters.diffusion.model import network
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim
 from prbench_adapters.diffusion.training import DiffusionTraining
@@ -158,11 +159,15 @@ def test_the_file_is_one_of_an_ordinary_model_of_few_steps_that_names_its_teache
     assert {name for name in tensors if name.startswith("denoiser.")} == {f"denoiser.{name}" for name in own}
     (line,) = (line for line in module.learned_from() if line.startswith("distilled from"))
     assert "teacher.safetensors, sha256 " in line
-    assert line.endswith("of 6 diffusion steps; makes a motion in 2 passes")
+    assert line.endswith("of 6 diffusion steps; network passes a motion: 2")
 
 
 def test_validation_takes_the_passes_alone(data, teacher):
-    settings = next(iter(_student(data, teacher, 2).adapter("cpu").models.values())).generation.settings  # type: ignore[union-attr]
+    adapter = _student(data, teacher, 2).adapter("cpu")
+    assert isinstance(adapter, pr.PR)
+    (trained,) = adapter.models.values()
+    settings = trained.generation.settings
+    assert isinstance(settings, SamplingSettings)
     assert (settings.sampler, settings.steps, settings.guidance) == ("ddim", None, 1.0)
 
 
