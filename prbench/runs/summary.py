@@ -19,6 +19,8 @@ EDGE_ARRIVAL = "arrived_from_the_edge"
 """Flag of a motion that came onto the target from less than ``arrival_margin`` outside it, beside its arrival."""
 _RECORDED_SHARE = 0.01
 """Share of such motions above which a method is not ranked."""
+_BY_ACCIDENT = 1
+"""Recorded motions that say nothing of a method: in a run of few sequences one is already more than that share."""
 TWICE_DAGGER = "††"
 """Mark of a method that handed in recorded motions."""
 SECTION = "§"
@@ -89,7 +91,7 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def hands_in_recordings(self) -> bool:
         """True if there are too many of them for an accident, so that the scores are those of no method."""
-        return self.recorded_motions > _RECORDED_SHARE * self._motions
+        return self.recorded_motions > max(_BY_ACCIDENT, _RECORDED_SHARE * self._motions)
 
     @property
     def recorded_motion_mark(self) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from prbench.evaluation.planning import select
 from prbench.evaluation.recorded_motion import is_recorded_motion
@@ -19,6 +20,7 @@ from prbench.submitted.score_predictions import ScoreRequest, score_predictions
 from prbench.workflows.synthetic_table import build_synthetic_table
 from tests.evaluation.test_run import request
 from tests.fakes import STANDING, fake_sequence
+from tests.runs.test_record import SUMMARY
 from tests.submitted.test_score_predictions import write
 
 
@@ -133,6 +135,47 @@ def test_what_conditions_tell_and_what_only_resembles_is_not_taken_for_it(method
 def test_where_hardly_anything_happens_nothing_is_claimed():
     still = MotionBatch.from_motions([noisy(np.repeat(STANDING[None], 60, axis=0), 1e-5).astype(np.float32)])
     assert not is_recorded_motion(still, still).any()
+
+
+def hardly_moving(n_frames: int = 60) -> np.ndarray:
+    """A person who settles by 5 cm in the first frames, stands, and leans to the side in the last ones."""
+    motion = noisy(np.repeat(STANDING[None], n_frames, axis=0), 1e-4)
+    motion[:3] += np.linspace(1, 0, 3)[:, None, None] * [0.0, 0.0, -0.05]
+    motion[-3:] += np.linspace(0, 1, 3)[:, None, None] * [0.05, 0.0, 0.0]
+    return motion
+
+
+def step_aside(metres: float, seed: int) -> np.ndarray:
+    """The way of a recorded person with other arms, all joints up to some centimetres beside."""
+    motion = with_other(reaching(0), ARMS)
+    beside = named_generator("step", seed).uniform(-1, 1, size=(len(motion) // 10 + 1, *STANDING.shape))
+    smooth = at_times(beside, np.linspace(0, len(beside) - 1, len(motion)))
+    return motion + metres * smooth
+
+
+def test_a_body_that_stands_where_a_person_hardly_moves_is_not_taken_for_the_person():
+    person = hardly_moving()
+    recorded = MotionBatch.from_motions([person.astype(np.float32)] * 3)
+    still = np.repeat(person[:1], len(person), axis=0)
+    late = np.concatenate([still[:-3], person[-3:]])
+    methods = MotionBatch.from_motions([motion.astype(np.float32) for motion in (still, noisy(still, 1e-4), late)])
+    assert not is_recorded_motion(methods, recorded).any()
+    assert is_recorded_motion(recorded, recorded).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_method_that_makes_the_same_steps_two_centimetres_beside_is_not_taken_for_the_person(seed):
+    recorded = MotionBatch.from_motions([reaching(0).astype(np.float32)])
+    near = MotionBatch.from_motions([step_aside(0.022, seed).astype(np.float32)])
+    assert not is_recorded_motion(near, recorded).any()
+
+
+@pytest.mark.parametrize(("found", "motions", "never_ranked"), [(1, 12, False), (2, 12, True), (2, 400, False)])
+def test_one_motion_of_a_small_run_is_marked_and_does_not_keep_its_method_from_a_rank(found, motions, never_ranked):
+    metric = replace(SUMMARY.metrics[0], flags={"recorded_motion": found})
+    summary = replace(SUMMARY, sequences=motions, metrics=(metric,))
+    assert summary.recorded_motion_mark.startswith(f"†† equals the recorded motion in {found} of {motions} motions")
+    assert summary.hands_in_recordings == never_ranked
 
 
 def test_a_file_of_recorded_motions_is_marked_and_the_control_is_not(table, tmp_path):
