@@ -34,7 +34,7 @@ class BoardMetric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         marks: What a reader of the interval needs to know: ``few_recordings``, ``one_recording``, ``all_equal``.
         flags: Number of motions that carry each remark.
         detectable: Smallest difference to an unrelated method of the same spread that is found with 80 % power, among
-            the main metrics; null where nothing can be tested.
+            the metrics that are compared; null where nothing can be tested.
         uncertainty: Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``.
     """
 

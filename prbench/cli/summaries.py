@@ -41,7 +41,7 @@ class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
         marks: What a reader of the interval has to know: ``few_recordings``, ``one_recording``, ``all_equal``.
         flags: Number of motions that carry each remark.
         detectable: Smallest difference to an unrelated method of the same spread that is found with 80 % power, among
-            the main metrics; null where nothing can be tested.
+            the metrics that are compared; null where nothing can be tested.
         uncertainty: Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``.
         means_nothing: The method stands still, so that this metric says nothing about it.
     """
@@ -297,7 +297,7 @@ def print_datasets(
 def _print_decidable(summaries: Sequence[DatasetSummary]) -> None:
     """Print which datasets decide nothing, and the smallest differences that the others could find."""
     from prbench.leaderboard.decidable import why_undecided
-    from prbench.metrics import MAIN_METRICS
+    from prbench.metrics import RANKED_METRICS
 
     reasons: dict[str, list[str]] = {}
     for each in summaries:
@@ -307,7 +307,7 @@ def _print_decidable(summaries: Sequence[DatasetSummary]) -> None:
     for reason, names in reasons.items():
         print(f"Cannot be decided: {', '.join(names)} ({reason}).")
     rows = []
-    for info in MAIN_METRICS:
+    for info in RANKED_METRICS:
         cells = [_detectable_cell(each.metric(info.id), info) for each in summaries]
         if any(cell not in (_DASH, _NOT_EVEN) for cell in cells):
             rows.append((_with_unit(info), *cells))
