@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -199,21 +197,22 @@ def test_a_file_of_recorded_motions_is_marked_and_the_control_is_not(table, tmp_
     [lambda m: np.concatenate([m[:1], m[:-1]]), lambda m: 1.01 * m, lambda m: noisy(m, 0.001)],
     ids=["a frame late", "1 % larger", "1 mm of noise"],
 )
-def test_near_copies_that_are_handed_in_as_a_file_are_marked(tmp_path, change):
-    folder = tmp_path / "table"
-    table = build_synthetic_people(folder)
+def test_near_copies_that_are_handed_in_as_a_file_are_marked(synthetic_people, tmp_path, change):
+    table = synthetic_people
     selection = select(table, split="train", limit=None)
     motions = {}
     for _, chunk in selection.windows(["joints"]):
         for name, joints in zip(chunk.sequence_ids, np.split(chunk.joints, chunk.offsets[1:-1]), strict=True):
             motions[name] = change(joints.astype(np.float64)).astype(np.float32)
     file = write(tmp_path / "mine.parquet", motions)
-    (report,) = score_predictions(ScoreRequest(predictions=file, data=(folder,), split="train"))
+    (report,) = score_predictions(ScoreRequest(predictions=file, data=(table.folder,), split="train"))
     assert report.summary.recorded_motions == len(motions) > 0
     assert report.summary.hands_in_recordings
 
 
-def build_synthetic_people(folder: Path) -> SequenceTable:
+@pytest.fixture(scope="module")
+def synthetic_people(tmp_path_factory) -> SequenceTable:
     """A few synthetic people, who walk and reach as recorded ones do."""
+    folder = tmp_path_factory.mktemp("people") / "table"
     build_synthetic_table("adt", recordings=4, seed=0, out=folder, n_events=4)
     return SequenceTable.open(folder)
