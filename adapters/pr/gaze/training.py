@@ -19,7 +19,9 @@ from prbench.sequences import SequenceChunk, SequenceTable
 from prbench.skeleton import Joint, head_forward
 from prbench.training import MotionBatch
 from prbench.training.task import TrainingData, TrainingModule
+from prbench.training.weights import origin_of, read_weights
 from prbench_adapters.pr.gaze.network import (
+    KIND,
     GazeConfiguration,
     GazeNetwork,
     History,
@@ -35,6 +37,9 @@ _COLUMNS = ("joints", "gaze_origin", "gaze_direction", "gaze_valid", "head_tilt_
 _MIRRORED = "#mirrored"
 _JITTER = math.radians(0.3)
 """Deviation of the noise on earlier directions in training; in generation these are the network's own."""
+_STRANGE = 0.04
+"""Share of frames whose history is another motion's. Recorded eyes are where they ought to be, so a network that saw
+nothing else would not look at the goal in time once it has strayed; it would rest where it is."""
 _DRAWS = 8
 """Directions whose mean is measured in validation."""
 _EYE_WEIGHT = 10.0  # of the squared error of the eyes' place, square decimetres, beside nats
@@ -125,11 +130,18 @@ class GazeTraining(TrainingModule):
         network: In its state before the first step.
         gaze: By sequence id, of the splits train and validation.
         trained_on: Ids of the sequences that are learnt from, mirrored copies too.
+        origin: Lines for the card about what the weights build upon.
     """
 
-    def __init__(self, network: GazeNetwork, gaze: Mapping[str, RecordedGaze], trained_on: Iterable[str]) -> None:
+    def __init__(
+        self,
+        network: GazeNetwork,
+        gaze: Mapping[str, RecordedGaze],
+        trained_on: Iterable[str],
+        origin: tuple[str, ...] = (),
+    ) -> None:
         super().__init__()
-        self.network, self.gaze = network, gaze
+        self.network, self.gaze, self.origin = network, gaze, origin
         learnt = [gaze[name] for name in trained_on if name in gaze]
         self.sequences = len(learnt)
         usual = np.mean([one.usual for one in learnt], axis=0)
@@ -152,7 +164,12 @@ class GazeTraining(TrainingModule):
             jitter = torch.randn(truth.direction.shape, generator=self.generator(step)) * _JITTER
             noisy = truth.direction + (jitter.to(direction) if step >= 0 else 0.0)
             noisy = noisy / noisy.norm(dim=-1, keepdim=True).clamp_min(1e-6)
-            history = History.of(seen, noisy, on_goal(turned(seen.axes, noisy), seen.goal), 0)
+            history = _history(seen, noisy)
+            if step >= 0:
+                strange = torch.rand(truth.valid.shape, generator=self.generator(step)).to(noisy) < _STRANGE
+                other = _history(seen, noisy.roll(1, dims=0))
+                numbers = torch.where(strange[..., None], other.numbers, history.numbers)
+                history = History(numbers, torch.where(strange[..., None], other.last, history.last))
             mixture = self.network(seen, history)
             nats = -mixture.log_density(direction)[truth.valid].mean()
             missed = (self.network.eyes(seen) - seen.head - truth.eye)[truth.valid]
@@ -166,7 +183,7 @@ class GazeTraining(TrainingModule):
 
     def learned_from(self) -> tuple[str, ...]:
         """How much gaze was learnt from."""
-        return (f"recorded gaze of {self.sequences} sequences",)
+        return (f"recorded gaze of {self.sequences} sequences", *self.origin)
 
     def _truth(self, batch: MotionBatch) -> _Truth:
         shape = (len(batch), batch.joints.shape[1])
@@ -217,14 +234,13 @@ def build(model: Mapping[str, Any], data: TrainingData, initial: Path | None) ->
     Args:
         model: Keys of :class:`GazeConfiguration`.
         data: The training split, tables with gaze.
-        initial: Must be None: the network is trained in minutes.
+        initial: Weights to start from.
 
     Raises:
-        UsageError: if the table does not describe such a network, sequences would be cut, or weights are given.
+        UsageError: if the table does not describe such a network, or sequences would be cut.
+        InputFileError: if the initial weights do not fit it.
         TableError: if no training sequence has gaze.
     """
-    if initial is not None:
-        raise UsageError("--stage gaze: starts from nothing, since it takes minutes; leave --init out.")
     try:
         configuration = msgspec.convert(dict(model), GazeConfiguration)
     except msgspec.ValidationError as error:
@@ -245,7 +261,17 @@ def build(model: Mapping[str, Any], data: TrainingData, initial: Path | None) ->
             f"data.max_frames: expected at least the {longest} frames of the longest sequence, found {data.max_frames}."
             " Gaze is learnt from whole sequences."
         )
-    return GazeTraining(GazeNetwork(configuration), gaze, data.train.sequence_ids)
+    network = GazeNetwork(configuration)
+    start = None
+    if initial is not None:
+        start = read_weights(initial, kind=KIND)
+        start.require_same(configuration, apart_from=frozenset())
+        start.load_into(network, "network")
+    return GazeTraining(network, gaze, data.train.sequence_ids, origin_of(start))
+
+
+def _history(seen: Seen, directions: Float[Tensor, "batch frames 3"]) -> History:
+    return History.of(seen, directions, on_goal(turned(seen.axes, directions), seen.goal), 0)
 
 
 def _angle_deg(

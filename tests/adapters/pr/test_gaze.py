@@ -205,12 +205,13 @@ def test_the_loss_falls_and_validation_measures_angles_beside_their_floors(data,
     tensors, header = module.weights()
     write_weights(tmp_path / "w.safetensors", tensors, header, {}, dtype="float16")
     assert load_network(tmp_path / "w.safetensors", "cpu").configuration.width == 16
+    onwards = build({"width": 16}, data, tmp_path / "w.safetensors")
+    assert torch.allclose(onwards.network.eye.weight, module.network.eye.weight, atol=1e-3)
+    assert "initial weights w.safetensors" in onwards.learned_from()[1]
     assert module.learned_from() == (f"recorded gaze of {module.sequences} sequences",)
 
 
-def test_what_cannot_be_learnt_from_is_refused(data, tmp_path):
-    with pytest.raises(UsageError, match="leave --init out"):
-        build({}, data, tmp_path)
+def test_what_cannot_be_learnt_from_is_refused(data):
     with pytest.raises(UsageError, match="--stage gaze needs a configuration of a gaze network"):
         build({"architecture": "frames"}, data, None)
     with pytest.raises(UsageError, match=r"data.max_frames: expected at least the \d+ frames"):
