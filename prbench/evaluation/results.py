@@ -143,6 +143,8 @@ class ScoredSet:
     samples: int
     best_of: int
     """Motions drawn for each that was kept."""
+    gaze: bool
+    """The motions bring gaze that a method generated."""
 
 
 def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
@@ -168,6 +170,7 @@ def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
         recordings=len(set(scored.recording_of.values())),
         samples=scored.samples,
         best_of=scored.best_of,
+        gaze=scored.gaze,
         length_mismatches=mismatched,
         metrics=metrics,
     )

@@ -25,6 +25,8 @@ TWICE_DAGGER = "††"
 """Mark of a method that handed in recorded motions."""
 SECTION = "§"
 """Mark of motions that were chosen among several."""
+PILCROW = "¶"
+"""Mark of motions that bring gaze, which the study's methods do not generate."""
 
 
 class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -75,6 +77,8 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Motions kept of each sequence."""
     best_of: int = 1
     """Motions drawn for each that was kept."""
+    gaze: bool = False
+    """The motions bring gaze that the method generated."""
     length_mismatches: int
     metrics: tuple[MetricSummary, ...]
 
@@ -109,14 +113,24 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         return f"{SECTION} best of {self.best_of} motions, chosen by their own head ray and wrist; never ranked"
 
     @property
+    def gaze_mark(self) -> str:
+        """Remark of tables on motions that bring gaze; empty if they bring none."""
+        return f"{PILCROW} gaze generated with the head, beyond the study; never ranked" if self.gaze else ""
+
+    @property
+    def run_marks(self) -> tuple[str, ...]:
+        """Remarks on how the motions were made, the same on every dataset of a run."""
+        return tuple(part for part in (self.best_of_mark, self.gaze_mark) if part)
+
+    @property
     def mark(self) -> str:
         """Return the remarks that readers must know about the motions; empty if there are none."""
-        return "; ".join(part for part in (self.recorded_motion_mark, self.best_of_mark) if part)
+        return "; ".join(part for part in (self.recorded_motion_mark, *self.run_marks) if part)
 
     @property
     def symbols(self) -> str:
         """The signs of :attr:`mark`, for the name of the method."""
-        return " ".join(part.split(" ", 1)[0] for part in (self.recorded_motion_mark, self.best_of_mark) if part)
+        return " ".join(part.split(" ", 1)[0] for part in (self.recorded_motion_mark, *self.run_marks) if part)
 
     @property
     def edge_arrivals(self) -> str:
