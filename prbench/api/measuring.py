@@ -16,7 +16,15 @@ from prbench.api.frames import frozen
 from prbench.errors import UsageError, did_you_mean
 from prbench.manifests import load_protocol
 from prbench.methods.coordinates import coordinate_problem
-from prbench.metrics import METRICS, STUDY_METRICS, UNKNOWN_HAND, MotionBatch, ScoringTargets, printed_unit
+from prbench.metrics import (
+    GAZE_METRICS,
+    METRICS,
+    STUDY_METRICS,
+    UNKNOWN_HAND,
+    MotionBatch,
+    ScoringTargets,
+    printed_unit,
+)
 from prbench.metrics import score as score_metrics
 from prbench.shown import html
 from prbench.skeleton import N_JOINTS
@@ -222,7 +230,7 @@ def _wanted(metrics: Collection[str] | None) -> list[str]:
     Raises:
         UsageError: for an unknown id.
     """
-    known = [info.id for info in METRICS if info.id != "prime_success_gaze"]
+    known = [info.id for info in METRICS if info.id not in GAZE_METRICS]
     if metrics is None:
         return [info.id for info in STUDY_METRICS]
     asked = [metrics] if isinstance(metrics, str) else list(metrics)

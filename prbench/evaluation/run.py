@@ -240,6 +240,7 @@ class _Part:
             split=request.split,
             samples=request.samples,
             best_of=request.best_of,
+            gaze=self.prepared.record.method.gaze,
         )
 
     def _windows(self) -> Iterator[pa.Table]:

@@ -215,6 +215,7 @@ def _json_row(row: TableRow) -> dict[str, object]:
         "seed": entry.record.seed,
         "samples": entry.record.samples,
         "best_of": entry.record.best_of,
+        "gaze": entry.record.method.gaze,
         "scored": entry.scored,
         "verified": not entry.unverified,
         "why_unverified": entry.unverified,

@@ -262,6 +262,7 @@ def _is_ranked(entry: LeaderboardRow) -> bool:
         not entry.is_control
         and not entry.summary.hands_in_recordings
         and entry.record.best_of == 1
+        and not entry.record.method.gaze
         and not entry.summary.unsupported
         and entry.scored >= FEWEST_RANKED
     )

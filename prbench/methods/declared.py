@@ -22,6 +22,8 @@ class Declared:
     native_fps: float | None = None
     """Frames per second that it generates; None for the table's rate."""
     motionless: bool = False
+    gaze: bool = False
+    """True if its motions bring gaze."""
 
     @classmethod
     def by(cls, adapter: Adapter, *, origin: str) -> Declared:
@@ -39,12 +41,20 @@ class Declared:
             getattr(adapter, "max_frames", None),
             getattr(adapter, "native_fps", None),
             bool(getattr(adapter, "motionless", False)),
+            bool(getattr(adapter, "gaze", False)),
             origin=origin,
         )
 
     @classmethod
     def checked(
-        cls, conditions: object, max_frames: object, native_fps: object, motionless: bool, *, origin: str
+        cls,
+        conditions: object,
+        max_frames: object,
+        native_fps: object,
+        motionless: bool,
+        gaze: bool = False,
+        *,
+        origin: str,
     ) -> Declared:
         """Read the same from values of unknown types.
 
@@ -56,6 +66,7 @@ class Declared:
             _max_frames(max_frames, origin),
             _native_fps(native_fps, origin),
             motionless,
+            gaze,
         )
 
 

@@ -33,8 +33,12 @@ RANKED_METRICS: tuple[MetricInfo, ...] = tuple(info for info in MAIN_METRICS if 
 STUDY_METRICS: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.in_study)
 """The six columns of the study's Table 2."""
 
+GAZE_METRICS: frozenset[str] = frozenset(info.id for family in FAMILIES if family.needs_gaze for info in family.metrics)
+"""Ids of the metrics that only motions with gaze have."""
+
 __all__ = [
     "FAMILIES",
+    "GAZE_METRICS",
     "MAIN_METRICS",
     "METRICS",
     "RANKED_METRICS",
@@ -73,7 +77,7 @@ def score(
         recorded: The recorded motions of the same sequences, in the same order.
         targets: Their goals.
         constants: Of the protocol.
-        metrics: Ids of the wanted metrics; all by default, ``prime_success_gaze`` only where ``targets`` hold gaze.
+        metrics: Ids of the wanted metrics; all by default, those of gaze only where ``targets`` hold some.
         allow_length_mismatch: Accept motions of another length than the recorded one: the final frame is then each
             motion's own, MPJPE takes the frames that both have, and the values carry the flag ``length_mismatch``.
         chunk_frames: Frames that are worked on at once; a matter of speed and memory only.

@@ -49,6 +49,8 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
     native_fps: float | None
     motionless: bool
     """The method declares that its motions stand still, so that Foot Skating says nothing about it."""
+    gaze: bool = False
+    """The motions bring gaze (docs/specification/protocol.md#gaze)."""
     isolation: str | None = None
     """``process`` (paths, objects and environment withheld), ``bubblewrap`` (the file system too) or ``container``."""
 

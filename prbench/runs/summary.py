@@ -19,10 +19,14 @@ EDGE_ARRIVAL = "arrived_from_the_edge"
 """Flag of a motion that came onto the target from less than ``arrival_margin`` outside it, beside its arrival."""
 _RECORDED_SHARE = 0.01
 """Share of such motions above which a method is not ranked."""
+_BY_ACCIDENT = 1
+"""Recorded motions that say nothing of a method: in a run of few sequences one is already more than that share."""
 TWICE_DAGGER = "††"
 """Mark of a method that handed in recorded motions."""
 SECTION = "§"
 """Mark of motions that were chosen among several."""
+PILCROW = "¶"
+"""Mark of motions that bring gaze, which the study's methods do not generate."""
 
 
 class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -47,7 +51,7 @@ class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Number of motions that carry each remark."""
     detectable: float | None = None
     """Smallest difference to an unrelated method of the same spread that is found with 80 % power at Holm's first step
-    among the main metrics; None where nothing can be tested."""
+    among the metrics that are compared; None where nothing can be tested."""
     uncertainty: dict[str, float] = msgspec.field(default_factory=dict)
     """Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``."""
 
@@ -73,6 +77,8 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Motions kept of each sequence."""
     best_of: int = 1
     """Motions drawn for each that was kept."""
+    gaze: bool = False
+    """The motions bring gaze that the method generated."""
     length_mismatches: int
     metrics: tuple[MetricSummary, ...]
 
@@ -89,7 +95,7 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def hands_in_recordings(self) -> bool:
         """True if there are too many of them for an accident, so that the scores are those of no method."""
-        return self.recorded_motions > _RECORDED_SHARE * self._motions
+        return self.recorded_motions > max(_BY_ACCIDENT, _RECORDED_SHARE * self._motions)
 
     @property
     def recorded_motion_mark(self) -> str:
@@ -107,14 +113,24 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         return f"{SECTION} best of {self.best_of} motions, chosen by their own head ray and wrist; never ranked"
 
     @property
+    def gaze_mark(self) -> str:
+        """Remark of tables on motions that bring gaze; empty if they bring none."""
+        return f"{PILCROW} gaze generated with the head, beyond the study; never ranked" if self.gaze else ""
+
+    @property
+    def run_marks(self) -> tuple[str, ...]:
+        """Remarks on how the motions were made, the same on every dataset of a run."""
+        return tuple(part for part in (self.best_of_mark, self.gaze_mark) if part)
+
+    @property
     def mark(self) -> str:
         """Return the remarks that readers must know about the motions; empty if there are none."""
-        return "; ".join(part for part in (self.recorded_motion_mark, self.best_of_mark) if part)
+        return "; ".join(part for part in (self.recorded_motion_mark, *self.run_marks) if part)
 
     @property
     def symbols(self) -> str:
         """The signs of :attr:`mark`, for the name of the method."""
-        return " ".join(part.split(" ", 1)[0] for part in (self.recorded_motion_mark, self.best_of_mark) if part)
+        return " ".join(part.split(" ", 1)[0] for part in (self.recorded_motion_mark, *self.run_marks) if part)
 
     @property
     def edge_arrivals(self) -> str:

@@ -94,6 +94,7 @@ class Scored:
             split=selection.split,
             samples=len(samples),
             best_of=about.best_of,
+            gaze=predictions.has_gaze,
         )
         agreement = agreement_with_people(selection, scores, protocol=protocol)
         return cls(chosen, selection, scores, summarise(scores, scored), agreement)
@@ -128,6 +129,7 @@ def offline_record(
             max_frames=stated.max_frames,
             native_fps=stated.native_fps,
             motionless=False,
+            gaze=any(one.summary.gaze for one in scored),
         ),
         condition=stated.condition.value if stated.condition else UNSTATED,
         control=stated.control,
