@@ -22,7 +22,7 @@ LAYERS = {
     **dict.fromkeys(("manifests", "storage", "parquet_files", "numpy_files", "engine", "recording"), 3),
     **dict.fromkeys(("locks", "own_protocol"), 4),
     **dict.fromkeys(("metrics", "sequences", "representation", "text"), 5),
-    **dict.fromkeys(("contract", "readers", "runs"), 6),
+    **dict.fromkeys(("contract", "prediction", "readers", "runs"), 6),
     **dict.fromkeys(("curation", "corpora", "methods", "release"), 7),
     **dict.fromkeys(("evaluation", "synthetic"), 8),
     **dict.fromkeys(("training", "submitted", "viewing"), 9),

@@ -199,6 +199,8 @@ WRITING = (
         lambda given, out: ("build-dataset", "all", "--root", given.adt, "--out", out),
         held="result/synthetic-adt",
     ),
+    Writing("build-windows --out", lambda given, out: ("build-windows", "adt", "--root", given.adt, "--out", out)),
+    Writing("build-windows --data", lambda given, out: ("build-windows", "--data", given.table, "--out", out)),
     Writing("build-corpus --out", lambda _, out: ("build-corpus", "synthetic", "--count", 1, "--out", out)),
     Writing(
         "synthesize --out",

@@ -37,6 +37,7 @@ _COMMANDS = {
         "candidates": "prbench.cli.candidates:candidates",
         "build-dataset": "prbench.cli.build_dataset:build_dataset",
         "build-corpus": "prbench.cli.build_corpus:build_corpus",
+        "build-windows": "prbench.cli.build_windows:build_windows",
         "split-dataset": "prbench.cli.split_dataset:split_dataset",
         "validate": "prbench.cli.validate:validate",
         "import-release": "prbench.cli.release:import_release",

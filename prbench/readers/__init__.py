@@ -36,6 +36,7 @@ from prbench.readers.synthetic_tree import (
     synthetic_tree_around,
 )
 from prbench.recording import Recording
+from prbench.recording.published_tracks import PublishedTrack
 from prbench.shown import quoted
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ __all__ = [
     "AriaGlasses",
     "InputFile",
     "KnowsEnds",
+    "PublishedForPrediction",
     "Reader",
     "ReaderOptions",
     "RecordingFiles",
@@ -147,6 +149,24 @@ class AnnotatedByHand(Reader, Protocol):
 
         Raises:
             InputFileError: for files that cannot be made out.
+        """
+        ...
+
+
+@runtime_checkable
+class PublishedForPrediction(Reader, Protocol):
+    """A reader of a dataset on which a study of motion prediction was made, with that study's pieces of it."""
+
+    @property
+    def native_joints(self) -> str:
+        """Name of the study's joint set (docs/specification/motion-prediction.md#joint-sets)."""
+        ...
+
+    def read_published(self, found: RecordingFiles) -> tuple[Recording, tuple[PublishedTrack, ...]]:
+        """Read one recording with the pieces of it that the study used, at 30 frames a second.
+
+        Raises:
+            PrbenchError: as :meth:`Reader.read`.
         """
         ...
 

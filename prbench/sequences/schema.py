@@ -150,12 +150,13 @@ DATASET_TABLES = {"sequences": SEQUENCES, "events": EVENTS, "recordings": RECORD
 
 def with_metadata(schema: pa.Schema, *, protocol_version: int) -> pa.Schema:
     """The schema with version, joint set and units as Parquet metadata, beside what it carries already."""
+    carried = {key.decode(): value for key, value in (schema.metadata or {}).items()}
     return schema.with_metadata(
         {
-            **(schema.metadata or {}),
+            **carried,
             "prbench_schema_version": str(SCHEMA_VERSION),
             "prbench_protocol_version": str(protocol_version),
-            "joint_set": JOINT_SET,
+            "joint_set": carried.get("joint_set", JOINT_SET),
             **{f"unit_{quantity}": unit for quantity, unit in UNITS.items()},
         }
     )

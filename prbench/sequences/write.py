@@ -53,6 +53,7 @@ def write_table_in_parts(
     *,
     protocol_version: int,
     largest_part: int = _LARGEST_PART_BYTES,
+    row_group_rows: int = _ROW_GROUP_ROWS,
 ) -> int:
     """Write ``folder/name.parquet``, or ``folder/name/part-*.parquet`` where one file would pass ``largest_part``.
 
@@ -67,11 +68,11 @@ def write_table_in_parts(
     count = 1
     schema = with_metadata(schema, protocol_version=protocol_version)
     with atomic_folder(parts) as temporary:
-        writer = _PartWriter(temporary / "part-00000.parquet", schema)
+        writer = _PartWriter(temporary / "part-00000.parquet", schema, row_group_rows)
         for batch in batches:
             if writer.bytes_written >= largest_part:
                 writer.close()
-                writer = _PartWriter(temporary / f"part-{count:05d}.parquet", schema)
+                writer = _PartWriter(temporary / f"part-{count:05d}.parquet", schema, row_group_rows)
                 count += 1
             rows += writer.append(batch)
         writer.close()
@@ -86,8 +87,9 @@ def write_table_in_parts(
 class _PartWriter:
     """One Parquet file, filled in row groups of a fixed number of rows whatever the size of the batches."""
 
-    def __init__(self, path: Path, schema: pa.Schema) -> None:
+    def __init__(self, path: Path, schema: pa.Schema, row_group_rows: int = _ROW_GROUP_ROWS) -> None:
         self._schema = schema
+        self._row_group_rows = row_group_rows
         self._pending: list[pa.RecordBatch] = []
         self._pending_rows = 0
         self._file = open(path, "wb")  # noqa: SIM115 - closed in close()
@@ -111,7 +113,7 @@ class _PartWriter:
         """Take up rows; complete row groups go to the file."""
         self._pending.append(batch)
         self._pending_rows += batch.num_rows
-        if self._pending_rows >= _ROW_GROUP_ROWS:
+        if self._pending_rows >= self._row_group_rows:
             self._flush(everything=False)
         return batch.num_rows
 
@@ -124,9 +126,9 @@ class _PartWriter:
     def _flush(self, *, everything: bool) -> None:
         table = pa.Table.from_batches([batch.cast(self._schema) for batch in self._pending], self._schema)
         # Whole row groups only, so that the file does not depend on how rows came in batches.
-        rows = table.num_rows if everything else table.num_rows - table.num_rows % _ROW_GROUP_ROWS
+        rows = table.num_rows if everything else table.num_rows - table.num_rows % self._row_group_rows
         if rows:
-            self._writer.write_table(table.slice(0, rows), row_group_size=_ROW_GROUP_ROWS)
+            self._writer.write_table(table.slice(0, rows), row_group_size=self._row_group_rows)
         self._pending = table.slice(rows).to_batches()
         self._pending_rows = table.num_rows - rows
 
@@ -195,6 +197,8 @@ def write_tables(
     tables: Mapping[str, Iterable[pa.RecordBatch]],
     schemas: Mapping[str, pa.Schema],
     identity_columns: SequenceOf[str],
+    *,
+    row_group_rows: int = _ROW_GROUP_ROWS,
 ) -> Info:
     """Write the tables of a dataset or corpus, then its description, which holds their digests.
 
@@ -204,6 +208,7 @@ def write_tables(
         tables: Rows of every table by its name.
         schemas: Columns of every table; the first one holds the motions, and may be written in parts.
         identity_columns: Columns of the first table that make its identity.
+        row_group_rows: Rows of the first table that are written, and later read, together.
 
     Returns:
         The provenance as written.
@@ -212,7 +217,8 @@ def write_tables(
     main, *others = schemas
     # Digests are taken while the rows pass to the file: a table is never read back for them.
     digests = RowDigests(schemas[main].names, identity_columns)
-    write_table_in_parts(folder, main, digests.pass_on(tables[main]), schemas[main], protocol_version=version)
+    rows = digests.pass_on(tables[main])
+    write_table_in_parts(folder, main, rows, schemas[main], protocol_version=version, row_group_rows=row_group_rows)
     for name in others:
         write_table(folder / f"{name}.parquet", tables[name], schemas[name], protocol_version=version)
     info = msgspec.structs.replace(

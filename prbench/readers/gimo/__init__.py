@@ -11,10 +11,12 @@ from prbench.readers import AnnotationLine
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo import format as gimo
+from prbench.readers.gimo.published import published_track
 from prbench.readers.gimo.readings import read_readings
 from prbench.readers.gimo.segments import GimoOptions, extents, find_segments, row_of
 from prbench.readers.gimo.to_recording import recording_from_gimo
 from prbench.recording import Recording
+from prbench.recording.published_tracks import PublishedTrack
 
 __all__ = ["READER", "GimoOptions", "GimoReader", "find_segments", "read_readings"]
 
@@ -34,15 +36,31 @@ class GimoReader:
     @foreign_input()
     def read(self, found: RecordingFiles) -> Recording:
         """Read one segment; also one that a build leaves out because no event is known."""
+        return self._read(found)[1]
+
+    @property
+    def native_joints(self) -> str:
+        """See :class:`prbench.readers.PublishedForPrediction`: the study's jaw, its 23rd joint, is not read."""
+        return "smpl22"
+
+    @foreign_input()
+    def read_published(self, found: RecordingFiles) -> tuple[Recording, tuple[PublishedTrack, ...]]:
+        """See :class:`prbench.readers.PublishedForPrediction`."""
+        readings, recording = self._read(found)
+        return recording, (published_track(readings, recording),)
+
+    def _read(self, found: RecordingFiles) -> tuple[gimo.GimoReadings, Recording]:
         manifest = load_manifest("gimo")
         found.require_usable(manifest.why_bad(found.recording_id))
-        return recording_from_gimo(
-            read_readings(found, manifest, self.options),
+        readings = read_readings(found, manifest, self.options)
+        recording = recording_from_gimo(
+            readings,
             manifest,
             dataset=found.dataset,
             target=self.options.target,
             gaze_origin=self.options.gaze_origin,
         )
+        return readings, recording
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """See :class:`prbench.readers.KnowsEnds`."""

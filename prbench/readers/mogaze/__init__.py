@@ -9,11 +9,14 @@ from prbench.boundary import foreign_input
 from prbench.manifests import load_manifest
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
+from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.layouts import extents, find_recordings
+from prbench.readers.mogaze.published import published_tracks
 from prbench.readers.mogaze.readings import read_readings
 from prbench.readers.mogaze.to_recording import JointMapping, recording_from_mogaze
 from prbench.readers.options import ReaderOptions
 from prbench.recording import Recording
+from prbench.recording.published_tracks import PublishedTrack
 
 __all__ = ["READER", "MogazeOptions", "MogazeReader", "find_recordings", "read_readings"]
 
@@ -46,16 +49,32 @@ class MogazeReader:
     @foreign_input()
     def read(self, found: RecordingFiles) -> Recording:
         """See :class:`prbench.readers.Reader`."""
+        return self._read(found)[1]
+
+    @property
+    def native_joints(self) -> str:
+        """See :class:`prbench.readers.PublishedForPrediction`."""
+        return "mogaze21"
+
+    @foreign_input()
+    def read_published(self, found: RecordingFiles) -> tuple[Recording, tuple[PublishedTrack, ...]]:
+        """See :class:`prbench.readers.PublishedForPrediction`."""
+        readings, recording = self._read(found)
+        least = load_manifest("mogaze").thresholds["gaze_confidence"]
+        return recording, published_tracks(readings, recording, least_confidence=least)
+
+    def _read(self, found: RecordingFiles) -> tuple[mogaze.MogazeReadings, Recording]:
         manifest = load_manifest("mogaze")
         found.require_usable(manifest.why_bad(found.recording_id))
         readings = read_readings(found, manifest, meshes=self.options.meshes)
-        return recording_from_mogaze(
+        recording = recording_from_mogaze(
             readings,
             manifest,
             dataset=found.dataset,
             joint_mapping=self.options.joint_mapping,
             legacy_gaze=self.options.legacy_gaze,
         )
+        return readings, recording
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """See :class:`prbench.readers.KnowsEnds`."""

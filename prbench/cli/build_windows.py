@@ -1,0 +1,157 @@
+"""``prbench build-windows``: recordings, or a table of sequences, into windows for motion prediction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+import msgspec
+
+from prbench.cli.builds import NOT_EVERYTHING
+from prbench.cli.commands import Answer, command, note
+from prbench.cli.options import (
+    PATH,
+    on_error_option,
+    out_folder_option,
+    reader_options,
+    recordings_options,
+    root_option,
+    workers_option,
+)
+from prbench.cli.progress import progress
+from prbench.cli.terminal import print_table
+from prbench.errors import UsageError
+
+if TYPE_CHECKING:
+    from prbench.prediction.table import WindowsInfo
+
+
+class WindowsBuilt(msgspec.Struct, frozen=True, kw_only=True):
+    """One table of windows that was written.
+
+    Attributes:
+        dataset: Name of the dataset; ``synthetic-`` stands before that of synthetic people.
+        title: Its title.
+        folder: The table.
+        joint_set: ``smpl22``, or native joints such as ``mogaze21``.
+        fps: Frames a second.
+        observed_frames: Frames that a predictor is given.
+        future_frames: Frames that it predicts.
+        has_gaze: False where no recording has measured gaze.
+        estimated_bodies: True where bodies were estimated from whole tracks of the head.
+        participants: Number of participants.
+        recordings: Number of recordings with windows.
+        runs: Number of runs of frames (segments, sequences).
+        frames: Number of frames in all runs.
+        windows: Number of windows by what became of them: ``window``, or the reason why they are not scored.
+        left_out: Recordings without windows because they could not be read or are known to be bad, and why.
+    """
+
+    dataset: str
+    title: str
+    folder: Path
+    joint_set: str
+    fps: float
+    observed_frames: int
+    future_frames: int
+    has_gaze: bool
+    estimated_bodies: bool
+    participants: int
+    recordings: int
+    runs: int
+    frames: int
+    windows: dict[str, int]
+    left_out: dict[str, str]
+
+
+@command(
+    "build-windows",
+    example="prbench build-windows mogaze --root /data/MoGaze --out windows/mogaze --workers 4",
+    report=WindowsBuilt,
+)
+@click.argument("dataset", required=False)
+@root_option(required=False)
+@click.option("--data", type=PATH, metavar="DIR", help="In place of a dataset, a built table: windows at its events.")
+@out_folder_option("Folder of the windows; earlier ones are replaced once the new ones are ready.", required=True)
+@click.option(
+    "--joints",
+    type=click.Choice(["native", "smpl22"]),
+    help="Published segments and joints (default for mogaze and gimo), or the 22 joints of any dataset.",
+)
+@recordings_options
+@on_error_option()
+@reader_options()
+@workers_option()
+def build_windows(
+    *,
+    dataset: str | None,
+    root: Path | None,
+    data: Path | None,
+    out: Path,
+    joints: Literal["native", "smpl22"] | None,
+    recordings: str,
+    max_recordings: int | None,
+    on_error: Literal["skip", "fail"],
+    options: tuple[tuple[str, str], ...],
+    workers: int,
+) -> Answer:
+    """Cut recordings into windows for motion prediction: half a second to observe, two seconds to predict.
+
+    DATASET is its name, for example mogaze (`prbench datasets` lists them).
+    """
+    if (data is None) is (dataset is None) or (dataset is None) is not (root is None):
+        raise UsageError("expected either DATASET with --root DIR, or --data DIR alone.")
+    if data is not None:
+        from prbench.prediction.anchored import build_anchored_windows
+
+        if joints or recordings != "*" or max_recordings or options:
+            raise UsageError("--data: a built table has its recordings and joints; leave the other options out.")
+        return _answer(build_anchored_windows(data, out), out)
+    assert dataset is not None
+    assert root is not None
+    from prbench.curation.window_building import build_windows as build
+    from prbench.engine import engine_for
+
+    with progress(f"cutting {dataset}") as tell:
+        report = build(
+            dataset,
+            root,
+            out,
+            joints=joints,
+            recordings=recordings,
+            limit=max_recordings,
+            reader=options,
+            on_error=on_error,
+            engine=engine_for(workers),
+            progress=tell,
+        )
+    return _answer(report.info, out)
+
+
+def _answer(info: WindowsInfo, folder: Path) -> Answer:
+    built = WindowsBuilt(
+        **{name: getattr(info, name) for name in WindowsBuilt.__struct_fields__ if hasattr(info, name)},
+        folder=folder,
+        windows=info.outcomes,
+        left_out={each.recording_id: f"{each.status}: {each.message}" for each in info.quarantine},
+    )
+    for recording, why in built.left_out.items():
+        note(f"{recording}: {why}")
+    if built.estimated_bodies:
+        note("bodies were estimated from whole tracks of the head: an observed frame may carry later head motion")
+    failed = any(each.status == "failed" for each in info.quarantine)
+    return Answer(built, lambda: _show(built), NOT_EVERYTHING if failed else 0)
+
+
+def _show(built: WindowsBuilt) -> None:
+    rows = [
+        ("participants", built.participants),
+        ("recordings", built.recordings),
+        ("runs", built.runs),
+        ("frames", built.frames),
+        *((f"windows: {outcome}" if outcome != "window" else "windows", n) for outcome, n in built.windows.items()),
+    ]
+    title = f"{built.title}: {built.joint_set}, {built.fps:g} frames a second"
+    print_table(title, ("of", "number"), [(name, str(number)) for name, number in rows], numbers=(1,))
+    print(f"windows: {built.folder}")

@@ -1,0 +1,134 @@
+"""The joint sets of motion prediction: the 22 joints of every dataset, and native ones of the published comparison.
+
+Source: docs/specification/motion-prediction.md#joint-sets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.errors import UsageError
+from prbench.skeleton import PARENTS, Joint, invert_rigid
+
+
+@dataclass(frozen=True)
+class JointSet:
+    """Names and parents of some joints, and which of them tell the heading and the wrists."""
+
+    name: str
+    parents: Mapping[str, str]
+    """Parent of each joint by name, in the order of the arrays; empty for the root."""
+    pelvis: str
+    wrists: tuple[str, str]
+    hips: tuple[str, str]
+    shoulders: tuple[str, str]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints in order."""
+        return tuple(self.parents)
+
+    def index(self, *names: str) -> list[int]:
+        """Places of some joints."""
+        return [self.names.index(name) for name in names]
+
+    @property
+    def bones(self) -> tuple[tuple[int, int], ...]:
+        """(parent, child) of every bone, in the order of the child."""
+        return tuple((self.names.index(parent), child) for child, parent in enumerate(self.parents.values()) if parent)
+
+    def last_pose_frame(self, poses: Float[np.ndarray, "batch joints 3"]) -> Float[np.ndarray, "batch 4 4"]:
+        """``room_from_batch`` of each pose: its pelvis over the origin, facing +Z; heights stay as they are.
+
+        The heading is that of :func:`prbench.skeleton.facing_yaw`. A pose without a heading keeps the room's axes.
+
+        Args:
+            poses: Last observed poses, room, metres, Y up.
+        """
+        left_hip, right_hip = self.index(*self.hips)
+        left_shoulder, right_shoulder = self.index(*self.shoulders)
+        across = poses[:, right_hip] - poses[:, left_hip] + poses[:, right_shoulder] - poses[:, left_shoulder]
+        across = across.astype(np.float64)
+        length = np.hypot(across[:, 0], across[:, 2])
+        known = length > 1e-9
+        safe = np.where(known, length, 1.0)
+        sine = np.where(known, across[:, 2] / safe, 0.0)  # forward is Y x across
+        cosine = np.where(known, -across[:, 0] / safe, 1.0)
+        frames = np.zeros((len(poses), 4, 4))
+        frames[:, 0, 0] = cosine
+        frames[:, 0, 2] = sine
+        frames[:, 1, 1] = 1.0
+        frames[:, 2, 0] = -sine
+        frames[:, 2, 2] = cosine
+        frames[:, [0, 2], 3] = poses[:, self.index(self.pelvis)[0]][:, [0, 2]]
+        frames[:, 3, 3] = 1.0
+        return frames
+
+
+_NAMES = tuple(joint.name.lower() for joint in Joint)
+SMPL22 = JointSet(
+    name="smpl22",
+    parents={name: _NAMES[parent] if parent >= 0 else "" for name, parent in zip(_NAMES, PARENTS, strict=True)},
+    pelvis="pelvis",
+    wrists=("left_wrist", "right_wrist"),
+    hips=("left_hip", "right_hip"),
+    shoulders=("left_shoulder", "right_shoulder"),
+)
+"""The 22 joints of the sequence table, which every dataset has."""
+
+MOGAZE21 = JointSet(
+    name="mogaze21",
+    parents={
+        "base": "", "pelvis": "base", "torso": "pelvis", "neck": "torso", "head": "neck",
+        "linnerShoulder": "torso", "lShoulder": "linnerShoulder", "lElbow": "lShoulder", "lWrist": "lElbow",
+        "rinnerShoulder": "torso", "rShoulder": "rinnerShoulder", "rElbow": "rShoulder", "rWrist": "rElbow",
+        "lHip": "base", "lKnee": "lHip", "lAnkle": "lKnee", "lToe": "lAnkle",
+        "rHip": "base", "rKnee": "rHip", "rAnkle": "rKnee", "rToe": "rAnkle",
+    },
+    pelvis="base",
+    wrists=("lWrist", "rWrist"),
+    hips=("lHip", "rHip"),
+    shoulders=("lShoulder", "rShoulder"),
+)  # fmt: skip
+"""The 21 links of MoGaze (docs/specification/mogaze.md#files)."""
+
+JOINT_SETS: Mapping[str, JointSet] = {each.name: each for each in (SMPL22, MOGAZE21)}
+
+
+def joint_set(name: str) -> JointSet:
+    """A joint set by name.
+
+    Raises:
+        UsageError: for an unknown one.
+    """
+    if name not in JOINT_SETS:
+        raise UsageError(f"unknown joint set '{name}'; known ones are: {', '.join(JOINT_SETS)}.")
+    return JOINT_SETS[name]
+
+
+def transform_each(
+    frames: Float[np.ndarray, "batch 4 4"], points: Float[np.ndarray, "batch *shape 3"]
+) -> Float[np.ndarray, "batch *shape 3"]:
+    """:func:`prbench.skeleton.transform_points` with a transform of its own for every row; float64.
+
+    Written out axis by axis: a matrix product may round differently with another number of rows.
+    """
+    spread = frames.reshape(len(frames), *(1,) * (points.ndim - 2), 4, 4)
+    x, y, z = (points[..., axis, None].astype(np.float64) for axis in range(3))
+    return x * spread[..., :3, 0] + y * spread[..., :3, 1] + z * spread[..., :3, 2] + spread[..., :3, 3]
+
+
+def invert_each(frames: Float[np.ndarray, "batch 4 4"]) -> Float[np.ndarray, "batch 4 4"]:
+    """:func:`prbench.skeleton.invert_rigid` of every row."""
+    return np.stack([invert_rigid(frame) for frame in frames])
+
+
+def rotations_alone(frames: Float[np.ndarray, "batch 4 4"]) -> Float[np.ndarray, "batch 4 4"]:
+    """The same turns without moving anything, for directions."""
+    turns = frames.copy()
+    turns[:, :3, 3] = 0.0
+    return turns

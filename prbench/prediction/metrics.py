@@ -1,0 +1,156 @@
+"""Metrics of stochastic prediction: five as the study computes them, and ours beside them.
+
+Source: docs/specification/motion-prediction.md#metrics. Distances are Euclidean; those of the study are over the
+flattened pose, sqrt(J) times the root mean square a joint. Everything is computed in float64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.distance import cdist, pdist
+
+from prbench.errors import UsageError
+
+_MOST_VALUES = 8_000_000
+"""Float64 values of one block of distances between samples and futures: 64 MB."""
+_DEGENERATE_BONE = 1e-6  # metres; shorter bones have no relative error
+
+
+def frame_errors(
+    predicted: Float[np.ndarray, "batch samples frames joints 3"], truth: Float[np.ndarray, "batch frames joints 3"]
+) -> Float[np.ndarray, "batch samples frames"]:
+    """Distance of the flattened pose in every frame, metres."""
+    return np.sqrt(_squared_errors(predicted, truth).sum(axis=-1))
+
+
+def joint_errors(
+    predicted: Float[np.ndarray, "batch samples frames joints 3"], truth: Float[np.ndarray, "batch frames joints 3"]
+) -> Float[np.ndarray, "batch samples frames joints"]:
+    """Distance of every joint in every frame, metres."""
+    return np.sqrt(_squared_errors(predicted, truth))
+
+
+def _squared_errors(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    apart = predicted.astype(np.float64) - truth[:, None]
+    return np.einsum("...c,...c->...", apart, apart)
+
+
+@dataclass(frozen=True)
+class Displacements:
+    """ADE and FDE of a batch of windows, metres."""
+
+    ade: Float[np.ndarray, " batch"]
+    """Mean over the frames, of the best sample."""
+    fde: Float[np.ndarray, " batch"]
+    """Last frame, of the best sample, which may be another one."""
+    ade_mean: Float[np.ndarray, " batch"]
+    """Mean over the samples instead of the best one, which rewards no spread."""
+    fde_mean: Float[np.ndarray, " batch"]
+
+
+def displacements(errors: Float[np.ndarray, "batch samples frames"]) -> Displacements:
+    """ADE and FDE from :func:`frame_errors`; any distance a frame will do.
+
+    Raises:
+        UsageError: without samples or frames.
+    """
+    if 0 in errors.shape[1:]:
+        raise UsageError(f"expected one sample and one frame or more, found {errors.shape[1]} and {errors.shape[2]}.")
+    average = errors.mean(axis=2)
+    last = errors[:, :, -1]
+    return Displacements(average.min(axis=1), last.min(axis=1), average.mean(axis=1), last.mean(axis=1))
+
+
+def diversity(predicted: Float[np.ndarray, "batch samples frames joints 3"]) -> Float[np.ndarray, " batch"]:
+    """APD: mean distance of two samples over the flattened motion, metres; 0 for one sample."""
+    batch, samples = predicted.shape[:2]
+    if samples < 2:
+        return np.zeros(batch)
+    flat = predicted.reshape(batch, samples, -1).astype(np.float64)
+    return np.array([pdist(each).mean() for each in flat])
+
+
+def similar_pasts(
+    last_poses: Float[np.ndarray, "windows joints 3"], *, closer_than: float, block: int = 1024
+) -> list[np.ndarray]:
+    """For each window the windows whose last observed pose is close, itself included.
+
+    Args:
+        last_poses: Metres, joints alone; in the room, or each in the frame of its own pelvis.
+        closer_than: Distance over the flattened pose, metres; a pose exactly as far away is not close.
+        block: Windows that are compared at once.
+
+    Returns:
+        Ascending places of the windows of each set.
+    """
+    flat = last_poses.reshape(len(last_poses), -1).astype(np.float64)
+    sets = []
+    for start in range(0, len(flat), block):
+        near = cdist(flat[start : start + block], flat) < closer_than
+        sets += [np.flatnonzero(row) for row in near]
+    return sets
+
+
+def multimodal_displacements(
+    predicted: Float[np.ndarray, "samples frames joints 3"], futures: Float[np.ndarray, "members frames joints 3"]
+) -> tuple[float, float]:
+    """MMADE and MMFDE of one window: the best sample for each of several futures, averaged over these, metres.
+
+    Args:
+        predicted: The samples of the window.
+        futures: The futures of all windows with a similar past, the window's own among them.
+    """
+    samples, frames = predicted.shape[:2]
+    flat = predicted.reshape(samples, frames, -1).astype(np.float64)
+    members = futures.reshape(len(futures), frames, -1).astype(np.float64)
+    most = max(1, _MOST_VALUES // flat.size)
+    ade = []
+    fde = []
+    for start in range(0, len(members), most):
+        part = members[start : start + most]
+        # One subtraction for a block of members; a Gram matrix would lose digits where motions nearly agree.
+        errors = np.linalg.norm(flat[None] - part[:, None], axis=-1)
+        ade.append(errors.mean(axis=2).min(axis=1))
+        fde.append(errors[:, :, -1].min(axis=1))
+    return float(np.concatenate(ade).mean()), float(np.concatenate(fde).mean())
+
+
+def first_frame_jump(
+    predicted: Float[np.ndarray, "batch samples frames joints 3"], last_observed: Float[np.ndarray, "batch joints 3"]
+) -> Float[np.ndarray, " batch"]:
+    """Mean distance of the joints between the last observed and the first predicted frame, over all samples, metres."""
+    apart = predicted[:, :, 0].astype(np.float64) - last_observed[:, None]
+    return np.linalg.norm(apart, axis=-1).mean(axis=(1, 2))
+
+
+def bone_error(
+    predicted: Float[np.ndarray, "batch samples frames joints 3"],
+    last_observed: Float[np.ndarray, "batch joints 3"],
+    bones: Sequence[tuple[int, int]],
+) -> Float[np.ndarray, " batch"]:
+    """Mean deviation of the bones' lengths from those of the last observed pose, percent.
+
+    Args:
+        predicted: Metres.
+        last_observed: Metres.
+        bones: (parent, child); such as have no length in the last observed pose are left out of its mean.
+    """
+    parents, children = np.transpose(bones)
+    lengths = np.linalg.norm(predicted[..., children, :].astype(np.float64) - predicted[..., parents, :], axis=-1)
+    rest = np.linalg.norm(last_observed[:, children].astype(np.float64) - last_observed[:, parents], axis=-1)
+    known = rest > _DEGENERATE_BONE
+    deviation = np.abs(lengths - rest[:, None, None]) / np.where(known, rest, 1.0)[:, None, None]
+    share = known / np.maximum(known.sum(axis=1, keepdims=True), 1)
+    return 100.0 * np.einsum("bktn,bn->b", deviation, share) / np.prod(lengths.shape[1:3])
+
+
+def goal_distances(
+    predicted_wrists: Float[np.ndarray, "batch samples 2 3"], goal: Float[np.ndarray, "batch 3"]
+) -> tuple[Float[np.ndarray, " batch"], Float[np.ndarray, " batch"]]:
+    """Distance of the nearer wrist to the goal at the event: of the best sample, and mean over the samples, metres."""
+    distance = np.linalg.norm(predicted_wrists.astype(np.float64) - goal[:, None, None], axis=-1).min(axis=2)
+    return distance.min(axis=1), distance.mean(axis=1)

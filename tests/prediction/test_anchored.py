@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prbench.prediction.anchored import build_anchored_windows
+from prbench.prediction.batch import Condition
+from prbench.prediction.predictors import ZeroVelocity
+from prbench.prediction.scoring import score_predictor
+from prbench.prediction.table import WindowsTable
+from prbench.sequences.table import SequenceTable
+from prbench.skeleton import transform_points
+from tests.fakes import fake_dataset
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory) -> tuple[SequenceTable, WindowsTable]:
+    folder = tmp_path_factory.mktemp("anchored")
+    fake_dataset(folder / "table", 6)
+    build_anchored_windows(folder / "table", folder / "windows")
+    return SequenceTable.open(folder / "table"), WindowsTable.open(folder / "windows")
+
+
+def test_the_last_observed_frame_is_the_prime_or_lies_before_the_event(tables):
+    sequences, table = tables
+    chunk = next(sequences.chunks())
+    joints = np.split(chunk.joints, chunk.offsets[1:-1])
+    prime = dict(zip(chunk.sequence_ids, chunk.numbers("prime_frame").astype(int), strict=True))
+    lasts = {}
+    for batch, truth in table.batches(Condition.POSE, table.chosen(with_excluded=True), frame="room"):
+        for row, name in enumerate(truth.window_ids):
+            sequence, anchor, start = name.rsplit("/", 2)
+            place = chunk.sequence_ids.index(sequence)
+            last = int(start) + 9
+            lasts.setdefault(anchor, []).append((last, prime[sequence], len(joints[place]) - 1))
+            room_from_canonical = chunk.vectors("world_from_canonical")[place].reshape(4, 4)
+            expected = transform_points(room_from_canonical, joints[place][last].astype(np.float64))
+            np.testing.assert_allclose(batch.observed_joints[row, -1], expected, atol=1e-5)
+    assert all(last == of_prime for last, of_prime, _ in lasts["prime"])
+    assert all(last == event - 20 for last, _, event in lasts["event-1"])
+
+
+def test_a_predictor_is_not_told_when_the_event_happens(tables):
+    _, table = tables
+    asked = {batch.n_future for batch, _ in table.batches(Condition.POSE, table.chosen(with_excluded=True), size=2)}
+    scored = set(table.windows["n_scored"].to_pylist())
+    assert asked == {40}
+    assert len(scored) > 1
+    assert min(scored) >= 10
+
+
+def test_the_goal_is_scored_where_the_event_is_reached(tables):
+    _, table = tables
+    chosen = table.chosen(anchor="event-1", with_excluded=True)
+    scores = score_predictor(ZeroVelocity(), table, Condition.POSE, chosen, n_samples=1)
+    assert np.isfinite(scores.columns["wrist_to_goal"]).all()
+    assert scores.columns["wrist_to_goal"] == scores.columns["wrist_to_goal_mean"]
+    assert np.isfinite(scores.columns["ade@1s"]).all()
+    assert np.isnan(scores.columns["ade@1.5s"]).all()
