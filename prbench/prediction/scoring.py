@@ -75,12 +75,16 @@ class Scores:
     columns: dict[str, list] = field(default_factory=dict)
 
     def add(self, values: Mapping[str, object]) -> None:
-        """Append the columns of a batch."""
-        for name, column in values.items():
-            self.columns.setdefault(name, []).extend(np.asarray(column).tolist())
+        """Append the columns of some windows; a column that they lack, or that came up with them, is NaN elsewhere."""
+        before = len(self.columns.get("window_id", ()))
+        added = {name: np.asarray(column).tolist() for name, column in values.items()}
+        after = before + len(added["window_id"])
+        for name in dict.fromkeys([*self.columns, *added]):
+            column = self.columns.setdefault(name, [np.nan] * before)
+            column.extend(added.get(name, [np.nan] * (after - before)))
 
     def table(self) -> pa.Table:
-        """One row a window, in table order."""
+        """One row a window, named by ``window_id``; the order is the same for every predictor and condition."""
         return pa.table(self.columns)
 
     def means(self, *, by: str = "recording_id") -> dict[str, float]:
