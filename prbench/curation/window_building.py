@@ -16,9 +16,9 @@ import prbench
 from prbench.curation.curate import split_of
 from prbench.curation.options import BuildOptions
 from prbench.curation.sources import NativeSource, native_sources
-from prbench.curation.window_runs import runs_of_recording, runs_of_tracks
+from prbench.curation.window_runs import runs_of_recording, runs_of_tracks, window_starts
 from prbench.engine import Engine, InProcess
-from prbench.errors import InputFileError, PrbenchError
+from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.locks import sole_writer
 from prbench.manifests import Manifest, digest_of, load_manifest, load_protocol
 from prbench.prediction.protocol import PredictionProtocol, load_prediction_protocol
@@ -168,6 +168,28 @@ def build_windows(
     with sole_writer(out):
         info = write_windows(out, info, cut(), finish=lambda now: _finished(now, seen, sources, chosen))
     return WindowsReport(out, info, tuple(seen.recordings))
+
+
+def published_counts(dataset: str, root: Path | str) -> dict[str, tuple[int, int, int]]:
+    """Count a study's segments, frames and windows by published split, without reading any recording.
+
+    Args:
+        dataset: Name of a reader.
+        root: The dataset's folder; the file that lists its segments is enough.
+
+    Raises:
+        UsageError: for a dataset without such a file.
+        InputFileError: if it is missing or damaged.
+    """
+    reader = reader_for(dataset)
+    lengths = reader.published_lengths(Path(root)) if isinstance(reader, PublishedForPrediction) else None
+    if lengths is None:
+        raise UsageError(f"{dataset}: no file of it lists segments that a study of prediction used; build the windows.")
+    rules = load_prediction_protocol().windows
+    return {
+        split: (len(frames), sum(frames), sum(len(window_starts(each, rules)) for each in frames))
+        for split, frames in lengths.items()
+    }
 
 
 def _described(name: str, manifest: Manifest, protocol: PredictionProtocol, *, joint_set: str) -> WindowsInfo:

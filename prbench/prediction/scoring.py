@@ -1,4 +1,4 @@
-"""Scores of a predictor on a table of windows: per window, and their means over recordings.
+"""Scores of a predictor on a table of windows, one value a window.
 
 Source: docs/specification/motion-prediction.md#metrics.
 """
@@ -87,23 +87,15 @@ class Scores:
         """One row a window, named by ``window_id``; the order is the same for every predictor and condition."""
         return pa.table(self.columns)
 
-    def means(self, *, by: str = "recording_id") -> dict[str, float]:
-        """Means over recordings of the means over each one's windows; windows of one recording overlap.
+    @property
+    def metrics(self) -> dict[str, Float[np.ndarray, " windows"]]:
+        """Every score by name; NaN where a window has none."""
+        columns = {name: np.asarray(values) for name, values in self.columns.items()}
+        return {name: values for name, values in columns.items() if values.dtype.kind == "f"}
 
-        Args:
-            by: Column that names the groups.
-        """
-        groups = np.array(self.columns[by])
-        found = {}
-        for name, values in self.columns.items():
-            column = np.asarray(values)
-            if column.dtype.kind != "f":
-                continue
-            of_groups = [column[(groups == group) & np.isfinite(column)] for group in np.unique(groups)]
-            measured = [each.mean() for each in of_groups if len(each)]
-            if measured:
-                found[name] = float(np.mean(measured))
-        return found
+    def means(self) -> dict[str, float]:
+        """Means over the windows that have a score, as the study has them; scores that no window has are left out."""
+        return {name: float(np.nanmean(values)) for name, values in self.metrics.items() if np.isfinite(values).any()}
 
 
 def score_predictor(

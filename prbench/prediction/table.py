@@ -186,7 +186,7 @@ def write_windows(
 
     Raises:
         StorageError: if the folder holds something that is no table of windows, or cannot be written.
-        TableError: if there is no run.
+        TableError: if there is no window.
     """
     require_replaceable(folder, FILE_NAME, kind="table of windows")
     joints = joint_set(info.joint_set)
@@ -196,8 +196,10 @@ def write_windows(
         tables = {"streams": tally.streams(cut), "windows": tally.windows()}
         # The provenance counts what was written, so it is written once more at the end.
         written = write_tables(temporary, info, tables, schemas, _IDENTITY, row_group_rows=RUNS_AT_ONCE)
-        if not tally.runs:
-            raise TableError(f"{folder}: no recording has a run of frames that is long enough for a window.")
+        if not tally.windows_found:
+            raise TableError(
+                f"{folder}: expected a run of frames longer than a window, found 0 windows in {tally.runs} runs."
+            )
         written = finish(tally.filled_in(written))
         written.write(temporary)
     return written
@@ -233,6 +235,10 @@ class _Tally:
     def windows(self) -> Iterator[pa.RecordBatch]:
         for start in range(0, len(self._windows), 4096):
             yield pa.RecordBatch.from_pylist(self._windows[start : start + 4096], schema=WINDOWS)
+
+    @property
+    def windows_found(self) -> int:
+        return len(self._windows)
 
     def filled_in(self, info: WindowsInfo) -> WindowsInfo:
         return msgspec.structs.replace(

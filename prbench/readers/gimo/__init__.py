@@ -11,7 +11,7 @@ from prbench.readers import AnnotationLine
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.published import published_track
+from prbench.readers.gimo.published import published_lengths, published_track
 from prbench.readers.gimo.readings import read_readings
 from prbench.readers.gimo.segments import GimoOptions, extents, find_segments, row_of
 from prbench.readers.gimo.to_recording import recording_from_gimo
@@ -48,6 +48,11 @@ class GimoReader:
         """See :class:`prbench.readers.PublishedForPrediction`."""
         readings, recording = self._read(found)
         return recording, (published_track(readings, recording),)
+
+    @foreign_input()
+    def published_lengths(self, root: Path) -> dict[str, tuple[int, ...]]:
+        """See :class:`prbench.readers.PublishedForPrediction`."""
+        return published_lengths(root)
 
     def _read(self, found: RecordingFiles) -> tuple[gimo.GimoReadings, Recording]:
         manifest = load_manifest("gimo")

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from prbench.readers.gimo import format as gimo
+from prbench.readers.gimo.dataset_csv import read_segments
 from prbench.recording.published_tracks import PublishedTrack
 from prbench.recording.streams import Recording
 
@@ -31,3 +34,12 @@ def published_track(readings: gimo.GimoReadings, recording: Recording) -> Publis
         # A direction needs both ends of its own frame: a gaze point, and the head that it is seen from.
         gaze_measured=recording.gaze.valid & np.isin(frames, readings.gaze.frames) & has_pose,
     )
+
+
+def published_lengths(root: Path) -> dict[str, tuple[int, ...]]:
+    """Frames of every row of ``dataset.csv`` by published split; a row that stands there twice counts twice."""
+    lengths: dict[str, list[int]] = {}
+    for row in read_segments(root / gimo.TABLE_FILE):
+        of_split = lengths.setdefault(_SPLITS[row.segment.training], [])
+        of_split += [len(row.segment.frames)] * (1 + len(row.repeated))
+    return {split: tuple(frames) for split, frames in sorted(lengths.items())}

@@ -63,6 +63,10 @@ class MogazeReader:
         least = load_manifest("mogaze").thresholds["gaze_confidence"]
         return recording, published_tracks(readings, recording, least_confidence=least)
 
+    def published_lengths(self, root: Path) -> None:  # noqa: ARG002 - a protocol
+        """See :class:`prbench.readers.PublishedForPrediction`: gaze decides, which every recording has in its files."""
+        return
+
     def _read(self, found: RecordingFiles) -> tuple[mogaze.MogazeReadings, Recording]:
         manifest = load_manifest("mogaze")
         found.require_usable(manifest.why_bad(found.recording_id))
