@@ -17,10 +17,13 @@ from prbench.contract import Condition
 from prbench.corpora import build_corpus, plan_corpus
 from prbench.curation import build_dataset, plan_build
 from prbench.curation.differences import compare_builds
+from prbench.curation.window_building import build_windows
 from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError, PrbenchError, StorageError
 from prbench.evaluation.request import RunRequest
 from prbench.leaderboard.comparison import compare_runs
+from prbench.prediction.anchored import build_anchored_windows
+from prbench.prediction.table import WindowsTable
 from prbench.readers import reader_for
 from prbench.release import export_release, import_release
 from prbench.runs.folder import RunFolder
@@ -215,6 +218,9 @@ CALLS = {
     "build_dataset": lambda out: build_dataset("adt", NOWHERE, out),
     "plan_build": lambda _: plan_build("adt", NOWHERE),
     "build_corpus": lambda out: build_corpus("nymeria", NOWHERE, out),
+    "build_windows": lambda out: build_windows("adt", NOWHERE, out),
+    "build_anchored_windows": lambda out: build_anchored_windows(NOWHERE, out),
+    "WindowsTable": lambda _: WindowsTable.open(NOWHERE),
     "plan_corpus": lambda _: plan_corpus("nymeria", NOWHERE),
     "build_all": lambda out: build_all(NOWHERE, out),
     "plan_all": lambda _: plan_all(NOWHERE),

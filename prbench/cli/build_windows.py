@@ -65,15 +65,44 @@ class WindowsBuilt(msgspec.Struct, frozen=True, kw_only=True):
     left_out: dict[str, str]
 
 
+class PublishedCount(msgspec.Struct, frozen=True, kw_only=True):
+    """One split of a study, counted from the file that lists its segments.
+
+    Attributes:
+        split: ``train``, ``test`` or ``unused``.
+        segments: Number of segments.
+        frames: Number of frames in them.
+        windows: Number of windows in them.
+    """
+
+    split: str
+    segments: int
+    frames: int
+    windows: int
+
+
+class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The work of ``build-windows``, done or counted.
+
+    Attributes:
+        built: The table that was written; null with ``--dry-run``.
+        counted: One entry for each split of the study, with ``--dry-run``.
+    """
+
+    built: WindowsBuilt | None
+    counted: list[PublishedCount]
+
+
 @command(
     "build-windows",
     example="prbench build-windows mogaze --root /data/MoGaze --out windows/mogaze --workers 4",
-    report=WindowsBuilt,
+    report=WindowsReport,
 )
 @click.argument("dataset", required=False)
 @root_option(required=False)
 @click.option("--data", type=PATH, metavar="DIR", help="In place of a dataset, a built table: windows at its events.")
-@out_folder_option("Folder of the windows; earlier ones are replaced once the new ones are ready.", required=True)
+@out_folder_option("Folder of the windows; earlier ones are replaced once the new ones are ready.")
+@click.option("--dry-run", is_flag=True, help="Count what a study used, from gimo's dataset.csv alone; write nothing.")
 @click.option(
     "--joints",
     type=click.Choice(["native", "smpl22"]),
@@ -88,7 +117,8 @@ def build_windows(
     dataset: str | None,
     root: Path | None,
     data: Path | None,
-    out: Path,
+    out: Path | None,
+    dry_run: bool,
     joints: Literal["native", "smpl22"] | None,
     recordings: str,
     max_recordings: int | None,
@@ -102,6 +132,10 @@ def build_windows(
     """
     if (data is None) is (dataset is None) or (dataset is None) is not (root is None):
         raise UsageError("expected either DATASET with --root DIR, or --data DIR alone.")
+    if dry_run:
+        return _counted(dataset, root)
+    if out is None:
+        raise UsageError("--out DIR is needed: the folder of the windows. (--dry-run does without.)")
     if data is not None:
         from prbench.prediction.anchored import build_anchored_windows
 
@@ -141,7 +175,25 @@ def _answer(info: WindowsInfo, folder: Path) -> Answer:
     if built.estimated_bodies:
         note("bodies were estimated from whole tracks of the head: an observed frame may carry later head motion")
     failed = any(each.status == "failed" for each in info.quarantine)
-    return Answer(built, lambda: _show(built), NOT_EVERYTHING if failed else 0)
+    return Answer(WindowsReport(built=built, counted=[]), lambda: _show(built), NOT_EVERYTHING if failed else 0)
+
+
+def _counted(dataset: str | None, root: Path | None) -> Answer:
+    """Count a study's segments and windows."""
+    from prbench.curation.window_building import published_counts
+
+    if dataset is None or root is None:
+        raise UsageError("--dry-run: expected DATASET with --root DIR.")
+    counts = [
+        PublishedCount(split=split, segments=segments, frames=frames, windows=windows)
+        for split, (segments, frames, windows) in published_counts(dataset, root).items()
+    ]
+    rows = [(each.split, str(each.segments), str(each.frames), str(each.windows)) for each in counts]
+    title = f"{dataset}: what the study of prediction used"
+    return Answer(
+        WindowsReport(built=None, counted=counts),
+        lambda: print_table(title, ("split", "segments", "frames", "windows"), rows, numbers=(1, 2, 3)),
+    )
 
 
 def _show(built: WindowsBuilt) -> None:

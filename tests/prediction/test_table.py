@@ -7,7 +7,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from prbench.errors import StorageError, TableError, UsageError
-from prbench.prediction.batch import Condition
+from prbench.prediction.batch import Condition, ask
+from prbench.prediction.predictors import ConstantVelocity, ZeroVelocity
 from prbench.prediction.table import WindowsTable
 from tests.prediction import windows
 from tests.prediction.windows import RULES
@@ -64,6 +65,9 @@ def test_futures_of_nan_leave_no_trace_in_what_a_predictor_is_given(tmp_path, co
     first, second = (next(each.batches(condition, each.chosen(), frame=frame)) for each in tables)
     assert np.isnan(second[1].joints).all()
     assert given(first[0]) == given(second[0])
+    for predictor in (ZeroVelocity(), ConstantVelocity()):
+        answers = [ask(predictor, batch, n_samples=2, seed=0).joints.tobytes() for batch, _ in (first, second)]
+        assert answers[0] == answers[1]
 
 
 def test_how_windows_come_in_batches_leaves_no_trace(table):
