@@ -59,3 +59,19 @@ class BinRate(msgspec.Struct, frozen=True, kw_only=True):
     low: float | None
     high: float | None
     people: float | None
+
+
+class SceneOfPeople(msgspec.Struct, frozen=True, kw_only=True):
+    """How the recorded people of some sequences keep out of the boxes around them (docs/specification/scene.md).
+
+    Attributes:
+        penetration: Share of frames with a joint deeper than the limit in a box, mean over sequences.
+        depth: Largest depth of a joint in a box, mean over sequences, metres.
+        boxes: Number of boxes that stand in the recordings.
+        solid: Number of them that are obstacles.
+    """
+
+    penetration: float
+    depth: float
+    boxes: int
+    solid: int

@@ -28,6 +28,7 @@ DEFAULT_WEIGHTS = {Condition.GOAL_LOCATION: "pr-small-goal-loc", Condition.GOAL_
 _GUIDANCE = 1.0  # the conditional estimate alone (docs/specification/pr-model.md#sampling-without-optimisation)
 _MODES = ("fast", "paper", "off")
 _BONES = ("predicted", "initial")
+_OBSTACLES = ("ignore", "avoid")
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,8 @@ class Generation:
     """None for plain sampling."""
     own_bones: bool = False
     """Keep the bone lengths of the initial pose in sampled motions; an optimisation has its own setting."""
+    avoids_obstacles: bool = False
+    """Lead the finished motions around the scene's boxes."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,7 @@ class PR:
         # One limit for the method: the harness asks for it before it knows the condition.
         self.max_frames = min(configuration.max_frames for configuration in configurations)
         self.native_fps = configurations[0].fps
+        self.wants_obstacles = any(trained.generation.avoids_obstacles for trained in self.models.values())
 
     def weights_for(self, condition: Condition) -> Path:
         """The weights file that a condition uses.
@@ -80,11 +84,20 @@ class PR:
         """Generate one motion for each row.
 
         Raises:
-            AdapterError: for a goal that no body can reach, or weights of the other kind of goal.
+            AdapterError: for a goal that no body can reach, weights of the other kind of goal, or boxes that are to be
+                avoided and were not given.
         """
         trained = self._trained_for(batch.condition)
-        generation = trained.generation
         require_goals_within_reach(batch, adapter=self.name)
+        motions = self._made(trained, batch)
+        if not trained.generation.avoids_obstacles:
+            return motions
+        from prbench_adapters.diffusion.obstacles import led_around
+
+        return led_around(motions, batch)
+
+    def _made(self, trained: TrainedFor, batch: ConditionBatch) -> Motions:
+        generation = trained.generation
         if generation.optimisation is None:
             from prbench_adapters.diffusion.batches import on_own_bones
             from prbench_adapters.diffusion.generation import generate
@@ -111,8 +124,9 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the other
     ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`; ``guidance`` (1),
     ``steps``; without optimisation also ``sampler`` (ddpm or ddim) and ``reach`` (predicted, or goal: a wrist is led to
-    a goal location at the end); ``bones`` (predicted, or initial for the initial pose's lengths); ``text-path`` (files
-    of the text encoder, if the weights need one that has some).
+    a goal location at the end); ``bones`` (predicted, or initial for the initial pose's lengths); ``obstacles``
+    (ignore, or avoid: finished motions are led around the scene's boxes); ``text-path`` (files of the text encoder, if
+    the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
@@ -129,7 +143,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     from prbench_adapters.diffusion.noise_optimisation.settings import PRIME_AND_REACH_OPTIONS
     from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known
 
-    require_known(options, ("optimise", *SAMPLING_OPTIONS, "text-path", "reach", *PRIME_AND_REACH_OPTIONS))
+    require_known(options, ("optimise", *SAMPLING_OPTIONS, "text-path", "reach", "obstacles", *PRIME_AND_REACH_OPTIONS))
     if weights is None:
         paths = {condition: resolve(None, name) for condition, name in DEFAULT_WEIGHTS.items()}
         models = {condition: _load(path, device, options, (condition,)) for condition, path in paths.items()}
@@ -161,6 +175,7 @@ def _in_training(model: MotionModel) -> Adapter:
 
 def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Condition, ...]) -> TrainedFor:
     from prbench_adapters.diffusion.model import MotionModel
+    from prbench_adapters.diffusion.options import choice
 
     model = MotionModel.load(path, device, text_path=options.get("text-path"))
     wanted = [GOALS[condition] for condition in allowed]
@@ -174,7 +189,8 @@ def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Co
             f"option 'reach': weights {path}: expected a model of goal-frame features, found one of"
             f" {model.configuration.features}. Leave the option out, or choose other weights."
         )
-    return TrainedFor(model, path, _generation(options, model.configuration))
+    avoids = choice(options, "obstacles", _OBSTACLES) == "avoid"
+    return TrainedFor(model, path, replace(_generation(options, model.configuration), avoids_obstacles=avoids))
 
 
 def _generation(options: Mapping[str, str], configuration: DenoiserConfiguration) -> Generation:

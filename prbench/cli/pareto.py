@@ -147,7 +147,7 @@ def _rows(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> tuple
 
 
 def _scored(row: LeaderboardRow, info: MetricInfo, against: str) -> ScoredMethod | None:
-    from prbench.runs.summary import SECTION, TWICE_DAGGER
+    from prbench.runs.summary import TWICE_DAGGER
     from prbench.viewing.pareto import ScoredMethod
 
     metric = row.metric(info.id)
@@ -164,9 +164,10 @@ def _scored(row: LeaderboardRow, info: MetricInfo, against: str) -> ScoredMethod
         note(f"left out: {row.run}: its {_COSTS[against]} are not known")
         return None
     name = f"{row.method} ({row.record.condition})" if not row.is_control else row.method
-    if row.record.best_of > 1:
+    if not row.record.is_usual:
         note(f"{row.run}: {row.mark}")
-        name = f"{name}, best of {row.record.best_of} {SECTION}"
+        chosen = f", best of {row.record.best_of}" if row.record.best_of > 1 else ""
+        name = f"{name}{chosen} {row.summary.symbols}"
     # Copies of the recorded motion are no method: they are shown with their mark and stand on no front.
     if row.summary.hands_in_recordings:
         note(f"{row.run}: {row.mark}")

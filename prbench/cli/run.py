@@ -39,6 +39,7 @@ from prbench.cli.summaries import (
     print_agreement,
     print_datasets,
     print_methods_on_datasets,
+    print_scene,
     print_sequence_scores,
     print_summary,
 )
@@ -485,10 +486,13 @@ def _print_run(report: RunReport, *, single: bool) -> None:
     if len(report.summaries) > 1:
         agreements = [_agreement(report, summary.dataset) for summary in report.summaries]
         print_datasets(report.summaries, agreements, origin=method.origin, motionless=method.motionless)
+        print_scene(report.summaries, agreements)
         return
     for summary in report.summaries:
         print_summary(summary, origin=method.origin, motionless=method.motionless)
-        print_agreement(_agreement(report, summary.dataset))
+        agreement = _agreement(report, summary.dataset)
+        print_agreement(agreement)
+        print_scene([summary], [agreement])
 
 
 def _print_company(reports: list[RunReport]) -> None:

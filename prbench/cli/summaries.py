@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from prbench.cli.terminal import print_table, shown_width
-from prbench.rates_of_people import BinRate, RateAgreement
+from prbench.rates_of_people import BinRate, RateAgreement, SceneOfPeople
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,10 +68,12 @@ class AgreementReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         rates: Agreement with recorded people, one entry a rate.
         breakdown: Rates by the goal's bearing, distance and height.
+        scene: How recorded people keep out of the scene's boxes; null where the table knows of none.
     """
 
     rates: list[RateAgreement]
     breakdown: list[BinRate]
+    scene: SceneOfPeople | None
 
 
 class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
@@ -163,7 +165,7 @@ def dataset_scores(
 
 def agreement_report(agreement: DatasetAgreement) -> AgreementReport:
     """Turn the file of a run into the shape that ``--json`` prints."""
-    return AgreementReport(rates=list(agreement.rates), breakdown=list(agreement.breakdown))
+    return AgreementReport(rates=list(agreement.rates), breakdown=list(agreement.breakdown), scene=agreement.scene)
 
 
 def print_agreement(agreement: DatasetAgreement | None) -> None:
@@ -174,6 +176,34 @@ def print_agreement(agreement: DatasetAgreement | None) -> None:
     parts = [f"{rate.title} {phi_cell(rate)}" for rate in agreement.rates if rate.metric in main] if agreement else []
     if parts:
         print(f"agreement with recorded people (phi): {', '.join(parts)}")
+
+
+def print_scene(summaries: Sequence[DatasetSummary], agreements: Sequence[DatasetAgreement | None]) -> None:
+    """Print how far motions come into the boxes of the scene, beside recorded people, where a table knows of boxes.
+
+    Args:
+        summaries: Scores of one method, one a dataset.
+        agreements: One a dataset, in the same order; None for a run of an earlier version.
+    """
+    from prbench.manifests import load_scene_constants
+
+    lines = []
+    for summary, agreement in zip(summaries, agreements, strict=True):
+        share = summary.metric("scene_penetration")
+        depth = summary.metric("scene_depth")
+        people = agreement and agreement.scene
+        if share is None or depth is None or people is None:
+            continue
+        name = f"{_short(summary)}: " if len(summaries) > 1 else ""
+        lines.append(
+            f"  {name}{100 * share.mean:.2f} % of frames, {100 * depth.mean:.1f} cm at the deepest (recorded people"
+            f" {100 * people.penetration:.2f} %, {100 * people.depth:.1f} cm); {people.solid} of {people.boxes} boxes"
+        )
+    if lines:
+        limit = 100 * load_scene_constants().depth
+        print(f"scene: joints more than {limit:g} cm inside a solid box (means over sequences; never ranked)")
+        for line in lines:
+            print(line)
 
 
 def phi_cell(rate: RateAgreement) -> str:
@@ -288,8 +318,8 @@ def print_datasets(
     for each in summaries:
         if each.recorded_motion_mark:
             print(f"{_short(each)}: {each.recorded_motion_mark}.")
-    if first.best_of_mark:  # that of the run, so the same on every dataset
-        print(f"{first.best_of_mark}.")
+    for remark in first.option_marks:  # those of the run, so the same on every dataset
+        print(f"{remark}.")
     if any(each.synthetic for each in summaries):
         print("Synthetic data: never compare these scores with published ones.")
 
@@ -352,8 +382,8 @@ def print_methods_on_datasets(
         for each in summaries:
             if each.recorded_motion_mark:
                 print(f"{each.method} on {_short(each)} {each.recorded_motion_mark}.")
-        if summaries[0].best_of_mark:
-            print(f"{summaries[0].method} {summaries[0].best_of_mark}.")
+        for remark in summaries[0].option_marks:
+            print(f"{summaries[0].method} {remark}.")
 
 
 _DASH = "–"

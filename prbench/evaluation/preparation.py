@@ -172,6 +172,7 @@ def _method(request: RunRequest, spec: MethodSpec, condition: Condition) -> Meth
         max_frames=declared.max_frames,
         native_fps=declared.native_fps,
         motionless=declared.motionless,
+        wants_obstacles=declared.wants_obstacles,
         isolation=spec.isolation,
     )
 
@@ -221,7 +222,7 @@ def _dataset(
         spec = fitted_to(spec, table)
         with nullcontext() if spec.fit_folder is None else in_turn(spec.fit_folder):
             spec.load()  # a fit is made here, once, and found by every worker
-    source = ConditionSource.read(selection)
+    source = ConditionSource.read(selection, obstacles=method.wants_obstacles)
     scored_goals = None
     if request.control == SHUFFLED_GOAL:
         shuffled = source.with_goals_of(derangement(selection, seed=request.seed))

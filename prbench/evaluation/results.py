@@ -142,6 +142,10 @@ class ScoredSet:
     samples: int
     best_of: int
     """Motions drawn for each that was kept."""
+    obstacles: bool = False
+    """The method was given the solid boxes around each sequence."""
+    carry_on: bool = False
+    """Every put starts where the generated pick before it ends."""
 
 
 def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
@@ -167,6 +171,8 @@ def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
         recordings=len(set(scored.recording_of.values())),
         samples=scored.samples,
         best_of=scored.best_of,
+        obstacles=scored.obstacles,
+        carry_on=scored.carry_on,
         length_mismatches=mismatched,
         metrics=metrics,
     )

@@ -240,6 +240,8 @@ class _Part:
             split=request.split,
             samples=request.samples,
             best_of=request.best_of,
+            obstacles=self.prepared.record.method.wants_obstacles,
+            carry_on=self.prepared.record.carry_on,
         )
 
     def _windows(self) -> Iterator[pa.Table]:

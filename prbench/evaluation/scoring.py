@@ -10,11 +10,13 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
 
+from prbench.boxes import Boxes
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.engine import Engine, InProcess
 from prbench.errors import PredictionsError
 from prbench.evaluation.conditions import opaque_ids, run_salt
 from prbench.evaluation.lengths import length_problem
+from prbench.evaluation.obstacles import SCENE_COLUMNS, SolidBoxes
 from prbench.evaluation.planning import WINDOW, Selection
 from prbench.evaluation.recorded_motion import is_recorded_motion
 from prbench.evaluation.request import Progress, ProgressCallback
@@ -74,6 +76,7 @@ class _Window:
     samples: tuple[int, ...]
     predictions: Predictions
     rules: ScoringRules
+    scene: Boxes | None
 
 
 def score_selection(
@@ -115,18 +118,24 @@ def score_recorded(
     Args:
         selection: The sequences.
         constants: Of the protocol.
-        metrics: Ids of the wanted metrics; those that need gaze are left out.
+        metrics: Ids of the wanted metrics; those that need gaze are left out, and those of the scene where no boxes
+            are known.
 
     Returns:
         The values by metric id, and the goals (canonical frame, metres), both in the order of the selection.
     """
-    wanted = [info.id for family in FAMILIES if not family.needs_gaze for info in family.metrics if info.id in metrics]
+    scene = SolidBoxes.of(selection.table)
+    families = [
+        family for family in FAMILIES if not family.needs_gaze and (scene is not None or not family.needs_scene)
+    ]
+    wanted = [info.id for family in families for info in family.metrics if info.id in metrics]
     parts: list[dict[str, np.ndarray]] = []
     goals: list[np.ndarray] = []
-    for _, chunk in selection.windows(COLUMNS):
+    for _, chunk in selection.windows(COLUMNS if scene is None else COLUMNS + SCENE_COLUMNS):
         recorded = MotionBatch(chunk.joints, chunk.offsets)
         goals.append(chunk.vectors("goal_location"))
-        values = score(recorded, recorded, targets_of(chunk, goals[-1], None), constants, metrics=wanted)
+        boxes = None if scene is None else scene.around(chunk)
+        values = score(recorded, recorded, targets_of(chunk, goals[-1], None, boxes), constants, metrics=wanted)
         parts.append({name: column.value for name, column in values.items()})
     return {name: np.concatenate([part[name] for part in parts]) for name in wanted}, np.concatenate(goals)
 
@@ -145,12 +154,14 @@ def _windows(
 ) -> Iterator[_Window]:
     opaque = predictions.id_column == "opaque_id"
     salt = run_salt(rules.id_seed, selection.table.identity) if opaque else b""
-    columns = COLUMNS + (_GAZE_COLUMNS if rules.recorded_motion else [])
+    scene = SolidBoxes.of(selection.table)
+    columns = COLUMNS + (_GAZE_COLUMNS if rules.recorded_motion else []) + (SCENE_COLUMNS if scene else [])
     for place, chunk in selection.windows(columns):
         names = opaque_ids(chunk.sequence_ids, salt) if opaque else chunk.sequence_ids
         goals = chunk.vectors("goal_location") if rules.other_goals is None else rules.other_goals[place]
         dataset = selection.table.info.dataset
-        yield _Window(dataset, chunk.batch, goals, tuple(names), samples, predictions, rules)
+        boxes = scene.around(chunk) if scene else None
+        yield _Window(dataset, chunk.batch, goals, tuple(names), samples, predictions, rules, boxes)
 
 
 def _score_window(window: _Window) -> pa.Table:
@@ -179,10 +190,12 @@ def _targets(chunk: SequenceChunk, window: _Window) -> ScoringTargets:
             chunk.frames("gaze_direction").astype(np.float64),
             chunk.frames("gaze_valid"),
         )
-    return targets_of(chunk, window.goals, gaze)
+    return targets_of(chunk, window.goals, gaze, window.scene)
 
 
-def targets_of(chunk: SequenceChunk, goals: Float[np.ndarray, "n 3"], gaze: GazeRays | None) -> ScoringTargets:
+def targets_of(
+    chunk: SequenceChunk, goals: Float[np.ndarray, "n 3"], gaze: GazeRays | None, scene: Boxes | None = None
+) -> ScoringTargets:
     """Return what metrics need of the sequences of a chunk, read with :data:`COLUMNS`."""
     return ScoringTargets(
         goal_location=goals.astype(np.float64),
@@ -191,6 +204,7 @@ def targets_of(chunk: SequenceChunk, goals: Float[np.ndarray, "n 3"], gaze: Gaze
         head_tilt_deg=chunk.numbers("head_tilt_deg"),
         fps=chunk.numbers("fps"),
         gaze=gaze,
+        scene=scene,
     )
 
 
@@ -199,7 +213,12 @@ def _scored(
 ) -> list[MetricValues]:
     metrics = None
     if rules.recorded_motion and rules.other_goals is not None:
-        metrics = frozenset(info.id for info in METRICS if not info.compares_with_recorded)
+        metrics = frozenset(
+            info.id
+            for family in FAMILIES
+            for info in family.metrics
+            if not info.compares_with_recorded and (targets.scene is not None or not family.needs_scene)
+        )
     values = score(
         predicted,
         recorded,

@@ -216,6 +216,7 @@ def _design(record: RunRecord) -> dict[str, object]:
         "control": record.control,
         "samples": record.samples,
         "best of": record.best_of,
+        "carry on": record.carry_on,
         "split": record.split,
         "limit": record.limit,
     }

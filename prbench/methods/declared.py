@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral, Real
 
 from prbench.contract import Adapter, Condition
@@ -22,6 +22,8 @@ class Declared:
     native_fps: float | None = None
     """Frames per second that it generates; None for the table's rate."""
     motionless: bool = False
+    wants_obstacles: bool = False
+    """Must be given the solid boxes around each sequence."""
 
     @classmethod
     def by(cls, adapter: Adapter, *, origin: str) -> Declared:
@@ -34,13 +36,14 @@ class Declared:
         Raises:
             AdapterError: naming the attribute that is not what the contract asks for.
         """
-        return cls.checked(
+        declared = cls.checked(
             adapter.conditions,
             getattr(adapter, "max_frames", None),
             getattr(adapter, "native_fps", None),
             bool(getattr(adapter, "motionless", False)),
             origin=origin,
         )
+        return replace(declared, wants_obstacles=bool(getattr(adapter, "wants_obstacles", False)))
 
     @classmethod
     def checked(

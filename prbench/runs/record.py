@@ -49,6 +49,8 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
     native_fps: float | None
     motionless: bool
     """The method declares that its motions stand still, so that Foot Skating says nothing about it."""
+    wants_obstacles: bool = False
+    """The method was given the solid boxes around each sequence, which others are not."""
     isolation: str | None = None
     """``process`` (paths, objects and environment withheld), ``bubblewrap`` (the file system too) or ``container``."""
 
@@ -117,11 +119,18 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     """Motions kept of each sequence."""
     best_of: int = 1
     """Motions drawn for each that is kept (docs/specification/protocol.md#best-of-k)."""
+    carry_on: bool = False
+    """Every put starts where the generated pick before it ends."""
     device: str
     threads: int
     """Per worker."""
     packages: dict[str, str]
     tables: tuple[TableRecord, ...]
+
+    @property
+    def is_usual(self) -> bool:
+        """False for motions that were chosen, that knew more than others, or that started elsewhere: never ranked."""
+        return self.best_of == 1 and not self.method.wants_obstacles and not self.carry_on
 
     def write(self, folder: Path) -> None:
         """Write ``run.json``."""

@@ -23,6 +23,10 @@ TWICE_DAGGER = "††"
 """Mark of a method that handed in recorded motions."""
 SECTION = "§"
 """Mark of motions that were chosen among several."""
+PILCROW = "¶"
+"""Mark of a method that was given the scene's boxes."""
+PARALLEL = "∥"
+"""Mark of puts that carry on from generated picks."""
 
 
 class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -73,6 +77,10 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Motions kept of each sequence."""
     best_of: int = 1
     """Motions drawn for each that was kept."""
+    obstacles: bool = False
+    """The method was given the solid boxes around each sequence."""
+    carry_on: bool = False
+    """Every put starts where the generated pick before it ends."""
     length_mismatches: int
     metrics: tuple[MetricSummary, ...]
 
@@ -107,14 +115,24 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         return f"{SECTION} best of {self.best_of} motions, chosen by their own head ray and wrist; never ranked"
 
     @property
+    def option_marks(self) -> tuple[str, ...]:
+        """Remarks of tables on options whose rows stand for themselves, of which :attr:`best_of_mark` is one."""
+        remarks = [self.best_of_mark] if self.best_of_mark else []
+        if self.obstacles:
+            remarks.append(f"{PILCROW} was given the scene's boxes, which other methods are not; never ranked")
+        if self.carry_on:
+            remarks.append(f"{PARALLEL} each put starts where the generated pick before it ends; never ranked")
+        return tuple(remarks)
+
+    @property
     def mark(self) -> str:
         """Return the remarks that readers must know about the motions; empty if there are none."""
-        return "; ".join(part for part in (self.recorded_motion_mark, self.best_of_mark) if part)
+        return "; ".join(part for part in (self.recorded_motion_mark, *self.option_marks) if part)
 
     @property
     def symbols(self) -> str:
         """The signs of :attr:`mark`, for the name of the method."""
-        return " ".join(part.split(" ", 1)[0] for part in (self.recorded_motion_mark, self.best_of_mark) if part)
+        return " ".join(part.split(" ", 1)[0] for part in (self.recorded_motion_mark, *self.option_marks) if part)
 
     @property
     def edge_arrivals(self) -> str:

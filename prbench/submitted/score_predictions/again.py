@@ -94,7 +94,14 @@ def _scored(
     samples = require_complete(predictions, wanted)
     rules = _rules(request, run.record, selection, protocol)
     record = run.record
-    about = About(method=record.method.name, condition=record.condition, control=record.control, best_of=record.best_of)
+    about = About(
+        method=record.method.name,
+        condition=record.condition,
+        control=record.control,
+        best_of=record.best_of,
+        obstacles=record.method.wants_obstacles,
+        carry_on=record.carry_on,
+    )
     return Scored.of(
         chosen, selection, predictions, samples=samples, rules=rules, protocol=protocol, about=about, work=work
     )

@@ -11,7 +11,7 @@ from dataclasses import asdict
 
 from prbench.leaderboard.tables import FEWEST_RANKED
 from prbench.metrics import STUDY_METRICS, exported_unit
-from prbench.runs.summary import SECTION
+from prbench.runs.summary import PILCROW, SECTION
 from prbench.shown import markdown
 from prbench.workflows.table_two.layout import (
     ARRIVAL,
@@ -80,6 +80,8 @@ def notes(layout: TableLayout) -> Iterable[str]:
             f"{SECTION}: the best of {best_of} motions of each sequence, chosen by their own head ray and wrist; costs"
             " are those of all. Never ranked."
         )
+    if any(line.obstacles for line in lines):
+        yield f"{PILCROW}: was given the scene's boxes, which other methods are not. Never ranked."
     yield "Rates in %, Goal MPJPE and MPJPE in m; 95 % intervals over recordings in brackets."
     few = [dataset.dataset for dataset in layout.datasets if not dataset.is_ranked]
     if few:
@@ -135,8 +137,9 @@ def _rows(block: BlockLayout) -> Iterable[Sequence[str]]:
 
 
 def shown_label(line: Line) -> str:
-    """The label of a line, with the sign of motions that were chosen among several."""
-    return f"{line.label} {SECTION}" if line.best_of > 1 else line.label
+    """The label of a line, with the signs of motions that were chosen among several, or knew of the scene's boxes."""
+    signs = (SECTION if line.best_of > 1 else "", PILCROW if line.obstacles else "")
+    return " ".join(part for part in (line.label, *signs) if part)
 
 
 def _cell(cell: Cell | None) -> str:
