@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from prbench.cli.terminal import print_table, shown_width
-from prbench.rates_of_people import BinRate, RateAgreement, SceneOfPeople
+from prbench.rates_of_people import BinRate, CarriedOn, RateAgreement, SceneOfPeople
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -204,6 +204,32 @@ def print_scene(summaries: Sequence[DatasetSummary], agreements: Sequence[Datase
         print(f"scene: joints more than {limit:g} cm inside a solid box (means over sequences; never ranked)")
         for line in lines:
             print(line)
+
+
+def print_carried_on(found: Sequence[CarriedOn]) -> None:
+    """Print the scores of picks and puts in which a motion carries on, and how continuous the seam is.
+
+    Args:
+        found: One a dataset; nothing is printed without any.
+    """
+    from prbench.metrics import MAIN_METRICS, printed_scale
+
+    for one in found:
+        rows = [
+            (_with_unit(info), *(f"{half[info.id] * printed_scale(info.unit):.2f}" for half in (one.picks, one.puts)))
+            for info in MAIN_METRICS
+            if info.id in one.picks and info.id in one.puts
+        ]
+        print_table(
+            f"{one.dataset}: {one.pairs} pairs, half by half", ("metric", "picks", "puts"), rows, numbers=(1, 2)
+        )
+        recorded = one.recorded_speed_change
+        beside = "" if recorded is None else f" (recorded people {recorded:.2f} m/s)"
+        print(
+            f"seam: largest step {1000 * one.largest_step:.1f} mm, change of velocity {one.speed_change:.2f} m/s"
+            f"{beside}; {100 * one.share_of_picks:.0f} % of the split's picks have such a put,"
+            f" {one.median_gap:+.1f} s later in median, {100 * one.overlapping:.0f} % overlap"
+        )
 
 
 def phi_cell(rate: RateAgreement) -> str:

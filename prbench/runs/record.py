@@ -120,7 +120,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     best_of: int = 1
     """Motions drawn for each that is kept (docs/specification/protocol.md#best-of-k)."""
     carry_on: bool = False
-    """Every put starts where the generated pick before it ends."""
+    """Every put starts where the generated pick before it ends (docs/specification/carry-on.md)."""
     device: str
     threads: int
     """Per worker."""

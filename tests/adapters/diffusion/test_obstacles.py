@@ -20,7 +20,7 @@ FRAMES = 40
 
 def walk() -> Motions:
     """A body that glides 1.2 m ahead within two seconds."""
-    way = np.linspace(0.0, 1.2, FRAMES, dtype=np.float32)[:, None] * np.float32([0.0, 0.0, 1.0])
+    way = np.linspace(0.0, 1.2, FRAMES, dtype=np.float32)[:, None] * np.array([0.0, 0.0, 1.0], dtype=np.float32)
     return Motions((STANDING.astype(np.float32) + way[:, None])[None], np.array([FRAMES]))
 
 
