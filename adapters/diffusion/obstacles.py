@@ -1,7 +1,8 @@
 """Lead motions around the boxes of a scene: a smooth correction of all joints, made after a motion is generated.
 
 The correction is found by gradient descent: it is zero in the first frame (and in the last, where that pose is given),
-and costs what it leaves inside boxes and what it changes of bones, planted feet, last wrists and the motion itself.
+and costs what it leaves inside boxes, what it changes of bones, planted feet and the motion itself, and what the wrist
+that is nearer to the goal at the end loses of its reach.
 Motions that come into no box stay as they are, to the bit. No network knows of the boxes.
 """
 
@@ -39,7 +40,7 @@ class _Weights:
     inside: float = 2000.0
     bones: float = 400.0
     standing: float = 400.0
-    reach: float = 400.0
+    reach: float = 100.0
     floor: float = 400.0
     smooth: float = 0.2
     stay: float = 1.0
@@ -68,9 +69,8 @@ def led_around(motions: Motions, batch: ConditionBatch) -> Motions:
         n = int(motions.n_frames[row])
         boxes = _solid_for(batch, row)
         if deepest(joints[row, :n].astype(np.float64), boxes).any():
-            joints[row, :n] = _corrected(
-                joints[row, :n], boxes, fps=batch.fps, last_given=batch.goal_joints is not None
-            )
+            goal = None if batch.goal_location is None else batch.goal_location[row]
+            joints[row, :n] = _corrected(joints[row, :n], boxes, fps=batch.fps, goal=goal)
     return replace(motions, joints=joints)
 
 
@@ -89,15 +89,15 @@ def _solid_for(batch: ConditionBatch, row: int) -> Boxes:
 
 
 def _corrected(
-    motion: Float[np.ndarray, "frames 22 3"], boxes: Boxes, *, fps: float, last_given: bool
+    motion: Float[np.ndarray, "frames 22 3"], boxes: Boxes, *, fps: float, goal: Float[np.ndarray, "3"] | None
 ) -> Float[np.ndarray, "frames 22 3"]:
     near = boxes.chosen(boxes.reached(motion.reshape(-1, 3).astype(np.float64)))
     before = torch.as_tensor(motion, dtype=torch.float32)
     free = torch.ones(len(before), 1, 1)
     free[0] = 0.0  # the first pose is given
-    if last_given:
+    if goal is None:  # then the last pose is given
         free[-1] = 0.0
-    terms = _Terms(before, near, fps)
+    terms = _Terms(before, near, fps, goal)
     move = torch.zeros_like(before, requires_grad=True)
     descent = torch.optim.Adam([move], lr=_STEP)
     with torch.enable_grad():
@@ -113,7 +113,13 @@ def _corrected(
 class _Terms:
     """The costs of one motion's correction."""
 
-    def __init__(self, motion: Float[Tensor, "frames 22 3"], boxes: Boxes, fps: float) -> None:
+    def __init__(
+        self,
+        motion: Float[Tensor, "frames 22 3"],
+        boxes: Boxes,
+        fps: float,
+        goal: Float[np.ndarray, "3"] | None,
+    ) -> None:
         self.motion = motion
         self.fps = fps
         self.weights = _Weights()
@@ -123,6 +129,8 @@ class _Terms:
         self.bones = _bones(motion)
         self.standing = _standing(motion, fps)
         self.lowest = motion[..., 1].clamp(max=0.0)
+        self.goal = None if goal is None else torch.as_tensor(goal, dtype=torch.float32)
+        self.reach = self._reach(motion)
 
     def cost(self, move: Float[Tensor, "frames 22 3"]) -> Float[Tensor, ""]:
         """The weighted sum."""
@@ -131,16 +139,22 @@ class _Terms:
         toes = move[:, _TOES]
         slides = (toes[1:] - toes[:-1]).square().sum(-1) * self.standing
         acceleration = (move[2:] - 2 * move[1:-1] + move[:-2]) * self.fps**2
-        last_wrists = move[-1, WRISTS].square().sum(-1).mean()
+        lost_reach = (self._reach(joints) - self.reach).clamp(min=0.0).square()
         return (
             weights.inside * self._inside(joints).square().sum(-1).mean()
             + weights.bones * (_bones(joints) - self.bones).square().sum(-1).mean()
             + weights.standing * slides.sum(-1).mean()
-            + weights.reach * last_wrists
+            + weights.reach * lost_reach
             + weights.floor * (self.lowest - joints[..., 1]).clamp(min=0.0).square().sum(-1).mean()
             + weights.smooth * acceleration.square().sum(-1).mean() / self.fps
             + weights.stay * move.square().sum(-1).mean()
         )
+
+    def _reach(self, joints: Float[Tensor, "frames 22 3"]) -> Float[Tensor, ""]:
+        """Distance of the nearer wrist from the goal in the last frame; 0 without a goal location."""
+        if self.goal is None:
+            return joints.new_zeros(())
+        return (joints[-1, WRISTS] - self.goal).norm(dim=-1).amin()
 
     def _inside(self, joints: Float[Tensor, "frames 22 3"]) -> Float[Tensor, "frames 22"]:
         """Depth of each joint in the box in which it is deepest, with the margin; 0 outside."""
