@@ -111,6 +111,13 @@ class FrameDenoiser(nn.Module):
         visible = frame_mask(n_frames, noisy.shape[1], noisy.device)
         return self.denoise(noisy, self.prepare(condition, step), visible)
 
+    @torch.no_grad()
+    def take_steps(self, other: FrameDenoiser, steps: Int[Tensor, " kept"]) -> None:
+        """Take over the weights of another denoiser, whose steps ``steps`` become the steps 0, 1, … here."""
+        weights = other.state_dict()
+        weights["step_embedding.weight"] = weights["step_embedding.weight"][steps]
+        self.load_state_dict(weights)
+
     def prepare(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> Float[Tensor, "batch width"]:
         """The part of :meth:`forward` that depends on condition and step; ``step`` has one entry a row, or one for all.
 

@@ -10,14 +10,14 @@ location, or where a goal pose faces. Each frame of a motion is 68 numbers:
 * whether each foot is planted (2).
 
 Decoding keeps what is given. Knees and elbows follow from the lengths of the bones of the initial pose, so that all
-bones keep them. The first frame is the initial pose, and the last one a goal pose if there is one: what a network
-predicts for them is corrected, and the correction fades out within :data:`FADE` seconds. Neighbouring frames are
+bones keep them. The first frame is the initial pose, the second one goes on with the initial velocity, and the last one
+is a goal pose if there is one: what a network predicts for them is corrected, and the correction fades out within
+:data:`FADE` seconds. Neighbouring frames are
 averaged with weights 1, 2, 1, which leaves a fifth of the jerk of independent errors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +27,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from prbench.skeleton import BONES, N_JOINTS, PARENTS, TOES, WRISTS, Joint
+from prbench_adapters.diffusion.footsteps import stepped
 
 FADE = 0.5
 """Seconds over which corrections of the first and last frame fade out; choice: about a step."""
@@ -55,6 +56,7 @@ _SHORTEST = 1e-6  # metres; keeps the direction of a vanished bone, and its grad
 _CERTAIN = 0.5  # of a foot's contact, which is 1 where it is planted, else 0
 _TOUCH = 0.05  # metres between wrist and goal: a hand holds an object, the wrist is not inside it
 _BEND = 5e-3  # metres that a knee or elbow stands out at least; a straight limb has no gradient
+_SOON = 0.05  # seconds over which the initial velocity is taken to hold: one frame of the protocol
 _POSE = 3 * N_JOINTS
 
 
@@ -72,6 +74,8 @@ class GoalFrame:
     """Of the bones of the initial pose, metres."""
     first: Float[Tensor, "batch 66"]
     """Features of the initial pose, contacts left out."""
+    rates: Float[Tensor, "batch 66"]
+    """Their changes in a second, as the initial velocity has it."""
     last: Float[Tensor, "batch 66"] | None
     """Features of the goal pose, if that is the goal."""
 
@@ -99,10 +103,11 @@ class GoalFrame:
         forward = forward / forward.norm(dim=1, keepdim=True)
         origin = place * place.new_tensor((1.0, 0.0, 1.0))
         lengths = _bones(initial).norm(dim=-1)
-        frame = cls(origin, forward, place[:, 1], lengths, initial.flatten(1), None)
-        first = frame._pose_features(initial[:, None])[:, 0]
+        frame = cls(origin, forward, place[:, 1], lengths, initial.flatten(1), initial.flatten(1), None)
+        velocity = raw[:, _POSE : 2 * _POSE].unflatten(1, (N_JOINTS, 3))
+        first, soon = frame._pose_features(torch.stack((initial, initial + _SOON * velocity), dim=1)).unbind(1)
         last = None if pose is None else frame._pose_features(pose[:, None])[:, 0]
-        return replace(frame, first=first, last=last)
+        return replace(frame, first=first, rates=(soon - first) / _SOON, last=last)
 
     def encode(self, joints: Float[Tensor, "batch frames 22 3"], fps: float) -> Float[Tensor, "batch frames 68"]:
         """Features of canonical joints; lengths of bones are lost."""
@@ -121,7 +126,7 @@ class GoalFrame:
         n_frames: Int[Tensor, " batch"],
         fps: float,
         *,
-        plant: bool = False,
+        steps: bool = False,
         reach: bool = False,
     ) -> Float[Tensor, "batch frames 22 3"]:
         """Canonical joints, metres, with the bones, the first frame and the goal pose that are given.
@@ -130,12 +135,12 @@ class GoalFrame:
             features: Not standardised.
             n_frames: Valid frames of each row.
             fps: Frames per second.
-            plant: Keep each foot in one place for as long as the features say that it is planted.
+            steps: Let each foot stand or swing (:mod:`prbench_adapters.diffusion.footsteps`) instead of gliding.
             reach: Lead the wrist that ends nearer to the goal up to it.
         """
         pose = self._pose(features, n_frames, fps)
-        if plant:
-            pose = self._planted(pose, features[..., N_POSE_FEATURES:] > _CERTAIN, n_frames)
+        if steps:
+            pose = self._stepping(pose, features[..., N_POSE_FEATURES:] > _CERTAIN, n_frames, fps)
         if reach:
             pose = self._reaching(pose, n_frames, fps)
         return self._turned(self._joints(pose), back=True) + self.origin[:, None, None]
@@ -161,23 +166,20 @@ class GoalFrame:
         together = torch.cat((pelvis, trunk, middles, ends, toes), dim=2)
         return together[:, :, [order.index(joint) for joint in range(N_JOINTS)]]
 
-    def _planted(
-        self, pose: Float[Tensor, "batch frames 66"], on_floor: Bool[Tensor, "batch frames 2"], n_frames: Tensor
+    def _stepping(
+        self,
+        pose: Float[Tensor, "batch frames 66"],
+        stands: Bool[Tensor, "batch frames 2"],
+        n_frames: Tensor,
+        fps: float,
     ) -> Float[Tensor, "batch frames 66"]:
-        """Keep each foot in its place while it is on the floor.
-
-        The place is the mean of the toe's places meanwhile. While a foot is in the air, its correction passes from that
-        of the one step to that of the next. A foot that is planted in a given pose stays where it is given.
-        """
+        """Move the ankles so that toes stand or swing instead of gliding."""
         with torch.no_grad():
             toes = self._joints(pose)[:, :, TOES].cpu().double().numpy()
-            contacts = on_floor.cpu().numpy()
             moves = np.zeros_like(toes)
-            for row, n in enumerate(n_frames.tolist()):
-                given = {0} if self.last is None else {0, n - 1}
-                for foot in range(len(TOES)):
-                    moves[row, :n, foot] = _planting_moves(toes[row, :n, foot], contacts[row, :n, foot], given)
-        return _with_places_moved(pose, torch.as_tensor(moves).to(pose), first=0)
+            for move, wanted, on_floor, n in zip(moves, toes, stands.cpu().numpy(), n_frames.tolist(), strict=True):
+                move[:n] = stepped(wanted[:n], on_floor[:n], fps, keeps_last=self.last is not None) - wanted[:n]
+        return self._moved(pose, torch.as_tensor(moves).to(pose), first=0)
 
     def _reaching(
         self, pose: Float[Tensor, "batch frames 66"], n_frames: Tensor, fps: float
@@ -189,9 +191,30 @@ class GoalFrame:
         last = n_frames.to(pose.device) - 1
         frame = torch.arange(pose.shape[1], device=pose.device)
         fade = _fade((last[:, None] - frame).clamp_min(0) / fps)[..., None]
-        pose = _with_places_moved(pose, fade[..., None] * self._missing(pose, last)[:, None], first=len(TOES))
+        pose = self._moved(pose, fade[..., None] * self._missing(pose, last)[:, None], first=len(TOES))
         rest = self._missing(pose, last).sum(dim=1)
         return pose + functional.pad(fade * rest[:, None], (0, N_POSE_FEATURES - 3))
+
+    def _moved(
+        self, pose: Float[Tensor, "batch frames 66"], moves: Float[Tensor, "batch frames 2 3"], *, first: int
+    ) -> Float[Tensor, "batch frames 66"]:
+        """Move two neighbouring ankles or wrists, and turn the way in which their limbs bend with them.
+
+        Args:
+            pose: Features.
+            moves: In the frame of the goal, metres.
+            first: Of the two, counted among ankles and wrists.
+        """
+        limbs = slice(first, first + 2)
+        roots = self._joints(pose)[:, :, _ROOTS[limbs]]
+        places = pose[..., _PLACES].unflatten(2, (-1, 3))[:, :, limbs]
+        # Without the turn, a limb that swings past the direction in which it is said to bend would bend the other way.
+        pole = slice(_DIRECTIONS.start + 3 * (len(_TRUNK) + first), _DIRECTIONS.start + 3 * (len(_TRUNK) + first + 2))
+        bends = pose[..., pole].unflatten(2, (-1, 3))
+        turned = _turned_along(bends, _unit(places - roots), _unit(places + moves - roots)).flatten(2)
+        end = slice(_PLACES.start + 3 * first, _PLACES.start + 3 * first + 6)
+        parts = (pose[..., : pole.start], turned, pose[..., pole.stop : end.start])
+        return torch.cat((*parts, pose[..., end] + moves.flatten(2), pose[..., end.stop :]), dim=2)
 
     def _missing(self, pose: Tensor, last: Int[Tensor, " batch"]) -> Float[Tensor, "batch 2 3"]:
         """What each wrist lacks to touch the goal in the last frame; zeros for the one that is farther away."""
@@ -205,10 +228,18 @@ class GoalFrame:
         return self.lengths[:, None, [joint - 1 for joint in joints], None]
 
     def _kept(self, features: Tensor, n_frames: Tensor, fps: float) -> Tensor:
-        """Move the first frame, and with a goal pose the last one, to where it is known to be."""
+        """Move the first frame, and with a goal pose the last one, to where it is known to be.
+
+        The second frame goes on with the initial velocity.
+        """
         frame = torch.arange(features.shape[1], device=features.device)
         fade = _fade(frame / fps)[None, :, None]
         kept = features + fade * (self.first - features[:, 0])[:, None]
+        if kept.shape[1] > 1:
+            late = self.rates - (kept[:, 1] - kept[:, 0]) * fps
+            # The correction grows by what each frame's speed lacks, and both fade out.
+            share = (1 - (frame - 1).clamp_min(0) / (FADE * fps)).clamp_min(0) ** 2
+            kept = kept + (frame / fps * share)[None, :, None] * late[:, None]
         if self.last is None:
             return kept
         last = n_frames.to(features.device) - 1
@@ -316,27 +347,12 @@ def _with_unit_directions(features: Tensor) -> Tensor:
     return torch.cat((features[..., : _DIRECTIONS.start], directions, features[..., _DIRECTIONS.stop :]), dim=-1)
 
 
-def _with_places_moved(features: Tensor, moves: Float[Tensor, "batch frames 2 3"], *, first: int) -> Tensor:
-    """Features with two neighbouring ankles or wrists moved; ``first`` counts among ankles and wrists."""
-    start = _PLACES.start + 3 * first
-    return features + functional.pad(moves.flatten(2), (start, features.shape[-1] - start - 6))
-
-
-def _planting_moves(toe: np.ndarray, on_floor: np.ndarray, given: Collection[int]) -> np.ndarray:
-    """Moves (n, 3) that keep a toe (n, 3) in one place during each run of ``on_floor``; none in the given frames."""
-    moves = np.zeros_like(toe)
-    edges = np.flatnonzero(np.diff(on_floor, prepend=False, append=False))
-    known = np.zeros(len(toe), dtype=bool)
-    for start, stop in edges.reshape(-1, 2):
-        kept = [frame for frame in given if start <= frame < stop]
-        place = toe[kept[0]] if kept else toe[start:stop].mean(axis=0)
-        moves[start:stop] = place - toe[start:stop]
-        known[start:stop] = True
-    for frame in given:
-        moves[frame] = 0.0
-        known[frame] = True
-    frames = np.arange(len(toe))
-    return np.stack([np.interp(frames, frames[known], axis[known]) for axis in moves.T], axis=1)
+def _turned_along(vectors: Tensor, source: Tensor, target: Tensor) -> Float[Tensor, "*batch 3"]:
+    """Vectors, turned by the smallest rotation that turns one unit vector into another (Rodrigues)."""
+    axis = torch.linalg.cross(source, target)
+    once = torch.linalg.cross(axis, vectors)
+    cos = (source * target).sum(dim=-1, keepdim=True)
+    return vectors + once + torch.linalg.cross(axis, once) / (1 + cos).clamp_min(_SHORTEST)
 
 
 def _two_bones(

@@ -190,7 +190,7 @@ class MotionModel:
         if self.configuration.features == "humanml3d":
             return decode(features)
         frame = goal_frame(condition, features)
-        return frame.decode(features, n_frames, self.configuration.fps, plant=True, reach=reach == "goal")
+        return frame.decode(features, n_frames, self.configuration.fps, steps=True, reach=reach == "goal")
 
 
 def network(configuration: DenoiserConfiguration) -> Denoiser | FrameDenoiser:

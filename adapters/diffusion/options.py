@@ -9,7 +9,8 @@ from prbench.errors import did_you_mean
 from prbench_adapters.diffusion.generation import SamplingSettings
 
 SAMPLING_OPTIONS = ("guidance", "sampler", "steps", "precision")
-_SAMPLERS = ("ddpm", "ddim")
+ONE_PASS = "one-pass"
+SAMPLERS = ("ddpm", "ddim")
 _PRECISIONS = ("float32", "bfloat16")
 
 
@@ -71,20 +72,23 @@ def choice(options: Mapping[str, str], key: str, values: tuple[str, ...], defaul
     return value
 
 
-def sampling_settings(options: Mapping[str, str], *, guidance: float, diffusion_steps: int) -> SamplingSettings:
-    """The options ``guidance``, ``sampler``, ``steps`` and ``precision``.
+def sampling_settings(
+    options: Mapping[str, str], *, guidance: float, diffusion_steps: int, samplers: tuple[str, ...] = SAMPLERS
+) -> SamplingSettings:
+    """The options ``guidance``, ``sampler``, ``steps`` and ``precision``; ``one-pass`` walks as ``ddim`` does.
 
     Args:
         options: As given.
         guidance: Of the method, unless given.
         diffusion_steps: Steps that the model was trained with.
+        samplers: Values of ``sampler`` that the method has, its default first.
 
     Raises:
         ValueError: naming the option with a value that is not possible.
     """
     return SamplingSettings(
         guidance=number(options, "guidance", guidance),
-        sampler="ddim" if choice(options, "sampler", _SAMPLERS) == "ddim" else "ddpm",
+        sampler="ddpm" if choice(options, "sampler", samplers) == "ddpm" else "ddim",
         steps=whole_number(options, "steps", most=diffusion_steps),
         precision="bfloat16" if choice(options, "precision", _PRECISIONS) == "bfloat16" else "float32",
     )

@@ -28,8 +28,11 @@ Denoise = Callable[[Tensor, int], Tensor]
 """Noisy features (batch, frames, features) and their index in the training schedule, to clean features."""
 _DrawNoise = Callable[[int], Tensor]
 """Index in the training schedule, to the standard normal noise (batch, frames, features) added in that step."""
+MOST_PASSES = 4
+"""Network passes that a motion in one go may take: sampling of weights with so few steps, and nothing else."""
 _Move = tuple[int, float, float]
 """Index in the training schedule; factors of the clean estimate and of the state in the next state."""
+_Factors = tuple[Float[np.ndarray, "*n"], Float[np.ndarray, "*n"]]
 
 
 class Chain:
@@ -175,15 +178,26 @@ def sample_ddim(
     return state
 
 
+def ddim_factors(here: Float[np.ndarray, "*n"], cleaner: Float[np.ndarray, "*n"]) -> _Factors:
+    """Factors of the clean estimate x0 and of the state x in the next state of a deterministic step.
+
+    √ᾱ' x0 + √(1 - ᾱ') ε with ε = (x - √ᾱ x0) / √(1 - ᾱ), collected by x0 and x.
+
+    Args:
+        here: ᾱ of the state.
+        cleaner: ᾱ' of the next one; 1 for clean features.
+    """
+    of_state = np.sqrt((1.0 - cleaner) / (1.0 - here))
+    return np.sqrt(cleaner) - np.sqrt(here) * of_state, of_state
+
+
 def _ddim_moves(schedule: CosineSchedule, steps: int, spacing: Spacing) -> Iterator[_Move]:
-    """√ᾱ' x0 + √(1 - ᾱ') ε with ε = (x - √ᾱ x0) / √(1 - ᾱ), collected by x0 and x; noisiest first."""
+    """All steps of a deterministic chain, the noisiest first."""
     chain = schedule.chain(steps, spacing)
+    # Factors are computed in float64 before the walk, so that no step rounds or waits for the device.
+    of_clean, of_state = ddim_factors(chain.alphas_cumprod, chain.alphas_cumprod_previous)
     for i in range(len(chain) - 1, -1, -1):
-        # Factors are computed in float64 before the walk, so that no step rounds or waits for the device.
-        here = chain.alphas_cumprod[i]
-        cleaner = chain.alphas_cumprod_previous[i]
-        of_state = math.sqrt((1.0 - cleaner) / (1.0 - here))
-        yield int(chain.indices[i]), math.sqrt(cleaner) - math.sqrt(here) * of_state, of_state
+        yield int(chain.indices[i]), float(of_clean[i]), float(of_state[i])
 
 
 def _walk(denoise: Denoise, state: Tensor, moves: list[_Move]) -> Tensor:

@@ -11,12 +11,14 @@ import torch
 
 from prbench.contract import Adapter
 from prbench.errors import UsageError
+from prbench.training.configuration import DEFAULT_STAGES
 from prbench.training.items import Goal, collate
 from prbench.training.task import TrainingData, split_model_table
 from prbench.training.weights import Weights, origin_of, read_weights
 from prbench_adapters.diffusion.condition import ConditionScaling, raw_condition_of_items
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
+from prbench_adapters.diffusion.distillation import Distillation, require_teacher, student_of
 from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
 from prbench_adapters.diffusion.goal_frame import GoalFrame, seen_condition
 from prbench_adapters.diffusion.model import (
@@ -33,6 +35,8 @@ FREE_TO_CHANGE = frozenset(
     {"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames", "uniform_skeleton"}
 )
 """Keys that fine-tuning may set otherwise than the weights that it starts from."""
+DISTIL = "distil"
+"""The stage in which a student learns from trained weights to make a motion in a few passes."""
 _TOGETHER = 64  # sequences whose features are measured at once
 _LEAST_FEATURE_STD = 0.05
 """Metres, or of a unit vector: bones that hardly turn are not blown up."""
@@ -50,6 +54,13 @@ class DiffusionTask:
     """Import name of the package with the method's ``<name>-<configuration>.toml``."""
     validating: Callable[[MotionModel], Adapter]
     """Makes the adapter that validation asks for motions, from the network as it is then."""
+    distilled: Callable[[MotionModel], Adapter] | None = None
+    """The same for a student; None for a method without the stage ``distil``."""
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Names that ``--stage`` may have."""
+        return DEFAULT_STAGES if self.distilled is None else (*DEFAULT_STAGES, DISTIL)
 
     def build(
         self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str
@@ -62,8 +73,9 @@ class DiffusionTask:
         Args:
             model: Keys of :class:`DenoiserConfiguration` and of :class:`Objective`.
             data: The training split.
-            initial: Weights to start from; parameters that they lack start as the network makes them.
-            stage: ``pretrain`` or ``finetune``.
+            initial: Weights to start from; parameters that they lack start as the network makes them. Of a student the
+                teacher's, which it has completely.
+            stage: ``pretrain``, ``finetune`` or, where there are students, ``distil``.
 
         Raises:
             UsageError: if the table does not describe such a model, or the data do not fit it.
@@ -80,6 +92,8 @@ class DiffusionTask:
         _require_one_skeleton(configuration, data)
         texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
         start = read_weights(initial, kind=KIND) if initial is not None else None
+        if stage == DISTIL:
+            return self._student(configuration, objective, texts, require_teacher(configuration, start))
         if start is not None:
             _require_fitting_start(configuration, start)
         statistics, scaling = _scales(configuration, start, data)
@@ -94,6 +108,28 @@ class DiffusionTask:
             objective=objective,
             validating=self.validating,
             origin=(texts.origin, *origin_of(start)),
+        )
+
+    def _student(
+        self, configuration: DenoiserConfiguration, objective: Objective, texts: TextVectors, start: Weights
+    ) -> Distillation:
+        """The student of the teacher in a weights file, with the teacher's scales."""
+        assert self.distilled is not None
+        teacher = network(start.configuration(DenoiserConfiguration))
+        start.load_into(teacher, "denoiser")
+        return Distillation(
+            student_of(teacher, configuration),
+            teacher,
+            statistics=stored_statistics(start, configuration),
+            scaling=stored_scaling(start, configuration),
+            texts=texts,
+            objective=objective,
+            validating=self.distilled,
+            origin=(
+                texts.origin,
+                f"distilled from {start.path.name}, sha256 {start.digest}, of {teacher.configuration.diffusion_steps}"
+                f" diffusion steps; network passes a motion: {configuration.diffusion_steps}",
+            ),
         )
 
     def _require_goal(self, configuration: DenoiserConfiguration, stage: str) -> None:

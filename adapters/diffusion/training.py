@@ -57,6 +57,8 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     the study. There alone the condition decides where a motion goes: afterwards the noisy motion shows it already."""
     text_drop: float = 0.2
     """Share of sequences whose text is replaced by the null text (*Prime and Reach*, section 5.1)."""
+    teacher_steps: int = 50
+    """Steps of the teacher's deterministic chain from noise to motion in the stage ``distil``, or all that it has."""
     loss_average: Literal["frames", "sequences"] = "frames"
     """Average a batch over its frames (P&R) or over its sequences.
 
@@ -218,29 +220,46 @@ class DiffusionTraining(TrainingModule):
         """
         draw = self.draw(batch, step)
         condition = self.condition(batch, draw.without_text)
-        features = self._features(batch, condition)
-        clean = ((features - self.mean) / self.std).masked_fill(batch.padding[..., None], 0.0)
-        signal = self.signal[draw.step][:, None, None]
-        noise = self.noise[draw.step][:, None, None]
-        predicted = self.denoiser(signal * clean + noise * draw.noise, draw.step, condition, batch.n_frames)
+        clean = self.standardised(batch, condition)
+        predicted = self.denoiser(self.noisy(clean, draw), draw.step, condition, batch.n_frames)
         with torch.autocast(clean.device.type, enabled=False):  # joints are cumulative sums: float32 only
-            return self._losses(predicted.float(), clean, batch, condition)
+            return self.losses_of(predicted.float(), clean, batch, condition)
 
-    def _features(
+    def standardised(
         self, batch: MotionBatch, condition: EncodedCondition
     ) -> Float[torch.Tensor, "batch frames features"]:
+        """The features of the recorded motions as the network sees them; zeros in padding."""
         if self.denoiser.configuration.features == "humanml3d":
-            return batch.features
-        return goal_frame(condition, batch.joints).encode(batch.joints, batch.fps)
+            features = batch.features
+        else:
+            features = goal_frame(condition, batch.joints).encode(batch.joints, batch.fps)
+        return ((features - self.mean) / self.std).masked_fill(batch.padding[..., None], 0.0)
 
-    def _losses(
+    def noisy(
+        self, clean: Float[torch.Tensor, "batch frames features"], draw: Draw
+    ) -> Float[torch.Tensor, "batch frames features"]:
+        """Standardised features with noise of the strength of each sequence's step."""
+        signal = self.signal[draw.step][:, None, None]
+        noise = self.noise[draw.step][:, None, None]
+        return signal * clean + noise * draw.noise
+
+    def joints_of(
+        self,
+        standardised: Float[torch.Tensor, "batch frames features"],
+        batch: MotionBatch,
+        condition: EncodedCondition,
+    ) -> Float[torch.Tensor, "batch frames 22 3"]:
+        """Joints of standardised features, canonical frame, metres."""
+        features = standardised * self.std + self.mean
+        if self.denoiser.configuration.features == "humanml3d":
+            return decode(features)
+        return goal_frame(condition, features).decode(features, batch.n_frames, batch.fps)
+
+    def losses_of(
         self, predicted: torch.Tensor, clean: torch.Tensor, batch: MotionBatch, condition: EncodedCondition
     ) -> dict[str, torch.Tensor]:
-        features = predicted * self.std + self.mean
-        if self.denoiser.configuration.features == "humanml3d":
-            joints = decode(features)
-        else:
-            joints = goal_frame(condition, features).decode(features, batch.n_frames, batch.fps)
+        """The loss and its parts, of standardised features against ``clean`` and of joints against the batch's."""
+        joints = self.joints_of(predicted, batch, condition)
         found = losses(self.objective, predicted, clean, joints, batch.joints, batch.padding)
         scored = scored_losses(self.objective, joints, batch)
         return {**found, **scored, "loss": found["loss"] + scored["loss"]}

@@ -29,16 +29,15 @@ _GUIDANCE = 1.0  # the conditional estimate alone (docs/specification/pr-model.m
 _MODES = ("fast", "paper", "off")
 _BONES = ("predicted", "initial")
 _OBSTACLES = ("ignore", "avoid")
+_SAMPLING_ALONE = ("sampler", "steps", "reach")
 
 
 @dataclass(frozen=True)
 class Generation:
     """Settings by which motions are made from conditions."""
 
-    sampling: SamplingSettings
-    """Without optimisation."""
-    optimisation: OptimisationSettings | None
-    """None for plain sampling."""
+    settings: SamplingSettings | OptimisationSettings
+    """Of plain sampling, or of noise optimisation."""
     own_bones: bool = False
     """Keep the bone lengths of the initial pose in sampled motions; an optimisation has its own setting."""
     avoids_obstacles: bool = False
@@ -98,15 +97,16 @@ class PR:
 
     def _made(self, trained: TrainedFor, batch: ConditionBatch) -> Motions:
         generation = trained.generation
-        if generation.optimisation is None:
-            from prbench_adapters.diffusion.batches import on_own_bones
-            from prbench_adapters.diffusion.generation import generate
+        from prbench_adapters.diffusion.generation import SamplingSettings, generate
 
-            motions = generate(trained.model, batch, generation.sampling)
+        if isinstance(generation.settings, SamplingSettings):
+            from prbench_adapters.diffusion.batches import on_own_bones
+
+            motions = generate(trained.model, batch, generation.settings)
             return on_own_bones(motions, batch) if generation.own_bones else motions
         from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised
 
-        return generate_optimised(trained.model, batch, generation.optimisation)
+        return generate_optimised(trained.model, batch, generation.settings)
 
     def _trained_for(self, condition: Condition) -> TrainedFor:
         if condition in self.models:
@@ -122,11 +122,11 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     """Entry point ``pr``.
 
     Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the other
-    ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`; ``guidance`` (1),
-    ``steps``; without optimisation also ``sampler`` (ddpm or ddim) and ``reach`` (predicted, or goal: a wrist is led to
-    a goal location at the end); ``bones`` (predicted, or initial for the initial pose's lengths); ``obstacles``
-    (ignore, or avoid: finished motions are led around the scene's boxes); ``text-path`` (files of the text encoder, if
-    the weights need one that has some).
+    ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`; without optimisation
+    ``sampler`` (ddpm, ddim, or one-pass for weights of one to four steps, which needs no ``optimise=off``), ``steps``
+    and ``reach`` (predicted, or goal: a wrist is led to a goal location at the end); ``guidance`` (1); ``bones``
+    (predicted, or initial for the initial pose's lengths); ``obstacles`` (ignore, or avoid: finished motions are led
+    around the scene's boxes); ``text-path`` (files of the text encoder, if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
@@ -158,24 +158,39 @@ def training_task() -> DiffusionTask:
     """Make the task of ``prbench train --method pr``: text, initial state and goal. Pre-training may be ``mdm``'s."""
     from prbench_adapters.diffusion.tasks import DiffusionTask
 
-    goals = ("pose", "location")
-    return DiffusionTask("pr", goals=goals, configurations="prbench_adapters.pr", validating=_in_training)
+    return DiffusionTask(
+        "pr",
+        goals=("pose", "location"),
+        configurations="prbench_adapters.pr",
+        validating=_in_training,
+        distilled=_student_in_training,
+    )
 
 
 def _in_training(model: MotionModel) -> Adapter:
     """The method that a training is validated with: no noise optimisation, and in pre-training no goal."""
     from prbench_adapters.diffusion.generation import SamplingSettings
 
-    goal = model.configuration.goal
-    if goal == "none":
+    if model.configuration.goal == "none":
         return TextSampler(model, IN_TRAINING, SamplingSettings(guidance=TEXT_GUIDANCE))
-    condition = next(key for key, kind in GOALS.items() if kind == goal)
-    return PR({condition: TrainedFor(model, IN_TRAINING, Generation(SamplingSettings(guidance=_GUIDANCE), None))})
+    return _sampling(model, SamplingSettings(guidance=_GUIDANCE))
+
+
+def _student_in_training(model: MotionModel) -> Adapter:
+    """The method that a student is validated with: its passes, as ``sampler=one-pass`` takes them."""
+    from prbench_adapters.diffusion.generation import SamplingSettings
+
+    return _sampling(model, SamplingSettings(guidance=_GUIDANCE, sampler="ddim"))
+
+
+def _sampling(model: MotionModel, settings: SamplingSettings) -> PR:
+    condition = next(key for key, kind in GOALS.items() if kind == model.configuration.goal)
+    return PR({condition: TrainedFor(model, IN_TRAINING, Generation(settings))})
 
 
 def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Condition, ...]) -> TrainedFor:
     from prbench_adapters.diffusion.model import MotionModel
-    from prbench_adapters.diffusion.options import choice
+    from prbench_adapters.diffusion.options import ONE_PASS, choice
 
     model = MotionModel.load(path, device, text_path=options.get("text-path"))
     wanted = [GOALS[condition] for condition in allowed]
@@ -189,8 +204,27 @@ def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Co
             f"option 'reach': weights {path}: expected a model of goal-frame features, found one of"
             f" {model.configuration.features}. Leave the option out, or choose other weights."
         )
+    if options.get("sampler") == ONE_PASS:
+        _require_few_steps(model, path)
     avoids = choice(options, "obstacles", _OBSTACLES) == "avoid"
     return TrainedFor(model, path, replace(_generation(options, model.configuration), avoids_obstacles=avoids))
+
+
+def _require_few_steps(model: MotionModel, path: Path) -> None:
+    """Refuse weights of too many steps for ``sampler=one-pass``.
+
+    Raises:
+        AdapterError: with the command that distils them.
+    """
+    from prbench_adapters.diffusion.sampling import MOST_PASSES
+
+    steps = model.configuration.diffusion_steps
+    if steps > MOST_PASSES:
+        raise AdapterError(
+            f"option 'sampler': one-pass takes 1 to {MOST_PASSES} network passes, but weights {path} need {steps}."
+            " Make weights that need fewer (with the --config of these): `prbench train --method pr --stage distil"
+            f" --init {path} --data TABLE… --out DIR`. Or choose optimise=off."
+        )
 
 
 def _generation(options: Mapping[str, str], configuration: DenoiserConfiguration) -> Generation:
@@ -203,25 +237,38 @@ def _generation(options: Mapping[str, str], configuration: DenoiserConfiguration
         optimisation_settings,
         paper,
     )
-    from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, choice, sampling_settings
+    from prbench_adapters.diffusion.options import ONE_PASS, SAMPLERS, choice, number, sampling_settings
 
-    diffusion_steps = configuration.diffusion_steps
-    sampling = sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=diffusion_steps)
+    steps = configuration.diffusion_steps
+    if options.get("sampler") == ONE_PASS:
+        options = _of_one_pass(options)
     mode = choice(options, "optimise", _MODES)
     if mode == "off":
-        idle = [key for key in PRIME_AND_REACH_OPTIONS if key in options and key not in ("bones", *SAMPLING_OPTIONS)]
+        idle = [key for key in PRIME_AND_REACH_OPTIONS if key in options and key not in ("bones", "precision")]
         if idle:
             raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=fast or paper.")
+        samplers = (*SAMPLERS, ONE_PASS)
+        sampling = sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=steps, samplers=samplers)
         reach = cast(Reach, choice(options, "reach", get_args(Reach)))
-        return Generation(replace(sampling, reach=reach), None, own_bones=choice(options, "bones", _BONES) == "initial")
-    if "reach" in options:
-        raise ValueError("option 'reach': noise optimisation reaches by itself; choose optimise=off.")
-    # ddpm is also the default of plain sampling, so only a user's own word is refused.
-    if sampling.sampler == "ddpm" and "sampler" in options:
-        raise ValueError("option 'sampler': noise optimisation needs a fixed map from noise to motion, which is ddim.")
-    if "steps" in options and "ddim-steps" in options:
-        raise ValueError("options 'steps' and 'ddim-steps' mean the same in noise optimisation; give one of them.")
+        return Generation(replace(sampling, reach=reach), own_bones=choice(options, "bones", _BONES) == "initial")
+    idle = [key for key in _SAMPLING_ALONE if key in options]
+    if idle:
+        raise ValueError(
+            f"option '{idle[0]}' belongs to sampling without noise optimisation; choose optimise=off, or leave it out."
+        )
     quick = finishing if configuration.features == "goal-frame" else fast
-    preset = {"fast": quick, "paper": paper}[mode](diffusion_steps)
-    preset = replace(preset, guidance=sampling.guidance, ddim_steps=sampling.steps or preset.ddim_steps)
-    return Generation(sampling, optimisation_settings(options, preset, diffusion_steps=diffusion_steps))
+    preset = {"fast": quick, "paper": paper}[mode](steps)
+    preset = replace(preset, guidance=number(options, "guidance", _GUIDANCE))
+    return Generation(optimisation_settings(options, preset, diffusion_steps=steps))
+
+
+def _of_one_pass(options: Mapping[str, str]) -> dict[str, str]:
+    """The options with what ``sampler=one-pass`` means: all steps of the weights, and no optimisation.
+
+    Raises:
+        ValueError: for an option that would add passes or leave some out.
+    """
+    for key, idle in (("optimise", "off"), ("guidance", "1"), ("steps", None)):
+        if key in options and options[key] != idle:
+            raise ValueError(f"option '{key}': sampler=one-pass takes the passes of the weights alone; leave it out.")
+    return {**options, "optimise": "off"}

@@ -47,13 +47,17 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
 
 @command(
     "train",
-    example="prbench train --method pr --config small --stage finetune --data tables/adt --init mdm.safetensors"
-    " --out trained/pr",
+    example="prbench train --method pr --stage distil --data tables/adt --init trained/pr/weights.safetensors"
+    " --out trained/pr-one-pass",
     resumes=True,
     report=TrainReport,
 )
 @click.option("--method", required=True, metavar="NAME", help="What to train: mdm, pr, t2m-evaluator …")
-@click.option("--stage", metavar="STAGE", help="pretrain or finetune (default: the method's first).")
+@click.option(
+    "--stage",
+    metavar="STAGE",
+    help="pretrain, finetune or, for pr, distil: fewer passes (default: the method's first).",
+)
 @data_option(required=False, help="Built dataset or corpus folder(s), whose split 'train' is learnt from.")
 @out_folder_option("Training folder: checkpoints, logs, weights; an interrupted training goes on in it.")
 @click.option(

@@ -159,7 +159,7 @@ class TrainingTask(Protocol):
             model: The table ``[model]`` of the configuration, as it is in the TOML file.
             data: The training split.
             initial: A weights file to start from (``--init``), or None to start from nothing.
-            stage: ``pretrain`` or ``finetune``.
+            stage: One of ``stages``.
 
         Raises:
             PrbenchError: if the table does not describe a model, or the initial weights do not fit it.

@@ -75,20 +75,20 @@ class Weights:
             apart_from: Its fields that may differ.
 
         Raises:
-            InputFileError: naming the first field that differs, and how to keep the old value.
+            InputFileError: naming the first field that differs, and how to keep the old values of all.
         """
         old = self.configuration(type(configuration))
-        for name in configuration.__struct_fields__:
-            wanted = getattr(configuration, name)
-            found = getattr(old, name)
-            if name not in apart_from and wanted != found:
-                raise InputFileError(
-                    self.path,
-                    f"configuration.{name}",
-                    expected=f"{wanted}, as in the configuration of this training",
-                    found=f"{found}",
-                    remedy=f"Add --set {_setting(name, found)}, or start from other weights.",
-                )
+        fields = [name for name in configuration.__struct_fields__ if name not in apart_from]
+        different = [name for name in fields if getattr(configuration, name) != getattr(old, name)]
+        if different:
+            settings = " ".join(f"--set {_setting(name, getattr(old, name))}" for name in different)
+            raise InputFileError(
+                self.path,
+                f"configuration.{different[0]}",
+                expected=f"{getattr(configuration, different[0])}, as in the configuration of this training",
+                found=f"{getattr(old, different[0])}",
+                remedy=f"Add {settings}, or start from other weights.",
+            )
 
     def require_representation(self, mode: str) -> None:
         """Refuse weights of other features than the configuration in the same header says.

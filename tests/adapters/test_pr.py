@@ -10,7 +10,7 @@ import pytest
 
 from prbench.contract import Condition, Motions
 from prbench.errors import AdapterError, InputFileError
-from prbench.skeleton import BONES
+from prbench.skeleton import BONES, Joint
 from prbench_adapters.diffusion import bundled
 from prbench_adapters.pr import PR, load
 from tests.adapters.diffusion import tiny
@@ -54,8 +54,58 @@ def test_the_motion_depends_on_its_goal(weights, condition):
 def test_a_wrist_is_led_to_the_goal_only_by_weights_that_can(weights):
     with pytest.raises(AdapterError, match=r"option 'reach'.* expected a model of goal-frame features"):
         load(weights[Condition.GOAL_LOCATION], options={**SAMPLING, "reach": "goal"}, device="cpu")
-    with pytest.raises(ValueError, match="option 'reach': noise optimisation reaches by itself"):
-        load(weights[Condition.GOAL_LOCATION], options={"reach": "predicted"}, device="cpu")
+
+
+@pytest.fixture(scope="module")
+def few_steps(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Weights of goal-frame features that make a motion in two passes."""
+    features = {"architecture": "frames", "features": "goal-frame", "goal": "location", "diffusion_steps": 2}
+    return tiny.write(tmp_path_factory.mktemp("few") / "few.safetensors", **features)
+
+
+def test_one_pass_takes_the_passes_of_the_weights_and_nothing_else(few_steps):
+    adapter = load(few_steps, options={"sampler": "one-pass"}, device="cpu")
+    motions = _generate(adapter, Condition.GOAL_LOCATION)
+    assert motions.cost is not None
+    assert motions.cost.network_passes == 3 * 2
+    walked = load(few_steps, options={**SAMPLING, "sampler": "ddim"}, device="cpu")
+    assert _largest_change(motions, _generate(walked, Condition.GOAL_LOCATION)) == 0.0
+    said_twice = load(few_steps, options={**SAMPLING, "sampler": "one-pass"}, device="cpu")
+    assert _largest_change(motions, _generate(said_twice, Condition.GOAL_LOCATION)) == 0.0
+
+
+def test_one_pass_is_refused_for_weights_of_many_steps_with_the_command_that_distils_them(weights):
+    with pytest.raises(
+        AdapterError, match=r"1 to 4 network passes, but weights .*location\.safetensors need 8\. .*"
+    ) as no:
+        load(weights[Condition.GOAL_LOCATION], options={"sampler": "one-pass"}, device="cpu")
+    command = (
+        f"`prbench train --method pr --stage distil --init {weights[Condition.GOAL_LOCATION]} --data TABLE… --out DIR`"
+    )
+    assert command in str(no.value)
+
+
+@pytest.mark.parametrize(
+    "more", [{"optimise": "fast"}, {"optimise": "paper"}, {"guidance": "2"}, {"steps": "1"}, {"iterations": "3"}]
+)
+def test_one_pass_is_combined_with_nothing_that_adds_or_saves_passes(few_steps, more):
+    with pytest.raises(ValueError, match=f"option '{next(iter(more))}'"):
+        load(few_steps, options={"sampler": "one-pass", **more}, device="cpu")
+
+
+def test_leading_a_wrist_to_the_goal_changes_the_last_half_second_alone(few_steps):
+    batch = conditions(Condition.GOAL_LOCATION)
+    assert batch.goal_location is not None
+    one_pass = {"sampler": "one-pass"}
+    predicted = _generate(load(few_steps, options=one_pass, device="cpu"), batch.condition)
+    led = _generate(load(few_steps, options={**one_pass, "reach": "goal"}, device="cpu"), batch.condition)
+    for row, n in enumerate(batch.n_frames):
+        unchanged = n - 1 - round(0.5 * batch.fps)
+        before = (led.joints[row, : unchanged + 1], predicted.joints[row, : unchanged + 1])
+        np.testing.assert_allclose(*before, rtol=0, atol=1e-6)
+        wrists = led.joints[row, n - 1, [Joint.LEFT_WRIST, Joint.RIGHT_WRIST]]
+        assert np.linalg.norm(wrists - batch.goal_location[row], axis=1).min() < 0.06
+        assert np.abs(led.joints[row, n - 1] - predicted.joints[row, n - 1]).max() > 0.01
 
 
 @pytest.mark.parametrize("field", ["initial_joints", "previous_joints"])
@@ -216,11 +266,13 @@ def test_bones_can_keep_the_lengths_of_the_initial_pose(weights, options):
         ({"guidence": "2"}, "unknown option 'guidence'. Did you mean 'guidance'"),
         ({"initial-frames": "2"}, "unknown option 'initial-frames'"),
         ({"optimise": "off", "hand": "left"}, "'hand' belongs to noise optimisation"),
-        ({"optimise": "fast", "sampler": "ddpm"}, "needs a fixed map from noise to motion"),
+        ({"optimise": "fast", "sampler": "ddim"}, "'sampler' belongs to sampling without noise optimisation"),
+        ({"steps": "5"}, "'steps' belongs to sampling without noise optimisation"),
+        ({"reach": "predicted"}, "'reach' belongs to sampling without noise optimisation"),
+        ({"optimise": "off", "sampler": "heun"}, "expected ddpm or ddim or one-pass, found 'heun'"),
         ({"optimise": "slow"}, "option 'optimise': expected"),
         ({"hand": "both"}, "option 'hand': expected"),
-        ({"steps": "9"}, "from 1 to 8, found '9'"),
-        ({"steps": "5", "ddim-steps": "5"}, "mean the same"),
+        ({"optimise": "off", "steps": "9"}, "from 1 to 8, found '9'"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(weights, options, message):

@@ -169,6 +169,13 @@ def test_other_files_are_refused_in_words(make, message, tmp_path):
     assert str(path) in str(refused.value)
 
 
+def test_all_settings_that_differ_are_named_at_once(tensors, tmp_path):
+    header = {**HEADER, "configuration": msgspec.json.encode(Layered(widths=(8,), reference=True)).decode()}
+    write_weights(tmp_path / "w.safetensors", tensors, header, {})
+    with pytest.raises(InputFileError, match=re.escape("Add --set 'model.widths=[8]' --set model.reference=true, or")):
+        read_weights(tmp_path / "w.safetensors").require_same(Layered(), apart_from=())
+
+
 def test_weights_of_another_kind_or_representation_are_refused(path):
     with pytest.raises(InputFileError, match="'kind': expected 't2m-evaluator', found 'denoiser'"):
         read_weights(path, kind="t2m-evaluator")

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from importlib import resources
 
+import msgspec
 import pytest
 
 from prbench.manifests import load_protocol
 from prbench.training.configuration import TrainingConfiguration, list_configurations, load_configuration
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.model import network
+from prbench_adapters.diffusion.sampling import MOST_PASSES
 from prbench_adapters.diffusion.tasks import FREE_TO_CHANGE, read_model_table
 from prbench_adapters.diffusion.training import Objective
 
@@ -48,8 +50,8 @@ def test_shown_commands_name_the_stage_without_which_a_goal_is_never_learnt(task
     for command in re.findall(r"prbench train .*", text):
         stage = re.search(r"--stage (\w+)", command)
         assert stage is not None, command
-        starts_from_prior = stage[1] == "finetune" and (task, name) != ("pr", "small")
-        assert starts_from_prior is ("--init" in command), command
+        needs_prior = stage[1] == "finetune" and (task, name) != ("pr", "small")
+        assert (needs_prior or stage[1] == "distil") is ("--init" in command), command
 
 
 @pytest.mark.parametrize("name", ["paper", "smoke"])
@@ -60,6 +62,17 @@ def test_fine_tuning_may_start_from_the_pretrained_model_of_the_same_size(name):
     assert prior == also
     for field in set(DenoiserConfiguration.__struct_fields__) - FREE_TO_CHANGE:
         assert getattr(prior, field) == getattr(tuned, field), field
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_student_differs_from_its_teacher_in_its_few_passes_alone(name):
+    teacher, taught_by = read_model_table(_load("pr", name, "finetune").model)
+    student, objective = read_model_table(_load("pr", name, "distil").model)
+    assert student.diffusion_steps < teacher.diffusion_steps
+    assert student.diffusion_steps <= MOST_PASSES
+    alike = {"diffusion_steps": teacher.diffusion_steps, "dropout": teacher.dropout}
+    assert msgspec.structs.replace(student, **alike) == teacher
+    assert msgspec.structs.replace(objective, text_drop=taught_by.text_drop) == taught_by
 
 
 def test_the_paper_configurations_hold_the_numbers_of_the_study():

@@ -39,7 +39,7 @@ def _walk(seed: int = 0, batch: int = 2) -> torch.Tensor:
 
 
 def _raw(joints: torch.Tensor, goal: torch.Tensor) -> torch.Tensor:
-    velocity = torch.full((len(joints), 66), 0.1)
+    velocity = (joints[:, 1] - joints[:, 0]).flatten(1) * FPS
     return torch.cat((joints[:, 0].flatten(1), velocity, goal.flatten(1)), dim=1)
 
 
@@ -49,6 +49,7 @@ def _location(joints: torch.Tensor) -> torch.Tensor:
 
 JOINTS = _walk()
 LENGTHS = torch.tensor([FRAMES, FRAMES])
+_FIRST_ANKLE = N_POSE_FEATURES - 12
 
 
 @pytest.mark.parametrize("goal", ["location", "pose"])
@@ -64,7 +65,7 @@ def test_a_motion_is_decoded_from_its_features(goal):
 def test_whatever_a_network_says_bones_and_given_poses_are_kept(goal):
     frame = GoalFrame.of(_raw(JOINTS, _location(JOINTS) if goal == "location" else JOINTS[:, -1]))
     features = torch.randn((2, FRAMES, N_GOAL_FRAME_FEATURES), generator=torch.Generator().manual_seed(1))
-    found = frame.decode(features, LENGTHS, FPS, plant=True)
+    found = frame.decode(features, LENGTHS, FPS, steps=True)
     parents, children = np.transpose(BONES)
     lengths = (found[:, :, children] - found[:, :, parents]).norm(dim=-1)
     assert float((lengths / frame.lengths[:, None] - 1).abs().max()) < 2e-3
@@ -97,19 +98,32 @@ def test_padding_leaves_no_trace():
     wild = features.clone()
     wild[:, 10:] = 50.0
     short = torch.tensor([10, 10])
-    found = frame.decode(features, short, FPS, plant=True, reach=True)[:, :10]
-    torch.testing.assert_close(frame.decode(wild, short, FPS, plant=True, reach=True)[:, :10], found, rtol=0, atol=1e-5)
+    found = frame.decode(features, short, FPS, steps=True, reach=True)[:, :10]
+    torch.testing.assert_close(frame.decode(wild, short, FPS, steps=True, reach=True)[:, :10], found, rtol=0, atol=1e-5)
 
 
-def test_feet_that_are_said_to_be_planted_do_not_slide():
+def test_feet_that_glide_are_made_to_step():
     frame = GoalFrame.of(_raw(JOINTS, _location(JOINTS)))
-    features = frame.encode(JOINTS, FPS)
-    features[..., N_POSE_FEATURES:] = 0.0
-    features[:, 8:11, N_POSE_FEATURES] = 1.0  # the left foot
-    found = frame.decode(features, LENGTHS, FPS, plant=True)[:, :, TOES]
-    slid = found.diff(dim=1).norm(dim=-1)[0, 8:10]
-    assert float(slid[:, 0].max()) < 1e-3
-    assert float(slid[:, 1].min()) > 0.01, "the other foot goes on"
+    features = frame.encode(JOINTS[:, :1].repeat(1, FRAMES, 1, 1), FPS)
+    features[..., 1] -= 0.1  # bent knees reach farther than straight ones
+    ahead = torch.arange(FRAMES)[:, None] * torch.tensor([0.0, 0.0, 0.02])
+    for start in (0, _FIRST_ANKLE, _FIRST_ANKLE + 3):
+        features[..., start : start + 3] += ahead
+    gliding = frame.decode(features, LENGTHS, FPS)[:, 12:, TOES]
+    found = frame.decode(features, LENGTHS, FPS, steps=True)[:, 12:]
+    assert float(gliding.diff(dim=1).norm(dim=-1).amin()) > 0.01
+    assert float(found[:, :, TOES].diff(dim=1).norm(dim=-1).amin(dim=-1).max()) < 2e-3, "one foot stands"
+    knees = found[:, :, (Joint.LEFT_KNEE, Joint.RIGHT_KNEE)]
+    assert float(knees.diff(dim=1).norm(dim=-1).max()) * FPS < 3, "knees keep bending forwards"
+
+
+def test_the_second_frame_goes_on_with_the_initial_velocity():
+    raw = _raw(JOINTS, _location(JOINTS))
+    raw[:, 66:132] = 0.1  # m/s along each axis
+    frame = GoalFrame.of(raw)
+    found = frame.decode(frame.encode(JOINTS, FPS), LENGTHS, FPS)
+    pelvis = (found[:, 1] - found[:, 0])[:, Joint.PELVIS] * FPS
+    torch.testing.assert_close(pelvis, torch.full((2, 3), 0.1), rtol=0, atol=1e-3)
 
 
 def test_the_nearer_wrist_is_led_to_the_goal_at_the_end_and_nothing_changes_before():

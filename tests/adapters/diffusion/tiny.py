@@ -14,7 +14,8 @@ from prbench.training.weights import write_weights
 from prbench_adapters.diffusion.condition import ConditionScaling
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.model import MotionModel, TextVectors
+from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
+from prbench_adapters.diffusion.model import MotionModel, TextVectors, network
 
 TEXTS = ("The person moves across and picks an object.", "The person moves across and puts an object down there.")
 
@@ -34,47 +35,47 @@ def configuration(**changes: object) -> DenoiserConfiguration:
     return DenoiserConfiguration(**{**values, **changes})
 
 
-def denoiser(*, seed: int = 0, **changes: object) -> Denoiser:
+def denoiser(*, seed: int = 0, **changes: object) -> Denoiser | FrameDenoiser:
     """In evaluation mode; random numbers in every parameter, also in those that start at zero.
 
     Small enough that sampling does not blow up rounding, large enough that everything matters.
     """
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        network = Denoiser(configuration(**changes))
-        for name, parameter in network.named_parameters():
+        found = network(configuration(**changes))
+        for name, parameter in found.named_parameters():
             mean = 1.0 if name.endswith("norm.weight") else 0.0
             torch.nn.init.normal_(parameter, mean, 0.15 if parameter.ndim > 1 else 0.1)
-    return network.eval().requires_grad_(False)
+    return found.eval().requires_grad_(False)
 
 
-def statistics() -> tuple[torch.Tensor, torch.Tensor]:
+def statistics(columns: int = 263) -> tuple[torch.Tensor, torch.Tensor]:
     """Mean and standard deviation that give motions of some decimetres."""
-    return torch.linspace(-0.01, 0.01, 263), torch.full((263,), 0.02)
+    return torch.linspace(-0.01, 0.01, columns), torch.full((columns,), 0.02)
 
 
 def model(*, seed: int = 0, **changes: object) -> MotionModel:
     """The denoiser with statistics."""
-    network = denoiser(seed=seed, **changes)
-    mean, std = statistics()
-    size = network.configuration.condition_size
-    scaling = ConditionScaling.of(network.configuration, torch.zeros(size), torch.ones(size)) if size else None
-    return MotionModel(network, mean=mean, std=std, scaling=scaling, texts=TextVectors(text_encoder("hashed-ngrams")))
+    found = denoiser(seed=seed, **changes)
+    mean, std = statistics(found.configuration.n_features)
+    size = found.configuration.condition_size
+    scaling = ConditionScaling.of(found.configuration, torch.zeros(size), torch.ones(size)) if size else None
+    return MotionModel(found, mean=mean, std=std, scaling=scaling, texts=TextVectors(text_encoder("hashed-ngrams")))
 
 
 def write(path: Path, *, seed: int = 0, metadata: dict[str, str] | None = None, **changes: object) -> Path:
     """The same as a weights file."""
-    network = denoiser(seed=seed, **changes)
-    mean, std = statistics()
-    tensors = {f"denoiser.{name}": tensor for name, tensor in network.state_dict().items()}
+    found = denoiser(seed=seed, **changes)
+    mean, std = statistics(found.configuration.n_features)
+    tensors = {f"denoiser.{name}": tensor for name, tensor in found.state_dict().items()}
     tensors |= {"statistics.mean": mean, "statistics.std": std}
-    size = network.configuration.condition_size
+    size = found.configuration.condition_size
     if size:
         tensors |= {"condition.mean": torch.zeros(size), "condition.std": torch.ones(size)}
     header = {
         "kind": "denoiser",
-        "configuration": msgspec.json.encode(network.configuration).decode(),
-        "representation": f"humanml3d-263/{network.configuration.representation}",
+        "configuration": msgspec.json.encode(found.configuration).decode(),
+        "representation": f"humanml3d-263/{found.configuration.representation}",
     }
     write_weights(path, tensors, {**header, **(metadata or {})}, {})
     return path
