@@ -20,6 +20,9 @@ LARGEST_JSON = 2**29
 FARTHEST_COORDINATE = 100.0
 """Metres from the origin beyond which a coordinate of a generated motion is refused."""
 
+FARTHEST_EYES = 0.3
+"""Metres from the head joint beyond which the middle between the eyes lies in no head; people's are 0.1 m away."""
+
 LARGEST_FILE = 2 * 2**30
 """Bytes of a file that is read whole; the longest recordings' largest files hold half of it."""
 

@@ -147,6 +147,7 @@ class _Part:
         return self.denoiser.passes + self.decoded
 
     def motions(self) -> Float[np.ndarray, "rows frames 22 3"]:
+        """Generate the joints of the sequences, in the order of the batch that was given: canonical frame, metres."""
         if not self.settings.optimised:
             with torch.no_grad():
                 return self._joints(self._free()).cpu().numpy()

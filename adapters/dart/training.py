@@ -34,6 +34,7 @@ from prbench_adapters.dart.model import KIND, REPRESENTATION, DartModel, Feature
 from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
 from prbench_adapters.dart.rollout import next_history
 from prbench_adapters.dart.windows import Window, drawn_starts, primitives_of, window
+from prbench_adapters.diffusion.layers import TransformerLayer
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddpm
 from prbench_adapters.kinematics import rest_offsets
@@ -283,6 +284,11 @@ class DartTraining(TrainingModule):
             texts=self.texts,
         )
         return DartControl(model, Path("the networks in training"), DartSettings())
+
+    def hidden_matrices(self) -> tuple[nn.Parameter, ...]:
+        """The matrices of all transformer layers; without a gradient, those of the other network stay as they are."""
+        layers = (module for module in self.modules() if isinstance(module, TransformerLayer))
+        return tuple(matrix for layer in layers for matrix in layer.parameters() if matrix.ndim == 2)
 
     def gradient_groups(self) -> tuple[tuple[nn.Parameter, ...], ...]:
         """Each network's gradient is clipped by its own norm."""

@@ -62,6 +62,9 @@ class DenoiserConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=T
     representation: Literal["continuous", "reference"] = "continuous"
     fps: float = 20.0
     max_frames: int = 241
+    smoothed: bool = False
+    """Average neighbouring frames with weights 1, 2, 1 when HumanML3D's features are decoded, in training as well. That
+    leaves a fifth of the jerk of independent errors; not in the study. Goal-frame features are always averaged."""
     time_in_frames: bool = False
     """Put the time token also in front of the frames of a decoder.
 

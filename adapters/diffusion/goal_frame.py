@@ -147,7 +147,7 @@ class GoalFrame:
 
     def _pose(self, features: Tensor, n_frames: Tensor, fps: float) -> Float[Tensor, "batch frames 66"]:
         """Smooth features of unit directions, with the frames that are given."""
-        features = _smoothed(features[..., :N_POSE_FEATURES], n_frames)
+        features = smoothed(features[..., :N_POSE_FEATURES], n_frames)
         return self._kept(_with_unit_directions(features), n_frames, fps)
 
     def _joints(self, features: Float[Tensor, "batch frames 66"]) -> Float[Tensor, "batch frames 22 3"]:
@@ -334,7 +334,7 @@ def _unit(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
     return vectors / vectors.norm(dim=-1, keepdim=True).clamp_min(_SHORTEST)
 
 
-def _smoothed(features: Tensor, n_frames: Int[Tensor, " batch"]) -> Tensor:
+def smoothed(features: Tensor, n_frames: Int[Tensor, " batch"]) -> Tensor:
     """Average neighbouring frames with weights 1, 2, 1; the first and the last frame stay."""
     bend = functional.pad(features.diff(n=2, dim=1), (0, 0, 1, 1))
     frame = torch.arange(features.shape[1], device=features.device)

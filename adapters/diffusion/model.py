@@ -19,7 +19,7 @@ from prbench_adapters.diffusion.condition import ConditionScaling, EncodedCondit
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
-from prbench_adapters.diffusion.goal_frame import GoalFrame
+from prbench_adapters.diffusion.goal_frame import GoalFrame, smoothed
 from prbench_adapters.diffusion.sampling import CosineSchedule
 
 _MOST_TEXTS = 65_536
@@ -188,7 +188,7 @@ class MotionModel:
         features = normalised if normalised.dtype == torch.float64 else normalised.float()
         features = features * self.std + self.mean
         if self.configuration.features == "humanml3d":
-            return decode(features)
+            return decode(smoothed(features, n_frames) if self.configuration.smoothed else features)
         frame = goal_frame(condition, features)
         return frame.decode(features, n_frames, self.configuration.fps, steps=True, reach=reach == "goal")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,7 +13,7 @@ from prbench.contract import Adapter
 from prbench.errors import UsageError
 from prbench.training.configuration import DEFAULT_STAGES
 from prbench.training.items import Goal, collate
-from prbench.training.task import TrainingData, split_model_table
+from prbench.training.task import TrainingData, TrainingModule, split_model_table
 from prbench.training.weights import Weights, origin_of, read_weights
 from prbench_adapters.diffusion.condition import ConditionScaling, raw_condition_of_items
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
@@ -32,7 +32,7 @@ from prbench_adapters.diffusion.model import (
 from prbench_adapters.diffusion.training import DiffusionTraining, Objective
 
 FREE_TO_CHANGE = frozenset(
-    {"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames", "uniform_skeleton"}
+    {"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames", "smoothed", "uniform_skeleton"}
 )
 """Keys that fine-tuning may set otherwise than the weights that it starts from."""
 DISTIL = "distil"
@@ -56,16 +56,21 @@ class DiffusionTask:
     """Makes the adapter that validation asks for motions, from the network as it is then."""
     distilled: Callable[[MotionModel], Adapter] | None = None
     """The same for a student; None for a method without the stage ``distil``."""
+    others: Mapping[str, Callable[[Mapping[str, Any], TrainingData, Path | None], TrainingModule]] = field(
+        default_factory=dict
+    )
+    """Stages that train another network: by name, what makes its module from ``[model]``, data and initial weights."""
 
     @property
     def stages(self) -> tuple[str, ...]:
         """Names that ``--stage`` may have."""
-        return DEFAULT_STAGES if self.distilled is None else (*DEFAULT_STAGES, DISTIL)
+        own = () if self.distilled is None else (DISTIL,)
+        return (*DEFAULT_STAGES, *own, *self.others)
 
     def build(
         self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str
-    ) -> DiffusionTraining:
-        """Make the denoiser in its state before the first step.
+    ) -> TrainingModule:
+        """Make the denoiser, or the network of another stage, in its state before the first step.
 
         Statistics of features, and of the condition vector, come from the initial weights where these have them, else
         from the training split (docs/specification/pr-model.md#data-and-features).
@@ -81,6 +86,8 @@ class DiffusionTask:
             UsageError: if the table does not describe such a model, or the data do not fit it.
             InputFileError: if the initial weights do not fit it.
         """
+        if stage in self.others:
+            return self.others[stage](model, data, initial)
         configuration, objective = read_model_table(model)
         self._require_goal(configuration, stage)
         data.require_fit(

@@ -28,6 +28,7 @@ from prbench.training.weights import representation_entry, weights_header
 from prbench_adapters.diffusion.condition import ConditionScaling, EncodedCondition, raw_condition_of_items
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
+from prbench_adapters.diffusion.goal_frame import smoothed
 from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors, goal_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.diffusion.scored_losses import foot_loss, ray_loss, wrist_loss
@@ -251,8 +252,9 @@ class DiffusionTraining(TrainingModule):
     ) -> Float[torch.Tensor, "batch frames 22 3"]:
         """Joints of standardised features, canonical frame, metres."""
         features = standardised * self.std + self.mean
-        if self.denoiser.configuration.features == "humanml3d":
-            return decode(features)
+        configuration = self.denoiser.configuration
+        if configuration.features == "humanml3d":
+            return decode(smoothed(features, batch.n_frames) if configuration.smoothed else features)
         return goal_frame(condition, features).decode(features, batch.n_frames, batch.fps)
 
     def losses_of(

@@ -19,6 +19,7 @@ from prbench.skeleton import N_JOINTS
 from prbench_adapters.diffusion.batches import ModelBodies, SequenceNoise, on_own_bones, parts_of_similar_length
 from prbench_adapters.diffusion.bundled import own_weights
 from prbench_adapters.diffusion.generation import require_lengths
+from prbench_adapters.diffusion.goal_frame import smoothed
 from prbench_adapters.diffusion.method import SingleModelMethod, require_goals_within_reach
 from prbench_adapters.diffusion.options import choice, number, require_known, whole_number
 from prbench_adapters.gmd.features import decode_absolute
@@ -138,6 +139,8 @@ def _sample(
     keyframes = ends.root_keyframes()
     trajectory = sample_trajectory(trajectory_network, model.schedule, model.space, keyframes, noise, settings)
     features = sample_motion(motion_network, model.schedule, model.space, trajectory, ends, noise, settings)
+    if model.configuration.smoothed:
+        features = smoothed(features, n_frames)
     return decode_absolute(features).cpu().numpy(), trajectory_network.passes + motion_network.passes
 
 

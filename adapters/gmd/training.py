@@ -17,17 +17,26 @@ from prbench.representation.statistics import StatisticsAccumulator
 from prbench.training import MotionBatch
 from prbench.training.task import TrainingData, TrainingModule, split_model_table
 from prbench.training.weights import origin_of, read_weights, representation_entry, weights_header
+from prbench_adapters.diffusion.goal_frame import smoothed
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.diffusion.sampling import CosineSchedule
-from prbench_adapters.diffusion.training import Draw
+from prbench_adapters.diffusion.training import Draw, losses, scored_losses
+from prbench_adapters.diffusion.training import Objective as DenoiserObjective
 from prbench_adapters.gmd.adapter import GMD
-from prbench_adapters.gmd.features import N_ROOT, FeatureSpace, emphasis_projection, with_absolute_root
+from prbench_adapters.gmd.features import (
+    N_ROOT,
+    FeatureSpace,
+    decode_absolute,
+    emphasis_projection,
+    with_absolute_root,
+)
 from prbench_adapters.gmd.model import KIND, GMDModel, GMDNetworks, caption_vectors, stored_space
 from prbench_adapters.gmd.stages import GMDSettings
 from prbench_adapters.gmd.unet import GMDConfiguration, TemporalUNet
 
-FREE_TO_CHANGE = frozenset({"max_frames", "uniform_skeleton"})
+FREE_TO_CHANGE = frozenset({"max_frames", "smoothed", "uniform_skeleton"})
 """Keys that fine-tuning may set otherwise than the weights that it starts from."""
+_FEATURES_ALONE = DenoiserObjective(joint_loss_weight=0.0)
 
 
 class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -35,6 +44,17 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     text_drop: float = 0.1
     """Share of sequences whose text is hidden, so that guidance has an unconditional model."""
+    joint_loss_weight: float = 0.0
+    """Weight of the squared error of the decoded joints of the motion network, m²; this and the next three are losses
+    of the compared models (:class:`prbench_adapters.diffusion.training.Objective`), which GMD does not have."""
+    velocity_loss_weight: float = 0.0
+    """Weight of the squared error of their steps between neighbouring frames, m²."""
+    bone_loss_weight: float = 0.0
+    """Weight of the squared error of the bone vectors, m²."""
+    foot_loss_weight: float = 0.0
+    """Weight of the squared steps of planted toes, m²."""
+    path_step_weight: float = 0.0
+    """Weight of the squared differences between neighbouring frames' errors of the trajectory network; not in GMD."""
 
 
 class GMDTraining(TrainingModule):
@@ -71,7 +91,8 @@ class GMDTraining(TrainingModule):
         """Mean squared errors over the valid frames: of projected clean features, and of the trajectory's noise.
 
         Returns:
-            ``loss``, which is the sum of ``motion`` and ``trajectory``.
+            ``loss``, the weighted sum of ``motion`` (of features), ``trajectory`` and what else has a weight:
+            ``joints``, ``velocities`` and ``bones`` of the motion, and ``path_steps`` of the trajectory.
         """
         with torch.autocast(batch.features.device.type, enabled=False):
             space = self.space(batch.features.device)
@@ -86,11 +107,38 @@ class GMDTraining(TrainingModule):
         trajectory = self.draw(standardised[..., :N_ROOT], generator)
         clean = self._predicted(self.networks.motion, projected, motion, text, batch)
         noise = self._predicted(self.networks.trajectory, standardised[..., :N_ROOT], trajectory, text, batch)
-        losses = {
-            "motion": _mean_squared(clean - projected, batch.padding),
-            "trajectory": _mean_squared(noise - trajectory.noise, batch.padding),
+        with torch.autocast(batch.features.device.type, enabled=False):  # turned back into metres: float32 only
+            found = self._motion_losses(clean, projected, batch, space)
+            error = noise - trajectory.noise
+            path = _mean_squared(error, batch.padding)
+            steps = _mean_squared(error.diff(dim=1), batch.padding[:, 1:])
+        total = found.pop("loss") + path + self.objective.path_step_weight * steps
+        return {
+            "loss": total,
+            "motion": found.pop("features"),
+            "trajectory": path.detach(),
+            "path_steps": steps.detach(),
+            **found,
         }
-        return {"loss": losses["motion"] + losses["trajectory"], **{k: loss.detach() for k, loss in losses.items()}}
+
+    def _motion_losses(
+        self, clean: torch.Tensor, projected: torch.Tensor, batch: MotionBatch, space: FeatureSpace
+    ) -> dict[str, torch.Tensor]:
+        """The weighted losses of the motion network: of projected features, and of the joints that they decode to."""
+        objective = DenoiserObjective(
+            joint_loss_weight=self.objective.joint_loss_weight,
+            velocity_loss_weight=self.objective.velocity_loss_weight,
+            bone_loss_weight=self.objective.bone_loss_weight,
+            foot_loss_weight=self.objective.foot_loss_weight,
+        )
+        if objective == _FEATURES_ALONE:
+            loss = _mean_squared(clean - projected, batch.padding)
+            return {"loss": loss, "features": loss.detach()}
+        raw = space.restored(space.unprojected(clean))
+        joints = decode_absolute(smoothed(raw, batch.n_frames) if self.configuration.smoothed else raw)
+        found = losses(objective, clean, projected, joints, batch.joints, batch.padding)
+        scored = scored_losses(objective, joints, batch)
+        return {**found, **scored, "loss": found["loss"] + scored["loss"]}
 
     def draw(self, clean: Float[torch.Tensor, "batch frames columns"], generator: torch.Generator) -> Draw:
         """Draw for one network; numbers come from the CPU, so they are the same on every device."""
@@ -137,7 +185,7 @@ def _mean_squared(
 ) -> Float[torch.Tensor, ""]:
     """Over columns and valid frames."""
     summed = torch.where(padding[..., None], 0.0, error.square()).sum()
-    return summed / ((~padding).sum() * error.shape[-1])
+    return summed / ((~padding).sum() * error.shape[-1]).clamp_min(1)
 
 
 class GMDTask:

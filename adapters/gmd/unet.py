@@ -46,6 +46,9 @@ class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     statistics over padding too, so the length must not depend on the batch."""
     padding_step: int = 8
     """Motions that are longer than ``padded_frames`` are padded to the next multiple of this."""
+    smoothed: bool = False
+    """Average neighbouring frames with weights 1, 2, 1 when motions are decoded, in training as well, which leaves a
+    fifth of the jerk of independent errors. The first and the last frame stay."""
     uniform_skeleton: bool = False
     """True if the features are those of bodies rescaled to HumanML3D's skeleton.
 

@@ -22,13 +22,17 @@ if TYPE_CHECKING:
     from prbench_adapters.diffusion.model import MotionModel
     from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
     from prbench_adapters.diffusion.tasks import DiffusionTask
+    from prbench_adapters.pr.gaze.network import GazeNetwork
 
 DEFAULT_WEIGHTS = {Condition.GOAL_LOCATION: "pr-small-goal-loc", Condition.GOAL_POSE: "pr-small-goal-pose"}
+
+DEFAULT_GAZE_WEIGHTS = "pr-gaze"
 
 _GUIDANCE = 1.0  # the conditional estimate alone (docs/specification/pr-model.md#sampling-without-optimisation)
 _MODES = ("fast", "paper", "off")
 _BONES = ("predicted", "initial")
 _OBSTACLES = ("ignore", "avoid")
+_GAZE = ("head", "eyes")
 _SAMPLING_ALONE = ("sampler", "steps", "reach")
 
 
@@ -58,13 +62,15 @@ class PR:
 
     Args:
         models: By condition; those of one file or one folder may serve one condition only.
+        eyes: Network that adds gaze to finished motions; None for the head alone, as in the study.
     """
 
     name = "pr"
     conditions = frozenset(GOALS)
 
-    def __init__(self, models: Mapping[Condition, TrainedFor]) -> None:
-        self.models = dict(models)
+    def __init__(self, models: Mapping[Condition, TrainedFor], eyes: GazeNetwork | None = None) -> None:
+        self.models, self.eyes = dict(models), eyes
+        self.gaze = eyes is not None
         configurations = [trained.model.configuration for trained in self.models.values()]
         # One limit for the method: the harness asks for it before it knows the condition.
         self.max_frames = min(configuration.max_frames for configuration in configurations)
@@ -88,14 +94,19 @@ class PR:
         """
         trained = self._trained_for(batch.condition)
         require_goals_within_reach(batch, adapter=self.name)
-        motions = self._made(trained, batch)
-        if not trained.generation.avoids_obstacles:
+        motions = self._motions(trained, batch)
+        if trained.generation.avoids_obstacles:
+            from prbench_adapters.diffusion.obstacles import led_around
+
+            motions = led_around(motions, batch)
+        if self.eyes is None:
             return motions
-        from prbench_adapters.diffusion.obstacles import led_around
+        from prbench_adapters.pr.gaze.generation import with_gaze
 
-        return led_around(motions, batch)
+        # Last, because the eyes belong to the head as it finally moves.
+        return with_gaze(motions, batch, self.eyes)
 
-    def _made(self, trained: TrainedFor, batch: ConditionBatch) -> Motions:
+    def _motions(self, trained: TrainedFor, batch: ConditionBatch) -> Motions:
         generation = trained.generation
         from prbench_adapters.diffusion.generation import SamplingSettings, generate
 
@@ -126,7 +137,9 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     ``sampler`` (ddpm, ddim, or one-pass for weights of one to four steps, which needs no ``optimise=off``), ``steps``
     and ``reach`` (predicted, or goal: a wrist is led to a goal location at the end); ``guidance`` (1); ``bones``
     (predicted, or initial for the initial pose's lengths); ``obstacles`` (ignore, or avoid: finished motions are led
-    around the scene's boxes); ``text-path`` (files of the text encoder, if the weights need one that has some).
+    around the scene's boxes); ``text-path`` (files of the text encoder, if the weights need one that has some);
+    ``gaze`` (head, or eyes: motions with gaze) and ``gaze-weights`` (file or folder of ``prbench train --stage gaze``,
+    or the name of bundled ones).
 
     Args:
         weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
@@ -143,7 +156,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     from prbench_adapters.diffusion.noise_optimisation.settings import PRIME_AND_REACH_OPTIONS
     from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known
 
-    require_known(options, ("optimise", *SAMPLING_OPTIONS, "text-path", "reach", "obstacles", *PRIME_AND_REACH_OPTIONS))
+    own = ("optimise", "text-path", "reach", "obstacles", "gaze", "gaze-weights")
+    require_known(options, (*own, *SAMPLING_OPTIONS, *PRIME_AND_REACH_OPTIONS))
     if weights is None:
         paths = {condition: resolve(None, name) for condition, name in DEFAULT_WEIGHTS.items()}
         models = {condition: _load(path, device, options, (condition,)) for condition, path in paths.items()}
@@ -151,18 +165,24 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
         trained = _load(resolve(weights, ""), device, options, tuple(GOALS))
         goal = trained.model.configuration.goal
         models = {condition: trained for condition, kind in GOALS.items() if kind == goal}
-    return PR(models)
+    fps = next(iter(models.values())).model.configuration.fps
+    return PR(models, _eyes(options, device, fps))
 
 
 def training_task() -> DiffusionTask:
-    """Make the task of ``prbench train --method pr``: text, initial state and goal. Pre-training may be ``mdm``'s."""
+    """Make the task of ``prbench train --method pr``: text, initial state and goal. Pre-training may be ``mdm``'s.
+
+    The stage ``gaze`` trains the gaze network.
+    """
     from prbench_adapters.diffusion.tasks import DiffusionTask
+    from prbench_adapters.pr.gaze.training import STAGE, build
 
     return DiffusionTask(
         "pr",
         goals=("pose", "location"),
         configurations="prbench_adapters.pr",
         validating=_in_training,
+        others={STAGE: build},
         distilled=_student_in_training,
     )
 
@@ -208,6 +228,28 @@ def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Co
         _require_few_steps(model, path)
     avoids = choice(options, "obstacles", _OBSTACLES) == "avoid"
     return TrainedFor(model, path, replace(_generation(options, model.configuration), avoids_obstacles=avoids))
+
+
+def _eyes(options: Mapping[str, str], device: str, fps: float) -> GazeNetwork | None:
+    """Load the network of gaze, if it is asked for."""
+    from prbench_adapters.diffusion.bundled import resolve
+    from prbench_adapters.diffusion.options import choice
+
+    if choice(options, "gaze", _GAZE) == "head":
+        if "gaze-weights" in options:
+            raise ValueError("option 'gaze-weights': without gaze=eyes nothing uses them; add it, or leave them out.")
+        return None
+    from prbench_adapters.pr.gaze.network import load_network
+
+    given = options.get("gaze-weights")
+    path = resolve(None if given is None else Path(given), DEFAULT_GAZE_WEIGHTS)
+    network = load_network(path, device)
+    if network.configuration.fps != fps:
+        raise AdapterError(
+            f"option 'gaze-weights': {path}: expected gaze at {fps:g} frames a second, as the motions, found"
+            f" {network.configuration.fps:g}. Choose other weights."
+        )
+    return network
 
 
 def _require_few_steps(model: MotionModel, path: Path) -> None:

@@ -45,9 +45,9 @@ class Generation:
     """Change that led to the first frame: the recorded one, or noise as in the original."""
     deviation: float = 1.0
     """Standard deviation of the latent of every step."""
-    most_speed: float = math.inf
-    """Longest intention of the wrist, metres a second; infinity is the original's. A body that is late is then asked
-    for speeds that it never saw in training, and falls towards the goal (docs/methods/wandr.md)."""
+    most_speed: float | None = None
+    """Longest intention of the wrist, metres a second; None for what the network was trained with, infinity for no
+    limit."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,10 @@ class WANDR:
         assert batch.initial_joints is not None
         left = self._left_handed(batch)
         start, noise = self._start(_mirrored_where(left, batch))
-        joints = WORLD.to_y_up(roll_out(self.network, start, noise, self.generation.most_speed)).float().cpu().numpy()
+        most_speed = self.generation.most_speed
+        if most_speed is None:
+            most_speed = self.network.configuration.speed_limit
+        joints = WORLD.to_y_up(roll_out(self.network, start, noise, most_speed)).float().cpu().numpy()
         joints[left] = mirror(joints[left])
         # Fitting rotations and mirroring round; the first frame is given, to the bit.
         joints[:, 0] = batch.initial_joints
@@ -170,8 +173,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
     """Entry point ``wandr``.
 
     Options: ``hand`` (right, nearest, left), ``first-change`` (recorded, or random as in the original), ``deviation``
-    (1) of the latents, ``most-speed`` (0, which is no limit, as in the original) of the wrist's intention,
-    metres a second.
+    (1) of the latents, ``most-speed`` (that of the training; 0 is no limit, as in the original) of the wrist's
+    intention, metres a second.
 
     Args:
         weights: File, folder or name of bundled weights; None for ``wandr-small``.
@@ -184,12 +187,12 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
         ValueError: for options that are unknown or have impossible values.
     """
     require_known(options, ("hand", "first-change", "deviation", "most-speed"))
-    most_speed = number(options, "most-speed", 0.0)
+    most_speed = number(options, "most-speed", 0.0) or math.inf if "most-speed" in options else None
     generation = Generation(
         hand=cast(Hand, choice(options, "hand", get_args(Hand))),
         first_change=cast(_FirstChange, choice(options, "first-change", get_args(_FirstChange))),
         deviation=number(options, "deviation", 1.0),
-        most_speed=most_speed or math.inf,
+        most_speed=most_speed,
     )
     path = own_weights(WANDR.name, weights)
     return WANDR(load_network(path, device), path, generation)

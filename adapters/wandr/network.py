@@ -38,6 +38,10 @@ class WandrConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     original_deviation: bool = False
     """Draw the latent with exp(v) as its deviation, as the public program does, though its KL divergence takes v for a
     log-variance; otherwise with exp(v / 2). Only training draws from the encoder."""
+    most_speed: float = 0.0
+    """Longest intention of the wrist that the network is shown, metres a second, in training and in generation; 0 is no
+    limit, as in the original. A body that is late is then asked for speeds that no training motion has, and falls
+    towards the goal (docs/methods/wandr.md)."""
 
     def __post_init__(self) -> None:
         for name in ("layers", "widest", "latent"):
@@ -47,6 +51,13 @@ class WandrConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True
             raise ValueError(f"'dropout' must be in [0, 1), found {self.dropout}")
         if not self.fps > 0:
             raise ValueError(f"'fps' must be positive, found {self.fps}")
+        if self.most_speed < 0:
+            raise ValueError(f"'most_speed' must be at least 0, found {self.most_speed}")
+
+    @property
+    def speed_limit(self) -> float:
+        """The longest intention of the wrist, metres a second; infinite where there is no limit."""
+        return self.most_speed or math.inf
 
 
 class Standardisation(nn.Module):

@@ -99,14 +99,26 @@ def starts(recordings: Recordings, length: int) -> Places:
     return Places(row, frames[number])
 
 
-def goal_frames(recordings: Recordings, places: Places, generator: torch.Generator) -> Int[torch.Tensor, " places"]:
+def goal_frames(
+    recordings: Recordings, places: Places, generator: torch.Generator, *, pseudo_share: float = 0.0
+) -> Int[torch.Tensor, " places"]:
     """Choose the frame whose wrist position is the goal: the last one, or that of a pseudo goal.
 
     A pseudo goal is any later frame, all alike, in which the pelvis is 1.5 m or more away. Where there is none it is
-    the frame itself, which means that nothing is intended.
+    the frame itself, which means that nothing is intended, or the last frame of a motion that has a goal.
+
+    Args:
+        recordings: The recordings.
+        places: The frames that are on their way.
+        generator: Of the draws.
+        pseudo_share: Share of the places in motions with a goal that get a pseudo goal all the same.
     """
     last = recordings.n_frames[places.row] - 1
-    if bool(recordings.has_goal.all()):
+    has_goal = recordings.has_goal[places.row]
+    pretended = ~has_goal
+    if pseudo_share:
+        pretended = pretended | (torch.rand(len(last), generator=generator).to(last.device) < pseudo_share)
+    if not bool(pretended.any()):
         return last
     pelvis = recordings.joints[:, :, Joint.PELVIS]
     frames = torch.arange(pelvis.shape[1], device=pelvis.device)
@@ -114,8 +126,8 @@ def goal_frames(recordings: Recordings, places: Places, generator: torch.Generat
     possible = far & (frames > places.frame[:, None]) & (frames <= last[:, None])
     # The largest of uniform numbers is uniform among the possible frames; the others get -1 and are never chosen.
     drawn = torch.rand(possible.shape, generator=generator).to(pelvis.device).masked_fill(~possible, -1.0).argmax(1)
-    pseudo = torch.where(possible.any(dim=1), drawn, places.frame)
-    return torch.where(recordings.has_goal[places.row], last, pseudo)
+    otherwise = torch.where(has_goal, last, places.frame)
+    return torch.where(pretended, torch.where(possible.any(dim=1), drawn, otherwise), last)
 
 
 def _resampled(batch: MotionBatch, fps: float) -> tuple[torch.Tensor, torch.Tensor]:

@@ -18,7 +18,7 @@ from prbench_adapters.wandr.network import KIND, Standardisation, WandrConfigura
 from prbench_adapters.wandr.recordings import Recordings, starts
 from prbench_adapters.wandr.training import Objective, WandrTraining
 
-FREE_TO_CHANGE = frozenset({"dropout", "original_deviation"})
+FREE_TO_CHANGE = frozenset({"dropout", "original_deviation", "most_speed"})
 """Keys that fine-tuning may set otherwise than the weights that it starts from."""
 
 _MOST_MOTIONS = 4096

@@ -40,14 +40,23 @@ class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     in the first case; generation has none. In the second it must come from state and goal."""
     frames_per_step: int = 0
     """Number of frames of a batch that are drawn for a step, and as many for the network's own output; 0 takes all."""
+    frames_back: int = 1
+    """Frames in which a body that has strayed in a chunk is to be back at the recording. 1 is the original's: the whole
+    way back within one frame, which is a leap once a chunk is long. With more, the wanted change is the recorded one
+    with so small a part of the way back."""
+    pseudo_goals: float = 0.0
+    """Share of the frames of motions with a goal that are shown a pseudo goal instead, as the original's AMASS has
+    beside the goals of CIRCLE."""
 
     def __post_init__(self) -> None:
         for name in ("kl_weight", "free_bits", "joint_loss_weight", "frames_per_step"):
             if getattr(self, name) < 0:
                 raise ValueError(f"'{name}' must be at least 0, found {getattr(self, name)}")
-        for name in ("longest_chunk", "steps_per_chunk_frame"):
+        for name in ("longest_chunk", "steps_per_chunk_frame", "frames_back"):
             if getattr(self, name) < 1:
                 raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        if not 0 <= self.pseudo_goals <= 1:
+            raise ValueError(f"'pseudo_goals' must be between 0 and 1, found {self.pseudo_goals}")
 
 
 def delta_loss(
@@ -116,7 +125,7 @@ class WandrTraining(TrainingModule):
         condition = self._condition(
             recordings,
             places,
-            goal_frames(recordings, places, generator),
+            self._goal_frames(recordings, places, generator),
             state,
             delta=before.delta_to(state),
             joints=recordings.joints[places.index],
@@ -138,26 +147,39 @@ class WandrTraining(TrainingModule):
         )
         if length < 2 or not len(places.row):  # none in this step, or all motions are shorter
             return dict.fromkeys(("own_changes", "own_positions"), recordings.joints.new_zeros(()))
-        goals = goal_frames(recordings, places, generator)
+        goals = self._goal_frames(recordings, places, generator)
         state = recordings.states(places)
         delta = recordings.states(places.later(-1)).delta_to(state)
         joints = recordings.joints[places.index]
         offsets = recordings.offsets[places.row]
         recorded = recordings.states(places.following(length))
+        before = recordings.states(places)
         changes = []
         positions = []
         for step in range(length):
             here = places.later(step)
             # From the network's own state, so that it learns to come back from where it strayed.
             condition = self._condition(recordings, here, goals, state, delta=delta, joints=joints)
-            wanted = self.network.delta(state.delta_to(recorded[:, step]))
+            target = recordings.joints[here.later(1).index]
+            back = state.delta_to(recorded[:, step])
+            if self.objective.frames_back > 1:
+                # Rotations of one frame are so small that a part of their numbers is a part of the turn.
+                back = torch.lerp(before.delta_to(recorded[:, step]), back, 1 / self.objective.frames_back)
+                target = state.changed(back).joints(offsets).detach()
+                before = recorded[:, step]
+            wanted = self.network.delta(back)
             decoded = self._own_change(wanted, condition, generator)
             delta = clean_delta(self.network.delta.undone(decoded))
             state = state.changed(delta)
             joints = state.joints(offsets)
             changes.append(delta_loss(decoded, wanted))
-            positions.append(joint_loss(joints, recordings.joints[here.later(1).index]))
+            positions.append(joint_loss(joints, target))
         return {"own_changes": torch.stack(changes).mean(), "own_positions": torch.stack(positions).mean()}
+
+    def _goal_frames(
+        self, recordings: Recordings, places: Places, generator: torch.Generator
+    ) -> Int[torch.Tensor, " places"]:
+        return goal_frames(recordings, places, generator, pseudo_share=self.objective.pseudo_goals)
 
     def _condition(
         self,
@@ -188,6 +210,7 @@ class WandrTraining(TrainingModule):
             frames_left=left.clamp_min(1).to(joints),
             fps=self.network.configuration.fps,
             goal_heading=recordings.headings[places.row, goals],
+            most_speed=self.network.configuration.speed_limit,
         )
         return self.network.condition(state.seen(), delta, torch.where(left > 0, intention, 0.0))
 
@@ -208,6 +231,14 @@ class WandrTraining(TrainingModule):
             return self._reconstructed(wanted, condition, generator)[0]
         latent = torch.randn(len(condition), self.network.configuration.latent, generator=generator)
         return self.network.decode(latent.to(condition), condition)
+
+    def hidden_matrices(self) -> tuple[torch.nn.Parameter, ...]:
+        """The matrices of all layers but the first and the last of encoder and decoder."""
+        encoder, decoder = (
+            [parameter for parameter in stack.parameters() if parameter.ndim == 2]
+            for stack in (self.network.encoder, self.network.decoder)
+        )
+        return (*encoder[1:-1], *decoder[1:-1])
 
     def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         """The network with its statistics, and the header of its file."""

@@ -127,6 +127,7 @@ class _Training:
 
     @classmethod
     def bundled(cls) -> _Training:
+        """Read the statistics of the bundled weights, (features,) each, and the weights of their loss by its parts."""
         path = bundled_weights("pr-small-goal-loc")
         model = json.loads(path.with_suffix(".json").read_text())["configuration"]["model"]
         found = read_weights(path, kind=KIND)

@@ -136,6 +136,7 @@ def _answer(number: str, data: tuple[Path, ...], workers: int, report: AblationR
     )
 
     def show() -> None:
+        """Print the tables, the rows that failed, and the written files."""
         print_study_tables(tables)
         for name, reason in report.failed.items():
             print(f"failed: {name}: {reason}")

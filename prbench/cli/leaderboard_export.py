@@ -34,7 +34,7 @@ class BoardMetric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         marks: What a reader of the interval needs to know: ``few_recordings``, ``one_recording``, ``all_equal``.
         flags: Number of motions that carry each remark.
         detectable: Smallest difference to an unrelated method of the same spread that is found with 80 % power, among
-            the main metrics; null where nothing can be tested.
+            the metrics that are compared; null where nothing can be tested.
         uncertainty: Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``.
     """
 
@@ -88,6 +88,9 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         seed: Seed of the run.
         samples: Number of motions kept of each sequence.
         best_of: Number of motions drawn for each that was kept.
+        gaze: Whether the motions bring gaze that the method generated.
+        obstacles: Whether the method was given the solid boxes around each sequence.
+        carry_on: Whether every put starts where the generated pick before it ends.
         scored: Number of sequences behind the numbers.
         verified: Whether the scores were held against the motions.
         why_unverified: The reason why not; empty if they were.
@@ -114,6 +117,9 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     seed: int
     samples: int
     best_of: int
+    gaze: bool
+    obstacles: bool
+    carry_on: bool
     scored: int
     verified: bool
     why_unverified: str

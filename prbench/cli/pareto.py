@@ -164,10 +164,10 @@ def _scored(row: LeaderboardRow, info: MetricInfo, against: str) -> ScoredMethod
         note(f"left out: {row.run}: its {_COSTS[against]} are not known")
         return None
     name = f"{row.method} ({row.record.condition})" if not row.is_control else row.method
-    if not row.record.is_usual:
+    if row.summary.run_marks:
         note(f"{row.run}: {row.mark}")
         chosen = f", best of {row.record.best_of}" if row.record.best_of > 1 else ""
-        name = f"{name}{chosen} {row.summary.symbols}"
+        name = f"{name}{chosen} {row.summary.run_symbols}"
     # Copies of the recorded motion are no method: they are shown with their mark and stand on no front.
     if row.summary.hands_in_recordings:
         note(f"{row.run}: {row.mark}")

@@ -128,6 +128,7 @@ def study_answer(tables: Sequence[StudyTable], files: Sequence[Path], *, drawn: 
     written = [*([] if drawn is None else [drawn]), *files]
 
     def show() -> None:
+        """Print the tables and where they were written."""
         print_study_tables(tables)
         for path in written:
             print(f"written: {path}")

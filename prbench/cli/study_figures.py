@@ -248,6 +248,7 @@ def _figure_answer(scenes: Sequence[Scene], out: Path) -> Answer:
     report = FigureReport(out=out, sequences=[scene.sequence_id for scene in scenes], notices=notices)
 
     def show() -> None:
+        """Print which sequences were drawn, what was left out, and the file."""
         for scene in scenes:
             print(f"{scene.sequence_id}: {scene.title}")
         for notice in notices:

@@ -41,7 +41,7 @@ class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
         marks: What a reader of the interval has to know: ``few_recordings``, ``one_recording``, ``all_equal``.
         flags: Number of motions that carry each remark.
         detectable: Smallest difference to an unrelated method of the same spread that is found with 80 % power, among
-            the main metrics; null where nothing can be tested.
+            the metrics that are compared; null where nothing can be tested.
         uncertainty: Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``.
         means_nothing: The method stands still, so that this metric says nothing about it.
     """
@@ -92,7 +92,11 @@ class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
         recordings: Number of recordings that they come from.
         samples: Motions kept of each sequence.
         best_of: Motions drawn for each that was kept.
-        remark: That recorded motions were handed in, or that motions were chosen among several; empty otherwise.
+        gaze: The motions bring gaze that the method generated.
+        obstacles: The method was given the solid boxes around each sequence.
+        carry_on: Every put starts where the generated pick before it ends.
+        remark: That recorded motions were handed in, that motions were chosen among several, that they bring gaze, or
+            that the method was given boxes or carries on; empty otherwise.
         metrics: One entry a metric.
         agreement: Agreement with recorded people, and rates by the goal's place; null for merged folds and for runs of
             earlier versions.
@@ -110,6 +114,9 @@ class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
     recordings: int
     samples: int
     best_of: int
+    gaze: bool
+    obstacles: bool
+    carry_on: bool
     remark: str
     metrics: list[MetricScore]
     agreement: AgreementReport | None
@@ -157,6 +164,9 @@ def dataset_scores(
         recordings=summary.recordings,
         samples=summary.samples,
         best_of=summary.best_of,
+        gaze=summary.gaze,
+        obstacles=summary.obstacles,
+        carry_on=summary.carry_on,
         remark=summary.mark,
         metrics=metrics,
         agreement=agreement and agreement_report(agreement),
@@ -170,9 +180,9 @@ def agreement_report(agreement: DatasetAgreement) -> AgreementReport:
 
 def print_agreement(agreement: DatasetAgreement | None) -> None:
     """Print the agreement of the main rates in one line, if there is any."""
-    from prbench.metrics import METRICS
+    from prbench.metrics import GAZE_METRICS, METRICS
 
-    main = {info.id for info in METRICS if info.main}
+    main = {info.id for info in METRICS if info.main} | GAZE_METRICS
     parts = [f"{rate.title} {phi_cell(rate)}" for rate in agreement.rates if rate.metric in main] if agreement else []
     if parts:
         print(f"agreement with recorded people (phi): {', '.join(parts)}")
@@ -301,7 +311,7 @@ def print_datasets(
     origin: str,
     motionless: bool = False,
 ) -> None:
-    """Print the main metrics of one method on several datasets, one column a dataset, and their mean.
+    """Print main metrics of one method, and those of gaze, on several datasets, one column a dataset, and their mean.
 
     Below each rate stands its agreement with recorded people, and below the table what the datasets can decide.
 
@@ -311,16 +321,19 @@ def print_datasets(
         origin: Whose method it is, in words.
         motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
     """
-    from prbench.metrics import MAIN_METRICS
+    from prbench.metrics import GAZE_METRICS, MAIN_METRICS, METRICS
     from prbench.runs.means import means_over_datasets
 
     first = summaries[0]
+    by_gaze = [info for info in METRICS if info.id in GAZE_METRICS]
+    # Beside what the head does; recorded motion, whose eyes were measured, has them too.
+    shown = (*MAIN_METRICS, *(info for info in by_gaze if all(each.metric(info.id) for each in summaries)))
     means = means_over_datasets(summaries)
     irrelevant = _irrelevant(motionless)
     is_wide = shown_width() >= _WIDE
     rows: list[tuple[str, ...]] = []
     rows.append(("sequences (recordings)", *(f"{each.sequences} ({each.recordings})" for each in summaries), ""))
-    for info in MAIN_METRICS:
+    for info in shown:
         if info.id in irrelevant:
             rows.append((_with_unit(info), *[_DASH] * (len(summaries) + 1)))
             continue
@@ -344,8 +357,8 @@ def print_datasets(
     for each in summaries:
         if each.recorded_motion_mark:
             print(f"{_short(each)}: {each.recorded_motion_mark}.")
-    for remark in first.option_marks:  # those of the run, so the same on every dataset
-        print(f"{remark}.")
+    for mark in first.run_marks:  # those of the run, so the same on every dataset
+        print(f"{mark}.")
     if any(each.synthetic for each in summaries):
         print("Synthetic data: never compare these scores with published ones.")
 
@@ -353,7 +366,7 @@ def print_datasets(
 def _print_decidable(summaries: Sequence[DatasetSummary]) -> None:
     """Print which datasets decide nothing, and the smallest differences that the others could find."""
     from prbench.leaderboard.decidable import why_undecided
-    from prbench.metrics import MAIN_METRICS
+    from prbench.metrics import RANKED_METRICS
 
     reasons: dict[str, list[str]] = {}
     for each in summaries:
@@ -363,7 +376,7 @@ def _print_decidable(summaries: Sequence[DatasetSummary]) -> None:
     for reason, names in reasons.items():
         print(f"Cannot be decided: {', '.join(names)} ({reason}).")
     rows = []
-    for info in MAIN_METRICS:
+    for info in RANKED_METRICS:
         cells = [_detectable_cell(each.metric(info.id), info) for each in summaries]
         if any(cell not in (_DASH, _NOT_EVEN) for cell in cells):
             rows.append((_with_unit(info), *cells))
@@ -408,8 +421,8 @@ def print_methods_on_datasets(
         for each in summaries:
             if each.recorded_motion_mark:
                 print(f"{each.method} on {_short(each)} {each.recorded_motion_mark}.")
-        for remark in summaries[0].option_marks:
-            print(f"{summaries[0].method} {remark}.")
+        for mark in summaries[0].run_marks:
+            print(f"{summaries[0].method} {mark}.")
 
 
 _DASH = "–"

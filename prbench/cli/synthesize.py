@@ -23,18 +23,16 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.progress import progress
+from prbench.cli.sensor_checks import SensorCheck, compare_with_truth, print_checks, sensor_check
+from prbench.cli.synthetic_people import PeopleCheck, check_people, print_people
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
-    from prbench.engine import Engine
     from prbench.synthetic.write_tree import WrittenTree
     from prbench.workflows.matching import Verification
 
-_FEWEST_VERIFIED = 4
-"""Recordings on which each noise level is verified at least."""
 _SCENES_OF_ONE_PRESET = 12
 _RECORDINGS_OF_A_HISTOGRAM = 10
-_RECORDINGS_OF_PEOPLE = 20
 
 
 class SyntheticRecording(msgspec.Struct, frozen=True, kw_only=True):
@@ -53,89 +51,6 @@ class SyntheticRecording(msgspec.Struct, frozen=True, kw_only=True):
     duration: float
     events: int
     objects: int | None
-
-
-class FoundHands(msgspec.Struct, frozen=True, kw_only=True):
-    """Which hand curation names for the events that have a place.
-
-    Attributes:
-        right: Number of events with the hand that acted.
-        wrong: Number of events with the other hand.
-        unknown: Number of events without a hand.
-    """
-
-    right: int
-    wrong: int
-    unknown: int
-
-
-class SensorCheck(msgspec.Struct, frozen=True, kw_only=True):
-    """The events that curation finds with sensors of one kind, against those that were acted out.
-
-    Events within the sensors' resolution of a threshold and lost tracks are not counted. Numbers without a sample are
-    null.
-
-    Attributes:
-        sensors: ``these files``, or a level of noise.
-        recordings: Number of recordings.
-        events: Number of true events.
-        recall: Share of the true events that were found.
-        precision: Share of the found events that are true.
-        timing_bias: Mean of found minus true event time, in seconds.
-        timing_median: Median size of that difference, in seconds.
-        timing_p95: 95th percentile of its size, in seconds.
-        priming_recall: Share of the primed events that were found primed.
-        unprimed: Number of events without a true prime.
-        false_primes: Share of those that were found primed all the same.
-        prime_median: Median size of found minus true prime time, in seconds.
-        prime_p5: 5th percentile of found minus true prime time, in seconds.
-        prime_p95: 95th percentile of found minus true prime time, in seconds.
-        hands: Hands of all events that have a place.
-        expected_sequences: Number of sequences that were acted out.
-        missed_sequences: Number of those that were not found.
-    """
-
-    sensors: str
-    recordings: int
-    events: int
-    recall: float | None
-    precision: float | None
-    timing_bias: float | None
-    timing_median: float | None
-    timing_p95: float | None
-    priming_recall: float | None
-    unprimed: int
-    false_primes: float | None
-    prime_median: float | None
-    prime_p5: float | None
-    prime_p95: float | None
-    hands: FoundHands
-    expected_sequences: int
-    missed_sequences: int
-
-
-class PeopleCheck(msgspec.Struct, frozen=True, kw_only=True):
-    """One number of synthetic people beside the range in which it must lie.
-
-    Attributes:
-        preset: The people: a dataset whose people they imitate.
-        number: Its name, as on the page of synthetic recordings.
-        acted: Of noise-free motion and gaze, null without a sample; of body numbers the worst sequence.
-        recorded: Of sequences that curation makes of the sensors' recordings, the worst; null for behaviour.
-        low: Smallest value allowed; null without one.
-        high: Largest value allowed; null without one.
-        holds: True if both lie in the range.
-        source: Why the range is there: measured on people, our own limit, or the protocol's.
-    """
-
-    preset: str
-    number: str
-    acted: float | None
-    recorded: float | None
-    low: float | None
-    high: float | None
-    holds: bool
-    source: str
 
 
 class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -294,7 +209,7 @@ def synthesize(
         _draw_gallery(gallery, layout=layout, seed=seed)
     if histograms is not None:
         _draw_histograms(histograms, layout=layout, seed=seed, count=count)
-    checked = _check_people(layout, seed=seed, count=count, workers=workers) if people else []
+    checked = check_people(layout, seed=seed, count=count, workers=workers) if people else []
     report = SynthesizeReport(
         folder=written.folder,
         recordings=list(written.recordings),
@@ -313,7 +228,7 @@ def synthesize(
         if histograms is not None:
             print(f"histograms: {histograms}")
         if checked:
-            _print_people(checked)
+            print_people(checked)
 
     return Answer(report, show)
 
@@ -346,7 +261,13 @@ def _write_tree(request: _Request) -> _Written:
         )
     checked: list[tuple[str, Verification]] = []
     if request.verify and not request.defects:
-        checked = _verify(request, tree.root, len(tree.recordings), engine_for(request.workers))
+        checked = compare_with_truth(
+            tree.root,
+            layout=request.layout,
+            recordings=len(tree.recordings),
+            seed=request.seed,
+            engine=engine_for(request.workers),
+        )
     missed = tuple(miss.text for miss in checked[0][1].missed_sequences) if checked else ()
 
     def show() -> None:
@@ -360,14 +281,14 @@ def _write_tree(request: _Request) -> _Written:
             numbers=(2, 3, 4),
         )
         if checked:
-            _print_checks(checked, missed)
+            print_checks(checked, missed)
         print(f"recordings: {tree.root} (the truth is in {tree.root / 'truth'}; readers never open it)")
 
     return _Written(
         show,
         folder=tree.root,
         recordings=_recordings(tree, with_objects=True),
-        checks=tuple(_check(name, result) for name, result in checked),
+        checks=tuple(sensor_check(name, result) for name, result in checked),
         missed=missed,
     )
 
@@ -447,84 +368,6 @@ def _write_corpus_tree(request: _Request, out: Path) -> _Written:
     return _Written(show, folder=tree.root, recordings=_recordings(tree, with_objects=False))
 
 
-def _verify(request: _Request, root: Path, recordings: int, engine: Engine) -> list[tuple[str, Verification]]:
-    """Compare curation with the truth, for the files just written and at each noise level for the same seed."""
-    from prbench.workflows.verify_synthetic import LEVELS, verify_level, verify_tree
-
-    with progress("comparing curation with the truth") as tell:
-        checked = [("these files", verify_tree(root, dataset=request.layout, engine=engine))]
-        for done, level in enumerate(LEVELS, start=1):
-            tell(done, len(LEVELS), level.name)
-            result = verify_level(
-                level,
-                preset=request.layout,
-                recordings=max(recordings, _FEWEST_VERIFIED),
-                seed=request.seed,
-                engine=engine,
-            )
-            checked.append((level.name, result))
-    return checked
-
-
-def _check(sensors: str, result: Verification) -> SensorCheck:
-    low, _, high = result.prime_quantiles
-    return SensorCheck(
-        sensors=sensors,
-        recordings=result.recordings,
-        events=result.true_events,
-        recall=result.recall,
-        precision=result.precision,
-        timing_bias=result.timing.bias,
-        timing_median=result.timing.median,
-        timing_p95=result.timing.p95,
-        priming_recall=result.priming_recall,
-        unprimed=result.unprimed,
-        false_primes=result.false_primes,
-        prime_median=result.prime.median,
-        prime_p5=low,
-        prime_p95=high,
-        hands=FoundHands(right=result.hands.right, wrong=result.hands.wrong, unknown=result.hands.unknown),
-        expected_sequences=result.expected_sequences,
-        missed_sequences=len(result.missed_sequences),
-    )
-
-
-def _print_checks(checked: list[tuple[str, Verification]], missed: tuple[str, ...]) -> None:
-    print_table(
-        "what curation finds, against what was acted out",
-        (
-            "sensors", "recordings", "events", "recall", "precision", "timing bias", "median", "p95", "priming recall",
-            "false primes", "prime median", "p5 … p95", "hands", "sequences",
-        ),
-        [_check_row(name, result) for name, result in checked],
-        numbers=range(1, 14),
-    )  # fmt: skip
-    print("times in ms; events within the sensors' resolution of a threshold and lost tracks are not counted")
-    print("hands: right / wrong / unknown of all located events; sequences: found of those that were acted out")
-    for text in missed:
-        print(f"no sequence in these files: {text}")
-
-
-def _check_row(name: str, result: Verification) -> tuple[str, ...]:
-    low, _, high = result.prime_quantiles
-    return (
-        name,
-        str(result.recordings),
-        str(result.true_events),
-        f"{result.recall:.3f}",
-        f"{result.precision:.3f}",
-        f"{result.timing.bias * 1e3:+.0f}",
-        f"{result.timing.median * 1e3:.0f}",
-        f"{result.timing.p95 * 1e3:.0f}",
-        f"{result.priming_recall:.3f}",
-        f"{result.false_primes:.3f} of {result.unprimed}",
-        f"{result.prime.median * 1e3:.0f}",
-        f"{low * 1e3:+.0f} … {high * 1e3:+.0f}",
-        f"{result.hands.right} / {result.hands.wrong} / {result.hands.unknown}",
-        f"{result.expected_sequences - len(result.missed_sequences)} of {result.expected_sequences}",
-    )
-
-
 def _draw_gallery(file: Path, *, layout: str | None, seed: int) -> None:
     """Draw twelve sequences of all presets, or of the one that was named."""
     from prbench.synthetic.corpus import CORPUS_LAYOUTS
@@ -555,61 +398,3 @@ def _draw_histograms(file: Path, *, layout: str | None, seed: int, count: int | 
         for preset in presets
     }
     render_histograms(acted, file)
-
-
-def _check_people(layout: str | None, *, seed: int, count: int | None, workers: int) -> list[PeopleCheck]:
-    """Measure the people of the preset that was named, or of all presets."""
-    import math
-
-    from prbench.engine import engine_for
-    from prbench.synthetic.people import PRESETS
-    from prbench.workflows.synthetic_people import people_numbers
-
-    presets = tuple(PRESETS) if layout is None else (layout,)
-    checked: list[PeopleCheck] = []
-    with progress("acting out people") as tell:
-        for done, preset in enumerate(presets):
-            tell(done, len(presets), preset)
-            numbers = people_numbers(
-                preset, recordings=count or _RECORDINGS_OF_PEOPLE, seed=seed, engine=engine_for(workers)
-            )
-            checked += [
-                PeopleCheck(
-                    preset=preset,
-                    number=each.name,
-                    acted=None if math.isnan(each.acted) else each.acted,
-                    recorded=each.recorded,
-                    low=each.range.low if math.isfinite(each.range.low) else None,
-                    high=each.range.high if math.isfinite(each.range.high) else None,
-                    holds=each.holds,
-                    source=each.range.source,
-                )
-                for each in numbers
-            ]
-    return checked
-
-
-def _print_people(checked: list[PeopleCheck]) -> None:
-    print_table(
-        "how synthetic people act and move",
-        ("preset", "number", "acted out", "recorded", "range", "", "why"),
-        [_people_row(each) for each in checked],
-        numbers=(2, 3),
-    )
-    print(
-        "of bodies the worst sequence; metres, seconds, degrees (docs/specification/synthetic-recordings.md#behaviour)"
-    )
-
-
-def _people_row(each: PeopleCheck) -> tuple[str, ...]:
-    low = "" if each.low is None else f"{each.low:.4g}"
-    high = "" if each.high is None else f"{each.high:.4g}"
-    return (
-        each.preset,
-        each.number,
-        "" if each.acted is None else f"{each.acted:.3g}",
-        "" if each.recorded is None else f"{each.recorded:.3g}",
-        f"{low} … {high}",
-        "" if each.holds else "OUTSIDE",
-        each.source,
-    )

@@ -56,16 +56,14 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option(
     "--stage",
     metavar="STAGE",
-    help="pretrain, finetune or, for pr, distil: fewer passes (default: the method's first).",
+    help="pretrain, finetune or, for pr, distil (fewer passes) and gaze (default: the method's first).",
 )
 @data_option(required=False, help="Built dataset or corpus folder(s), whose split 'train' is learnt from.")
 @out_folder_option("Training folder: checkpoints, logs, weights; an interrupted training goes on in it.")
 @click.option(
     "--config",
-    type=PATH,
-    default="small",
     metavar="NAME|FILE",
-    help="A configuration of the method, or a .toml file (default small).",
+    help="A configuration of the method, or a .toml file (default: the stage's own, else small).",
 )
 @click.option(
     "--set",
@@ -92,7 +90,7 @@ def train(
     stage: str | None,
     data: tuple[Path, ...],
     out: Path | None,
-    config: Path,
+    config: str | None,
     overrides: tuple[tuple[str, str], ...],
     refit: bool,
     split: str | None,
@@ -109,7 +107,7 @@ def train(
     from prbench.training.run import train as run_training
 
     if show_config:
-        return _configuration(method, str(config), stage=stage, overrides=overrides)
+        return _configuration(method, config, stage=stage, overrides=overrides)
     if not data:
         raise UsageError("--data DIR is needed.")
     if out is None:
@@ -123,7 +121,7 @@ def train(
         refit=refit,
         fold=fold,
         stage=stage,
-        configuration=str(config),
+        configuration=config,
         overrides=overrides,
         initial=init,
         device=device,
@@ -141,7 +139,9 @@ def train(
     return Answer(report, lambda: print(f"weights: {result.weights}"))
 
 
-def _configuration(method: str, config: str, *, stage: str | None, overrides: Sequence[tuple[str, str]]) -> Answer:
+def _configuration(
+    method: str, config: str | None, *, stage: str | None, overrides: Sequence[tuple[str, str]]
+) -> Answer:
     """Answer with the configuration that a training would have."""
     from prbench.training.configuration import as_toml
     from prbench.training.installed import load_task

@@ -1,6 +1,15 @@
 """Everything that a third party imports to add a method."""
 
-from prbench.contract.adapter import ENTRY_POINT_GROUP, Adapter, Cost, LoadAdapter, Motions, Trainable, TrainingRun
+from prbench.contract.adapter import (
+    ENTRY_POINT_GROUP,
+    Adapter,
+    Cost,
+    Gaze,
+    LoadAdapter,
+    Motions,
+    Trainable,
+    TrainingRun,
+)
 from prbench.contract.conditions import GIVEN, Condition, ConditionBatch
 from prbench.contract.noise import batch_noise, sequence_noise
 
@@ -11,6 +20,7 @@ __all__ = [
     "Condition",
     "ConditionBatch",
     "Cost",
+    "Gaze",
     "LoadAdapter",
     "Motions",
     "Trainable",

@@ -30,6 +30,19 @@ class Cost:
 
 
 @dataclass(frozen=True)
+class Gaze:
+    """Generated gaze of a batch: one ray a frame, in the frame of the motions (docs/specification/protocol.md#gaze).
+
+    Padding is that of the motions and is never looked at.
+    """
+
+    origin: Float[np.ndarray, "batch frames 3"]
+    """Between the eyes, within 0.3 m of the motion's own head joint; metres."""
+    direction: Float[np.ndarray, "batch frames 3"]
+    """Unit vectors."""
+
+
+@dataclass(frozen=True)
 class Motions:
     """Generated joint positions of a batch, in the canonical frame of each sequence's first frame, metres.
 
@@ -39,6 +52,8 @@ class Motions:
     joints: Float[np.ndarray, "batch frames 22 3"]
     n_frames: Int[np.ndarray, " batch"]
     cost: Cost | None = None
+    gaze: Gaze | None = None
+    """Of a method that declares ``gaze``; None for all others."""
 
     def ragged(self) -> Shaped[np.ndarray, "total 22 3"]:
         """The valid frames of all rows after one another."""
@@ -63,8 +78,9 @@ class Adapter(Protocol):
     Optional attributes are honoured when present: ``max_frames`` (longer sequences are counted as unsupported,
     never cut), ``native_fps`` (the harness then gives ``n_frames`` and ``fps`` at that rate and resamples the
     result to the table's grid), ``motionless`` (true for a method whose motions stand still; its Foot Skating is
-    printed as a dash) and ``wants_obstacles`` (true to be given ``batch.obstacles``, the solid boxes around each
-    sequence; such runs are marked and ranked nowhere).
+    printed as a dash), ``gaze`` (true for a method whose motions bring :class:`Gaze`) and ``wants_obstacles`` (true to
+    be given ``batch.obstacles``, the solid boxes around each sequence). Runs of either kind are marked and ranked
+    nowhere.
 
     So is one optional method, ``weights_for(condition) -> Path | None``: the file or folder of the weights that the
     method will use under this condition. ``run.json`` then records their name and digest, and a run is not resumed

@@ -46,6 +46,11 @@ class _Rows:
         sums = np.bincount(self.sequence, weights=self.value, minlength=count)
         return sums / np.bincount(self.sequence, minlength=count)
 
+    def only(self, kept: Bool[np.ndarray, " sequences"]) -> _Rows:
+        """The rows of some sequences, whose places are counted anew."""
+        inside = kept[self.sequence]
+        return _Rows(self.value[inside], (np.cumsum(kept) - 1)[self.sequence[inside]])
+
 
 def agreement_with_people(selection: Selection, scores: pa.Table, *, protocol: BenchmarkProtocol) -> DatasetAgreement:
     """Make ``agreement.json`` of one dataset.
@@ -55,19 +60,23 @@ def agreement_with_people(selection: Selection, scores: pa.Table, *, protocol: B
         scores: Rows of ``scores.parquet``, of exactly these sequences.
         protocol: Rules by which the scores were made.
     """
-    wanted = [*(info.id for info in RATES), *_SCENE_METRICS]
+    present = set(scores["metric"].unique().to_pylist())
+    wanted = [*(info.id for info in RATES if info.id in present), *_SCENE_METRICS]
     people, goals = score_recorded(selection, protocol.metrics, wanted)
     recordings = np.array(selection.recording_ids, dtype=object)
     rates: list[RateAgreement] = []
     breakdown: list[BinRate] = []
     for info, rows in _rates(scores, selection):
-        if info.id not in people:
+        # Where recorded gaze has a gap in the frames that decide, people's outcome is not known.
+        known = np.isfinite(people[info.id])
+        if not known.any():
             continue
-        recorded = people[info.id]
+        recorded = people[info.id][known]
+        own = rows.only(known)
         # Recorded motion compared with itself always succeeds, with which nothing can go together.
         if not info.compares_with_recorded:
-            rates.append(_agreement(info, rows.by_sequence(len(selection)), recorded, recordings, protocol))
-        breakdown += _broken_down(info, rows, recorded, recordings, goals, protocol)
+            rates.append(_agreement(info, own.by_sequence(len(recorded)), recorded, recordings[known], protocol))
+        breakdown += _broken_down(info, own, recorded, recordings[known], goals[known], protocol)
     return DatasetAgreement(
         dataset=selection.table.info.dataset,
         rates=tuple(rates),

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.contract import Condition, ConditionBatch, Cost, Motions
+from prbench.contract import Condition, ConditionBatch, Cost, Gaze, Motions
 from prbench.errors import UsageError
 from prbench.manifests import BenchmarkProtocol, MetricConstants
 from prbench.metrics.batch import MotionBatch, ranges
@@ -75,9 +75,15 @@ def best_motions(
     """
     costs = np.stack([choice_cost(motions, conditions[0], rules) for motions in draws])
     chosen = costs.argmin(axis=0)  # the first of equal ones, so that the choice needs no further noise
-    joints = np.stack([motions.joints for motions in draws])[chosen, np.arange(len(chosen))]
+    row = np.arange(len(chosen))
+    joints = np.stack([motions.joints for motions in draws])[chosen, row]
+    rays = [motions.gaze for motions in draws if motions.gaze is not None]
+    gaze = None
+    if rays:
+        origin = np.stack([one.origin for one in rays])[chosen, row]
+        gaze = Gaze(origin, np.stack([one.direction for one in rays])[chosen, row])
     declared = [motions.cost.network_passes for motions in draws if motions.cost is not None]
-    return Motions(joints, draws[0].n_frames, Cost(sum(declared)) if declared else None), chosen
+    return Motions(joints, draws[0].n_frames, Cost(sum(declared)) if declared else None, gaze), chosen
 
 
 def choice_cost(motions: Motions, condition: ConditionBatch, rules: ChoiceRules) -> Float[np.ndarray, " batch"]:

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 
-from prbench.contract import Condition, Motions
+from prbench.contract import Condition, Gaze, Motions
 from prbench.errors import UsageError
 from prbench.evaluation.best_of import WITH_GOAL
 from prbench.evaluation.conditions import ConditionSource
@@ -125,10 +125,19 @@ def placed(motions: Motions, placements: Float[np.ndarray, "batch 4 4"]) -> Moti
         motions: Metres.
         placements: Map each row's frame into the one that is wanted.
     """
-    joints = np.stack(
-        [transform_points(place, own.astype(np.float64)) for place, own in zip(placements, motions.joints, strict=True)]
-    )
-    return dataclasses.replace(motions, joints=joints.astype(np.float32))
+    joints = _placed_points(motions.joints, placements)
+    gaze = None
+    if motions.gaze is not None:
+        direction = np.einsum("bij,bfj->bfi", placements[:, :3, :3], motions.gaze.direction.astype(np.float64))
+        gaze = Gaze(_placed_points(motions.gaze.origin, placements), direction.astype(np.float32))
+    return dataclasses.replace(motions, joints=joints, gaze=gaze)
+
+
+def _placed_points(
+    points: Float[np.ndarray, "batch *points 3"], placements: Float[np.ndarray, "batch 4 4"]
+) -> Float[np.ndarray, "batch *points 3"]:
+    rows = zip(placements, points, strict=True)
+    return np.stack([transform_points(place, own.astype(np.float64)) for place, own in rows]).astype(np.float32)
 
 
 def measure_carried(selection: Selection, predictions: Path, scores: pa.Table, *, samples: Sequence[int]) -> CarriedOn:

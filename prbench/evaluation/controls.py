@@ -3,8 +3,8 @@
 As ``--method``, under any condition: ``ground-truth`` (the recorded motion through the same code: the ceiling),
 ``ground-truth-resampled`` (the same after a round trip through the features that models learn from: what the
 representation alone costs), ``ground-truth-20fps`` and ``ground-truth-30fps`` (the same through another frame rate and
-back, as the motions of a method with a rate of its own go), ``scripted`` (clockwork: the floor that a method has to
-beat), the cheats of :mod:`prbench.evaluation.cheats` (what a metric is worth, ``docs/audit.md``) and
+back, as the motions of a method with a rate of its own go), ``scripted`` (constant timing: the least that a method
+has to beat), the cheats of :mod:`prbench.evaluation.cheats` (what a metric is worth, ``docs/audit.md``) and
 ``nearest-neighbour`` (the most similar training motion).
 
 As ``--control shuffled-goal`` beside any method: it gets another sequence's goal and is scored on its own, so that a
@@ -67,7 +67,7 @@ CONTROLS = (
     _ControlInfo(GROUND_TRUTH_RESAMPLED, "--method", "the recorded motion through the features that models learn from"),
     _ControlInfo(GROUND_TRUTH_20_FPS, "--method", "the recorded motion at 20 frames per second and back"),
     _ControlInfo(GROUND_TRUTH_30_FPS, "--method", "the recorded motion at 30 frames per second and back"),
-    _ControlInfo(SCRIPTED, "--method", "clockwork: faces the goal at 2.0 s, then glides there and reaches"),
+    _ControlInfo(SCRIPTED, "--method", "constant timing: faces the goal at 2.0 s, then glides there and reaches"),
     _ControlInfo(STARE, "--method", "cheat: faces the goal from the first frame on and never moves"),
     _ControlInfo(STARE_LATE, "--method", "cheat: turns to the goal just before 2.0 s and stares, without a step"),
     _ControlInfo(TREMOR, "--method", "cheat: stare, with a head that trembles by 0.1 mm"),

@@ -63,9 +63,16 @@ def run_batch(task: BatchTask) -> int:
     """
     samples, seeds, cost = _controlled(task) if task.given is not None else _generated(task)
     cost.write(task.cost)  # first, so that a part on disk is never without its measurement
-    rows = [PredictionRows.from_padded(motions.joints, motions.n_frames) for motions in samples]
+    rows = [_rows(motions) for motions in samples]
     write_part(task.part, task.sequence_ids, seeds, rows, protocol_version=task.protocol_version)
     return task.index
+
+
+def _rows(motions: Motions) -> PredictionRows:
+    rays = None
+    if motions.gaze is not None:
+        rays = np.stack((motions.gaze.origin, motions.gaze.direction), axis=2)
+    return PredictionRows.from_padded(motions.joints, motions.n_frames, gaze=rays)
 
 
 _Made = tuple[list[Motions], list[tuple[int, ...]], BatchCost]

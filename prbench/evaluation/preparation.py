@@ -179,6 +179,7 @@ def _method(request: RunRequest, spec: MethodSpec, condition: Condition) -> Meth
         max_frames=declared.max_frames,
         native_fps=declared.native_fps,
         motionless=declared.motionless,
+        gaze=declared.gaze,
         wants_obstacles=declared.wants_obstacles,
         isolation=spec.isolation,
     )

@@ -13,7 +13,7 @@ import pyarrow as pa
 from prbench.errors import RunError
 from prbench.evaluation.comparisons import smallest_detectable_unpaired
 from prbench.evaluation.intervals import CONFIDENCE, metric_interval, uncertainty_sources
-from prbench.metrics import METRICS, MetricInfo
+from prbench.metrics import METRICS, RANKED_METRICS, MetricInfo
 from prbench.metrics.scoring import LENGTH_MISMATCH
 from prbench.runs import summary as run_summary
 from prbench.runs.folder import DatasetFolder
@@ -25,7 +25,6 @@ _VALUES_WITHIN = 1e-6  # metres, or as little of another unit: what other proces
 _SHARES_WITHIN = 1e-3  # of the variance, whose small shares are differences of large numbers
 _FORMER_INTERVALS = ("wilson-cluster", "bootstrap", "t-jackknife")  # up to 0.7.0
 _OF_RECORDINGS = frozenset({"recordings", "low", "high", "interval", "marks", "detectable", "uncertainty"})
-_MAIN_METRICS = sum(info.main for info in METRICS)
 _KEYS = ("sequence_id", "sample", "metric", "flag")
 _AGAIN = "Delete it and run the same command again, which scores anew what was generated."
 
@@ -48,6 +47,8 @@ def require_summary(files: DatasetFolder, made: DatasetSummary, *, grouped: bool
         cause = "One of the two was edited."
         if key.endswith(".interval") and found in _FORMER_INTERVALS:
             cause = "An earlier version of prbench wrote it, whose intervals covered too little."
+        if key.endswith(".detectable"):
+            cause = "Up to version 0.9.0 it was corrected for eight metrics, of which seven are compared. " + cause
         raise RunError(
             f"{files.path / run_summary.FILE_NAME}, {key}: expected {expected}, which follows from"
             f" {files.scores.name}, found {found}. {cause} {_AGAIN}"
@@ -142,9 +143,11 @@ class ScoredSet:
     samples: int
     best_of: int
     """Motions drawn for each that was kept."""
-    obstacles: bool = False
+    gaze: bool
+    """The motions bring gaze that a method generated."""
+    obstacles: bool
     """The method was given the solid boxes around each sequence."""
-    carry_on: bool = False
+    carry_on: bool
     """Every put starts where the generated pick before it ends."""
 
 
@@ -171,6 +174,7 @@ def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
         recordings=len(set(scored.recording_of.values())),
         samples=scored.samples,
         best_of=scored.best_of,
+        gaze=scored.gaze,
         obstacles=scored.obstacles,
         carry_on=scored.carry_on,
         length_mismatches=mismatched,
@@ -214,6 +218,6 @@ def _summarised(info: MetricInfo, rows: pa.Table, recording_of: Mapping[str, str
         recordings=estimate.n_recordings,
         marks=estimate.marks,
         flags=dict(sorted(flags.items())),
-        detectable=smallest_detectable_unpaired(values, recording_ids, sequence_ids, comparisons=_MAIN_METRICS),
+        detectable=smallest_detectable_unpaired(values, recording_ids, sequence_ids, comparisons=len(RANKED_METRICS)),
         uncertainty={name: round(share, 4) for name, share in shares.items()},
     )

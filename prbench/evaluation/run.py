@@ -271,6 +271,7 @@ class _Part:
             split=request.split,
             samples=request.samples,
             best_of=request.best_of,
+            gaze=self.prepared.record.method.gaze,
             obstacles=self.prepared.record.method.wants_obstacles,
             carry_on=self.prepared.record.carry_on,
         )

@@ -11,7 +11,7 @@ import pyarrow as pa
 from jaxtyping import Float
 
 from prbench.boxes import Boxes
-from prbench.contract import Condition, ConditionBatch, Motions
+from prbench.contract import Condition, ConditionBatch, Gaze, Motions
 from prbench.engine import Engine, InProcess
 from prbench.errors import PredictionsError
 from prbench.evaluation.conditions import opaque_ids, run_salt
@@ -22,11 +22,21 @@ from prbench.evaluation.recorded_motion import is_recorded_motion
 from prbench.evaluation.request import Progress, ProgressCallback
 from prbench.limits import FARTHEST_COORDINATE
 from prbench.manifests import MetricConstants
-from prbench.methods.coordinates import coordinate_problem, impossible_frames
+from prbench.methods.coordinates import coordinate_problem, gaze_problem, impossible_frames
 from prbench.methods.motions import at_table_rate, native_frames
-from prbench.metrics import FAMILIES, METRICS, UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
+from prbench.metrics import (
+    GAZE_METRICS,
+    METRICS,
+    SCENE_METRICS,
+    UNKNOWN_HAND,
+    GazeRays,
+    MotionBatch,
+    ScoringTargets,
+    score,
+)
+from prbench.metrics.prime_success_gaze import INVALID as INVALID_GAZE
 from prbench.metrics.registry import MetricValues
-from prbench.runs.predictions import Predictions
+from prbench.runs.predictions import PredictionRows, Predictions
 from prbench.runs.scores import SCORES
 from prbench.runs.summary import RECORDED_MOTION
 from prbench.sequences.chunk import SequenceChunk
@@ -49,7 +59,7 @@ class ScoringRules:
 
     constants: MetricConstants
     recorded_motion: bool = False
-    """The predictions are the recorded motion itself: gaze is scored too."""
+    """The predictions are the recorded motion itself: recorded gaze is scored too."""
     other_goals: Float[np.ndarray, "n 3"] | None = None
     """Score against these goals, one a chosen sequence, instead of each sequence's own; metrics that compare the
     recorded motion with itself are left out then."""
@@ -118,25 +128,30 @@ def score_recorded(
     Args:
         selection: The sequences.
         constants: Of the protocol.
-        metrics: Ids of the wanted metrics; those that need gaze are left out, and those of the scene where no boxes
-            are known.
+        metrics: Ids of the wanted metrics; those of the scene are left out where no boxes are known.
 
     Returns:
-        The values by metric id, and the goals (canonical frame, metres), both in the order of the selection.
+        The values by metric id, and the goals (canonical frame, metres), both in the order of the selection. Metrics of
+        gaze are NaN where a frame that decides has no recorded gaze.
     """
     scene = SolidBoxes.of(selection.table)
-    families = [
-        family for family in FAMILIES if not family.needs_gaze and (scene is not None or not family.needs_scene)
-    ]
-    wanted = [info.id for family in families for info in family.metrics if info.id in metrics]
+    by_gaze = GAZE_METRICS & set(metrics)
+    computed = {info.id for info in METRICS if scene is not None or info.id not in SCENE_METRICS}
+    wanted = [info.id for info in METRICS if info.id in metrics and info.id in computed]
     parts: list[dict[str, np.ndarray]] = []
     goals: list[np.ndarray] = []
-    for _, chunk in selection.windows(COLUMNS if scene is None else COLUMNS + SCENE_COLUMNS):
+    columns = COLUMNS + (_GAZE_COLUMNS if by_gaze else []) + (SCENE_COLUMNS if scene else [])
+    for _, chunk in selection.windows(columns):
         recorded = MotionBatch(chunk.joints, chunk.offsets)
         goals.append(chunk.vectors("goal_location"))
-        boxes = None if scene is None else scene.around(chunk)
-        values = score(recorded, recorded, targets_of(chunk, goals[-1], None, boxes), constants, metrics=wanted)
+        gaze = _recorded_gaze(chunk) if by_gaze else None
+        boxes = scene.around(chunk) if scene else None
+        values = score(recorded, recorded, targets_of(chunk, goals[-1], gaze, boxes), constants, metrics=wanted)
         parts.append({name: column.value for name, column in values.items()})
+        for name in by_gaze:
+            unknown = values[name].flags.get(INVALID_GAZE)
+            if unknown is not None:
+                parts[-1][name] = np.where(unknown, np.nan, parts[-1][name])
     return {name: np.concatenate([part[name] for part in parts]) for name in wanted}, np.concatenate(goals)
 
 
@@ -173,9 +188,13 @@ def _score_window(window: _Window) -> pa.Table:
         rows = window.predictions.motions(window.names, sample)
         predicted = MotionBatch(rows.values, rows.offsets)
         _check(predicted, recorded, chunk.sequence_ids, sample, window)
+        if rows.gaze is not None:
+            _check_gaze(rows, chunk.sequence_ids, sample, window)
         if window.rules.native_fps is not None:
-            predicted = _at_table_rate(predicted, recorded, window)
-        values = _scored(predicted, recorded, targets, window.rules)
+            rows = _at_table_rate(rows, recorded, window)
+            predicted = MotionBatch(rows.values, rows.offsets)
+        shown = targets if rows.gaze is None else replace(targets, gaze=_generated_gaze(rows.gaze))
+        values = _scored(predicted, recorded, shown, window.rules)
         if not window.rules.recorded_motion:
             values = [_with_copies_marked(value, predicted, recorded) for value in values]
         by_sample.append(values)
@@ -183,14 +202,22 @@ def _score_window(window: _Window) -> pa.Table:
 
 
 def _targets(chunk: SequenceChunk, window: _Window) -> ScoringTargets:
-    gaze = None
-    if window.rules.recorded_motion:
-        gaze = GazeRays(
-            chunk.frames("gaze_origin").astype(np.float64),
-            chunk.frames("gaze_direction").astype(np.float64),
-            chunk.frames("gaze_valid"),
-        )
+    gaze = _recorded_gaze(chunk) if window.rules.recorded_motion else None
     return targets_of(chunk, window.goals, gaze, window.scene)
+
+
+def _recorded_gaze(chunk: SequenceChunk) -> GazeRays:
+    return GazeRays(
+        chunk.frames("gaze_origin").astype(np.float64),
+        chunk.frames("gaze_direction").astype(np.float64),
+        chunk.frames("gaze_valid"),
+    )
+
+
+def _generated_gaze(rays: Float[np.ndarray, "frames 2 3"]) -> GazeRays:
+    direction = rays[:, 1].astype(np.float64)
+    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    return GazeRays(rays[:, 0].astype(np.float64), direction, np.ones(len(rays), dtype=bool))
 
 
 def targets_of(
@@ -215,9 +242,8 @@ def _scored(
     if rules.recorded_motion and rules.other_goals is not None:
         metrics = frozenset(
             info.id
-            for family in FAMILIES
-            for info in family.metrics
-            if not info.compares_with_recorded and (targets.scene is not None or not family.needs_scene)
+            for info in METRICS
+            if not info.compares_with_recorded and (targets.scene is not None or info.id not in SCENE_METRICS)
         )
     values = score(
         predicted,
@@ -242,9 +268,7 @@ def _check(predicted: MotionBatch, recorded: MotionBatch, ids: list[str], sample
     """Name the sequence where a motion cannot be scored."""
 
     def place(row: int) -> str:
-        where = window.predictions.where(window.names[row], sample)
-        method = window.rules.run_of
-        return f"{where}, {ids[row]}" if method is None else f"method '{method}', sequence {ids[row]} in {where}"
+        return _place(row, ids, sample, window)
 
     remedy = SAME_LENGTH if window.rules.run_of is None else _NOT_AS_KEPT
     expected = recorded.n_frames
@@ -269,11 +293,36 @@ def _check(predicted: MotionBatch, recorded: MotionBatch, ids: list[str], sample
         raise PredictionsError(f"{place(row)}, {coordinate_problem(motion, window.rules.farthest)}{kept}")
 
 
-def _at_table_rate(predicted: MotionBatch, recorded: MotionBatch, window: _Window) -> MotionBatch:
+def _place(row: int, ids: list[str], sample: int, window: _Window) -> str:
+    where = window.predictions.where(window.names[row], sample)
+    method = window.rules.run_of
+    return f"{where}, {ids[row]}" if method is None else f"method '{method}', sequence {ids[row]} in {where}"
+
+
+def _check_gaze(rows: PredictionRows, ids: list[str], sample: int, window: _Window) -> None:
+    """Name the sequence whose gaze cannot be scored."""
+    assert rows.gaze is not None
+    for row in range(len(ids)):
+        part = slice(rows.offsets[row], rows.offsets[row + 1])
+        problem = gaze_problem(rows.values[part], rows.gaze[part, 0], rows.gaze[part, 1])
+        if problem:
+            raise PredictionsError(f"{_place(row, ids, sample, window)}, gaze, {problem}")
+
+
+def _at_table_rate(predicted: PredictionRows, recorded: MotionBatch, window: _Window) -> PredictionRows:
     """Motions at their own rate as a run resamples them before it keeps them."""
     assert window.rules.native_fps is not None
-    padded = np.zeros((len(window.names), int(predicted.n_frames.max()), *predicted.values.shape[1:]), np.float32)
-    padded[np.arange(padded.shape[1]) < predicted.n_frames[:, None]] = predicted.values
+    n_frames = np.diff(predicted.offsets)
+    valid = np.arange(int(n_frames.max())) < n_frames[:, None]
+
+    def padded(values: np.ndarray) -> np.ndarray:
+        whole = np.zeros((*valid.shape, *values.shape[1:]), np.float32)
+        whole[valid] = values
+        return whole
+
+    gaze = None
+    if predicted.gaze is not None:
+        gaze = Gaze(padded(predicted.gaze[:, 0]), padded(predicted.gaze[:, 1]))
     asked = ConditionBatch(
         condition=Condition.NONE,
         n_frames=recorded.n_frames,
@@ -281,8 +330,12 @@ def _at_table_rate(predicted: MotionBatch, recorded: MotionBatch, window: _Windo
         opaque_id=window.names,
         noise_seed=(0,) * len(window.names),
     )
-    resampled = at_table_rate(Motions(padded, predicted.n_frames), asked, native_fps=window.rules.native_fps)
-    return MotionBatch(resampled.ragged(), recorded.offsets)
+    motions = Motions(padded(predicted.values), n_frames, gaze=gaze)
+    resampled = at_table_rate(motions, asked, native_fps=window.rules.native_fps)
+    rays = None
+    if resampled.gaze is not None:
+        rays = np.stack((resampled.gaze.origin, resampled.gaze.direction), axis=2)
+    return PredictionRows.from_padded(resampled.joints, resampled.n_frames, gaze=rays)
 
 
 def _fps(window: _Window) -> float:

@@ -1,4 +1,4 @@
-"""``scripted``: what clockwork alone scores.
+"""``scripted``: what a motion with constant timing scores.
 
 Every sequence starts 2 s before its prime, so a motion that faces the goal at 2.0 s without looking at anything else
 is a fair opponent. It knows the first pose and the goal, whatever the condition is, and does always the same:
@@ -47,7 +47,16 @@ class ScriptedStart:
 
 
 def scripted_motions(start: ScriptedStart, n_frames: Int[np.ndarray, " batch"], fps: float) -> Motions:
-    """The clockwork motion of each sequence."""
+    """Make the motion of each sequence, which faces its goal at 2.0 s and then reaches it.
+
+    Args:
+        start: First pose, goal and tilt of the head of each sequence, canonical frame, metres.
+        n_frames: Frames of each sequence.
+        fps: Frame rate, in frames per second.
+
+    Returns:
+        Joints (batch, longest, 22, 3), canonical frame, metres, float32.
+    """
     return Motions(scripted_joints(start, n_frames, fps).astype(np.float32), n_frames)
 
 

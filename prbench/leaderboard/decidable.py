@@ -10,7 +10,7 @@ from statistics import median
 
 from prbench.evaluation.clusters import FEWEST_FOR_TEST, recordings_needed
 from prbench.evaluation.comparisons import POINTS, POWER
-from prbench.metrics import METRICS, MetricInfo, printed_unit
+from prbench.metrics import RANKED_METRICS, MetricInfo, printed_unit
 from prbench.runs.summary import MetricSummary
 
 FEWEST_RANKED = 50
@@ -38,19 +38,23 @@ def undecided(
         for metric in metrics:
             if metric.detectable is not None:
                 found.setdefault(metric.metric, []).append(metric.detectable)
-    main = [info for info in METRICS if info.main]
-    texts = [_detectable_text(info, median(found[info.id])) for info in main if info.id in found]
+    texts = [_detectable_text(info, median(found[info.id])) for info in RANKED_METRICS if info.id in found]
     if texts:
         yield (
             "Smallest difference between two unrelated methods of this spread that would be found in four of five"
-            f" repetitions, at the first step of Holm's correction for {len(main)} metrics: {', '.join(texts)}."
+            f" repetitions, at the first step of Holm's correction for {len(RANKED_METRICS)} metrics:"
+            f" {', '.join(texts)}."
         )
 
-    rate = next((info for info in main if info.unit == "rate" and found.get(info.id)), None)
+    rate = next((info for info in RANKED_METRICS if info.unit == "rate" and found.get(info.id)), None)
     if rate is not None:
         needed = [
             recordings_needed(
-                median(found[rate.id]), points / 100, recordings=recordings, comparisons=len(main), power=POWER
+                median(found[rate.id]),
+                points / 100,
+                recordings=recordings,
+                comparisons=len(RANKED_METRICS),
+                power=POWER,
             )
             for points in POINTS
         ]

@@ -7,13 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.limits import FARTHEST_COORDINATE
+from prbench.limits import FARTHEST_COORDINATE, FARTHEST_EYES
 from prbench.skeleton import Joint
 
 _SMALLEST = 0.65  # metres between the two joints of a human pose that lie farthest apart
 _TYPICAL = 1.5
 _LARGEST = 2.35
 _NO_BODY = 1e-9
+_UNIT_WITHIN = 0.01  # by which a direction's length may differ from 1, such as after rounding to half precision
 _POSES_PER_MOTION = 48
 _UNITS = (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254), ("decimetres", 0.1), ("feet", 0.3048))
 
@@ -95,6 +96,40 @@ def coordinate_problem(motion: Float[np.ndarray, "frames 22 3"], farthest: float
         expected = f"coordinates within {farthest:g} m of the origin"
     name = Joint(joint).name.lower().replace("_", " ")
     return f"frame {frame}: expected {expected}, found [{found}] at joint {joint} ({name}).{_unit(motion)}"
+
+
+def gaze_problem(
+    motion: Float[np.ndarray, "frames 22 3"],
+    origin: Float[np.ndarray, "frames 3"],
+    direction: Float[np.ndarray, "frames 3"],
+) -> str | None:
+    """Say where gaze is no ray from a head.
+
+    Args:
+        motion: The joints of the same frames, metres.
+        origin: Between the eyes, same frame and unit.
+        direction: Of the ray.
+
+    Returns:
+        ``frame …`` and the rest of a message, or None if every frame has a ray from its head.
+    """
+    away = np.linalg.norm(origin - motion[:, Joint.HEAD], axis=-1)
+    length = np.linalg.norm(direction, axis=-1)
+    # Written as "not within", so that NaN counts as wrong.
+    elsewhere = ~(away <= FARTHEST_EYES)
+    no_unit = ~(np.abs(length - 1) <= _UNIT_WITHIN)
+    wrong = np.flatnonzero(elsewhere | no_unit)
+    if not wrong.size:
+        return None
+    frame = int(wrong[0])
+    if elsewhere[frame]:
+        return (
+            f"frame {frame}: expected eyes within {FARTHEST_EYES:g} m of the head joint, found them {away[frame]:.3g} m"
+            " away. Gaze stands in the frame of the joints, in metres."
+        )
+    return (
+        f"frame {frame}: expected a gaze direction of length 1, found {length[frame]:.4g}. Divide each by its length."
+    )
 
 
 def _possible(values: np.ndarray, farthest: float) -> np.ndarray:

@@ -22,6 +22,8 @@ class Declared:
     native_fps: float | None = None
     """Frames per second that it generates; None for the table's rate."""
     motionless: bool = False
+    gaze: bool = False
+    """True if its motions bring gaze."""
     wants_obstacles: bool = False
     """Must be given the solid boxes around each sequence."""
 
@@ -41,13 +43,21 @@ class Declared:
             getattr(adapter, "max_frames", None),
             getattr(adapter, "native_fps", None),
             bool(getattr(adapter, "motionless", False)),
+            bool(getattr(adapter, "gaze", False)),
             origin=origin,
         )
         return replace(declared, wants_obstacles=bool(getattr(adapter, "wants_obstacles", False)))
 
     @classmethod
     def checked(
-        cls, conditions: object, max_frames: object, native_fps: object, motionless: bool, *, origin: str
+        cls,
+        conditions: object,
+        max_frames: object,
+        native_fps: object,
+        motionless: bool,
+        gaze: bool = False,
+        *,
+        origin: str,
     ) -> Declared:
         """Read the same from values of unknown types.
 
@@ -59,6 +69,7 @@ class Declared:
             _max_frames(max_frames, origin),
             _native_fps(native_fps, origin),
             motionless,
+            gaze,
         )
 
 

@@ -1,6 +1,6 @@
 """Declarations of installed methods, each imported in a process of its own, with a time limit.
 
-Importing a stranger's package may print, leave the interpreter, crash it or never end. Here that costs one line of a
+Importing a package of others may print, leave the interpreter, crash it or never end. Here that costs one line of a
 list, never the list.
 """
 

@@ -15,13 +15,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from prbench.contract import Adapter, ConditionBatch, Cost, Motions
+from prbench.contract import Adapter, ConditionBatch, Cost, Gaze, Motions
 from prbench.engine import is_out_of_memory
 from prbench.errors import AdapterError, InputFileError, PrbenchError
 from prbench.limits import FARTHEST_COORDINATE
-from prbench.methods.coordinates import coordinate_problem, impossible_frames
+from prbench.methods.coordinates import coordinate_problem, gaze_problem, impossible_frames
 from prbench.methods.declared import Declared
 from prbench.skeleton import N_JOINTS
+
+_OPPOSITE = 1e-6  # length of the mean of two unit vectors that point against each other
 
 
 def generate_checked(
@@ -50,9 +52,11 @@ def generate_checked(
         AdapterError: if the method raises, or returns something else than one finite motion of the asked length for
             each row; names method, sequence and frame.
     """
-    native_fps = Declared.by(adapter, origin=f"method '{method}'").native_fps
+    declared = Declared.by(adapter, origin=f"method '{method}'")
+    native_fps = declared.native_fps
     asked = batch if native_fps is None else at_native_rate(batch, native_fps)
     motions, halvings = _generate(adapter, asked, seed, method, sequence_ids, farthest)
+    _require_declared_gaze(motions, declared, method)
     if native_fps is not None:
         motions = at_table_rate(motions, batch, native_fps=native_fps)
     return motions, halvings
@@ -102,10 +106,23 @@ def resampled(motions: Motions, n_frames: Int[np.ndarray, " n"], *, step: float)
     last = motions.n_frames[:, None] - 1
     left = np.minimum(np.floor(place + 1e-9).astype(np.int64), last)  # (batch, frames)
     right = np.minimum(left + 1, last)
-    weight = np.clip(place - left, 0.0, 1.0)[..., None, None]
+    weight = np.clip(place - left, 0.0, 1.0)[..., None]
     row = np.arange(len(n_frames))[:, None]
-    joints = motions.joints[row, left] * (1 - weight) + motions.joints[row, right] * weight
-    return Motions(joints.astype(np.float32), n_frames, motions.cost)
+
+    def between(values: np.ndarray) -> np.ndarray:
+        share = weight.reshape(*weight.shape[:2], *[1] * (values.ndim - 2))
+        return values[row, left] * (1 - share) + values[row, right] * share
+
+    joints = between(motions.joints).astype(np.float32)
+    gaze = None
+    if motions.gaze is not None:
+        direction = between(motions.gaze.direction)
+        # Two opposite directions have no middle; then the earlier one stays.
+        length = np.linalg.norm(direction, axis=-1, keepdims=True)
+        direction = np.where(length > _OPPOSITE, direction, motions.gaze.direction[row, left])
+        direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True).clip(_OPPOSITE)
+        gaze = Gaze(between(motions.gaze.origin).astype(np.float32), direction.astype(np.float32))
+    return Motions(joints, n_frames, motions.cost, gaze)
 
 
 def _generate(
@@ -194,7 +211,47 @@ def well_formed(
     with np.errstate(over="ignore"):
         joints = joints[:, :longest].astype(np.float32)
     _require_possible(joints, batch, method, ids, farthest)
-    return Motions(joints, batch.n_frames, motions.cost)
+    gaze = None if motions.gaze is None else _well_formed_gaze(motions.gaze, joints, batch, method, ids)
+    return Motions(joints, batch.n_frames, motions.cost, gaze)
+
+
+def _require_declared_gaze(motions: Motions, declared: Declared, method: str) -> None:
+    """Refuse gaze that was not announced, and motions without the gaze that was: a run is marked before it begins."""
+    if declared.gaze and motions.gaze is None:
+        raise AdapterError(
+            f"method '{method}': expected gaze with its motions, as it declares, found none. Return"
+            " Motions(…, gaze=Gaze(origin, direction)), or do not declare gaze."
+        )
+    if motions.gaze is not None and not declared.gaze:
+        raise AdapterError(
+            f"method '{method}': expected motions without gaze, which it does not declare, found some. Set gaze = True"
+            " on the adapter, or leave it out."
+        )
+
+
+def _well_formed_gaze(gaze: object, joints: np.ndarray, batch: ConditionBatch, method: str, ids: Sequence[str]) -> Gaze:
+    """Return gaze as float32 if it is one ray a frame, from the head of each frame."""
+    origin = f"method '{method}'"
+    if not isinstance(gaze, Gaze):
+        raise AdapterError(f"{origin}: expected prbench.contract.Gaze or None, found {type(gaze).__name__}.")
+    longest = joints.shape[1]
+    rays = []
+    for name in ("origin", "direction"):
+        values = getattr(gaze, name)
+        fits = isinstance(values, np.ndarray) and values.ndim == 3 and values.shape[::2] == (len(batch), 3)
+        if not fits or values.shape[1] < longest or not np.issubdtype(values.dtype, np.floating):
+            found = f"{values.shape} of {values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__
+            raise AdapterError(
+                f"{origin}: expected gaze.{name} as a NumPy array of shape ({len(batch)}, {longest} or more, 3) with"
+                f" decimals, found {found}.{asked_for(ids)}"
+            )
+        with np.errstate(over="ignore"):
+            rays.append(values[:, :longest].astype(np.float32))
+    for row, n_frames in enumerate(batch.n_frames):
+        problem = gaze_problem(joints[row, :n_frames], rays[0][row, :n_frames], rays[1][row, :n_frames])
+        if problem:
+            raise AdapterError(f"{origin}, sequence {ids[row]}, gaze, {problem}")
+    return Gaze(*rays)
 
 
 def _as_array(n_frames: object) -> np.ndarray:
@@ -258,12 +315,19 @@ def _require_possible(
 
 def _joined(first: Motions, second: Motions) -> Motions:
     longest = max(first.joints.shape[1], second.joints.shape[1])
-    padded = [
-        np.pad(part.joints, ((0, 0), (0, longest - part.joints.shape[1]), (0, 0), (0, 0))) for part in (first, second)
-    ]
+
+    def stacked(*parts: np.ndarray) -> np.ndarray:
+        widths = [[(0, 0), (0, longest - part.shape[1]), *[(0, 0)] * (part.ndim - 2)] for part in parts]
+        return np.concatenate([np.pad(part, width) for part, width in zip(parts, widths, strict=True)])
+
     declared = [part.cost.network_passes for part in (first, second) if part.cost is not None]
     cost = Cost(sum(declared)) if declared else None
-    return Motions(np.concatenate(padded), np.concatenate([first.n_frames, second.n_frames]), cost)
+    gaze = None
+    if first.gaze is not None and second.gaze is not None:
+        origin = stacked(first.gaze.origin, second.gaze.origin)
+        gaze = Gaze(origin, stacked(first.gaze.direction, second.gaze.direction))
+    n_frames = np.concatenate([first.n_frames, second.n_frames])
+    return Motions(stacked(first.joints, second.joints), n_frames, cost, gaze)
 
 
 def release_memory() -> None:

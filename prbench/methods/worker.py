@@ -91,6 +91,7 @@ def _introduction(name: str, adapter: Adapter, given: Path | None) -> Header:
         "max_frames": declared.max_frames,
         "native_fps": declared.native_fps,
         "motionless": declared.motionless,
+        "gaze": declared.gaze,
         "weights": weights,
         "trainable": isinstance(adapter, Trainable),
     }

@@ -1,4 +1,4 @@
-"""Prime Success by gaze: what the recorded eyes do where Prime Success asks the head."""
+"""Prime Success by gaze: what the eyes do where Prime Success asks the head."""
 
 from __future__ import annotations
 
@@ -7,58 +7,74 @@ from jaxtyping import Float
 
 from prbench.manifests import MetricConstants
 from prbench.metrics.batch import MotionBatch
-from prbench.metrics.prime_success import primed
+from prbench.metrics.prime_success import Variant, primed
 from prbench.metrics.ray_track import CandidateFrames, RayTrack, candidate_frames, gaze_track, untrusted
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair, ScoringTargets
 
 
 def prime_success_gaze(
-    recorded: MotionBatch, targets: ScoringTargets, constants: MetricConstants
+    motion: MotionBatch, targets: ScoringTargets, constants: MetricConstants, *, variant: Variant = "equation"
 ) -> Float[np.ndarray, " n"]:
-    """1 where the recorded gaze primes the goal: the conditions of ``prime_success`` with the gaze ray.
+    """1 where the gaze primes the goal: the conditions of ``prime_success`` with the gaze ray.
 
     Args:
-        recorded: The recorded motion; its lengths only.
-        targets: With gaze.
+        motion: The motion that the gaze belongs to; its lengths only.
+        targets: With the gaze of that motion, recorded or generated.
         constants: Of the protocol.
+        variant: Which of the readings.
 
     Raises:
         ValueError: if the targets hold no gaze.
     """
-    candidates, track = _evidence(recorded, targets, constants)
-    return primed(track, candidates, constants, "equation")
+    candidates, track = _evidence(motion, targets, constants)
+    return primed(track, candidates, constants, variant)
 
 
 def _evidence(
-    recorded: MotionBatch, targets: ScoringTargets, constants: MetricConstants
+    motion: MotionBatch, targets: ScoringTargets, constants: MetricConstants
 ) -> tuple[CandidateFrames, RayTrack]:
     if targets.gaze is None:
         raise ValueError("the targets hold no gaze")
-    recorded.require_frames(2)
+    motion.require_frames(2)
     fps = targets.fps_of_sequence
-    candidates = candidate_frames(recorded.n_frames, targets.prime_time, fps, constants)
-    return candidates, gaze_track(recorded, targets.gaze, candidates, targets.goal_location, fps)
+    candidates = candidate_frames(motion.n_frames, targets.prime_time, fps, constants)
+    return candidates, gaze_track(motion, targets.gaze, candidates, targets.goal_location, fps)
 
 
-def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues]:
-    candidates, track = _evidence(pair.recorded, pair.targets, constants)
+def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, ...]:
+    candidates, track = _evidence(pair.predicted, pair.targets, constants)
     flags = {
         "no_candidate_frames": candidates.count == 0,
-        "invalid_gaze_samples": untrusted(track, candidates),
+        INVALID: untrusted(track, candidates),
     }
-    return (MetricValues("prime_success_gaze", primed(track, candidates, constants, "equation"), flags),)
+    return (
+        MetricValues("prime_success_gaze", primed(track, candidates, constants, "equation"), flags),
+        MetricValues("prime_success_gaze_arrival", primed(track, candidates, constants, "arrival"), flags),
+    )
 
+
+INVALID = "invalid_gaze_samples"
+"""Flag of a sequence with a frame without gaze among those that decide."""
 
 FAMILY = MetricFamily(
     (
         MetricInfo(
             "prime_success_gaze",
-            "Prime Success (recorded gaze)",
+            "Prime Success (gaze)",
             "rate",
             higher_is_better=True,
             main=False,
             position=28,
+            compares_with_recorded=False,
+        ),
+        MetricInfo(
+            "prime_success_gaze_arrival",
+            "Prime Success (gaze, arrival)",
+            "rate",
+            higher_is_better=True,
+            main=False,
+            position=29,
             compares_with_recorded=False,
         ),
     ),

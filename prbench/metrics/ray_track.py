@@ -110,12 +110,12 @@ def gaze_track(
     goal_location: Float[np.ndarray, "n 3"],
     fps: Float[np.ndarray, " n"],
 ) -> RayTrack:
-    """The recorded gaze ray against the goal.
+    """The gaze ray against the goal.
 
     An invalid sample is off target, and the turn into it and out of it is unknown.
 
     Args:
-        motion: The recorded motion whose frames the gaze belongs to.
+        motion: The motion whose frames the gaze belongs to.
         gaze: One ray a frame.
         candidates: Decide which frames are looked at.
         goal_location: Canonical frame, metres.

@@ -117,7 +117,7 @@ class MetricFamily:
     """One result for each of ``metrics``, in that order."""
     minimum_frames: int = 2
     needs_gaze: bool = False
-    """Computed only where recorded gaze is handed in."""
+    """Computed only where the predicted motions have gaze: recorded motion, and methods that generate it."""
     needs_scene: bool = False
     """Computed only where the boxes of the scene are handed in."""
 

@@ -50,7 +50,7 @@ def _wanted(
         return tuple(family for family in families if _is_given(family, pair))
     chosen = tuple(family for family in families if any(info.id in metrics for info in family.metrics))
     if any(family.needs_gaze for family in chosen) and pair.targets.gaze is None:
-        raise ValueError("a metric of recorded gaze was asked for, but the targets hold no gaze")
+        raise ValueError("a metric of gaze was asked for, but the targets hold no gaze")
     if any(family.needs_scene for family in chosen) and pair.targets.scene is None:
         raise ValueError("a metric of the scene was asked for, but the targets hold no boxes")
     return chosen
@@ -77,8 +77,8 @@ def _check(pair: ScoringPair, families: tuple[MetricFamily, ...], *, allow_lengt
         )
     if not allow_length_mismatch:
         require_equal_lengths(predicted, recorded)
-    if pair.targets.gaze is not None and len(pair.targets.gaze.valid) != len(recorded.values):
-        raise ValueError(f"expected {len(recorded.values)} gaze rays, found {len(pair.targets.gaze.valid)}")
+    if pair.targets.gaze is not None and len(pair.targets.gaze.valid) != len(predicted.values):
+        raise ValueError(f"expected {len(predicted.values)} gaze rays, found {len(pair.targets.gaze.valid)}")
     if pair.targets.scene is not None and len(pair.targets.scene) != len(pair.targets):
         raise ValueError(
             f"expected the boxes of {len(pair.targets)} sequences, found those of {len(pair.targets.scene)}"

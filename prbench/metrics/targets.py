@@ -17,7 +17,7 @@ UNKNOWN_HAND = -1
 
 @dataclass(frozen=True, eq=False)
 class GazeRays:
-    """Recorded gaze, one ray a frame of the recorded motions, in the same order."""
+    """Gaze, one ray a frame of the predicted motions, in the same order."""
 
     origin: Float[np.ndarray, "frames 3"]
     """Between the eyes, canonical frame, metres."""
@@ -49,7 +49,7 @@ class ScoringTargets:
     fps: float | Float[np.ndarray, " n"]
     """Frames per second, one for all or one a sequence."""
     gaze: GazeRays | None = None
-    """Recorded gaze; only for scoring recorded motion."""
+    """Gaze of the predicted motions: recorded gaze for recorded motion, generated gaze for methods that have it."""
     scene: Boxes | None = None
     """What stands around each sequence and is solid, canonical frames; None where nobody knows."""
 
@@ -86,7 +86,7 @@ class ScoringPair:
         targets = self.targets
         gaze = targets.gaze
         if gaze is not None:
-            gaze = gaze.rows(int(self.recorded.offsets[start]), int(self.recorded.offsets[stop]))
+            gaze = gaze.rows(int(self.predicted.offsets[start]), int(self.predicted.offsets[stop]))
         part = ScoringTargets(
             targets.goal_location[start:stop],
             targets.prime_time[start:stop],

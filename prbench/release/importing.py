@@ -23,7 +23,8 @@ from prbench.release.report import ImportReport, Inference, count_rows, count_wa
 from prbench.release.rows import Reading
 from prbench.release.survey import Measured, survey
 from prbench.release.writing import ImportedRows, describe, read_export_record, terms_of
-from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
+from prbench.sequences import SequenceTable
+from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.write import write_dataset
 from prbench.storage import require_replaceable
 
@@ -131,7 +132,7 @@ def _import_dataset(dataset: str, folder: Path, out: Path, options: ImportOption
         shape=interpreted.entries.shape,
         fields=interpreted.fields,
         unmapped=interpreted.unmapped,
-        inferences=inferences + _round_trip(exported, info),
+        inferences=inferences + _round_trip(exported, SequenceTable.open(out)),
         problems=tuple(interpreted.found.problems),
         counts=counts,
         warnings=(*reading.conclusions.warnings, *count_warnings(counts), *_unused_files(interpreted.files)),
@@ -219,14 +220,24 @@ def _as_exported(reading: Reading, measured: list[Measured]) -> Reading:
     return replace(reading, conclusions=conclusions)
 
 
-def _round_trip(exported: Mapping[str, Any] | None, info: DatasetInfo) -> tuple[Inference, ...]:
+def _round_trip(exported: Mapping[str, Any] | None, table: SequenceTable) -> tuple[Inference, ...]:
     """Compare the imported table with the one that our exporter wrote, by their digests."""
     if exported is None:
         return ()
+    info = table.info
     kinds = ("identity_digest", "content_digest")
     same = [kind.replace("_", " ") for kind in kinds if exported.get(kind) == getattr(info, kind)]
     if len(same) == len(kinds):
         return (Inference("exported_table", "unchanged", "certain", "both digests are those of the exported table"),)
+    if same == ["content digest"]:
+        for version in range(1, info.protocol_version):
+            if table.identity_under(version) == exported.get("identity_digest"):
+                value = f"unchanged, of protocol version {version}"
+                found = (
+                    f"the content digest agrees, and the identity digest is that of the same sequences under protocol"
+                    f" version {version}; the table is now one of version {info.protocol_version}"
+                )
+                return (Inference("exported_table", value, "certain", found),)
     found = f"of the digests agree: {', '.join(same) or 'none'}"
     return (Inference("exported_table", "not the same", "certain", found),)
 

@@ -90,11 +90,11 @@ class DatasetFolder:
             RunError: naming the first one.
         """
         planned = {self.part(batch) for batch in range(batches)}
-        strangers = sorted(path for path in self.predictions.glob("*.parquet") if path not in planned)
-        strangers = [path for path in strangers if not path.name.startswith(".")]
-        if strangers:
+        unplanned = sorted(path for path in self.predictions.glob("*.parquet") if path not in planned)
+        unplanned = [path for path in unplanned if not path.name.startswith(".")]
+        if unplanned:
             raise RunError(
-                f"{strangers[0]}: expected the {batches} parts of this run only, found another file. Move it elsewhere."
+                f"{unplanned[0]}: expected the {batches} parts of this run only, found another file. Move it elsewhere."
             )
 
     def has_scores(self) -> bool:

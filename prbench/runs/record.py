@@ -49,6 +49,8 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
     native_fps: float | None
     motionless: bool
     """The method declares that its motions stand still, so that Foot Skating says nothing about it."""
+    gaze: bool = False
+    """The motions bring gaze (docs/specification/protocol.md#gaze)."""
     wants_obstacles: bool = False
     """The method was given the solid boxes around each sequence, which others are not."""
     isolation: str | None = None
@@ -129,8 +131,9 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_usual(self) -> bool:
-        """False for motions that were chosen, that knew more than others, or that started elsewhere: never ranked."""
-        return self.best_of == 1 and not self.method.wants_obstacles and not self.carry_on
+        """False for motions that were chosen, bring gaze, knew more than others or started elsewhere: never ranked."""
+        adds_or_knows_more = self.method.gaze or self.method.wants_obstacles
+        return self.best_of == 1 and not adds_or_knows_more and not self.carry_on
 
     def write(self, folder: Path) -> None:
         """Write ``run.json``."""

@@ -28,6 +28,16 @@ PREDICTIONS = pa.schema(
 )
 """One generated motion a row: canonical frame, metres, encoded like the sequence table."""
 
+PREDICTIONS_WITH_GAZE = pa.schema(
+    [
+        *PREDICTIONS,
+        pa.field("gaze_origin", pa.list_(pa.list_(pa.float32(), 3)), nullable=False),
+        pa.field("gaze_direction", pa.list_(pa.list_(pa.float32(), 3)), nullable=False),
+    ]
+)
+"""Motions that bring gaze, one ray a frame from between the eyes; columns are named as in the sequence table."""
+GAZE_COLUMNS = PREDICTIONS_WITH_GAZE.names[len(PREDICTIONS) :]
+
 SCORES = pa.schema(
     [
         pa.field("sequence_id", pa.string(), nullable=False),

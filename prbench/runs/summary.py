@@ -19,11 +19,15 @@ EDGE_ARRIVAL = "arrived_from_the_edge"
 """Flag of a motion that came onto the target from less than ``arrival_margin`` outside it, beside its arrival."""
 _RECORDED_SHARE = 0.01
 """Share of such motions above which a method is not ranked."""
+_BY_ACCIDENT = 1
+"""Recorded motions that say nothing of a method: in a run of few sequences one is already more than that share."""
 TWICE_DAGGER = "††"
 """Mark of a method that handed in recorded motions."""
 SECTION = "§"
 """Mark of motions that were chosen among several."""
 PILCROW = "¶"
+"""Mark of motions that bring gaze, which the study's methods do not generate."""
+LOZENGE = "◊"
 """Mark of a method that was given the scene's boxes."""
 PARALLEL = "∥"
 """Mark of puts that carry on from generated picks."""
@@ -51,7 +55,7 @@ class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Number of motions that carry each remark."""
     detectable: float | None = None
     """Smallest difference to an unrelated method of the same spread that is found with 80 % power at Holm's first step
-    among the main metrics; None where nothing can be tested."""
+    among the metrics that are compared; None where nothing can be tested."""
     uncertainty: dict[str, float] = msgspec.field(default_factory=dict)
     """Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``."""
 
@@ -77,6 +81,8 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Motions kept of each sequence."""
     best_of: int = 1
     """Motions drawn for each that was kept."""
+    gaze: bool = False
+    """The motions bring gaze that the method generated."""
     obstacles: bool = False
     """The method was given the solid boxes around each sequence."""
     carry_on: bool = False
@@ -97,7 +103,7 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def hands_in_recordings(self) -> bool:
         """True if there are too many of them for an accident, so that the scores are those of no method."""
-        return self.recorded_motions > _RECORDED_SHARE * self._motions
+        return self.recorded_motions > max(_BY_ACCIDENT, _RECORDED_SHARE * self._motions)
 
     @property
     def recorded_motion_mark(self) -> str:
@@ -115,24 +121,44 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         return f"{SECTION} best of {self.best_of} motions, chosen by their own head ray and wrist; never ranked"
 
     @property
-    def option_marks(self) -> tuple[str, ...]:
-        """Remarks of tables on options whose rows stand for themselves, of which :attr:`best_of_mark` is one."""
-        remarks = [self.best_of_mark] if self.best_of_mark else []
-        if self.obstacles:
-            remarks.append(f"{PILCROW} was given the scene's boxes, which other methods are not; never ranked")
-        if self.carry_on:
-            remarks.append(f"{PARALLEL} each put starts where the generated pick before it ends; never ranked")
-        return tuple(remarks)
+    def gaze_mark(self) -> str:
+        """Remark of tables on motions that bring gaze; empty if they bring none."""
+        return f"{PILCROW} gaze generated with the head, beyond the study; never ranked" if self.gaze else ""
+
+    @property
+    def obstacles_mark(self) -> str:
+        """Remark of tables on a method that was given the scene's boxes; empty if it was not."""
+        if not self.obstacles:
+            return ""
+        return f"{LOZENGE} was given the scene's boxes, which other methods are not; never ranked"
+
+    @property
+    def carry_on_mark(self) -> str:
+        """Remark of tables on puts that carry on from generated picks; empty if they do not."""
+        if not self.carry_on:
+            return ""
+        return f"{PARALLEL} each put starts where the generated pick before it ends; never ranked"
+
+    @property
+    def run_marks(self) -> tuple[str, ...]:
+        """Remarks on how the motions were made, the same on every dataset of a run."""
+        marks = (self.best_of_mark, self.gaze_mark, self.obstacles_mark, self.carry_on_mark)
+        return tuple(mark for mark in marks if mark)
 
     @property
     def mark(self) -> str:
         """Return the remarks that readers must know about the motions; empty if there are none."""
-        return "; ".join(part for part in (self.recorded_motion_mark, *self.option_marks) if part)
+        return "; ".join(part for part in (self.recorded_motion_mark, *self.run_marks) if part)
 
     @property
     def symbols(self) -> str:
         """The signs of :attr:`mark`, for the name of the method."""
-        return " ".join(part.split(" ", 1)[0] for part in (self.recorded_motion_mark, *self.option_marks) if part)
+        return _signs((self.recorded_motion_mark, *self.run_marks))
+
+    @property
+    def run_symbols(self) -> str:
+        """The signs of :attr:`run_marks`."""
+        return _signs(self.run_marks)
 
     @property
     def edge_arrivals(self) -> str:
@@ -173,3 +199,8 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
                 f"{path}: expected schema version {RUN_SCHEMA_VERSION}, found {summary.schema_version}. Update prbench."
             )
         return summary
+
+
+def _signs(marks: tuple[str, ...]) -> str:
+    """The sign that each remark begins with."""
+    return " ".join(mark.split(" ", 1)[0] for mark in marks if mark)

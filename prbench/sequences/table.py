@@ -116,9 +116,13 @@ class BuiltTable(Generic[Info]):
     @cached_property
     def identity(self) -> str:
         """Identity digest, computed from the rows."""
+        return self.identity_under(self.info.protocol_version)
+
+    def identity_under(self, protocol_version: int) -> str:
+        """Return the identity digest that these rows have in a table of that version of the protocol."""
         rows = self.scalars()
         columns = (rows[name].to_pylist() for name in self.identity_columns)
-        return identity_digest(*columns, protocol_version=self.info.protocol_version)
+        return identity_digest(*columns, protocol_version=protocol_version)
 
     @cached_property
     def content(self) -> str:

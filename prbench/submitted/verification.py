@@ -162,6 +162,7 @@ def summary_of(
             split=record.split,
             samples=record.samples,
             best_of=record.best_of,
+            gaze=record.method.gaze,
             obstacles=record.method.wants_obstacles,
             carry_on=record.carry_on,
         ),

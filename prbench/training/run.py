@@ -16,7 +16,12 @@ from prbench.locks import sole_writer
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.folds import fold_table, parse_fold
 from prbench.training.batches import LengthBatches, load_batches
-from prbench.training.configuration import DEFAULT_STAGES, TrainingConfiguration, load_configuration
+from prbench.training.configuration import (
+    DEFAULT_STAGES,
+    TrainingConfiguration,
+    list_configurations,
+    load_configuration,
+)
 from prbench.training.dataset import SequenceDataset, configured_dataset
 from prbench.training.installed import load_task
 from prbench.training.loop import Progress, fit, silent
@@ -52,8 +57,9 @@ class TrainRequest:
     """A fold of the tables' participants, such as ``2/6``, who are not learnt from; None for the tables' own split."""
     stage: str | None = None
     """Stage of the training; by default the task's first."""
-    configuration: str = _DEFAULT_CONFIGURATION
-    """Name of one that comes with the task, or the path of a TOML file."""
+    configuration: str | None = None
+    """Name of one that comes with the task, or the path of a TOML file; by default the one named like the stage where
+    there is one, else ``small``."""
     overrides: tuple[tuple[str, str], ...] = ()
     """``("training.steps", "100")`` …"""
     initial: Path | None = None
@@ -109,13 +115,18 @@ def train(request: TrainRequest, *, report: Callable[[Progress], None] = silent)
 
 
 def resolved(
-    task: TrainingTask, configuration: str, *, stage: str | None = None, overrides: Sequence[tuple[str, str]] = ()
+    task: TrainingTask,
+    configuration: str | None = None,
+    *,
+    stage: str | None = None,
+    overrides: Sequence[tuple[str, str]] = (),
 ) -> tuple[str, TrainingConfiguration]:
     """The stage and the configuration of a training.
 
     Args:
         task: What is trained.
-        configuration: Name of one that comes with the task, or the path of a TOML file.
+        configuration: Name of one that comes with the task, or the path of a TOML file; None for the one named like the
+            stage, or ``small`` where there is none.
         stage: By default the task's first.
         overrides: ``("training.steps", "100")`` …
 
@@ -129,6 +140,8 @@ def resolved(
         raise UsageError(f"--stage: '{task.name}' has no stage '{chosen}'; its stages are: {', '.join(stages)}.")
     package = task.configurations
     name = task.name
+    if configuration is None:
+        configuration = chosen if chosen in list_configurations(package, name) else _DEFAULT_CONFIGURATION
     return chosen, load_configuration(configuration, package=package, task=name, stage=chosen, overrides=overrides)
 
 

@@ -43,6 +43,16 @@ KEEPS_GOING = """
         return Going()
 """
 """Goes on with the velocity that it is given, or with 0.2 m/s from a copied frame."""
+LOOKS_ALONG_THE_HEAD = KEEPS_GOING.replace("import Condition, Motions", "import Condition, Gaze, Motions").replace(
+    "return Motions(batch.initial_joints[:, None] + frame[:, None, None] * step[:, None], batch.n_frames)",
+    """joints = batch.initial_joints[:, None] + frame[:, None, None] * step[:, None]
+            up = joints[:, :, 15] - joints[:, :, 12]
+            along = up / np.linalg.norm(up, axis=-1, keepdims=True)
+            return Motions(joints, batch.n_frames, None, Gaze(joints[:, :, 15], along))
+
+        gaze = True""",
+)
+"""The same with gaze along neck and head."""
 
 
 def rows_of(*events: tuple[str, str, str, float, float]) -> pa.Table:
@@ -120,7 +130,7 @@ def test_pick_and_put_are_one_motion_in_the_world(pairs, tmp_path, install):
             assert put[0] == pytest.approx(pick[-1], abs=1e-5)
             steps = np.diff(np.concatenate([pick, put[1:]]), axis=0)
             assert np.abs(steps - steps[0]).max() < 1e-4, "a body that keeps its velocity keeps it over the seam"
-    assert report.summaries[0].option_marks[0].startswith("∥ each put starts where the generated pick")
+    assert report.summaries[0].run_marks[0].startswith("∥ each put starts where the generated pick")
     assert not report.folder.record.is_usual
 
 
@@ -136,6 +146,18 @@ def test_the_seam_and_both_halves_are_told(pairs, tmp_path, install):
     whole = report.summaries[0].metric("mpjpe")
     assert whole is not None
     assert whole.mean == pytest.approx((found.picks["mpjpe"] + found.puts["mpjpe"]) / 2)
+
+
+def test_gaze_of_a_put_is_brought_back_with_its_motion_and_such_rows_carry_both_signs(pairs, tmp_path, install):
+    install("going", LOOKS_ALONG_THE_HEAD)
+    report = carried(pairs, tmp_path / "out")
+    predictions = Predictions.open(report.folder.dataset("synthetic-adt").predictions)
+    rows = predictions.motions(predictions.ids, 0)
+    assert rows.gaze is not None
+    neck, head = rows.values[:, Joint.NECK], rows.values[:, Joint.HEAD]
+    assert rows.gaze[:, 0] == pytest.approx(head, abs=1e-5)
+    assert rows.gaze[:, 1] == pytest.approx((head - neck) / np.linalg.norm(head - neck, axis=1)[:, None], abs=1e-5)
+    assert report.summaries[0].symbols == "¶ ∥"
 
 
 def test_an_interrupted_run_goes_on_to_the_same_bytes(pairs, tmp_path, install):

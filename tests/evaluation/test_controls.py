@@ -1,4 +1,4 @@
-"""Controls: the recorded motion, clockwork, and other sequences' goals."""
+"""Controls: the recorded motion, constant timing, and other sequences' goals."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def goals_around(n: int = 40) -> np.ndarray:
     return np.stack([distance * np.sin(angle), generator.uniform(0.2, 1.9, n), distance * np.cos(angle)], axis=1)
 
 
-def clockwork(goals: np.ndarray, n_frames=101, fps=20.0, start=STANDING):
+def scripted(goals: np.ndarray, n_frames=101, fps=20.0, start=STANDING):
     given = ScriptedStart(np.tile(start, (len(goals), 1, 1)), goals, np.full(len(goals), TILT))
     return scripted_motions(given, np.full(len(goals), n_frames), fps)
 
@@ -105,16 +105,16 @@ def ray_distance(joints: np.ndarray, goals: np.ndarray) -> np.ndarray:
     return np.linalg.norm(to_goal - along[:, None] * forward, axis=1)
 
 
-def test_clockwork_starts_with_the_first_frame():
-    joints = clockwork(goals_around()).joints
+def test_the_scripted_body_starts_with_the_first_frame():
+    joints = scripted(goals_around()).joints
     assert np.allclose(joints[:, :20], STANDING, atol=1e-6)
 
 
 @pytest.mark.parametrize("fps", [20.0, 30.0])
-def test_clockwork_faces_the_goal_at_two_seconds_and_not_before(fps):
+def test_the_scripted_body_faces_the_goal_at_two_seconds_and_not_before(fps):
     goals = goals_around()
     goals = goals[np.hypot(goals[:, 0], goals[:, 2]) > 0.5]
-    joints = clockwork(goals, n_frames=151, fps=fps).joints
+    joints = scripted(goals, n_frames=151, fps=fps).joints
     assert ray_distance(joints[:, round(2.0 * fps)], goals).max() < 0.03
     behind = goals[:, 2] < 0
     assert ray_distance(joints[behind, round(1.4 * fps)], goals[behind]).min() > 0.25
@@ -124,21 +124,21 @@ def test_a_head_beside_the_pelvis_still_faces_the_goal():
     goals = goals_around()
     goals = goals[np.hypot(goals[:, 0], goals[:, 2]) > 0.5]
     leaning = STANDING + np.outer(STANDING[:, 1], [0.12, 0.0, 0.05])
-    joints = clockwork(goals, start=leaning).joints
+    joints = scripted(goals, start=leaning).joints
     assert ray_distance(joints[:, 40], goals).max() < 0.03
 
 
-def test_clockwork_slows_down_as_it_arrives():
-    joints = clockwork(np.array([[2.0, 1.2, 0.5]])).joints[0]
+def test_the_scripted_body_slows_down_as_it_arrives():
+    joints = scripted(np.array([[2.0, 1.2, 0.5]])).joints[0]
     forward, _ = head_forward(joints, TILT)
     speed = np.arccos(np.clip((forward[1:] * forward[:-1]).sum(axis=1), -1, 1))[20:40]
     assert speed.argmax() in (9, 10)
     assert (np.diff(speed[10:]) < 0).all()
 
 
-def test_a_wrist_of_the_clockwork_ends_on_the_goal_and_the_other_arm_stays_with_the_body():
+def test_a_wrist_of_the_scripted_body_ends_on_the_goal_and_the_other_arm_stays_with_the_body():
     goals = goals_around()
-    final = clockwork(goals).joints[:, -1]
+    final = scripted(goals).joints[:, -1]
     distances = np.linalg.norm(final[:, WRISTS] - goals[:, None], axis=-1)
     assert distances.min(axis=1).max() < 1e-5
     lengths = bone_lengths(final) / bone_lengths(STANDING)
@@ -148,13 +148,13 @@ def test_a_wrist_of_the_clockwork_ends_on_the_goal_and_the_other_arm_stays_with_
 
 def test_arms_keep_their_bones_where_the_goal_is_within_reach():
     goals = np.array([[1.5, 1.25, 1.0], [-0.2, 1.3, 0.35], [0.0, 1.5, 3.0]])
-    joints = clockwork(goals).joints
+    joints = scripted(goals).joints
     assert np.allclose(bone_lengths(joints) / bone_lengths(STANDING), 1.0, atol=1e-3)
 
 
-def test_clockwork_stands_before_the_goal_and_moves_smoothly():
+def test_the_scripted_body_stands_before_the_goal_and_moves_smoothly():
     goals = goals_around()
-    joints = clockwork(goals).joints
+    joints = scripted(goals).joints
     stand = np.linalg.norm((joints[:, -1, 0] - goals)[:, [0, 2]], axis=1)
     walked = np.hypot(goals[:, 0], goals[:, 2]) > 0.45
     assert np.allclose(stand[walked], 0.45, atol=1e-5)
@@ -164,17 +164,17 @@ def test_clockwork_stands_before_the_goal_and_moves_smoothly():
     )  # 32 m/s²; half a turn in one second is brisk
 
 
-def test_clockwork_turns_with_the_world():
+def test_the_scripted_body_turns_with_the_world():
     turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
     goals = goals_around(10)
-    own = clockwork(goals).joints
-    turned = clockwork(goals @ turn.T, start=STANDING @ turn.T).joints
+    own = scripted(goals).joints
+    turned = scripted(goals @ turn.T, start=STANDING @ turn.T).joints
     assert np.allclose(own @ turn.T, turned, atol=1e-5)
 
 
 def test_a_short_sequence_still_reaches():
     goals = goals_around(8)
-    final = clockwork(goals, n_frames=41).joints[:, -1]
+    final = scripted(goals, n_frames=41).joints[:, -1]
     assert np.linalg.norm(final[:, WRISTS] - goals[:, None], axis=-1).min(axis=1).max() < 1e-5
 
 

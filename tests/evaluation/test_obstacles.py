@@ -87,7 +87,7 @@ def test_a_method_that_asks_is_given_the_boxes_and_its_rows_are_marked_and_unran
     report = run_method(asked)
     assert report.folder.record.method.wants_obstacles
     assert not report.folder.record.is_usual
-    assert report.summaries[0].option_marks[0].startswith("¶ was given the scene's boxes")
+    assert report.summaries[0].run_marks[0].startswith("◊ was given the scene's boxes")
     predictions = Predictions.open(report.folder.dataset("synthetic-adt").predictions)
     names = [name for chunk in table_of_boxes.chunks(split="test", columns=[]) for name in chunk.sequence_ids]
     for sample in (0, 1):

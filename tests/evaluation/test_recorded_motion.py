@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from prbench.evaluation.planning import select
 from prbench.evaluation.recorded_motion import is_recorded_motion
@@ -19,6 +18,7 @@ from prbench.submitted.score_predictions import ScoreRequest, score_predictions
 from prbench.workflows.synthetic_table import build_synthetic_table
 from tests.evaluation.test_run import request
 from tests.fakes import STANDING, fake_sequence
+from tests.runs.test_record import SUMMARY
 from tests.submitted.test_score_predictions import write
 
 
@@ -135,6 +135,47 @@ def test_where_hardly_anything_happens_nothing_is_claimed():
     assert not is_recorded_motion(still, still).any()
 
 
+def hardly_moving(n_frames: int = 60) -> np.ndarray:
+    """A person who settles by 5 cm in the first frames, stands, and leans to the side in the last ones."""
+    motion = noisy(np.repeat(STANDING[None], n_frames, axis=0), 1e-4)
+    motion[:3] += np.linspace(1, 0, 3)[:, None, None] * [0.0, 0.0, -0.05]
+    motion[-3:] += np.linspace(0, 1, 3)[:, None, None] * [0.05, 0.0, 0.0]
+    return motion
+
+
+def step_aside(metres: float, seed: int) -> np.ndarray:
+    """The way of a recorded person with other arms, all joints up to some centimetres beside."""
+    motion = with_other(reaching(0), ARMS)
+    beside = named_generator("step", seed).uniform(-1, 1, size=(len(motion) // 10 + 1, *STANDING.shape))
+    smooth = at_times(beside, np.linspace(0, len(beside) - 1, len(motion)))
+    return motion + metres * smooth
+
+
+def test_a_body_that_stands_where_a_person_hardly_moves_is_not_taken_for_the_person():
+    person = hardly_moving()
+    recorded = MotionBatch.from_motions([person.astype(np.float32)] * 3)
+    still = np.repeat(person[:1], len(person), axis=0)
+    late = np.concatenate([still[:-3], person[-3:]])
+    methods = MotionBatch.from_motions([motion.astype(np.float32) for motion in (still, noisy(still, 1e-4), late)])
+    assert not is_recorded_motion(methods, recorded).any()
+    assert is_recorded_motion(recorded, recorded).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_method_that_makes_the_same_steps_two_centimetres_beside_is_not_taken_for_the_person(seed):
+    recorded = MotionBatch.from_motions([reaching(0).astype(np.float32)])
+    near = MotionBatch.from_motions([step_aside(0.022, seed).astype(np.float32)])
+    assert not is_recorded_motion(near, recorded).any()
+
+
+@pytest.mark.parametrize(("found", "motions", "never_ranked"), [(1, 12, False), (2, 12, True), (2, 400, False)])
+def test_one_motion_of_a_small_run_is_marked_and_does_not_keep_its_method_from_a_rank(found, motions, never_ranked):
+    metric = replace(SUMMARY.metrics[0], flags={"recorded_motion": found})
+    summary = replace(SUMMARY, sequences=motions, metrics=(metric,))
+    assert summary.recorded_motion_mark.startswith(f"†† equals the recorded motion in {found} of {motions} motions")
+    assert summary.hands_in_recordings == never_ranked
+
+
 def test_a_file_of_recorded_motions_is_marked_and_the_control_is_not(table, tmp_path):
     ids = select(table, split="test", limit=None).sequence_ids
     motions = {name: fake_sequence(int(name.split("/obj")[1].split("/")[0])).joints for name in ids}
@@ -156,21 +197,22 @@ def test_a_file_of_recorded_motions_is_marked_and_the_control_is_not(table, tmp_
     [lambda m: np.concatenate([m[:1], m[:-1]]), lambda m: 1.01 * m, lambda m: noisy(m, 0.001)],
     ids=["a frame late", "1 % larger", "1 mm of noise"],
 )
-def test_near_copies_that_are_handed_in_as_a_file_are_marked(tmp_path, change):
-    folder = tmp_path / "table"
-    table = build_synthetic_people(folder)
+def test_near_copies_that_are_handed_in_as_a_file_are_marked(synthetic_people, tmp_path, change):
+    table = synthetic_people
     selection = select(table, split="train", limit=None)
     motions = {}
     for _, chunk in selection.windows(["joints"]):
         for name, joints in zip(chunk.sequence_ids, np.split(chunk.joints, chunk.offsets[1:-1]), strict=True):
             motions[name] = change(joints.astype(np.float64)).astype(np.float32)
     file = write(tmp_path / "mine.parquet", motions)
-    (report,) = score_predictions(ScoreRequest(predictions=file, data=(folder,), split="train"))
+    (report,) = score_predictions(ScoreRequest(predictions=file, data=(table.folder,), split="train"))
     assert report.summary.recorded_motions == len(motions) > 0
     assert report.summary.hands_in_recordings
 
 
-def build_synthetic_people(folder: Path) -> SequenceTable:
+@pytest.fixture(scope="module")
+def synthetic_people(tmp_path_factory) -> SequenceTable:
     """A few synthetic people, who walk and reach as recorded ones do."""
+    folder = tmp_path_factory.mktemp("people") / "table"
     build_synthetic_table("adt", recordings=4, seed=0, out=folder, n_events=4)
     return SequenceTable.open(folder)

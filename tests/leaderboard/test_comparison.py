@@ -5,17 +5,22 @@ from __future__ import annotations
 import json
 
 import msgspec
+import pyarrow.compute as pc
 import pytest
 
 from prbench.cli import main
 from prbench.cli.leaderboard_compare import CompareReport
 from prbench.cli.leaderboard_export import BoardReport
 from prbench.errors import RunError
+from prbench.evaluation.comparisons import smallest_detectable_unpaired
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.leaderboard import collect_runs, compare_runs
+from prbench.leaderboard.decidable import undecided
 from prbench.leaderboard.separation import separate_by_comparison
 from prbench.metrics import METRICS
+from prbench.runs import DatasetSummary, read_scores
+from prbench.runs.folder import RunFolder
 from prbench.submitted.verification import recording_key
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
@@ -50,6 +55,20 @@ def test_the_difference_is_that_of_the_means_and_has_a_sign(folder):
     for metric, comparison in rows.items():
         assert comparison.difference.mean == pytest.approx(-back[metric].difference.mean)
         assert comparison.adjusted_p_value == pytest.approx(back[metric].adjusted_p_value)
+
+
+def test_a_summary_states_its_detectable_difference_for_as_many_metrics_as_are_compared(folder):
+    compared = compare_runs(folder / "truth", folder / "scripted").metrics
+    run = RunFolder.open(folder / "scripted").dataset("synthetic-adt")
+    stored = DatasetSummary.read(run.path).metric("mpjpe")
+    rows = read_scores(run.scores).filter(pc.field("metric") == "mpjpe")
+    ids = rows["sequence_id"].to_pylist()
+    values = rows["value"].to_numpy()
+    expected = smallest_detectable_unpaired(values, list(map(recording_key, ids)), ids, comparisons=len(compared))
+    assert expected is not None
+    assert stored.detectable == pytest.approx(expected)
+    assert any("correction for 7 metrics" in line for line in undecided("a", 64, 36, [[stored]]))
+    assert len(compared) == 7
 
 
 def test_only_supported_differences_separate_the_rows_of_a_board(folder):

@@ -8,7 +8,7 @@ import warnings
 import numpy as np
 import pytest
 
-from prbench.contract import Condition, ConditionBatch, Cost, Motions
+from prbench.contract import Condition, ConditionBatch, Cost, Gaze, Motions
 from prbench.errors import AdapterError, InputFileError
 from prbench.methods.motions import at_native_rate, at_table_rate, generate_checked, native_frames
 
@@ -267,3 +267,101 @@ def test_a_method_with_its_own_rate_is_asked_at_it_and_answers_on_the_table_grid
     motions, _ = run(Native())
     assert np.array_equal(motions.n_frames, [4, 6, 5])
     assert np.allclose(motions.joints[1, :, 0, 0], [0, 2, 4, 6, 8, 10])
+
+
+class Seeing(Method):
+    """Looks along z from 0.1 m before its head, which turns by a degree a frame."""
+
+    gaze = True
+
+    def generate(self, batch, *, seed):
+        motions = super().generate(batch, seed=seed)
+        turn = np.deg2rad(np.arange(motions.joints.shape[1]))
+        direction = np.stack((np.sin(turn), np.zeros_like(turn), np.cos(turn)), axis=-1)
+        rays = np.broadcast_to(direction, (len(batch), *direction.shape)).copy()
+        origin = motions.joints[:, :, 15] + (0.0, 0.0, 0.1)
+        return self.look(dataclasses.replace(motions, gaze=Gaze(origin, rays)))
+
+    def look(self, motions):
+        return motions
+
+
+def test_gaze_comes_back_as_float32_with_its_motions_in_halves_too():
+    motions, _ = run(Seeing())
+    halved, halvings = run(Seeing(memory=2))
+    assert halvings > 0
+    for one in (motions, halved):
+        assert one.gaze is not None
+        assert one.gaze.direction.dtype == np.float32
+        assert np.allclose(one.gaze.direction[1, 5], [np.sin(np.deg2rad(5)), 0, np.cos(np.deg2rad(5))])
+        assert np.allclose(one.gaze.origin[2, 4], [4, 2, 0.1])
+
+
+def test_gaze_at_another_rate_is_resampled_with_the_motion_and_keeps_length_one():
+    method = Seeing()
+    method.native_fps = 10.0
+    motions, _ = run(method)
+    assert motions.gaze is not None
+    half = np.deg2rad(0.5)
+    assert np.allclose(motions.gaze.direction[0, 1], [np.sin(half), 0, np.cos(half)], atol=1e-6)
+    assert np.allclose(motions.gaze.origin[0, 1], [0.5, 0, 0.1])
+    assert np.allclose(np.linalg.norm(motions.gaze.direction, axis=-1), 1, atol=1e-6)
+
+
+def _changed(name, change):
+    class Changed(Seeing):
+        def look(self, motions):
+            # Past the types of the constructor, which only tests check.
+            object.__setattr__(motions.gaze, name, change(np.array(getattr(motions.gaze, name))))
+            return motions
+
+    return Changed()
+
+
+def _with(place, value):
+    def change(values):
+        values[place] = value
+        return values
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("method", "reason"),
+    [
+        (
+            _changed("direction", _with((1, 2), 0.0)),
+            "b, gaze, frame 2: expected a gaze direction of length 1, found 0",
+        ),
+        (
+            _changed("direction", _with((1, 2, 0), np.nan)),
+            "b, gaze, frame 2: expected a gaze direction of length 1",
+        ),
+        (
+            _changed("origin", _with((0, 3, 1), 0.5)),
+            "a, gaze, frame 3: expected eyes within 0.3 m of the head joint",
+        ),
+        (_changed("origin", lambda rays: rays[:, :3]), r"gaze.origin as a NumPy array of shape \(3, 6 or more, 3\)"),
+        (_changed("direction", lambda rays: rays.astype(int)), r"with decimals, found \(3, 6, 3\) of int64"),
+        (_changed("direction", lambda rays: rays.tolist()), "found list"),
+    ],
+)
+def test_gaze_that_is_no_ray_from_its_head_is_refused_by_sequence_and_frame(method, reason):
+    with pytest.raises(AdapterError, match=reason):
+        run(method)
+
+
+def test_padding_of_gaze_may_hold_anything():
+    motions, _ = run(_changed("direction", _with((0, slice(4, None)), np.nan)))
+    assert motions.gaze is not None
+
+
+def test_gaze_is_declared_or_refused():
+    silent = Seeing()
+    silent.gaze = False
+    with pytest.raises(AdapterError, match="expected motions without gaze, which it does not declare"):
+        run(silent)
+    blind = Method()
+    blind.gaze = True
+    with pytest.raises(AdapterError, match="expected gaze with its motions, as it declares, found none"):
+        run(blind)

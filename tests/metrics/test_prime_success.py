@@ -200,7 +200,9 @@ def test_gaze_that_follows_the_head_succeeds_where_the_head_does() -> None:
     for angles in (A, (0,) * 7, (20, 15, 10, 5, 0, -5, -10), (6, 5, 4, 4, 4, 4, 4)):
         motion = looking(angles)
         where = targets(gaze=gaze_of(motion))
-        assert prime_success_gaze(batch(motion), where, CONSTANTS) == prime_success(batch(motion), where, CONSTANTS)
+        for variant in ("equation", "arrival"):
+            by_head = prime_success(batch(motion), where, CONSTANTS, variant=variant)
+            assert prime_success_gaze(batch(motion), where, CONSTANTS, variant=variant) == by_head
 
 
 def test_an_invalid_gaze_sample_is_off_target_and_hides_the_turn() -> None:

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prbench.metrics import (
+    GAZE_METRICS,
     MAIN_METRICS,
     METRICS,
     METRICS_OF_MOTIONS,
@@ -79,7 +80,7 @@ def test_the_metrics_stand_in_printed_order() -> None:
         "location_error_horizontal",
         "contact_share",
         "bone_length_change",
-        "prime_success_gaze",
+        *GAZE_METRICS,
         "scene_penetration",
         "scene_depth",
     }

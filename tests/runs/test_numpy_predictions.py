@@ -358,3 +358,24 @@ def test_a_missing_or_empty_file_is_named(tmp_path):
     (tmp_path / "motions").mkdir()
     with pytest.raises(PredictionsError, match=r"motions: expected 3 files, one a row .*, found 0"):
         Predictions.open(tmp_path / "motions", numbering=numbering(tmp_path))
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("after_one_another", [False, True])
+def test_gaze_stands_beside_the_joints_in_the_same_form(tmp_path, compressed, after_one_another):
+    joints = np.concatenate(MOTIONS) if after_one_another else padded()
+    rays = joints[..., 15, :]
+    path = saved(tmp_path / "p.npz", compressed=compressed, joints=joints, gaze_origin=rays, gaze_direction=rays + 1.0)
+    found = require_motions(path).motions(["c", "b"], 0)
+    assert found.gaze is not None
+    heads = np.concatenate([MOTIONS[2], MOTIONS[0]])[:, 15]
+    assert np.allclose(found.gaze[:, 0], heads)
+    assert np.allclose(found.gaze[:, 1], heads + 1.0)
+
+
+def test_gaze_of_another_shape_or_half_of_it_is_refused(tmp_path):
+    rays = padded()[:, :, 15]
+    with pytest.raises(PredictionsError, match="both arrays gaze_origin and gaze_direction, found gaze_origin alone"):
+        Predictions.open(saved(tmp_path / "p.npz", gaze_origin=rays))
+    with pytest.raises(PredictionsError, match=r"'gaze_direction': expected the shape \(3, 5, 3\)"):
+        Predictions.open(saved(tmp_path / "p.npz", gaze_origin=rays, gaze_direction=rays[:, :4]))

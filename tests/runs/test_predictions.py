@@ -10,7 +10,7 @@ import pytest
 from prbench.errors import PredictionsError
 from prbench.runs.folder import DatasetFolder
 from prbench.runs.predictions import PredictionRows, Predictions, parquet, write_part
-from prbench.runs.scores import PREDICTIONS
+from prbench.runs.scores import PREDICTIONS, PREDICTIONS_WITH_GAZE
 
 
 def motions(*lengths: int, start: float = 0.0) -> PredictionRows:
@@ -66,6 +66,54 @@ def test_padding_is_left_out():
     rows = PredictionRows.from_padded(joints, np.array([4, 2]))
     assert list(rows.offsets) == [0, 4, 6]
     assert np.array_equal(rows.values, np.concatenate([joints[0], joints[1, :2]]))
+
+
+def with_gaze(*lengths: int) -> PredictionRows:
+    rows = motions(*lengths)
+    gaze = np.random.default_rng(len(lengths)).normal(size=(len(rows.values), 2, 3)).astype(np.float32)
+    return PredictionRows(rows.values, rows.offsets, gaze)
+
+
+def test_gaze_comes_back_with_its_motions(tmp_path):
+    samples = [with_gaze(3, 5), with_gaze(2, 4)]
+    write_part(tmp_path / "part-0.parquet", ["b", "a"], [(1, 2), (3, 4)], samples, protocol_version=1)
+    predictions = Predictions.open(tmp_path)
+    assert predictions.has_gaze
+    assert pq.read_schema(tmp_path / "part-0.parquet").equals(PREDICTIONS_WITH_GAZE, check_metadata=False)
+    found = predictions.motions(["a", "b"], 1).gaze
+    assert samples[1].gaze is not None
+    assert np.array_equal(found, np.concatenate([samples[1].gaze[2:], samples[1].gaze[:2]]))
+
+
+def test_motions_without_gaze_are_the_same_bytes_as_before_and_have_none(folder):
+    predictions = Predictions.open(folder.predictions)
+    assert not predictions.has_gaze
+    assert predictions.motions(["a"], 0).gaze is None
+
+
+def test_parts_with_and_without_gaze_are_refused(folder):
+    write_part(folder.part(2), ["d"], [(7,), (8,)], [with_gaze(2), with_gaze(2)], protocol_version=1)
+    with pytest.raises(PredictionsError, match=r"part-00002.parquet: .* found gaze in one of the two"):
+        Predictions.open(folder.predictions)
+
+
+@pytest.mark.parametrize(
+    ("columns", "reason"),
+    [
+        ({"gaze_origin": [[[0.0, 0.0, 0.0]]]}, "both columns gaze_origin and gaze_direction, found gaze_origin alone"),
+        (
+            {"gaze_origin": [[[0.0, 0.0, 0.0]]], "gaze_direction": [[[0.0, 1.0]]]},
+            "column 'gaze_direction': expected x y z for each frame",
+        ),
+        ({"gaze_origin": [[[0.0] * 3] * 2], "gaze_direction": [[[0.0] * 3] * 2]}, "in each of its 1 frames, found 2"),
+        ({"gaze_origin": [[[0.0] * 3] * 2], "gaze_direction": [[[0.0] * 3]]}, "as many gaze origins as directions"),
+        ({"gaze_origin": [0.0], "gaze_direction": [0.0]}, "column 'gaze_origin': expected a list of frames"),
+    ],
+)
+def test_gaze_of_another_form_is_refused_by_column_and_row(tmp_path, columns, reason):
+    pq.write_table(pa.table({"sequence_id": ["a"], "joints": [[[0.0] * 66]], **columns}), tmp_path / "p.parquet")
+    with pytest.raises(PredictionsError, match=reason):
+        Predictions.open(tmp_path / "p.parquet").motions(["a"], 0)
 
 
 def test_a_row_without_a_motion_is_refused(tmp_path):

@@ -9,6 +9,7 @@ with exact points, none with both.
 from __future__ import annotations
 
 import dataclasses
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -59,12 +60,21 @@ PLACES = ("annotated_points",)
 TIMES = ("annotated_times",)
 
 
-def _found(acted: Performance, *exact: str) -> Verification:
+def _found(index: int, *exact: str) -> Verification:
     """Curation against truth where some sensor errors are switched off."""
-    return verification(_matches(acted, *exact), recordings=1)
+    return verification(_matches(index, *exact), recordings=1)
 
 
-def _matches(acted: Performance, *exact: str) -> list[Match]:
+@cache
+def _acted(index: int) -> Performance:
+    """Recording ``index``, which several tests look at."""
+    return Staging("hd-epic", 1).perform(index)
+
+
+@cache
+def _matches(index: int, *exact: str) -> list[Match]:
+    """Events of a recording beside what curation finds, with some sensor errors switched off."""
+    acted = _acted(index)
     layout = layout_for("hd-epic")
     switches = dataclasses.replace(Switches(), **dict.fromkeys(exact, False))
     recording = layout.recording(layout.sense(acted, switches=switches))
@@ -86,13 +96,12 @@ EXPLAINED = {"minimum_movement", "no_location", "not_primed"}
 def test_the_sequences_that_curation_misses_are_missed_by_sensors_and_annotators() -> None:
     outcomes: set[str] = set()
     for index in FEW:
-        acted = Staging("hd-epic", 1).perform(index)
-        missed = [miss.outcome for miss in _found(acted).missed_sequences]
+        missed = [miss.outcome for miss in _found(index).missed_sequences]
         outcomes.update(missed)
-        without_losses = [miss.outcome for miss in _found(acted, *MASKS).missed_sequences]
+        without_losses = [miss.outcome for miss in _found(index, *MASKS).missed_sequences]
         kept = [outcome for outcome in missed if outcome != "no_location"]
         assert without_losses == kept, "a lost mask loses its event"
-        exact = _found(acted, *MASKS, *GAZE, *PLACES, *TIMES)
+        exact = _found(index, *MASKS, *GAZE, *PLACES, *TIMES)
         assert exact.missed_sequences == ()
         assert (exact.priming_recall, exact.false_primes) == (1.0, 0.0)
         assert exact.prime_first.largest <= 1.0, "no look of seconds before is passed over"
@@ -103,8 +112,7 @@ def test_the_sequences_that_curation_misses_are_missed_by_sensors_and_annotators
 @pytest.mark.slow
 @pytest.mark.unchecked_shapes
 def test_every_outcome_that_the_page_explains_occurs() -> None:
-    acted = [Staging("hd-epic", 1).perform(index) for index in MANY]
-    assert {miss.outcome for each in acted for miss in _found(each).missed_sequences} == EXPLAINED
+    assert {miss.outcome for index in MANY for miss in _found(index).missed_sequences} == EXPLAINED
 
 
 @pytest.mark.parametrize("indices", [range(8), pytest.param(range(40), marks=pytest.mark.slow)])
@@ -114,7 +122,7 @@ def test_hands_are_wrong_only_where_both_wrists_are_at_the_place(indices: range)
 
     Measured on 60 recordings (docs/datasets.md): 2.2 % wrong and 5.9 % unknown.
     """
-    matches = [match for index in indices for match in _matches(Staging("hd-epic", 1).perform(index))]
+    matches = [match for index in indices for match in _matches(index)]
     hands = verification(matches, recordings=len(indices)).hands
     located = hands.right + hands.wrong + hands.unknown
     assert located >= 6 * len(indices)

@@ -43,6 +43,7 @@ class RemoteAdapter:
         self.conditions: frozenset[Condition] = introduction.declared.conditions
         self.max_frames, self.native_fps = introduction.declared.max_frames, introduction.declared.native_fps
         self.motionless = introduction.declared.motionless
+        self.gaze = introduction.declared.gaze
         self.weights: Mapping[Condition, RemoteWeights] = introduction.weights
         """Weights that it says it uses under each condition; empty if it says nothing."""
         self.trainable = introduction.trainable
@@ -119,13 +120,13 @@ class RemoteAdapter:
             "fps": float(batch.fps),
             "seed": seed,
         }
-        # Twice the size in float64: room for any list type, and still a bound on what is read.
-        limit = 2 * len(batch) * int(batch.n_frames.max()) * N_JOINTS * 3 * 8 + _MEGABYTE
+        # Twice the size of joints and gaze in float64: room for any list type, and still a bound on what is read.
+        limit = 2 * len(batch) * int(batch.n_frames.max()) * (N_JOINTS + 2) * 3 * 8 + _MEGABYTE
         try:
             answer, payload = self._process.ask(
                 header, conditions_payload(batch), timeout=self._program.batch_timeout, answer_limit=limit
             )
-            return motions_in(answer, payload, batch, number)
+            return motions_in(answer, payload, batch, number, gaze=self.gaze)
         except Ended:
             raise
         except Fault as fault:

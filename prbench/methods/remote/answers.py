@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from prbench.contract import Condition, ConditionBatch, Cost, Motions
@@ -18,7 +18,9 @@ _SHOWN_TEXT = 2000  # characters of what a program says about its own error
 _TEXT_LIMIT = 100
 
 
-def motions_in(header: Header, payload: bytes | None, batch: ConditionBatch, number: int) -> Motions:
+def motions_in(
+    header: Header, payload: bytes | None, batch: ConditionBatch, number: int, *, gaze: bool = False
+) -> Motions:
     """Return the motions of an answer, in the order of the batch.
 
     Args:
@@ -26,6 +28,7 @@ def motions_in(header: Header, payload: bytes | None, batch: ConditionBatch, num
         payload: As received.
         batch: What was asked for.
         number: Number of the request.
+        gaze: The program declares gaze.
 
     Raises:
         ReportedError: if the program says that it failed.
@@ -41,7 +44,7 @@ def motions_in(header: Header, payload: bytes | None, batch: ConditionBatch, num
     if payload is None:
         raise BrokenProtocol("answered without a payload, where 'bytes' and as many bytes of motions were due")
     try:
-        motions = motions_of(payload, batch)
+        motions = motions_of(payload, batch, gaze=gaze)
     except ValueError as error:
         raise BrokenProtocol(f"sent motions that cannot be used: {error}") from error
     passes = header.get("network_passes")
@@ -49,7 +52,7 @@ def motions_in(header: Header, payload: bytes | None, batch: ConditionBatch, num
         return motions
     if type(passes) is not int or passes < 0:
         raise BrokenProtocol(f"declared {shown_json(passes)} network_passes, where a whole number of 0 or more was due")
-    return Motions(motions.joints, motions.n_frames, Cost(passes))
+    return replace(motions, cost=Cost(passes))
 
 
 def error_text(header: Header) -> str:
@@ -108,6 +111,9 @@ class Introduction:
             raise AdapterError(
                 f"{origin}: expected 'motionless' in its hello to be true or false, found {_shown(motionless)}."
             )
+        gaze = header.get("gaze")
+        if gaze is not None and not isinstance(gaze, bool):
+            raise AdapterError(f"{origin}: expected 'gaze' in its hello to be true or false, found {_shown(gaze)}.")
         return cls(
             _name(header, origin),
             _text(header, "version", origin),
@@ -116,6 +122,7 @@ class Introduction:
                 header.get("max_frames"),
                 header.get("native_fps"),
                 motionless is True,
+                gaze is True,
                 origin=origin,
             ),
             _weights(header.get("weights"), origin),

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from prbench.contract import GIVEN, Condition, ConditionBatch, Motions
-from prbench.methods.remote.received import ReceivedMotions
+from prbench.methods.remote.received import GAZE_COLUMNS, ReceivedMotions
 from prbench.skeleton import N_JOINTS
 
 _POSE = pa.list_(pa.float32(), N_JOINTS * 3)
@@ -111,23 +111,33 @@ def motions_payload(ids: Sequence[str], motions: Motions) -> bytes:
     valid = [motion[:length] for motion, length in zip(joints, lengths, strict=True)]
     with np.errstate(over="ignore"):
         flat = np.concatenate([joints[:0].reshape(0, N_JOINTS, 3), *valid]).astype(np.float32, copy=False).reshape(-1)
-    return _stream(
-        {
-            "opaque_id": pa.array(ids, pa.utf8()),
-            "joints": pa.ListArray.from_arrays(pa.array(offsets.astype(np.int32)), pa.array(flat)),
-        }
-    )
+    columns: dict[str, pa.Array] = {
+        "opaque_id": pa.array(ids, pa.utf8()),
+        "joints": pa.ListArray.from_arrays(pa.array(offsets.astype(np.int32)), pa.array(flat)),
+    }
+    if motions.gaze is not None:
+        points = pa.array((offsets // N_JOINTS).astype(np.int32))
+        for name in GAZE_COLUMNS:
+            values = getattr(motions.gaze, name.removeprefix("gaze_"))
+            rays = np.concatenate([ray[:length] for ray, length in zip(values, lengths, strict=True)])
+            columns[name] = pa.ListArray.from_arrays(points, pa.array(rays.astype(np.float32).reshape(-1)))
+    return _stream(columns)
 
 
-def motions_of(payload: bytes, batch: ConditionBatch) -> Motions:
+def motions_of(payload: bytes, batch: ConditionBatch, *, gaze: bool = False) -> Motions:
     """The motions of a payload, in the order of the batch and with the lengths found.
 
     Whether these are the lengths asked for, and whether the positions are finite, is for the caller to check.
 
+    Args:
+        payload: Of a ``motions`` message.
+        batch: What was asked for.
+        gaze: The program declares gaze, so that its columns are read, too.
+
     Raises:
         ValueError: expected, found and what to do, if they are not one motion for each sequence of the batch.
     """
-    return ReceivedMotions.read(payload).in_order_of(batch.opaque_id)
+    return ReceivedMotions.read(payload, gaze=gaze).in_order_of(batch.opaque_id)
 
 
 def encode_message(header: Header, payload: bytes | None = None) -> list[bytes]:

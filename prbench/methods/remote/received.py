@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Int, Shaped
+from jaxtyping import Float, Int, Shaped
 
-from prbench.contract import Motions
+from prbench.contract import Gaze, Motions
 from prbench.skeleton import N_JOINTS
 
 _NUMBERS = N_JOINTS * 3  # a frame
 _FILE_MAGIC = b"ARROW1"
+GAZE_COLUMNS = ("gaze_origin", "gaze_direction")
 _SHAPES = ((), (_NUMBERS,), (N_JOINTS, 3))  # of what a row's list may hold: numbers, or frames in either nesting
 
 
@@ -26,17 +27,27 @@ class ReceivedMotions:
     joints: Shaped[np.ndarray, "total 22 3"]
     offsets: Int[np.ndarray, " offsets"]
     """Row i is ``joints[offsets[i]:offsets[i + 1]]``."""
+    gaze: tuple[Float[np.ndarray, "total 3"], ...] = ()
+    """Origins and directions in the same rows; empty for motions without gaze."""
 
     @classmethod
-    def read(cls, payload: bytes) -> ReceivedMotions:
+    def read(cls, payload: bytes, *, gaze: bool = False) -> ReceivedMotions:
         """Read the payload of a ``motions`` message.
 
+        Args:
+            payload: As received.
+            gaze: There have to be columns of gaze; otherwise they are not looked at.
+
         Raises:
-            ValueError: if it is no Arrow IPC stream of one record batch with ``opaque_id`` and ``joints``.
+            ValueError: if it is no Arrow IPC stream of one record batch with ``opaque_id`` and ``joints``, and those
+                of gaze.
         """
         rows = _record_batch(payload)
-        ids = tuple(_texts(_column(rows, "opaque_id")))
-        return cls(ids, *_frames(_column(rows, "joints"), ids))
+        wanted = ("opaque_id", "joints", *(GAZE_COLUMNS if gaze else ()))
+        ids = tuple(_texts(_column(rows, "opaque_id", wanted)))
+        joints, offsets = _frames(_column(rows, "joints", wanted), ids)
+        rays = tuple(_points(_column(rows, name, wanted), name, ids, offsets) for name in wanted[2:])
+        return cls(ids, joints, offsets, rays)
 
     def in_order_of(self, asked: Sequence[str]) -> Motions:
         """The motions padded, row by row as asked for.
@@ -48,10 +59,16 @@ class ReceivedMotions:
         rows = {name: row for row, name in enumerate(self.ids)}
         places = np.array([rows[name] for name in asked])
         n_frames = np.diff(self.offsets)[places]
-        joints = np.zeros((len(asked), int(n_frames.max(initial=0)), N_JOINTS, 3), dtype=self.joints.dtype)
-        for row, (place, length) in enumerate(zip(places, n_frames, strict=True)):
-            joints[row, :length] = self.joints[self.offsets[place] : self.offsets[place + 1]]
-        return Motions(joints, n_frames)
+        longest = int(n_frames.max(initial=0))
+
+        def padded(values: np.ndarray) -> np.ndarray:
+            whole = np.zeros((len(asked), longest, *values.shape[1:]), dtype=values.dtype)
+            for row, (place, length) in enumerate(zip(places, n_frames, strict=True)):
+                whole[row, :length] = values[self.offsets[place] : self.offsets[place + 1]]
+            return whole
+
+        gaze = Gaze(*map(padded, self.gaze)) if self.gaze else None
+        return Motions(padded(self.joints), n_frames, gaze=gaze)
 
 
 def _record_batch(payload: bytes) -> pa.RecordBatch:
@@ -77,11 +94,32 @@ def _record_batch(payload: bytes) -> pa.RecordBatch:
     return batches[0]
 
 
-def _column(rows: pa.RecordBatch, name: str) -> pa.Array:
+def _points(column: pa.Array, name: str, ids: Sequence[str], offsets: np.ndarray) -> np.ndarray:
+    """Return x y z of all frames, (total, 3), which has to be as many as there are frames of joints."""
+    if not _is_list(column.type):
+        raise ValueError(f"expected '{name}' as list<float32>, found {column.type}")
+    ends, values = _unwrapped(column)
+    while _is_list(values.type):
+        inner, values = _unwrapped(values)
+        ends = inner[ends]
+    if values.type not in (pa.float32(), pa.float64()) or values.null_count:
+        raise ValueError(f"expected '{name}' as list<float32> without nulls, found {column.type}")
+    wrong = np.flatnonzero(np.diff(ends) != 3 * np.diff(offsets))
+    if wrong.size:
+        row = int(wrong[0])
+        raise ValueError(
+            f"expected {3 * (offsets[row + 1] - offsets[row]):,} numbers in '{name}' of sequence {ids[row][:64]}, three"
+            f" a frame, found {ends[row + 1] - ends[row]:,}"
+        )
+    return values.to_numpy().reshape(-1, 3)
+
+
+def _column(rows: pa.RecordBatch, name: str, wanted: Sequence[str]) -> pa.Array:
     found = rows.schema.get_all_field_indices(name)
     if len(found) != 1:
         columns = ", ".join(f"{field.name}: {field.type}" for field in rows.schema)
-        raise ValueError(f"expected the columns opaque_id and joints, once each, found {columns or 'none'}"[:400])
+        expected = f"{', '.join(wanted[:-1])} and {wanted[-1]}"
+        raise ValueError(f"expected the columns {expected}, once each, found {columns or 'none'}"[:400])
     column = rows.column(found[0])
     if column.null_count:
         row = int(np.flatnonzero(column.is_null().to_numpy(zero_copy_only=False))[0])

@@ -23,7 +23,7 @@ _FARTHEST_CONTACT = 4.0
 _LEAST_CONTACTS_VARY = 0.1  # an evaluator's statistics leave 0.04 of the change between 0 and 1 …
 _UNDECIDED = 0.05  # … and neither of them, but their mean
 _FASTEST = 0.15  # metres a frame, mean over joints and frames: 3 m/s
-_ENOUGH = 4  # motions whose majority is believed; of fewer each needs a second witness
+_ENOUGH = 4  # motions whose majority is believed; of fewer each needs a second sign
 
 _OTHER_STATISTICS = (
     "The features were never restored, or with the statistics of another model: take the Mean.npy and Std.npy that this"

@@ -22,6 +22,7 @@ from prbench.errors import InputFileError, PredictionsError
 from prbench.limits import MOST_MOTIONS
 from prbench.numpy_files import Archive, ArrayHeader
 from prbench.runs.predictions.rows import IndexedRows, as_float32, is_floating, leading_axes
+from prbench.runs.scores import GAZE_COLUMNS
 from prbench.skeleton import N_JOINTS
 
 _ID_COLUMNS = ("sequence_id", "opaque_id")
@@ -56,21 +57,33 @@ class ColumnMotions:
     n_frames: Int[np.ndarray, " n"]
     _unpacked: _Unpacked = field(default_factory=lambda: _Unpacked(), repr=False)
 
+    _rays: dict[str, _Unpacked] = field(
+        default_factory=lambda: {name: _Unpacked() for name in GAZE_COLUMNS}, repr=False
+    )
+
     def make_ready(self) -> None:
-        """Check the array's checksum; a compressed one is unpacked into a temporary file."""
+        """Check the arrays' checksums; compressed ones are unpacked into temporary files."""
         with _as_predictions_error():
             self._unpacked.prepare(self.archive, "joints")
+            for name, unpacked in self._rays.items():
+                if name in self.archive.members:
+                    unpacked.prepare(self.archive, name)
 
     def motions(self, rows: Sequence[int]) -> list[np.ndarray]:
         """See :class:`MotionStore`; of the file only these rows are read."""
         with _as_predictions_error():
             joints = self._unpacked.array(self.archive, "joints")
-        found = []
-        for row in rows:
-            n = self.n_frames[row]
-            motion = joints[row, :n] if self.starts is None else joints[self.starts[row] : self.starts[row] + n]
-            found.append(as_float32(motion).reshape(-1, N_JOINTS, 3))
-        return found
+        return [as_float32(self._frames(joints, row)).reshape(-1, N_JOINTS, 3) for row in rows]
+
+    def gaze(self, rows: Sequence[int]) -> list[np.ndarray]:
+        """See :class:`MotionStore`; of the file only these rows are read."""
+        with _as_predictions_error():
+            arrays = [self._rays[name].array(self.archive, name) for name in GAZE_COLUMNS]
+        return [np.stack([as_float32(self._frames(array, row)) for array in arrays], axis=1) for row in rows]
+
+    def _frames(self, array: np.ndarray, row: int) -> np.ndarray:
+        n = self.n_frames[row]
+        return array[row, :n] if self.starts is None else array[self.starts[row] : self.starts[row] + n]
 
     def where(self, row: int) -> str:
         """See :class:`MotionStore`."""
@@ -94,6 +107,10 @@ class NamedMotions:
         with _as_predictions_error():
             arrays = self.archive.read_all([self.keys[row] for row in rows])
             return [self._of_sample(array, self.samples[row]) for array, row in zip(arrays, rows)]
+
+    def gaze(self, rows: Sequence[int]) -> list[np.ndarray]:
+        """Never asked for: one array a sequence has no room for gaze."""
+        raise NotImplementedError
 
     def where(self, row: int) -> str:
         """See :class:`MotionStore`."""
@@ -126,11 +143,11 @@ class _Unpacked:
             archive.verify(name)
         elif self._path is None:
             self._folder = tempfile.TemporaryDirectory(prefix="prbench-", ignore_cleanup_errors=True)
-            self._path = Path(self._folder.name) / "joints.bin"
+            self._path = Path(self._folder.name) / "array.bin"
             archive.unpack(name, self._path)
 
     def array(self, archive: Archive, name: str) -> np.ndarray:
-        """Return the archive's joints as they are stored, mapped into memory where they lie unpacked."""
+        """Return one of the archive's arrays as it is stored, mapped into memory where it lies unpacked."""
         if self._array is None:
             if archive.stored_as_is(name):
                 self._array = archive.mapped(name)
@@ -159,8 +176,32 @@ def _index_columns(archive: Archive) -> IndexedRows:
     )
     padded = _is_padded(archive.header("joints"), path, n_frames)
     starts = None if padded else np.concatenate(([0], np.cumsum(n_frames)))[:-1]
+    has_gaze = _has_gaze(archive)
     store = ColumnMotions(archive, starts, n_frames)
-    return IndexedRows((path,), id_column, ids, tuple(samples.tolist()), n_frames, store)
+    return IndexedRows((path,), id_column, ids, tuple(samples.tolist()), n_frames, store, has_gaze)
+
+
+def _has_gaze(archive: Archive) -> bool:
+    """Return True if both arrays of gaze are there, in the form of the joints.
+
+    Raises:
+        PredictionsError: if one is missing, or of another shape.
+    """
+    present = [name for name in GAZE_COLUMNS if name in archive.members]
+    if len(present) == 1:
+        raise PredictionsError(
+            f"{archive.path}: expected both arrays {' and '.join(GAZE_COLUMNS)}, found {present[0]} alone."
+        )
+    frames = leading_axes(archive.header("joints").shape)
+    for name in present:
+        header = archive.header(name)
+        if header.shape != (*(frames or ()), 3) or not is_floating(header.dtype):
+            expected = ", ".join(map(str, (*(frames or ()), 3)))
+            raise PredictionsError(
+                f"{archive.path}, '{name}': expected the shape ({expected}) of float32 or float64, as the joints have"
+                f" frames, found {header.shape} of {header.dtype}."
+            )
+    return bool(present)
 
 
 def _ids(archive: Archive, name: str) -> tuple[str, ...]:

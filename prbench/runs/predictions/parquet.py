@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 from prbench.errors import PredictionsError
 from prbench.parquet_files import open_parquet
 from prbench.runs.predictions.rows import POSE_SIZE, IndexedRows, PredictionRows, as_float32
+from prbench.runs.scores import GAZE_COLUMNS
 from prbench.skeleton import N_JOINTS
 
 _CACHED_BYTES = 512 * 1024**2
@@ -29,12 +30,15 @@ def index_parquet(paths: tuple[Path, ...]) -> IndexedRows:
         PredictionsError: if a file cannot be read, or columns are missing or of a wrong kind.
     """
     id_column = _id_column(paths[0])
+    has_gaze = _has_gaze(paths[0])
     ids: list[str] = []
     samples: list[int] = []
     groups: list[_RowGroup] = []
     for part in paths:
         file = _open(part)
         _check_columns(part, file.schema_arrow, id_column)
+        if _has_gaze(part) != has_gaze:
+            raise PredictionsError(f"{part}: expected the same columns as in {paths[0]}, found gaze in one of the two.")
         columns = [id_column, "sample"] if "sample" in file.schema_arrow.names else [id_column]
         before = len(ids)
         for number in range(file.num_row_groups):
@@ -45,7 +49,7 @@ def index_parquet(paths: tuple[Path, ...]) -> IndexedRows:
             groups.append(_RowGroup(part, number, len(ids), len(ids) - before))
             ids += rows[id_column].to_pylist()
             samples += rows["sample"].to_pylist() if "sample" in columns else [0] * rows.num_rows
-    return IndexedRows(paths, id_column, tuple(ids), tuple(samples), None, ParquetMotions(tuple(groups)))
+    return IndexedRows(paths, id_column, tuple(ids), tuple(samples), None, ParquetMotions(tuple(groups)), has_gaze)
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,27 @@ class ParquetMotions:
             motions = self._read(group, opened)
             row = rows[place] - group.start
             found[place] = motions.values[motions.offsets[row] : motions.offsets[row + 1]]
+        return found
+
+    def gaze(self, rows: Sequence[int]) -> list[np.ndarray]:
+        """See :class:`MotionStore`."""
+        found: list[np.ndarray] = [np.empty(0)] * len(rows)
+        by_group: dict[_RowGroup, list[int]] = {}
+        for place, row in enumerate(rows):
+            by_group.setdefault(self._group_of(row), []).append(place)
+        for group, places in by_group.items():
+            with _naming(group.path):
+                table = _open(group.path).read_row_group(group.number, columns=list(GAZE_COLUMNS))
+            columns = [_rays(table[name].combine_chunks(), group, name) for name in GAZE_COLUMNS]
+            for place in places:
+                row = rows[place] - group.start
+                parts = [values[offsets[row] : offsets[row + 1]] for values, offsets in columns]
+                if len(parts[0]) != len(parts[1]):
+                    raise PredictionsError(
+                        f"{group.path}, row {group.start_in_file + row}: expected as many gaze origins as directions,"
+                        f" found {len(parts[0])} and {len(parts[1])}."
+                    )
+                found[place] = np.stack(parts, axis=1)
         return found
 
     def where(self, row: int) -> str:
@@ -133,6 +158,19 @@ def _as_rows(column: pa.Array, path: Path, *, first_row: int) -> PredictionRows:
     return PredictionRows(_numbers(leaves), offsets)
 
 
+def _rays(column: pa.Array, group: _RowGroup, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return points or directions of all rows after one another, (total, 3), and where each row begins."""
+    offsets = _ends(column)
+    leaves = column.flatten()
+    while pa.types.is_nested(leaves.type):
+        offsets = _ends(leaves)[offsets]
+        leaves = leaves.flatten()
+    wrong = np.flatnonzero(offsets % 3)
+    if wrong.size or not (pa.types.is_float32(leaves.type) or pa.types.is_float64(leaves.type)):
+        raise PredictionsError(f"{group.path}, column '{name}': expected x y z for each frame, found {column.type}.")
+    return as_float32(leaves.to_numpy(zero_copy_only=False)).reshape(-1, 3), offsets // 3
+
+
 def _from_flat(leaves: pa.Array, offsets: np.ndarray, path: Path, *, first_row: int) -> PredictionRows:
     sizes = np.diff(offsets)
     if (sizes % POSE_SIZE).any():
@@ -175,6 +213,23 @@ def _naming(path: Path) -> Iterator[None]:
 def _open(path: Path) -> pq.ParquetFile:
     with _naming(path):
         return open_parquet(path, verify=True)
+
+
+def _has_gaze(path: Path) -> bool:
+    """Return True if a file has both columns of gaze.
+
+    Raises:
+        PredictionsError: if it has one of them alone, or one that is no list.
+    """
+    schema = _open(path).schema_arrow
+    present = [name for name in GAZE_COLUMNS if name in schema.names]
+    if len(present) == 1:
+        raise PredictionsError(f"{path}: expected both columns {' and '.join(GAZE_COLUMNS)}, found {present[0]} alone.")
+    for name in present:
+        kind = schema.field(name).type
+        if not (pa.types.is_list(kind) or pa.types.is_large_list(kind)):
+            raise PredictionsError(f"{path}, column '{name}': expected a list of frames, found {kind}.")
+    return bool(present)
 
 
 def _id_column(path: Path) -> str:

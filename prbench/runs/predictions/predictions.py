@@ -58,6 +58,10 @@ class _NumberedMotions:
         """See :class:`MotionStore`."""
         return [_motion(self.paths[row]) for row in rows]
 
+    def gaze(self, rows: Sequence[int]) -> list[np.ndarray]:
+        """Never asked for: numbered files hold joints alone."""
+        raise NotImplementedError
+
     def where(self, row: int) -> str:
         """See :class:`MotionStore`."""
         return str(self.paths[row])
@@ -108,7 +112,8 @@ class Predictions(IndexedRows):
         """The motions of the given sequences, in the given order; float32, as a run keeps them.
 
         Raises:
-            PredictionsError: if a motion is empty, damaged, or a frame does not have 22 joints.
+            PredictionsError: if a motion is empty, damaged, a frame does not have 22 joints, or gaze has other frames
+                than the joints.
         """
         rows = [self._row_of[name, sample] for name in ids]
         found = self.store.motions(rows)
@@ -116,7 +121,17 @@ class Predictions(IndexedRows):
         if 0 in lengths:
             i = lengths.index(0)
             raise PredictionsError(f"{self.store.where(rows[i])}, {ids[i]}: expected a motion, found no frames.")
-        return PredictionRows(as_float32(np.concatenate(found)), np.concatenate(([0], np.cumsum(lengths))))
+        gaze = self._gaze(rows, ids, lengths) if self.has_gaze else None
+        return PredictionRows(as_float32(np.concatenate(found)), np.concatenate(([0], np.cumsum(lengths))), gaze)
+
+    def _gaze(self, rows: Sequence[int], ids: Sequence[str], lengths: Sequence[int]) -> np.ndarray:
+        rays = self.store.gaze(rows)
+        for row, name, own, frames in zip(rows, ids, rays, lengths, strict=True):
+            if len(own) != frames:
+                raise PredictionsError(
+                    f"{self.store.where(row)}, {name}: expected gaze in each of its {frames} frames, found {len(own)}."
+                )
+        return as_float32(np.concatenate(rays))
 
 
 def _paths(folder: Path, numbering: Numbering) -> tuple[Path, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 
-from prbench.runs.scores import PREDICTIONS
+from prbench.runs.scores import GAZE_COLUMNS, PREDICTIONS, PREDICTIONS_WITH_GAZE
 from prbench.sequences.write import write_table
 from prbench.skeleton import N_JOINTS
 
@@ -26,14 +26,20 @@ class PredictionRows:
     """Canonical frames, metres."""
     offsets: Int[np.ndarray, " offsets"]
     """Row at which each motion begins, then the number of all frames."""
+    gaze: Float[np.ndarray, "total 2 3"] | None = None
+    """Middle between the eyes (metres) and unit direction of the gaze in each frame; None for motions without gaze."""
 
     @classmethod
     def from_padded(
-        cls, joints: Float[np.ndarray, "batch frames 22 3"], n_frames: Int[np.ndarray, " batch"]
+        cls,
+        joints: Float[np.ndarray, "batch frames 22 3"],
+        n_frames: Int[np.ndarray, " batch"],
+        gaze: Float[np.ndarray, "batch frames 2 3"] | None = None,
     ) -> PredictionRows:
         """Leave out what stands behind the last frame of each row."""
         valid = np.arange(joints.shape[1]) < n_frames[:, None]
-        return cls(joints[valid], np.concatenate(([0], np.cumsum(n_frames))))
+        offsets = np.concatenate(([0], np.cumsum(n_frames)))
+        return cls(joints[valid], offsets, None if gaze is None else gaze[valid])
 
 
 @runtime_checkable
@@ -46,6 +52,10 @@ class MotionStore(Protocol):
 
     def motions(self, rows: Sequence[int]) -> list[Float[np.ndarray, "_ 22 3"]]:
         """The motions of some rows, in the order given."""
+        ...
+
+    def gaze(self, rows: Sequence[int]) -> list[Float[np.ndarray, "_ 2 3"]]:
+        """The gaze of some rows, in the order given; asked for only where the file has gaze."""
         ...
 
     def where(self, row: int) -> str:
@@ -66,6 +76,8 @@ class IndexedRows:
     n_frames: Int[np.ndarray, " n"] | None
     """Length of every motion; None where only the motions themselves tell (Parquet)."""
     store: MotionStore
+    has_gaze: bool = False
+    """True if every motion comes with gaze."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +131,7 @@ def write_part(
         StorageError: if the disk is full or the folder cannot be written.
     """
     batches = [_record_batch(sequence_ids, sample, seeds[sample], motions) for sample, motions in enumerate(samples)]
-    write_table(path, batches, PREDICTIONS, protocol_version=protocol_version)
+    write_table(path, batches, batches[0].schema, protocol_version=protocol_version)
 
 
 def _record_batch(ids: Sequence[str], sample: int, seeds: Sequence[int], motions: PredictionRows) -> pa.RecordBatch:
@@ -132,4 +144,10 @@ def _record_batch(ids: Sequence[str], sample: int, seeds: Sequence[int], motions
         pa.array(seeds, pa.int64()),
         joints.cast(PREDICTIONS.field("joints").type),
     ]
-    return pa.RecordBatch.from_arrays(columns, schema=PREDICTIONS)
+    if motions.gaze is None:
+        return pa.RecordBatch.from_arrays(columns, schema=PREDICTIONS)
+    for part, name in enumerate(GAZE_COLUMNS):
+        rays = pa.array(motions.gaze[:, part].astype(np.float32).reshape(-1))
+        frames = pa.ListArray.from_arrays(offsets, pa.FixedSizeListArray.from_arrays(rays, 3))
+        columns.append(frames.cast(PREDICTIONS_WITH_GAZE.field(name).type))
+    return pa.RecordBatch.from_arrays(columns, schema=PREDICTIONS_WITH_GAZE)

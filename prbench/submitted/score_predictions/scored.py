@@ -98,6 +98,7 @@ class Scored:
             split=selection.split,
             samples=len(samples),
             best_of=about.best_of,
+            gaze=predictions.has_gaze,
             obstacles=about.obstacles,
             carry_on=about.carry_on,
         )
@@ -134,6 +135,7 @@ def offline_record(
             max_frames=stated.max_frames,
             native_fps=stated.native_fps,
             motionless=False,
+            gaze=any(one.summary.gaze for one in scored),
         ),
         condition=stated.condition.value if stated.condition else UNSTATED,
         control=stated.control,

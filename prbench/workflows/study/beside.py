@@ -138,6 +138,8 @@ def why_not_beside(entry: LeaderboardRow) -> str | None:
         return "a control of the harness"
     if entry.record.best_of > 1:
         return f"the best of {entry.record.best_of} motions, where the study draws one"
+    if entry.record.method.gaze:
+        return "a method that generates gaze, which the study's do not"
     if not entry.record.is_usual:
         return "motions with an option that the study has not"
     if entry.summary.hands_in_recordings:

@@ -97,6 +97,8 @@ class Line:
     """The cell of :data:`ARRIVAL`, which is no column of the study's table."""
     best_of: int
     """Motions drawn for each that was kept; a line of more than one is marked and never ranked."""
+    gaze: bool
+    """The motions bring gaze; such a line is marked and never ranked."""
     obstacles: bool
     """The method was given the scene's boxes; such a line is marked and never ranked."""
     unsupported: int
@@ -266,6 +268,7 @@ def _line(outcome: RowOutcome, row: TableRow | None) -> Line:
         cells={info.id: _cell(row, info) for info in STUDY_METRICS},
         arrival=_cell(row, ARRIVAL),
         best_of=planned.run.best_of,
+        gaze=row is not None and row.entry.record.method.gaze,
         obstacles=row is not None and row.entry.summary.obstacles,
         unsupported=row.entry.table.unsupported if row is not None else 0,
         cost=_line_cost(outcome.folder, row),

@@ -20,6 +20,7 @@ from prbench.training import SequenceDataset, collate
 from prbench.training.configuration import OptimisationConfiguration, TrainingConfiguration
 from prbench.training.items import MotionBatch
 from prbench.training.loop import fit
+from prbench.training.state import TrainingState
 from prbench.training.task import TrainingData
 from prbench.training.weights import write_weights
 from prbench_adapters.dart.configuration import DartConfiguration
@@ -60,6 +61,17 @@ def _build(data: SequenceDataset, *, initial: Path | None = None, seed: int = 0,
     module = DartTask().build({**MODEL, **model}, data=given, initial=initial, stage="finetune")
     module.calls = 100
     return module
+
+
+def _steps(module: DartTraining, batch: MotionBatch, step: int) -> set[str]:
+    """The parameters that one step of Muon and AdamW has changed."""
+    state = TrainingState.start(module, OptimisationConfiguration(steps=100, optimiser="muon", learning_rate=0.01))
+    before = {name: parameter.detach().clone() for name, parameter in module.named_parameters()}
+    module.zero_grad()
+    module(batch, step)["loss"].backward()
+    for optimiser in state.optimisers:
+        optimiser.step()
+    return {name for name, parameter in module.named_parameters() if not torch.equal(parameter, before[name])}
 
 
 def _saved(module: DartTraining, path: Path) -> Path:
@@ -272,3 +284,15 @@ def test_the_smoke_configuration_trains_and_its_weights_generate(folder, tmp_pat
     adapter = load_adapter("dart", tmp_path / "out", {"iterations": "1"}, "cpu")
     batch = conditions(Condition.GOAL_POSE, 1, frames=(12,))
     assert np.isfinite(adapter.generate(batch, seed=0).joints).all()
+
+
+def test_muon_moves_the_layers_of_the_network_whose_turn_it_is(data, batch):
+    module = _build(data)
+    named = {id(parameter): name for name, parameter in module.named_parameters()}
+    matrices = {named[id(matrix)] for matrix in module.hidden_matrices()}
+    assert any(name.startswith("vae.") for name in matrices)
+    assert any(name.startswith("denoiser.") for name in matrices)
+    for step, turn in ((0, "vae."), (80, "denoiser.")):
+        changed = _steps(module, batch, step)
+        assert {name.split(".")[0] + "." for name in changed} == {turn}
+        assert {name for name in matrices if name.startswith(turn)} <= changed

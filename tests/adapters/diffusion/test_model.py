@@ -42,6 +42,19 @@ def test_a_written_model_is_read_back(tmp_path):
     assert loaded.digest == read_weights(path).digest
 
 
+def test_a_smoothed_model_averages_neighbouring_frames():
+    model = tiny.model(smoothed=True)
+    normalised = torch.randn((2, 6, 263), generator=torch.Generator().manual_seed(0))
+    raw = (normalised * model.std + model.mean).numpy()
+    expected = raw.copy()
+    expected[:, 1:-1] = (raw[:, :-2] + 2 * raw[:, 1:-1] + raw[:, 2:]) / 4
+    expected[1, 3:] = raw[1, 3:]  # the last frame of the shorter one, and its padding
+    condition = model.encode(tiny.text_batch([6, 4]))
+    found = model.joints(normalised, condition, torch.tensor([6, 4])).numpy()
+    np.testing.assert_allclose(found[0], decode(expected)[0], rtol=0, atol=1e-5)
+    np.testing.assert_allclose(found[1, :4], decode(expected)[1, :4], rtol=0, atol=1e-5)
+
+
 def test_weights_are_frozen_and_dropout_is_off(tmp_path):
     model = MotionModel.load(tiny.write(tmp_path / "w.safetensors"))
     assert not model.denoiser.training

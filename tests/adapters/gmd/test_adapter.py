@@ -15,7 +15,7 @@ from prbench.evaluation.run import run_method
 from prbench.methods.adapters import load_adapter
 from prbench.runs.predictions import Predictions
 from prbench_adapters.diffusion import bundled
-from prbench_adapters.gmd.adapter import GMD
+from prbench_adapters.gmd.adapter import GMD, generate
 from prbench_adapters.gmd.stages import GMDSettings
 from tests.adapters.gmd import tiny
 from tests.fakes import fake_dataset, fake_sequence
@@ -45,6 +45,15 @@ def test_options_reach_the_settings(weights):
     given = {"keyframes": "pose", "guidance": "1", "goal_scale": "30", "goal_loss": "squared", "imputation": "demo"}
     settings = _load(weights, steps="7", clamp="9", bones="initial", **given).settings
     assert settings == GMDSettings(1.0, 30.0, "squared", "demo", "pose", 7, 9.0, "initial")
+
+
+def test_smoothed_motions_average_neighbouring_frames_and_keep_their_keyframes():
+    batch = tiny.batch((14, 9))
+    plain, smooth = (generate(tiny.model(smoothed=each), batch, GMDSettings(steps=2)).joints for each in (False, True))
+    for row, n in enumerate(batch.n_frames):
+        pelvis, expected = smooth[row, :n, 0], plain[row, :n, 0].copy()
+        expected[1:-1] = (plain[row, : n - 2, 0] + 2 * plain[row, 1 : n - 1, 0] + plain[row, 2:n, 0]) / 4
+        assert np.allclose(pelvis, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -79,6 +79,23 @@ def test_the_losses_of_untrained_networks_are_the_variances_of_what_they_predict
     assert torch.equal(losses["loss"], losses["motion"] + losses["trajectory"])
 
 
+def test_decoded_joints_are_part_of_the_loss_where_they_weigh(data, batch):
+    plain = _build(data)(batch, 0)
+    weighed = _build(data, joint_loss_weight=2.0, bone_loss_weight=3.0, path_step_weight=0.5)(batch, 0)
+    assert "joints" not in plain
+    parts = weighed["motion"] + weighed["trajectory"] + 2 * weighed["joints"] + 3 * weighed["bones"]
+    assert torch.allclose(weighed["loss"], parts + 0.5 * weighed["path_steps"], rtol=1e-5)
+    assert torch.allclose(weighed["motion"], plain["motion"])
+
+
+def test_a_network_that_knows_the_motion_has_no_loss_of_joints(data, batch):
+    module = _build(data, joint_loss_weight=1.0, bone_loss_weight=1.0)
+    space = module.space(torch.device("cpu"))
+    projected = space.projected(space.standardised(with_absolute_root(batch.features)))
+    found = module._motion_losses(projected, projected, batch, space)
+    assert float(found["loss"]) < 1e-6
+
+
 def test_padding_leaves_no_trace_in_the_losses(data, batch):
     module, other = _build(data), batch.features.clone()
     other[batch.padding] = 7.0

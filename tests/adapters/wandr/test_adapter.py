@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import torch
@@ -68,6 +70,17 @@ def test_a_body_that_is_late_is_asked_for_no_more_than_the_most_speed():
     method = _follower(Generation(most_speed=half))
     steps = np.linalg.norm(np.diff(method.generate(batch, seed=0).joints[0, :, RIGHT], axis=0), axis=-1)
     assert steps == pytest.approx(half / 30, rel=1e-4)
+
+
+def test_the_most_speed_is_that_of_the_training_unless_another_is_asked_for():
+    batch = tiny.batch(frames=(20,))
+    method = _follower()
+    free = method.generate(batch, seed=0).joints
+    method.network.configuration = msgspec.structs.replace(method.network.configuration, most_speed=0.1)
+    steps = np.linalg.norm(np.diff(method.generate(batch, seed=0).joints[0, :, RIGHT], axis=0), axis=-1)
+    assert steps == pytest.approx(0.1 / 30, rel=1e-4)
+    method.generation = Generation(most_speed=math.inf)
+    assert np.array_equal(method.generate(batch, seed=0).joints, free)
 
 
 @pytest.mark.parametrize(("hand", "wrist"), [("right", RIGHT), ("left", LEFT)])
@@ -161,7 +174,7 @@ def test_weights_are_found_and_declared(tmp_path):
         assert method.weights_for(Condition.GOAL_LOCATION) == path
         assert method.native_fps == 30
         assert method.generation == Generation(hand="nearest", deviation=0.5)
-    assert load_adapter("wandr", path, {"most-speed": "0"}, "cpu").generation == Generation()
+    assert load_adapter("wandr", path, {"most-speed": "0"}, "cpu").generation == Generation(most_speed=math.inf)
     assert load_adapter("wandr", path, {"most-speed": "1.5"}, "cpu").generation == Generation(most_speed=1.5)
     assert load_adapter("wandr", path, {}, "cpu").generate(tiny.batch(), seed=0).joints.shape == (3, 30, 22, 3)
 

@@ -118,6 +118,66 @@ def test_goals_are_in_the_last_frame_where_there_are_some_and_made_up_elsewhere(
     assert set(drawn[:, 0].tolist()) == set(range(24, 61))  # from the first frame on: 23 frames are 1.53 m
 
 
+def test_a_share_of_the_frames_of_motions_with_a_goal_gets_a_pseudo_goal():
+    sequence = Recordings.of(_walk(40), 30.0)
+    places = starts(sequence, 1)
+    generator = torch.Generator().manual_seed(0)
+    drawn = torch.stack([goal_frames(sequence, places, generator, pseudo_share=0.5) for _ in range(200)])
+    far = (60 - places.frame) * 0.1 * 20 / 30 >= 1.5
+    assert float((drawn[:, 0] == 60).float().mean()) == pytest.approx(0.5, abs=0.1)
+    assert (drawn[:, ~far] == 60).all(), "near the goal nothing is far enough away, and the goal stays"
+
+
+def test_intentions_are_as_limited_in_training_as_in_generation(data, batch):
+    recordings = Recordings.of(batch, 30.0)
+    places = Places(torch.arange(6), torch.full((6,), 5))
+    goals = recordings.n_frames - 1
+
+    def velocity(most_speed):
+        module = _build(data, most_speed=most_speed)
+        seen = module._condition(
+            recordings,
+            places,
+            goals,
+            recordings.states(places),
+            delta=recordings.deltas(places.later(-1)),
+            joints=recordings.joints[places.index],
+        )
+        return seen[:, -9:-6]
+
+    free = velocity(0.0)
+    most = float(free.norm(dim=-1).max()) / 2
+    assert torch.allclose(velocity(most).norm(dim=-1), free.norm(dim=-1).clamp_max(most), rtol=1e-4)
+
+
+def test_a_body_that_strayed_has_as_many_frames_to_come_back_as_asked(data, batch):
+    """Standing still for one frame, the change that is wanted next is the recorded one and a part of the lost one."""
+    module = _build(data, frames_per_step=0, frames_back=4)
+    recordings = Recordings.of(batch, 30.0)
+    still = module.network.delta(torch.tensor([0.0, 0, 0, *(1, 0, 0, 0, 1, 0) * 22]))
+    wanted = []
+
+    def stand_still(target, condition, generator):
+        wanted.append(module.network.delta.undone(target))
+        return still.expand_as(target), target, target
+
+    module._reconstructed = stand_still
+    module._chunks(recordings, 2, torch.Generator())
+    places = starts(recordings, 2)
+    first, second, third = (recordings.states(places.later(frames)) for frames in (0, 1, 2))
+    assert torch.allclose(wanted[0], first.delta_to(second), atol=1e-5)
+    whole = first.delta_to(third)
+    assert torch.allclose(wanted[1], torch.lerp(second.delta_to(third), whole, 0.25), atol=1e-5)
+
+
+def test_muon_moves_the_matrices_between_hidden_layers(data):
+    module = _build(data)
+    moved = {id(matrix) for matrix in module.hidden_matrices()}
+    named = [name for name, parameter in module.network.named_parameters() if id(parameter) in moved]
+    assert len(named) == 2 * (TINY["layers"] - 2)
+    assert all(name.endswith("weight") for name in named)
+
+
 def test_chunks_do_not_overlap_and_stay_inside():
     recordings = Recordings.of(_walk(20), 20.0)  # frames 0 to 20, 0 being the one before
     assert starts(recordings, 6).frame.tolist() == [1, 7, 13]
@@ -286,7 +346,12 @@ def test_fine_tuning_goes_on_from_weights_and_keeps_their_statistics(data, tmp_p
 
 @pytest.mark.parametrize(
     ("model", "message"),
-    [({"width": 3}, "unknown field"), ({"layers": "x"}, "layers"), ({"free_bits": -1.0}, "free_bits")],
+    [
+        ({"width": 3}, "unknown field"),
+        ({"layers": "x"}, "layers"),
+        ({"free_bits": -1.0}, "free_bits"),
+        ({"pseudo_goals": 2.0}, "pseudo_goals"),
+    ],
 )
 def test_impossible_models_are_refused(model, message, data):
     with pytest.raises(UsageError, match=message):

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from prbench.contract import GIVEN, Condition, ConditionBatch, Motions
+from prbench.contract import GIVEN, Condition, ConditionBatch, Gaze, Motions
 from prbench.methods.remote.messages import (
     HEADER_LIMIT,
     batch_of,
@@ -23,6 +23,7 @@ from prbench.methods.remote.messages import (
     read_message,
     write_message,
 )
+from prbench.methods.remote.received import GAZE_COLUMNS
 from tests.methods.remote.programs import standard_batch, standing_motions
 
 
@@ -179,6 +180,44 @@ def test_motions_survive_the_way_to_the_harness() -> None:
     back = motions_of(motions_payload(BATCH.opaque_id, MOTIONS), BATCH)
     np.testing.assert_array_equal(back.ragged(), MOTIONS.ragged())
     assert back.joints.dtype == np.float32
+
+
+GAZE = Gaze(
+    MOTIONS.joints[:, :, 15],
+    np.random.default_rng(3).normal(size=(*MOTIONS.joints.shape[:2], 3)).astype(np.float32),
+)
+
+
+def test_gaze_survives_the_way_to_the_harness() -> None:
+    payload = motions_payload(BATCH.opaque_id, dataclasses.replace(MOTIONS, gaze=GAZE))
+    back = motions_of(payload, BATCH, gaze=True)
+    assert back.gaze is not None
+    for row, n in enumerate(BATCH.n_frames):
+        np.testing.assert_array_equal(back.gaze.origin[row, :n], GAZE.origin[row, :n])
+        np.testing.assert_array_equal(back.gaze.direction[row, :n], GAZE.direction[row, :n])
+    np.testing.assert_array_equal(back.ragged(), MOTIONS.ragged())
+
+
+def test_gaze_that_was_not_declared_is_another_column() -> None:
+    payload = motions_payload(BATCH.opaque_id, dataclasses.replace(MOTIONS, gaze=GAZE))
+    assert motions_of(payload, BATCH).gaze is None
+    with pytest.raises(ValueError, match="expected the columns opaque_id, joints, gaze_origin and gaze_direction"):
+        motions_of(motions_payload(BATCH.opaque_id, MOTIONS), BATCH, gaze=True)
+
+
+def test_gaze_may_be_nested_by_frame_and_is_refused_with_another_length() -> None:
+    points = [GAZE.direction[row, :n].tolist() for row, n in enumerate(BATCH.n_frames)]
+    columns = {name: pa.array(points, pa.list_(pa.list_(pa.float64(), 3))) for name in GAZE_COLUMNS}
+    told = flat_rows()
+    for name, column in columns.items():
+        told = told.append_column(name, column)
+    back = motions_of(stream(told), BATCH, gaze=True)
+    assert back.gaze is not None
+    np.testing.assert_array_equal(back.gaze.origin[1, :5], GAZE.direction[1, :5])
+    short = pa.array([frames[:-1] for frames in points], pa.list_(pa.list_(pa.float64(), 3)))
+    wrong = flat_rows().append_column("gaze_origin", columns["gaze_origin"]).append_column("gaze_direction", short)
+    with pytest.raises(ValueError, match=r"expected 12 numbers in 'gaze_direction' of sequence .*, three a frame"):
+        motions_of(stream(wrong), BATCH, gaze=True)
 
 
 def test_rows_of_equal_length_may_be_fixed_size_lists() -> None:
