@@ -149,16 +149,15 @@ def test_motions_keep_their_bytes_and_eyes_follow_the_noise_seed_of_their_row_al
     assert np.allclose(alone.gaze.direction[0], both.gaze.direction[0, :n_frames], atol=1e-4)
 
 
-def test_motions_are_led_around_boxes_before_their_eyes_are_added(files):
+def test_motions_are_led_around_boxes_before_their_eyes_are_added(files, monkeypatch):
+    monkeypatch.setattr("prbench_adapters.diffusion.obstacles._ITERATIONS", 3)
     weights, gaze = files
-    batch = conditions(Condition.GOAL_LOCATION)
+    batch = conditions(Condition.GOAL_LOCATION, 1)
     options = {"optimise": "off", "obstacles": "avoid"}
     blind = load(weights, options=options, device="cpu")
     free = load(weights, options={"optimise": "off"}, device="cpu").generate(batch, seed=0)
-    inside = free.joints[:, 10, Joint.PELVIS].astype(np.float64)
-    half = np.full((3, 3), 0.15)
-    boxes = Boxes(inside, np.tile(np.eye(3), (3, 1, 1)), half, np.arange(4))
-    batch = dataclasses.replace(batch, obstacles=boxes)
+    middle = free.joints[:, 10, Joint.PELVIS].astype(np.float64)
+    batch = dataclasses.replace(batch, obstacles=Boxes(middle, np.eye(3)[None], np.full((1, 3), 0.15), np.arange(2)))
     led = blind.generate(batch, seed=0)
     eyes = load(weights, options={**options, "gaze": "eyes", "gaze-weights": str(gaze)}, device="cpu")
     assert (eyes.wants_obstacles, eyes.gaze) == (True, True)
