@@ -176,6 +176,10 @@ class _ArraysInMemory:
         """Return the motions of some rows, in the order given."""
         return [self.arrays[row] for row in rows]
 
+    def gaze(self, rows: Sequence[int]) -> list[np.ndarray]:
+        """Never asked for: arrays of joints alone have no gaze."""
+        raise NotImplementedError
+
     def where(self, row: int) -> str:  # noqa: ARG002 - one place holds them all
         """Say where a motion stands, for messages that name its sequence themselves."""
         return str(_IN_MEMORY)
