@@ -106,7 +106,7 @@ class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option(
     "--joints",
     type=click.Choice(["native", "smpl22"]),
-    help="Published segments and joints (default for mogaze and gimo), or the 22 joints of any dataset.",
+    help="Joints that a study scored (default for mogaze and gimo), or the 22 joints of any dataset.",
 )
 @recordings_options
 @on_error_option()

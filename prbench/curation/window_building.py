@@ -6,7 +6,7 @@ Source: docs/specification/motion-prediction.md#from-recordings-to-windows.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -30,7 +30,7 @@ from prbench.shown import quoted
 from prbench.storage import text_digest
 
 JointChoice = Literal["native", "smpl22"]
-"""``native``: as published, where the reader gives the study's segments; ``smpl22``: the 22 joints of every dataset."""
+"""``native``: joints that a study scored, where the reader gives them; ``smpl22``: the 22 joints of every dataset."""
 _IN_PROCESS = InProcess()
 
 
@@ -76,8 +76,11 @@ class _Cutter:
     def _runs(self, source: NativeSource) -> Iterator[CutRun]:
         rules = self.protocol.windows
         reader = reader_for(source.dataset, dict(source.reader_options))
-        if self.native and isinstance(reader, PublishedForPrediction):
+        if isinstance(reader, PublishedForPrediction):
+            # Its tracks know which samples were measured; the recording holds and interpolates, also from later ones.
             recording, tracks = reader.read_published(source.found)
+            if not self.native:
+                tracks = tuple(replace(track, joints=track.body) for track in tracks)
             published = self.protocol.published_splits.get(source.dataset)
             yield from runs_of_tracks(
                 recording,

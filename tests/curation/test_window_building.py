@@ -41,6 +41,10 @@ def test_every_dataset_has_the_22_joints(root, tmp_path):
     info = build_windows("mogaze", root, tmp_path / "windows", joints="smpl22").info
     assert (info.joint_set, info.runs, info.outcomes) == ("smpl22", 2, {"window": 6})
     assert info.options["joints"] == "smpl22"
+    native = build_windows("mogaze", root, tmp_path / "native")
+    same = [WindowsTable.open(tmp_path / name).windows["window_id"].to_pylist() for name in ("windows", "native")]
+    assert native.info.joint_set == "mogaze21"
+    assert same[0] == same[1]
 
 
 class _Elsewhere:
