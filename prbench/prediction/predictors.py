@@ -80,7 +80,7 @@ class NearestPast:
 
     @classmethod
     def fit(cls, batches: Iterable[tuple[ObservedBatch, Truth]]) -> NearestPast:
-        """Remember windows of the training split; those that are not scored to their end are left out.
+        """Remember windows of the training split.
 
         Args:
             batches: See :meth:`prbench.prediction.table.WindowsTable.batches`.
@@ -93,12 +93,14 @@ class NearestPast:
         condition = Condition.POSE
         for batch, truth in batches:
             condition = batch.condition
-            whole = truth.n_scored == batch.n_future
             frames, features = _own_frame(batch)
-            pasts.append(features[whole])
-            futures.append(transform_each(invert_each(frames), truth.joints)[whole].astype(np.float32))
-        if not any(map(len, futures)):
-            raise UsageError("nearest-past: expected a training window whose future is whole, found none.")
+            pasts.append(features)
+            # Windows of an anchored table end with the event: their last pose is held, as nothing is known after it.
+            shown = np.minimum(np.arange(batch.n_future), truth.n_scored[:, None] - 1)
+            whole = np.take_along_axis(truth.joints, shown[:, :, None, None], axis=1)
+            futures.append(transform_each(invert_each(frames), whole).astype(np.float32))
+        if not futures:
+            raise UsageError("nearest-past: expected windows to remember, found none.")
         return cls(np.concatenate(pasts), np.concatenate(futures), condition)
 
     def predict(self, batch: ObservedBatch, *, n_samples: int, seed: int) -> Futures:  # noqa: ARG002 - a protocol

@@ -5,7 +5,7 @@ import pytest
 
 from prbench.prediction.anchored import build_anchored_windows
 from prbench.prediction.batch import Condition
-from prbench.prediction.predictors import ZeroVelocity
+from prbench.prediction.predictors import NearestPast, ZeroVelocity
 from prbench.prediction.scoring import score_predictor
 from prbench.prediction.table import WindowsTable
 from prbench.sequences.table import SequenceTable
@@ -47,6 +47,17 @@ def test_a_predictor_is_not_told_when_the_event_happens(tables):
     assert asked == {40}
     assert len(scored) > 1
     assert min(scored) >= 10
+
+
+def test_nearest_pasts_hold_their_pose_after_the_event(tables):
+    _, table = tables
+    batches = list(table.batches(Condition.POSE, table.chosen(anchor="event-1", with_excluded=True)))
+    predictor = NearestPast.fit(batches)
+    batch, truth = batches[0]
+    futures = predictor.predict(batch, n_samples=1, seed=0).joints[:, 0]
+    assert set(truth.n_scored.tolist()) == {20}
+    np.testing.assert_allclose(futures[:, :20], truth.joints[:, :20], atol=1e-5)
+    np.testing.assert_array_equal(futures[:, 20:], np.repeat(futures[:, 19:20], 20, axis=1))
 
 
 def test_the_goal_is_scored_where_the_event_is_reached(tables):
