@@ -176,7 +176,7 @@ class _ArraysInMemory:
         """Return the motions of some rows, in the order given."""
         return [self.arrays[row] for row in rows]
 
-    def gaze(self, rows: Sequence[int]) -> list[np.ndarray]:  # noqa: ARG002 - as in `where`
+    def gaze(self, rows: Sequence[int]) -> list[np.ndarray]:
         """Never asked for: arrays of joints alone have no gaze."""
         raise NotImplementedError
 
