@@ -138,8 +138,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     and ``reach`` (predicted, or goal: a wrist is led to a goal location at the end); ``guidance`` (1); ``bones``
     (predicted, or initial for the initial pose's lengths); ``obstacles`` (ignore, or avoid: finished motions are led
     around the scene's boxes); ``text-path`` (files of the text encoder, if the weights need one that has some);
-    ``gaze`` (head, or eyes: motions with gaze) and ``gaze-weights`` (file or folder of ``prbench train --method pr --stage gaze``,
-    or the name of bundled ones).
+    ``gaze`` (head, or eyes: motions with gaze) and ``gaze-weights`` (file or folder that ``prbench train --method pr
+    --stage gaze`` left, or the name of bundled ones).
 
     Args:
         weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
