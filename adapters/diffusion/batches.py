@@ -137,7 +137,9 @@ def bone_lengths(pose: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.Tensor
 def with_bone_lengths(
     joints: Float[torch.Tensor, "batch frames 22 3"], lengths: Float[torch.Tensor, "batch 21"]
 ) -> Float[torch.Tensor, "batch frames 22 3"]:
-    """Keep pelvis and bone directions, with other bone lengths; differentiable.
+    """Keep the directions of all bones, with other lengths; differentiable.
+
+    The pelvis keeps its place over the floor, and the lowest joint its height: longer legs would sink into the floor.
 
     Args:
         joints: Metres, any frame.
@@ -147,7 +149,9 @@ def with_bone_lengths(
     directions = bones / bones.norm(dim=-1, keepdim=True).clamp_min(_SHORTEST)
     # Positions are sums of bones along the way from the pelvis, which one product with the ancestry gives for all.
     offsets = directions * lengths[:, None, :, None]
-    return joints[..., :1, :] + _ancestry(joints) @ offsets
+    moved = joints[..., :1, :] + _ancestry(joints) @ offsets
+    sunk = joints[..., 1].amin(dim=-1) - moved[..., 1].amin(dim=-1)
+    return moved + sunk[..., None, None] * moved.new_tensor((0.0, 1.0, 0.0))
 
 
 def on_own_bones(motions: Motions, batch: ConditionBatch) -> Motions:

@@ -125,7 +125,7 @@ def _touchdown(wanted: Float[np.ndarray, "frames 2"], share: float, fps: float) 
 
 
 def _landing(wanted: Float[np.ndarray, "frames 2"], stop: int, length: int) -> Float[np.ndarray, "2"]:
-    """Where a toe is wanted on the average while the other foot may swing."""
+    """Return the mean place where a toe is wanted while the other foot may swing."""
     first = min(stop, len(wanted) - 1)
     return wanted[first : first + length].mean(axis=0)
 

@@ -154,8 +154,9 @@ def require_unchanged(
     """
     if not expected:
         require_same_values()
+        there = [name for name in others if files_of_table(folder, name)]
         warnings.warn(
-            f"{described_in}: was written by an earlier version, without digests of {' and '.join(others)}, so"
+            f"{described_in}: was written by an earlier version, without digests of {' and '.join(there)}, so"
             " these are unverified. Build it again to have edits of them noticed.",
             UnverifiedTableWarning,
             stacklevel=4,

@@ -59,7 +59,7 @@ class RecordedGaze:
     """Mean direction seen from the head, with head-forward as third axis; the first points left."""
 
     def mirrored(self) -> RecordedGaze:
-        """As a mirror shows it."""
+        """Return the same gaze with left and right exchanged."""
         flip = np.array([-1, 1, 1], dtype=np.float32)
         return RecordedGaze(self.direction * flip, self.valid, self.eye * flip, self.head_tilt_deg, self.usual * flip)
 
@@ -182,7 +182,7 @@ class GazeTraining(TrainingModule):
         return contents(self.network)
 
     def learned_from(self) -> tuple[str, ...]:
-        """How much gaze was learnt from."""
+        """Return lines for the card: how much gaze was learnt from, and what the weights build upon."""
         return (f"recorded gaze of {self.sequences} sequences", *self.origin)
 
     def _truth(self, batch: MotionBatch) -> _Truth:

@@ -51,7 +51,8 @@ def kept_synthetic_cases(folder: Path) -> Cases:
     if not kept.is_file():
         cases = synthetic_cases()
         with atomic_path(kept) as temporary, open(temporary, "wb") as file:
-            values: dict[str, Any] = {name: np.asarray(value) for name, value in vars(cases.source).items()}
+            fields = vars(cases.source).items()
+            values: dict[str, Any] = {name: np.asarray(value) for name, value in fields if value is not None}
             np.savez(file, **values)
         return cases
     with np.load(kept) as arrays:

@@ -140,7 +140,7 @@ def test_whole_poses_are_met_when_they_are_imputed(model):
 
 
 def test_bones_keep_the_lengths_of_the_initial_pose_if_asked(model):
-    """And the root stays where it is."""
+    """And the root stays over the floor where it is."""
     batch = tiny.batch((12, 14))
     predicted, own = (
         generate(model, batch, GMDSettings(bones=which, steps=5)).joints for which in ("predicted", "initial")
@@ -150,7 +150,7 @@ def test_bones_keep_the_lengths_of_the_initial_pose_if_asked(model):
     for row, n in enumerate((12, 14)):
         assert np.allclose(bone_lengths(own[row, :n]), wanted[row], rtol=1e-4)
         assert not np.allclose(bone_lengths(predicted[row, :n]), wanted[row], rtol=0.1)
-        assert np.array_equal(own[row, :, 0], predicted[row, :, 0])
+        assert np.array_equal(own[row, :, 0, ::2], predicted[row, :, 0, ::2])
 
 
 def test_the_body_follows_the_whole_trajectory(model, monkeypatch):
