@@ -8,6 +8,7 @@ samples.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import cast
 
@@ -16,8 +17,12 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from prbench_adapters.diffusion.layers import KeysValues, sinusoid_table
+from prbench_adapters.diffusion.layers import sinusoid_table
 from prbench_adapters.prediction.configuration import DiffusionConfiguration
+
+_Memory = tuple[Tensor, Tensor]
+"""What a stream is multiplied with for the scores of all heads, (windows, width, heads · coefficients), and the values,
+(windows, heads, coefficients, width / heads)."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +31,8 @@ class PreparedCondition:
 
     vector: Float[Tensor, "windows #samples width"]
     """Is added to the embedding of the step; one for all samples, or one for each."""
-    memories: tuple[KeysValues | None, ...]
-    """Keys and values of each block's cross-attention, each (windows, heads, coefficients, width / heads)."""
+    memories: tuple[_Memory | None, ...]
+    """What each block's cross-attention makes of the condition."""
 
 
 class CoefficientDenoiser(nn.Module):
@@ -115,7 +120,7 @@ class _Block(nn.Module):
         self,
         stream: Float[Tensor, "windows samples coefficients width"],
         time: Float[Tensor, "rows samples_or_1 width"],
-        memory: KeysValues | None,
+        memory: _Memory | None,
     ) -> Float[Tensor, "windows samples coefficients width"]:
         """Apply to every sample by itself; ``time`` is SiLU(step + condition)."""
         parts = self.query_key_value(self.norm(stream)).unflatten(-1, (3, self.heads, -1)).movedim(-3, 0)
@@ -128,8 +133,8 @@ class _Block(nn.Module):
         hidden = self.feed_forward_dropout(functional.gelu(self.expand(stream)))
         return stream + self.feed_forward_style(self.contract(hidden), time)
 
-    def memory(self, condition: Float[Tensor, "windows coefficients values"]) -> KeysValues | None:
-        """Keys and values of the condition."""
+    def memory(self, condition: Float[Tensor, "windows coefficients values"]) -> _Memory | None:
+        """What cross-attention makes of the condition, if there is any."""
         return None if self.cross is None else self.cross.memory(condition)
 
     @property
@@ -154,18 +159,20 @@ class _CrossAttention(nn.Module):
         self,
         stream: Float[Tensor, "windows samples coefficients width"],
         time: Float[Tensor, "rows samples_or_1 width"],
-        memory: KeysValues,
+        memory: _Memory,
     ) -> Float[Tensor, "windows samples coefficients width"]:
-        # All samples of a window ask the same keys: their coefficients are one row of queries.
-        query = self.query(self.norm(stream)).flatten(1, 2).unflatten(-1, (self.heads, -1)).transpose(1, 2)
-        dropping = self.dropout if self.training else 0.0
-        attended = functional.scaled_dot_product_attention(query, *memory, dropout_p=dropping)
-        return self.style(attended.transpose(1, 2).flatten(2).view_as(stream), time)
+        scored, values = memory
+        scores = (self.norm(stream).flatten(1, 2) @ scored).unflatten(-1, (self.heads, -1)).transpose(1, 2)
+        shares = functional.dropout(scores.softmax(dim=-1), self.dropout, self.training)
+        return self.style((shares @ values).transpose(1, 2).flatten(2).view_as(stream), time)
 
-    def memory(self, condition: Float[Tensor, "windows coefficients values"]) -> KeysValues:
+    def memory(self, condition: Float[Tensor, "windows coefficients values"]) -> _Memory:
         both = self.key_value(self.condition_norm(condition)).unflatten(-1, (2, self.heads, -1))
         key, value = both.movedim(-3, 0).transpose(-3, -2)
-        return key, value
+        # A score is (W h) · k = h · (Wᵀ k): queries, which every sample and step would need, are never made.
+        query = self.query.weight.unflatten(0, (self.heads, -1)) / math.sqrt(key.shape[-1])
+        scored = torch.einsum("hdc,whld->wchl", query, key)
+        return scored.flatten(2), value
 
 
 class _Stylisation(nn.Module):
