@@ -104,11 +104,6 @@ def tensor(array: np.ndarray) -> Tensor:
     return torch.from_numpy(np.asarray(array))
 
 
-def flat(array: np.ndarray) -> np.ndarray:
-    """Joints or nodes and their coordinates as one axis."""
-    return array.reshape(*array.shape[:-2], -1)
-
-
 def largest_difference(found: Tensor, expected: np.ndarray) -> float:
     assert tuple(found.shape) == expected.shape
     return float(np.abs(found.detach().double().numpy() - expected.astype(np.float64)).max())

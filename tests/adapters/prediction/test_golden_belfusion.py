@@ -86,6 +86,7 @@ def _belfusion(arrays):
     unet = UNetConfiguration(
         height=int(arrays["latent_height"]),
         width=int(arrays["latent_width"]),
+        channels=len(arrays["w/unet/input_blocks.0.0.weight"]),
         multiples=tuple(arrays["channel_multiples"].tolist()),
         attention_at=tuple(arrays["attention_at"].tolist()),
         head_channels=int(arrays["head_channels"]),

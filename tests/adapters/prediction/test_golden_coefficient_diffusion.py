@@ -10,7 +10,6 @@ from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusi
 from prbench_adapters.prediction.configuration import preset
 from prbench_adapters.prediction.window_dct import padded
 from tests.adapters.prediction.golden import (
-    flat,
     largest_difference,
     load,
     load_denoiser,
@@ -22,8 +21,20 @@ from tests.adapters.prediction.golden import (
 LAYOUTS = ("corrected", "legacy")
 
 
-def _gazemodiff(arrays, layout, **changes):
+def _gazemodiff(arrays, layout, encoder="", denoiser="", **changes):
+    """A model of the sizes that a file tells; parts that are not in the file stay tiny."""
     torch.manual_seed(0)
+    sizes = {"width": 16, "feed_forward": 24, "encoder_width": 8, "heads": int(arrays.get("heads", 8))}
+    found = weights(arrays, encoder)
+    if "start_gcn.bias" in found:
+        sizes["encoder_width"] = found["start_gcn.feature_weights"].shape[1]
+        sizes["encoder_heads"] = len(found["start_gcn.attention_weights"])
+        sizes["fusion_blocks"] = len({name.split(".")[1] for name in found if name.startswith("residual_gcns")})
+    found = weights(arrays, denoiser)
+    if "joint_embed.weight" in found:
+        sizes["width"] = len(found["joint_embed.weight"])
+        sizes["feed_forward"] = len(found["temporal_decoder_blocks.0.ffn.linear1.weight"])
+        sizes["layers"] = len({name.split(".")[1] for name in found if name.startswith("temporal")})
     return CoefficientDiffusion(
         preset(
             "gazemodiff",
@@ -33,7 +44,7 @@ def _gazemodiff(arrays, layout, **changes):
             coefficients=int(arrays["n_coefficients"]),
             legacy_layout=layout == "legacy",
             dropped="vector",
-            **{"width": 16, "feed_forward": 24, "encoder_width": 8, **changes},
+            **{**sizes, **changes},
         )
     ).eval()
 
@@ -44,7 +55,7 @@ def test_encoder(samples, layout):
     model = _gazemodiff(arrays, layout)
     load_encoder(model.encoder, arrays)
     observed = tensor(arrays["observed"])
-    coefficients = model.transform(padded(observed, 75))
+    coefficients = model.transform(padded(observed, model.configuration.frames))
     assert largest_difference(coefficients, arrays["coefficients"]) < 2e-5
     given = tensor(arrays["coefficients"])
     nodes = model.encoder.nodes(given)
@@ -66,7 +77,7 @@ def test_encoder(samples, layout):
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_denoiser_and_loss(samples, layout):
     arrays = load(samples, "gazemodiff_denoiser")
-    model = _gazemodiff(arrays, layout)
+    model = _gazemodiff(arrays, layout, diffusion_steps=int(arrays["noise_steps"]))
     load_denoiser(model.denoiser, arrays)
     step, noise = tensor(arrays["t"]), tensor(arrays["training_noise"])
     levels = model.schedule.alphas_cumprod[arrays["t"]]
@@ -92,13 +103,10 @@ def test_sampling(samples, layout):
     model = _gazemodiff(
         arrays,
         layout,
+        "encoder/",
+        "denoiser/",
         diffusion_steps=int(arrays["noise_steps"]),
         sampling_steps=len(arrays["sampling_steps"]),
-        width=arrays["w/denoiser/joint_embed.weight"].shape[0],
-        feed_forward=arrays["w/denoiser/temporal_decoder_blocks.0.ffn.linear1.weight"].shape[0],
-        encoder_width=arrays["w/encoder/start_gcn.feature_weights"].shape[1],
-        encoder_heads=arrays["w/encoder/start_gcn.attention_weights"].shape[0],
-        fusion_blocks=len({name.split(".")[1] for name in weights(arrays, "encoder/residual_gcns")}),
     )
     load_encoder(model.encoder, arrays, "encoder/")
     load_denoiser(model.denoiser, arrays, "denoiser/")
@@ -197,4 +205,3 @@ def test_humanmac_sampling(samples, suffix):
     assert largest_difference(torch.stack(states)[:, :, 0], arrays[f"x{suffix}"]) < 5e-4
     prediction = model.transform.inverse(states[-1])[:, 0]
     assert largest_difference(prediction, arrays[f"prediction{suffix}"]) < 2e-4
-    assert flat(arrays["motion"]).shape[-1] == model.configuration.values

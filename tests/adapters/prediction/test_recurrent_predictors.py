@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from prbench_adapters.prediction.behaviour import BehaviourConfiguration
+from prbench_adapters.prediction.behaviour import BehaviourConfiguration, PastAutoencoder
 from prbench_adapters.prediction.belfusion import BeLFusion
 from prbench_adapters.prediction.cvae import CVAE, CVAEConfiguration
 from prbench_adapters.prediction.dlow import DLow, DLowConfiguration
@@ -81,3 +81,22 @@ def test_parts_of_different_sizes_are_refused():
         DLowConfiguration(n_samples=1)
     with pytest.raises(ValueError, match="'mlp' must be one or more positive widths"):
         CVAEConfiguration(n_joints=2, mlp=())
+
+
+def test_a_latent_unet_of_one_level_resizes_nothing():
+    configuration = UNetConfiguration(height=3, width=5, multiples=(1,), attention_at=(), condition=4)
+    network = LatentUNet(configuration)
+    found = network(torch.randn(2, 15), torch.tensor([0, 9]), torch.randn(2, 4))
+    assert torch.equal(found, torch.zeros(2, 15))  # its last layer starts at zero
+    assert [len(stage) for stage in (*network.down, *network.up)] == [1, 1, 1]
+
+
+def test_offsets_of_the_past_are_summed_or_added_to_the_first_pose():
+    motion = torch.randn(2, 6, 2, 3)
+    found = {}
+    for summed in (False, True):
+        torch.manual_seed(4)
+        found[summed] = PastAutoencoder(BehaviourConfiguration(n_joints=2, observed=5, offsets_summed=summed))(motion)
+    assert torch.equal(found[True][:, :1], motion[:, :1])
+    offsets = found[False][:, 1:] - motion[:, :1]
+    torch.testing.assert_close(found[True][:, 1:], motion[:, :1] + offsets.cumsum(dim=1))
