@@ -138,6 +138,8 @@ _LATEX = {
     "‡": r"\ddag{}",
     "§": r"\S{}",
     "¶": r"\P{}",
+    "◊": r"$\diamond$",
+    "∥": r"$\parallel$",
     "δ": r"$\delta$",
     "σ": r"$\sigma$",
     "…": r"\ldots{}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from prbench.randomness import named_generator
 from prbench.sequences import DatasetInfo, EventRecord, RecordingRecord, Sequence, SequenceTable
 from prbench.sequences.dataset_info import FunnelCounts
-from prbench.sequences.sequence import event_batch, recording_batch, sequence_batch
+from prbench.sequences.sequence import SceneBox, event_batch, recording_batch, scene_batch, sequence_batch
 from prbench.sequences.write import write_dataset
 
 STANDING = np.array(
@@ -125,8 +126,24 @@ def fake_info(dataset: str = "synthetic-adt") -> DatasetInfo:
     )  # fmt: skip
 
 
-def fake_dataset(folder: Path, n: int = 48, *, dataset: str = "synthetic-adt", recordings: int = 12) -> SequenceTable:
-    """Write a made-up dataset of ``n`` sequences and open it."""
+def fake_box(
+    recording: str, *, centre=(0.0, 0.45, 0.0), half=(2.0, 0.45, 2.0), entered: float | None = 0.0
+) -> SceneBox:
+    """A box in one of the made-up recordings; by default all legs stand in it."""
+    upright = np.array([1.0, 0.0, 0.0, 0.0])
+    place = (np.array(centre, dtype=float), upright, np.array(half, dtype=float))
+    return SceneBox(recording, "77", "Counter_1", "counter", *place, entered)
+
+
+def fake_dataset(
+    folder: Path,
+    n: int = 48,
+    *,
+    dataset: str = "synthetic-adt",
+    recordings: int = 12,
+    boxes: Collection[SceneBox] = (),
+) -> SequenceTable:
+    """Write a made-up dataset of ``n`` sequences, with boxes around them if wanted, and open it."""
     rows = sorted(
         (fake_sequence(index, dataset=dataset, recordings=recordings) for index in range(n)),
         key=lambda row: row.sequence_id,
@@ -155,5 +172,6 @@ def fake_dataset(folder: Path, n: int = 48, *, dataset: str = "synthetic-adt", r
         sequences=[sequence_batch(rows)] if rows else [],
         events=[event_batch(events)],
         recordings=[recording_batch(records)],
+        scenes=[scene_batch(boxes)],
     )
     return SequenceTable.open(folder)

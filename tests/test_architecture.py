@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 
 LAYERS = {
     **dict.fromkeys(
-        ("limits", "shown", "skeleton", "axes", "published", "randomness", "paths", "rates_of_people", "rays"),
+        ("boxes", "limits", "shown", "skeleton", "axes", "published", "randomness", "paths", "rates_of_people", "rays"),
         0,
     ),
     **dict.fromkeys(("entry_points", "errors", "joint_names", "progress_bar"), 1),

@@ -31,6 +31,7 @@ DEFAULT_GAZE_WEIGHTS = "pr-gaze"
 _GUIDANCE = 1.0  # the conditional estimate alone (docs/specification/pr-model.md#sampling-without-optimisation)
 _MODES = ("fast", "paper", "off")
 _BONES = ("predicted", "initial")
+_OBSTACLES = ("ignore", "avoid")
 _GAZE = ("head", "eyes")
 _SAMPLING_ALONE = ("sampler", "steps", "reach")
 
@@ -43,6 +44,8 @@ class Generation:
     """Of plain sampling, or of noise optimisation."""
     own_bones: bool = False
     """Keep the bone lengths of the initial pose in sampled motions; an optimisation has its own setting."""
+    avoids_obstacles: bool = False
+    """Lead the finished motions around the scene's boxes."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,7 @@ class PR:
         # One limit for the method: the harness asks for it before it knows the condition.
         self.max_frames = min(configuration.max_frames for configuration in configurations)
         self.native_fps = configurations[0].fps
+        self.wants_obstacles = any(trained.generation.avoids_obstacles for trained in self.models.values())
 
     def weights_for(self, condition: Condition) -> Path:
         """The weights file that a condition uses.
@@ -85,15 +89,21 @@ class PR:
         """Generate one motion for each row.
 
         Raises:
-            AdapterError: for a goal that no body can reach, or weights of the other kind of goal.
+            AdapterError: for a goal that no body can reach, weights of the other kind of goal, or boxes that are to be
+                avoided and were not given.
         """
         trained = self._trained_for(batch.condition)
         require_goals_within_reach(batch, adapter=self.name)
         motions = self._motions(trained, batch)
+        if trained.generation.avoids_obstacles:
+            from prbench_adapters.diffusion.obstacles import led_around
+
+            motions = led_around(motions, batch)
         if self.eyes is None:
             return motions
         from prbench_adapters.pr.gaze.generation import with_gaze
 
+        # Last, because the eyes belong to the head as it finally moves.
         return with_gaze(motions, batch, self.eyes)
 
     def _motions(self, trained: TrainedFor, batch: ConditionBatch) -> Motions:
@@ -126,9 +136,10 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`; without optimisation
     ``sampler`` (ddpm, ddim, or one-pass for weights of one to four steps, which needs no ``optimise=off``), ``steps``
     and ``reach`` (predicted, or goal: a wrist is led to a goal location at the end); ``guidance`` (1); ``bones``
-    (predicted, or initial for the initial pose's lengths); ``text-path`` (files of the text encoder, if the weights
-    need one that has some); ``gaze`` (head, or eyes: motions with gaze) and ``gaze-weights`` (file or folder of
-    ``prbench train --stage gaze``, or the name of bundled ones).
+    (predicted, or initial for the initial pose's lengths); ``obstacles`` (ignore, or avoid: finished motions are led
+    around the scene's boxes); ``text-path`` (files of the text encoder, if the weights need one that has some);
+    ``gaze`` (head, or eyes: motions with gaze) and ``gaze-weights`` (file or folder of ``prbench train --stage gaze``,
+    or the name of bundled ones).
 
     Args:
         weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
@@ -145,8 +156,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     from prbench_adapters.diffusion.noise_optimisation.settings import PRIME_AND_REACH_OPTIONS
     from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known
 
-    known = ("optimise", *SAMPLING_OPTIONS, "text-path", "reach", *PRIME_AND_REACH_OPTIONS, "gaze", "gaze-weights")
-    require_known(options, known)
+    own = ("optimise", "text-path", "reach", "obstacles", "gaze", "gaze-weights")
+    require_known(options, (*own, *SAMPLING_OPTIONS, *PRIME_AND_REACH_OPTIONS))
     if weights is None:
         paths = {condition: resolve(None, name) for condition, name in DEFAULT_WEIGHTS.items()}
         models = {condition: _load(path, device, options, (condition,)) for condition, path in paths.items()}
@@ -199,7 +210,7 @@ def _sampling(model: MotionModel, settings: SamplingSettings) -> PR:
 
 def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Condition, ...]) -> TrainedFor:
     from prbench_adapters.diffusion.model import MotionModel
-    from prbench_adapters.diffusion.options import ONE_PASS
+    from prbench_adapters.diffusion.options import ONE_PASS, choice
 
     model = MotionModel.load(path, device, text_path=options.get("text-path"))
     wanted = [GOALS[condition] for condition in allowed]
@@ -215,7 +226,8 @@ def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Co
         )
     if options.get("sampler") == ONE_PASS:
         _require_few_steps(model, path)
-    return TrainedFor(model, path, _generation(options, model.configuration))
+    avoids = choice(options, "obstacles", _OBSTACLES) == "avoid"
+    return TrainedFor(model, path, replace(_generation(options, model.configuration), avoids_obstacles=avoids))
 
 
 def _eyes(options: Mapping[str, str], device: str, fps: float) -> GazeNetwork | None:

@@ -16,15 +16,7 @@ from prbench.api.frames import frozen
 from prbench.errors import UsageError, did_you_mean
 from prbench.manifests import load_protocol
 from prbench.methods.coordinates import coordinate_problem
-from prbench.metrics import (
-    GAZE_METRICS,
-    METRICS,
-    STUDY_METRICS,
-    UNKNOWN_HAND,
-    MotionBatch,
-    ScoringTargets,
-    printed_unit,
-)
+from prbench.metrics import METRICS_OF_MOTIONS, STUDY_METRICS, UNKNOWN_HAND, MotionBatch, ScoringTargets, printed_unit
 from prbench.metrics import score as score_metrics
 from prbench.shown import html
 from prbench.skeleton import N_JOINTS
@@ -108,7 +100,7 @@ class Measures(Mapping[str, Any]):
         return "<br>".join(html(line) for line in self._lines())
 
     def _lines(self) -> list[str]:
-        infos = {info.id: info for info in METRICS}
+        infos = {info.id: info for info in METRICS_OF_MOTIONS}
         over = "" if self._one else "mean "
         lines = []
         for metric, mean in self.mean().items():
@@ -230,7 +222,7 @@ def _wanted(metrics: Collection[str] | None) -> list[str]:
     Raises:
         UsageError: for an unknown id.
     """
-    known = [info.id for info in METRICS if info.id not in GAZE_METRICS]
+    known = [info.id for info in METRICS_OF_MOTIONS]
     if metrics is None:
         return [info.id for info in STUDY_METRICS]
     asked = [metrics] if isinstance(metrics, str) else list(metrics)

@@ -267,6 +267,7 @@ def run(
     seed: int = 0,
     samples: int = 1,
     best_of: int = 1,
+    carry_on: bool = False,
     batch_size: int | None = None,
     isolate: bool = False,
     timeout: float | None = None,
@@ -299,6 +300,8 @@ def run(
         samples: Motions for each sequence.
         best_of: Motions drawn for each of these, of which the one is kept whose own head ray and wrist serve the given
             goal best; such runs are marked in tables and never ranked.
+        carry_on: Run pairs of a pick and the put that follows it, which starts where the generated pick ends; marked
+            and never ranked, too.
         batch_size: Sequences a batch; 64 by default, 5 without ``data``.
         isolate: Run the method in a process that is given neither paths, objects nor environment.
         timeout: Seconds for each batch of a program or an isolated method; 600 by default.
@@ -345,6 +348,7 @@ def run(
         seed=seed,
         samples=samples,
         best_of=best_of,
+        carry_on=carry_on,
         batch_size=batch_size or DEFAULT_BATCH_SIZE,
         device=device,
         threads=threads,

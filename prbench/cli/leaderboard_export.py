@@ -89,6 +89,8 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         samples: Number of motions kept of each sequence.
         best_of: Number of motions drawn for each that was kept.
         gaze: Whether the motions bring gaze that the method generated.
+        obstacles: Whether the method was given the solid boxes around each sequence.
+        carry_on: Whether every put starts where the generated pick before it ends.
         scored: Number of sequences behind the numbers.
         verified: Whether the scores were held against the motions.
         why_unverified: The reason why not; empty if they were.
@@ -116,6 +118,8 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     samples: int
     best_of: int
     gaze: bool
+    obstacles: bool
+    carry_on: bool
     scored: int
     verified: bool
     why_unverified: str

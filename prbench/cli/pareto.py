@@ -147,7 +147,7 @@ def _rows(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> tuple
 
 
 def _scored(row: LeaderboardRow, info: MetricInfo, against: str) -> ScoredMethod | None:
-    from prbench.runs.summary import PILCROW, SECTION, TWICE_DAGGER
+    from prbench.runs.summary import TWICE_DAGGER
     from prbench.viewing.pareto import ScoredMethod
 
     metric = row.metric(info.id)
@@ -166,10 +166,8 @@ def _scored(row: LeaderboardRow, info: MetricInfo, against: str) -> ScoredMethod
     name = f"{row.method} ({row.record.condition})" if not row.is_control else row.method
     if row.summary.run_marks:
         note(f"{row.run}: {row.mark}")
-    if row.record.best_of > 1:
-        name = f"{name}, best of {row.record.best_of} {SECTION}"
-    if row.record.method.gaze:
-        name = f"{name} {PILCROW}"
+        chosen = f", best of {row.record.best_of}" if row.record.best_of > 1 else ""
+        name = f"{name}{chosen} {row.summary.run_symbols}"
     # Copies of the recorded motion are no method: they are shown with their mark and stand on no front.
     if row.summary.hands_in_recordings:
         note(f"{row.run}: {row.mark}")

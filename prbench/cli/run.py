@@ -37,13 +37,16 @@ from prbench.cli.summaries import (
     DatasetScores,
     dataset_scores,
     print_agreement,
+    print_carried_on,
     print_datasets,
     print_methods_on_datasets,
+    print_scene,
     print_sequence_scores,
     print_summary,
 )
 from prbench.cli.table_two import ALL, TableTwoAnswer, run_table_two
 from prbench.errors import UsageError
+from prbench.rates_of_people import CarriedOn
 
 if TYPE_CHECKING:
     from prbench.engine import Engine
@@ -72,6 +75,7 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
         means: Mean of each metric over the datasets, each counting alike; without metrics that a dataset lacks, and
             empty for a single dataset.
         intervals: The two bounds of each mean's 95 % interval, where every dataset has one.
+        carried_on: Seams and halves of each dataset, where puts carry on from generated picks; empty for other runs.
     """
 
     folder: Path
@@ -83,6 +87,7 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
     datasets: list[DatasetScores]
     means: dict[str, float]
     intervals: dict[str, list[float]]
+    carried_on: list[CarriedOn]
 
 
 class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
@@ -153,6 +158,12 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
     metavar="K",
     help="Draw K motions for each and keep the one whose own head ray and wrist serve the given goal best (default 1);"
     " such rows are marked and never ranked.",
+)
+@click.option(
+    "--carry-on",
+    is_flag=True,
+    help="Run pairs of a pick and the put of the same object that follows it; each put starts where the generated pick"
+    " ends (docs/specification/carry-on.md). Such rows are marked and never ranked.",
 )
 @click.option(
     "--batch-size",
@@ -261,6 +272,7 @@ _SHARED = (
     "limit",
     "samples",
     "best_of",
+    "carry_on",
     "batch_size",
     "device",
     "threads",
@@ -468,7 +480,16 @@ def _made(report: RunReport) -> MadeRun:
         ],
         means={name: mean.mean for name, mean in means.items()},
         intervals=intervals_of_means(means),
+        carried_on=_carried_on(report),
     )
+
+
+def _carried_on(report: RunReport) -> list[CarriedOn]:
+    if not report.folder.record.carry_on:
+        return []
+    from prbench.runs.carry_on import read_carried_on
+
+    return [read_carried_on(report.folder.dataset(summary.dataset).path) for summary in report.summaries]
 
 
 def _agreement(report: RunReport, dataset: str) -> DatasetAgreement:
@@ -481,14 +502,22 @@ def _print_run(report: RunReport, *, single: bool) -> None:
     if single:
         print_sequence_scores(report.folder)
         return
+    _print_scores(report)
+    print_carried_on(_carried_on(report))
+
+
+def _print_scores(report: RunReport) -> None:
     method = report.folder.record.method
     if len(report.summaries) > 1:
         agreements = [_agreement(report, summary.dataset) for summary in report.summaries]
         print_datasets(report.summaries, agreements, origin=method.origin, motionless=method.motionless)
+        print_scene(report.summaries, agreements)
         return
     for summary in report.summaries:
         print_summary(summary, origin=method.origin, motionless=method.motionless)
-        print_agreement(_agreement(report, summary.dataset))
+        agreement = _agreement(report, summary.dataset)
+        print_agreement(agreement)
+        print_scene([summary], [agreement])
 
 
 def _print_company(reports: list[RunReport]) -> None:

@@ -24,7 +24,7 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.progress import progress
-from prbench.cli.summaries import DatasetScores, dataset_scores, print_agreement, print_summary
+from prbench.cli.summaries import DatasetScores, dataset_scores, print_agreement, print_scene, print_summary
 
 if TYPE_CHECKING:
     from prbench.submitted.score_predictions import ScoreReport as Scored
@@ -147,6 +147,7 @@ def _print(scored: Sequence[Scored], out: Path | None) -> None:
     for each in scored:
         print_summary(each.summary, origin=each.origin, motionless=each.motionless)
         print_agreement(each.agreement)
+        print_scene([each.summary], [each.agreement])
     if out is not None:
         print(f"scores: {out}")
         if any(each.summary.condition == UNSTATED for each in scored):

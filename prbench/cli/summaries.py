@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from prbench.cli.terminal import print_table, shown_width
-from prbench.rates_of_people import BinRate, RateAgreement
+from prbench.rates_of_people import BinRate, CarriedOn, RateAgreement, SceneOfPeople
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,10 +68,12 @@ class AgreementReport(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         rates: Agreement with recorded people, one entry a rate.
         breakdown: Rates by the goal's bearing, distance and height.
+        scene: How recorded people keep out of the scene's boxes; null where the table knows of none.
     """
 
     rates: list[RateAgreement]
     breakdown: list[BinRate]
+    scene: SceneOfPeople | None
 
 
 class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
@@ -91,8 +93,10 @@ class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
         samples: Motions kept of each sequence.
         best_of: Motions drawn for each that was kept.
         gaze: The motions bring gaze that the method generated.
-        remark: That recorded motions were handed in, that motions were chosen among several, or that they bring gaze;
-            empty otherwise.
+        obstacles: The method was given the solid boxes around each sequence.
+        carry_on: Every put starts where the generated pick before it ends.
+        remark: That recorded motions were handed in, that motions were chosen among several, that they bring gaze, or
+            that the method was given boxes or carries on; empty otherwise.
         metrics: One entry a metric.
         agreement: Agreement with recorded people, and rates by the goal's place; null for merged folds and for runs of
             earlier versions.
@@ -111,6 +115,8 @@ class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
     samples: int
     best_of: int
     gaze: bool
+    obstacles: bool
+    carry_on: bool
     remark: str
     metrics: list[MetricScore]
     agreement: AgreementReport | None
@@ -159,6 +165,8 @@ def dataset_scores(
         samples=summary.samples,
         best_of=summary.best_of,
         gaze=summary.gaze,
+        obstacles=summary.obstacles,
+        carry_on=summary.carry_on,
         remark=summary.mark,
         metrics=metrics,
         agreement=agreement and agreement_report(agreement),
@@ -167,7 +175,7 @@ def dataset_scores(
 
 def agreement_report(agreement: DatasetAgreement) -> AgreementReport:
     """Turn the file of a run into the shape that ``--json`` prints."""
-    return AgreementReport(rates=list(agreement.rates), breakdown=list(agreement.breakdown))
+    return AgreementReport(rates=list(agreement.rates), breakdown=list(agreement.breakdown), scene=agreement.scene)
 
 
 def print_agreement(agreement: DatasetAgreement | None) -> None:
@@ -178,6 +186,60 @@ def print_agreement(agreement: DatasetAgreement | None) -> None:
     parts = [f"{rate.title} {phi_cell(rate)}" for rate in agreement.rates if rate.metric in main] if agreement else []
     if parts:
         print(f"agreement with recorded people (phi): {', '.join(parts)}")
+
+
+def print_scene(summaries: Sequence[DatasetSummary], agreements: Sequence[DatasetAgreement | None]) -> None:
+    """Print how far motions come into the boxes of the scene, beside recorded people, where a table knows of boxes.
+
+    Args:
+        summaries: Scores of one method, one a dataset.
+        agreements: One a dataset, in the same order; None for a run of an earlier version.
+    """
+    from prbench.manifests import load_scene_constants
+
+    lines = []
+    for summary, agreement in zip(summaries, agreements, strict=True):
+        share = summary.metric("scene_penetration")
+        depth = summary.metric("scene_depth")
+        people = agreement and agreement.scene
+        if share is None or depth is None or people is None:
+            continue
+        name = f"{_short(summary)}: " if len(summaries) > 1 else ""
+        lines.append(
+            f"  {name}{100 * share.mean:.2f} % of frames, {100 * depth.mean:.1f} cm at the deepest (recorded people"
+            f" {100 * people.penetration:.2f} %, {100 * people.depth:.1f} cm); {people.solid} of {people.boxes} boxes"
+        )
+    if lines:
+        limit = 100 * load_scene_constants().depth
+        print(f"scene: joints more than {limit:g} cm inside a solid box (means over sequences; never ranked)")
+        for line in lines:
+            print(line)
+
+
+def print_carried_on(found: Sequence[CarriedOn]) -> None:
+    """Print the scores of picks and puts in which a motion carries on, and how continuous the seam is.
+
+    Args:
+        found: One a dataset; nothing is printed without any.
+    """
+    from prbench.metrics import MAIN_METRICS, printed_scale
+
+    for one in found:
+        rows = [
+            (_with_unit(info), *(f"{half[info.id] * printed_scale(info.unit):.2f}" for half in (one.picks, one.puts)))
+            for info in MAIN_METRICS
+            if info.id in one.picks and info.id in one.puts
+        ]
+        print_table(
+            f"{one.dataset}: {one.pairs} pairs, half by half", ("metric", "picks", "puts"), rows, numbers=(1, 2)
+        )
+        recorded = one.recorded_speed_change
+        beside = "" if recorded is None else f" (recorded people {recorded:.2f} m/s)"
+        print(
+            f"seam: largest step {1000 * one.largest_step:.1f} mm, change of velocity {one.speed_change:.2f} m/s"
+            f"{beside}; {100 * one.share_of_picks:.0f} % of the split's picks have such a put,"
+            f" {one.median_gap:+.1f} s later in median, {100 * one.overlapping:.0f} % overlap"
+        )
 
 
 def phi_cell(rate: RateAgreement) -> str:
@@ -295,7 +357,7 @@ def print_datasets(
     for each in summaries:
         if each.recorded_motion_mark:
             print(f"{_short(each)}: {each.recorded_motion_mark}.")
-    for mark in first.run_marks:
+    for mark in first.run_marks:  # those of the run, so the same on every dataset
         print(f"{mark}.")
     if any(each.synthetic for each in summaries):
         print("Synthetic data: never compare these scores with published ones.")

@@ -62,6 +62,7 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
 @out_folder_option("Training folder: checkpoints, logs, weights; an interrupted training goes on in it.")
 @click.option(
     "--config",
+    type=PATH,
     metavar="NAME|FILE",
     help="A configuration of the method, or a .toml file (default: the stage's own, else small).",
 )
@@ -90,7 +91,7 @@ def train(
     stage: str | None,
     data: tuple[Path, ...],
     out: Path | None,
-    config: str | None,
+    config: Path | None,
     overrides: tuple[tuple[str, str], ...],
     refit: bool,
     split: str | None,
@@ -106,8 +107,9 @@ def train(
     from prbench.training.run import TrainRequest
     from prbench.training.run import train as run_training
 
+    configuration = None if config is None else str(config)
     if show_config:
-        return _configuration(method, config, stage=stage, overrides=overrides)
+        return _configuration(method, configuration, stage=stage, overrides=overrides)
     if not data:
         raise UsageError("--data DIR is needed.")
     if out is None:
@@ -121,7 +123,7 @@ def train(
         refit=refit,
         fold=fold,
         stage=stage,
-        configuration=config,
+        configuration=configuration,
         overrides=overrides,
         initial=init,
         device=device,

@@ -78,8 +78,9 @@ class Adapter(Protocol):
     Optional attributes are honoured when present: ``max_frames`` (longer sequences are counted as unsupported,
     never cut), ``native_fps`` (the harness then gives ``n_frames`` and ``fps`` at that rate and resamples the
     result to the table's grid), ``motionless`` (true for a method whose motions stand still; its Foot Skating is
-    printed as a dash) and ``gaze`` (true for a method whose motions bring :class:`Gaze`; its runs are marked and stand
-    in no rank).
+    printed as a dash), ``gaze`` (true for a method whose motions bring :class:`Gaze`) and ``wants_obstacles`` (true to
+    be given ``batch.obstacles``, the solid boxes around each sequence). Runs of either kind are marked and ranked
+    nowhere.
 
     So is one optional method, ``weights_for(condition) -> Path | None``: the file or folder of the weights that the
     method will use under this condition. ``run.json`` then records their name and digest, and a run is not resumed

@@ -8,6 +8,8 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Float, Int
 
+from prbench.boxes import Boxes
+
 _INITIAL_STATE = frozenset({"initial_joints", "previous_joints"})
 
 
@@ -54,6 +56,9 @@ class ConditionBatch:
     """The recorded last frame (``goal-pose`` only)."""
     goal_location: Float[np.ndarray, "batch 3"] | None = None
     """Centre of the object, or of the place it is put to (``goal-loc`` only)."""
+    obstacles: Boxes | None = None
+    """The solid boxes around each sequence; only for methods that ask for them (``wants_obstacles``), whose rows no
+    table ranks with the others (docs/specification/scene.md#solid-boxes)."""
 
     def __post_init__(self) -> None:
         for name in sorted(frozenset().union(*GIVEN.values())):
@@ -62,6 +67,8 @@ class ConditionBatch:
                 raise ValueError(f"condition {self.condition.value}: '{name}' must {'not ' if given else ''}be given")
             if given and len(getattr(self, name)) != len(self):
                 raise ValueError(f"'{name}' has {len(getattr(self, name))} rows, the batch has {len(self)}")
+        if self.obstacles is not None and len(self.obstacles) != len(self):
+            raise ValueError(f"'obstacles' are those of {len(self.obstacles)} rows, the batch has {len(self)}")
         if len(self.opaque_id) != len(self) or len(self.noise_seed) != len(self):
             raise ValueError("opaque_id and noise_seed need one entry a sequence")
 
@@ -77,5 +84,6 @@ class ConditionBatch:
             fps=self.fps,
             opaque_id=self.opaque_id[part],
             noise_seed=self.noise_seed[part],
+            obstacles=None if self.obstacles is None else self.obstacles.part(start, stop),
             **{name: getattr(self, name)[part] for name in GIVEN[self.condition]},
         )

@@ -128,6 +128,7 @@ def build_from_sources(
             sequences=read_batches(folders, "sequences"),
             events=read_batches(folders, "events"),
             recordings=read_batches(folders, "recordings"),
+            scenes=read_batches(folders, "scenes"),
             replace=options.replace,
             incomplete=[receipt.record.recording_id for receipt in receipts if receipt.record.shortfalls],
             protocol=protocol,

@@ -14,12 +14,13 @@ from prbench.curation.events import Decision, PickPutEvent, Place, find_events
 from prbench.curation.occlusion import Surroundings, View, occlusion_remarks
 from prbench.curation.options import DEFAULTS, CurationOptions, minimum_movement
 from prbench.curation.priming import Prime, find_prime, gaze_rays, published_prime
+from prbench.curation.scene import scene_boxes
 from prbench.errors import RecordingUnusable
 from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest, SplitRule
 from prbench.randomness import hash_fraction
 from prbench.recording import Recording
 from prbench.recording.reaching_hand import wrists_at
-from prbench.sequences.sequence import EventRecord, RecordingRecord, Sequence
+from prbench.sequences.sequence import EventRecord, RecordingRecord, SceneBox, Sequence
 from prbench.sequences.table_one import body_movement, hand_movement
 from prbench.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
 
@@ -35,6 +36,8 @@ class CuratedRecording:
     events: tuple[EventRecord, ...]
     """Every candidate event, sorted by ``event_id``."""
     record: RecordingRecord
+    boxes: tuple[SceneBox, ...] = ()
+    """What stands still around the person, sorted by ``object_id``."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,7 @@ def curate_recording(
             shortfalls=recording.shortfalls,
             lacks=lacks,
         ),
+        boxes=scene_boxes(recording),
     )
 
 

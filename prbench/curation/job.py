@@ -17,7 +17,7 @@ from prbench.engine import is_out_of_memory
 from prbench.errors import InputFileError, PrbenchError
 from prbench.manifests import BenchmarkProtocol, Manifest, digest_of
 from prbench.sequences import parts
-from prbench.sequences.sequence import RecordingRecord, event_batch, recording_batch, sequence_batch
+from prbench.sequences.sequence import RecordingRecord, event_batch, recording_batch, scene_batch, sequence_batch
 from prbench.shown import quoted
 from prbench.storage import text_digest
 
@@ -100,6 +100,7 @@ class CurationJob:
             "sequences": sequence_batch(curated.sequences),
             "events": event_batch(curated.events),
             "recordings": recording_batch([curated.record]),
+            "scenes": scene_batch(curated.boxes),
         }
         parts.write_part(folder, batches, {"input_digest": input_digest, "record": parts.plain(curated.record)})
         return PartReceipt(folder, input_digest, curated.record, reused=False)

@@ -17,15 +17,17 @@ from scipy import stats
 
 from prbench.errors import RunError
 from prbench.evaluation.intervals import CONFIDENCE, metric_interval
+from prbench.evaluation.obstacles import is_solid
 from prbench.evaluation.planning import Selection
 from prbench.evaluation.scoring import score_recorded
 from prbench.manifests import BenchmarkProtocol
 from prbench.metrics import METRICS, MetricInfo
-from prbench.rates_of_people import BinRate, RateAgreement
+from prbench.rates_of_people import BinRate, RateAgreement, SceneOfPeople
 from prbench.runs.agreement import FILE_NAME, DatasetAgreement
 from prbench.runs.folder import DatasetFolder
 
 RATES: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.unit == "rate")
+_SCENE_METRICS = ("scene_penetration", "scene_depth")
 _SAME_WITHIN = 1e-6  # what other processors may make of the same outcomes
 _PERFECT = 1 - 1e-12  # beyond which Fisher's scale has no finite value
 _ONE_OUTCOME = "{} the same outcome in every sequence"
@@ -59,7 +61,8 @@ def agreement_with_people(selection: Selection, scores: pa.Table, *, protocol: B
         protocol: Rules by which the scores were made.
     """
     present = set(scores["metric"].unique().to_pylist())
-    people, goals = score_recorded(selection, protocol.metrics, [info.id for info in RATES if info.id in present])
+    wanted = [*(info.id for info in RATES if info.id in present), *_SCENE_METRICS]
+    people, goals = score_recorded(selection, protocol.metrics, wanted)
     recordings = np.array(selection.recording_ids, dtype=object)
     rates: list[RateAgreement] = []
     breakdown: list[BinRate] = []
@@ -74,7 +77,23 @@ def agreement_with_people(selection: Selection, scores: pa.Table, *, protocol: B
         if not info.compares_with_recorded:
             rates.append(_agreement(info, own.by_sequence(len(recorded)), recorded, recordings[known], protocol))
         breakdown += _broken_down(info, own, recorded, recordings[known], goals[known], protocol)
-    return DatasetAgreement(dataset=selection.table.info.dataset, rates=tuple(rates), breakdown=tuple(breakdown))
+    return DatasetAgreement(
+        dataset=selection.table.info.dataset,
+        rates=tuple(rates),
+        breakdown=tuple(breakdown),
+        scene=_scene(selection, people),
+    )
+
+
+def _scene(selection: Selection, people: Mapping[str, Float[np.ndarray, " n"]]) -> SceneOfPeople | None:
+    if not all(name in people for name in _SCENE_METRICS):
+        return None
+    rows = selection.table.scenes()
+    here = set(selection.recording_ids)
+    among = np.array([name in here for name in rows["recording_id"].to_pylist()], dtype=bool)
+    penetration, depth = (float(people[name].mean()) for name in _SCENE_METRICS)
+    solid = int((is_solid(rows) & among).sum())
+    return SceneOfPeople(penetration=penetration, depth=depth, boxes=int(among.sum()), solid=solid)
 
 
 def require_agreement(files: DatasetFolder, made: DatasetAgreement) -> None:
@@ -96,6 +115,8 @@ def require_agreement(files: DatasetFolder, made: DatasetAgreement) -> None:
 def _differences(made: DatasetAgreement, stored: DatasetAgreement) -> Iterator[tuple[str, object, object]]:
     if made.dataset != stored.dataset:
         yield "dataset", made.dataset, stored.dataset
+    if made.scene != stored.scene and not _same_scene(made.scene, stored.scene):
+        yield "scene", made.scene, stored.scene
     for part in ("rates", "breakdown"):
         expected = [msgspec.to_builtins(entry) for entry in getattr(made, part)]
         found = [msgspec.to_builtins(entry) for entry in getattr(stored, part)]
@@ -105,6 +126,13 @@ def _differences(made: DatasetAgreement, stored: DatasetAgreement) -> Iterator[t
             for key, value in one.items():
                 if not _same(value, other[key]):
                     yield f"{part}[{number}].{key}", value, other[key]
+
+
+def _same_scene(expected: SceneOfPeople | None, found: SceneOfPeople | None) -> bool:
+    if expected is None or found is None:
+        return False
+    values = msgspec.structs.asdict(found)
+    return all(_same(value, values[key]) for key, value in msgspec.structs.asdict(expected).items())
 
 
 def _same(expected: object, found: object) -> bool:

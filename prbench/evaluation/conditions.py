@@ -17,8 +17,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from prbench.boxes import Boxes
 from prbench.contract import GIVEN, Condition, ConditionBatch
 from prbench.errors import UsageError
+from prbench.evaluation.obstacles import SCENE_COLUMNS, SolidBoxes
 from prbench.evaluation.planning import Selection
 from prbench.randomness import named_generator, noise_seed
 from prbench.storage import text_digest
@@ -40,13 +42,32 @@ class ConditionSource:
     goal_location: Float[np.ndarray, "n 3"]
     head_tilt_deg: Float[np.ndarray, " n"]
     """Never part of a condition; the harness's own scripted motion needs it."""
+    obstacles: Boxes | None = None
+    """The solid boxes around each sequence, where the method asks for them."""
 
     @classmethod
-    def read(cls, selection: Selection) -> ConditionSource:
-        """Stream the chosen rows of a table once and keep what conditions need."""
+    def read(cls, selection: Selection, *, obstacles: bool = False) -> ConditionSource:
+        """Stream the chosen rows of a table once and keep what conditions need.
+
+        Args:
+            selection: The sequences.
+            obstacles: Keep the solid boxes around them, too.
+
+        Raises:
+            UsageError: if boxes are wanted and the table knows of none.
+        """
+        scene = SolidBoxes.of(selection.table) if obstacles else None
+        if obstacles and scene is None:
+            raise UsageError(
+                f"{selection.table.folder}: expected the boxes of the scene (scenes.parquet), which the method"
+                " asks for, found none. Build the table again (ADT, MoGaze, synthetic people), or leave the method's"
+                " option out."
+            )
+        boxes: list[Boxes] = []
         text: list[str] = []
         parts: dict[str, list[np.ndarray]] = {name: [] for name in ("initial", "previous", "last", "goal", "tilt")}
-        for _, chunk in selection.windows(_COLUMNS):
+        for _, chunk in selection.windows(_COLUMNS + (SCENE_COLUMNS if scene else [])):
+            boxes += [scene.around(chunk)] if scene else []
             text += chunk.strings("text")
             joints = chunk.joints
             offsets = chunk.offsets
@@ -66,6 +87,7 @@ class ConditionSource:
             joined["last"],
             joined["goal"],
             joined["tilt"],
+            Boxes.joined(boxes) if scene else None,
         )
 
     def with_goals_of(self, other: Int[np.ndarray, " n"]) -> ConditionSource:
@@ -92,6 +114,7 @@ class ConditionSource:
             fps=self.fps,
             opaque_id=tuple(opaque_ids(ids, salt)),
             noise_seed=tuple(noise_seed(seed, name, sample) for name in ids),
+            obstacles=None if self.obstacles is None else self.obstacles.of_rows(rows),
             **given,
         )
 

@@ -11,10 +11,11 @@ from typing import Any
 import msgspec
 import numpy as np
 import psutil
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from prbench.contract import ConditionBatch, Motions
 from prbench.evaluation.best_of import ChoiceRules, best_motions
+from prbench.evaluation.carry_on import placed
 from prbench.methods.loaded_methods import MethodSpec
 from prbench.methods.motions import generate_checked
 from prbench.methods.parameters import count_parameters
@@ -41,6 +42,8 @@ class BatchTask:
     part: Path
     cost: Path
     protocol_version: int
+    placements: tuple[Float[np.ndarray, "batch 4 4"], ...] = ()
+    """For each sample the frames of the table from those of the conditions; empty where they are the same."""
 
     @property
     def name(self) -> str:
@@ -99,6 +102,8 @@ def _generated(task: BatchTask) -> _Made:
                 halvings += halved
                 peak = max(peak, psutil.Process().memory_info().rss)
             kept, chosen = best_motions(draws, batches, task.choice) if len(draws) > 1 else _only(draws)
+            if task.placements:
+                kept = placed(kept, task.placements[len(samples)])
             samples.append(kept)
             seeds.append(tuple(batches[draw].noise_seed[row] for row, draw in enumerate(chosen)))
     seconds = _synchronised_time() - started

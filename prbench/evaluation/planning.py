@@ -15,6 +15,7 @@ import pyarrow as pa
 from jaxtyping import Int
 
 from prbench.errors import TableError, UsageError
+from prbench.evaluation.pairs import Pair, require_pairs
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.table import SPLITS, SequenceTable, by_share, find_sequence_id
 from prbench.storage import text_digest
@@ -96,13 +97,19 @@ def open_tables(folders: Iterable[Path]) -> list[SequenceTable]:
     return tables
 
 
-def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
+def select(table: SequenceTable, *, split: str, limit: int | None, carry_on: bool = False) -> Selection:
     """Choose the sequences of a split; with ``limit`` every recording's share (:func:`by_share`).
+
+    Args:
+        table: The table.
+        split: The split.
+        limit: Number of sequences at most; None for all.
+        carry_on: Only picks that are followed by a put, and these puts; a limit takes whole pairs, one at least.
 
     Raises:
         UsageError: for an unknown split or a limit below one.
         TableError: if the split is empty, the table is not sorted, repeats an id or mixes frame rates, or must not be
-            scored.
+            scored; or if pairs are wanted and there is none.
     """
     if split not in SPLITS:
         raise UsageError(f"unknown split '{split}'; the splits are: {', '.join(SPLITS)}.")
@@ -138,10 +145,23 @@ def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
         tuple(rows["recording_id"].to_pylist()),
         rates.pop(),
     )
+    if carry_on:
+        return _of_pairs(everything, require_pairs(rows, where=str(table.folder), split=split), limit)
     if limit is None:
         return everything
     kept = set(by_share(ids, everything.recording_ids)[:limit])
     return everything.chosen(np.array([name in kept for name in ids]))
+
+
+def _of_pairs(everything: Selection, pairs: SequenceOf[Pair], limit: int | None) -> Selection:
+    recording_of = dict(zip(everything.sequence_ids, everything.recording_ids, strict=True))
+    puts = [pair.put for pair in pairs]
+    chosen = by_share(puts, [recording_of[name] for name in puts])
+    if limit is not None:
+        chosen = chosen[: max(limit // 2, 1)]
+    pick_of = {pair.put: pair.pick for pair in pairs}
+    kept = {*chosen, *(pick_of[name] for name in chosen)}
+    return everything.chosen(np.array([name in kept for name in everything.sequence_ids]))
 
 
 def select_sequences(tables: SequenceOf[SequenceTable], wanted: SequenceOf[str], *, split: str) -> list[Selection]:

@@ -17,6 +17,7 @@ import prbench
 from prbench.contract import Condition
 from prbench.errors import AdapterError
 from prbench.evaluation.best_of import require_goal
+from prbench.evaluation.carry_on import Carrying, require_goal_to_carry, whole_pairs
 from prbench.evaluation.conditions import ConditionSource, derangement
 from prbench.evaluation.controls import RECORDED_MOTION, SHUFFLED_GOAL
 from prbench.evaluation.planning import (
@@ -73,6 +74,10 @@ class PreparedDataset:
     """None for a control."""
     scored_goals: Float[np.ndarray, "n 3"] | None
     """Goals of other sequences that the recorded motion is scored against; None for each sequence's own."""
+    carrying: Carrying | None = None
+    """Pairs whose puts carry on from generated picks; None where every sequence starts as recorded."""
+    pick_batches: int = 0
+    """Number of batches, the first of the plan, that hold the picks of :attr:`carrying`."""
 
     @property
     def name(self) -> str:
@@ -118,6 +123,8 @@ def prepare_run(request: RunRequest) -> PreparedRun:
     spec = None if request.is_control else _spec(request)
     condition = _condition(request, spec)
     require_goal(condition, best_of=request.best_of)
+    if request.carry_on:
+        require_goal_to_carry(condition)
     method = _control(request) if spec is None else _method(request, spec, condition)
     datasets = tuple(_dataset(request, chosen, spec, method) for chosen in _chosen_sequences(request, tables))
     record = _record(request, condition, method, datasets, protocol)
@@ -173,6 +180,7 @@ def _method(request: RunRequest, spec: MethodSpec, condition: Condition) -> Meth
         native_fps=declared.native_fps,
         motionless=declared.motionless,
         gaze=declared.gaze,
+        wants_obstacles=declared.wants_obstacles,
         isolation=spec.isolation,
     )
 
@@ -202,7 +210,7 @@ def _chosen_sequences(request: RunRequest, tables: list[SequenceTable]) -> list[
     """Select sequences of each table; where single ones are asked for, only of the tables that hold one."""
     if request.sequences:
         return select_sequences(tables, request.sequences, split=request.split)
-    return [select(table, split=request.split, limit=request.limit) for table in tables]
+    return [select(table, split=request.split, limit=request.limit, carry_on=request.carry_on) for table in tables]
 
 
 def _dataset(
@@ -213,6 +221,8 @@ def _dataset(
 ) -> PreparedDataset:
     table = chosen.table
     selection = supported(chosen, max_frames=method.max_frames, native_fps=method.native_fps)
+    if request.carry_on:
+        selection = whole_pairs(selection)
     if not len(selection):
         raise AdapterError(
             f"adapter '{method.name}' generates at most {method.max_frames} frames; all {len(chosen)} chosen sequences"
@@ -222,15 +232,26 @@ def _dataset(
         spec = fitted_to(spec, table)
         with nullcontext() if spec.fit_folder is None else in_turn(spec.fit_folder):
             spec.load()  # a fit is made here, once, and found by every worker
-    source = ConditionSource.read(selection)
+    source = ConditionSource.read(selection, obstacles=method.wants_obstacles)
     scored_goals = None
     if request.control == SHUFFLED_GOAL:
         shuffled = source.with_goals_of(derangement(selection, seed=request.seed))
         if request.method in RECORDED_MOTION:
             scored_goals = shuffled.goal_location
         source = shuffled
-    plan = plan_batches(selection.n_frames, request.batch_size)
-    return PreparedDataset(chosen, selection, source, plan, spec, scored_goals)
+    if not request.carry_on:
+        plan = plan_batches(selection.n_frames, request.batch_size)
+        return PreparedDataset(chosen, selection, source, plan, spec, scored_goals)
+    carrying = Carrying.of(selection)
+    # Picks first: a put cannot start before its pick has ended.
+    halves = [_plan_of(np.sort(rows), selection, request.batch_size) for rows in (carrying.picks, carrying.puts)]
+    plan = halves[0] + halves[1]
+    return PreparedDataset(chosen, selection, source, plan, spec, scored_goals, carrying, len(halves[0]))
+
+
+def _plan_of(rows: Int[np.ndarray, " rows"], selection: Selection, batch_size: int) -> list[Int[np.ndarray, "_"]]:
+    """Plan the batches of some sequences of a selection."""
+    return [rows[batch] for batch in plan_batches(selection.n_frames[rows], batch_size)]
 
 
 def supported(selection: Selection, *, max_frames: int | None, native_fps: float | None) -> Selection:
@@ -272,6 +293,7 @@ def _record(
         seed=request.seed,
         samples=request.samples,
         best_of=request.best_of,
+        carry_on=request.carry_on,
         device=request.device,
         threads=request.threads,
         packages=package_versions(_RECORDED_PACKAGES),

@@ -49,6 +49,9 @@ class RunRequest:
     best_of: int = 1
     """Motions drawn for each that is kept, chosen by their own head ray and wrist
     (:mod:`prbench.evaluation.best_of`)."""
+    carry_on: bool = False
+    """Run pairs of a pick and the put that follows it, which starts where the generated pick ends
+    (:mod:`prbench.evaluation.carry_on`)."""
     batch_size: int = DEFAULT_BATCH_SIZE
     device: str = "cpu"
     threads: int = 1
@@ -93,6 +96,12 @@ class RunRequest:
             raise UsageError(f"--method {self.method} draws nothing to choose from; leave --best-of out.")
         if self.best_of > 1 and self.condition is not None:
             require_goal(self.condition, best_of=self.best_of)
+        if self.carry_on and (self.is_control or self.control is not None):
+            raise UsageError("--carry-on: controls make no motion that could go on; leave it out.")
+        if self.carry_on and self.sequences:
+            raise UsageError(
+                "--carry-on: runs pairs of sequences; leave --sequence out, and take --limit 2 for one pair."
+            )
         if self.timeout is not None and not 0 < self.timeout < math.inf:
             raise UsageError(f"--timeout: expected seconds above 0, found {self.timeout:g}.")
 

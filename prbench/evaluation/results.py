@@ -145,6 +145,10 @@ class ScoredSet:
     """Motions drawn for each that was kept."""
     gaze: bool
     """The motions bring gaze that a method generated."""
+    obstacles: bool
+    """The method was given the solid boxes around each sequence."""
+    carry_on: bool
+    """Every put starts where the generated pick before it ends."""
 
 
 def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
@@ -171,6 +175,8 @@ def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
         samples=scored.samples,
         best_of=scored.best_of,
         gaze=scored.gaze,
+        obstacles=scored.obstacles,
+        carry_on=scored.carry_on,
         length_mismatches=mismatched,
         metrics=metrics,
     )

@@ -13,13 +13,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import AdapterError, MemoryFullError
 from prbench.evaluation.agreement import agreement_with_people, require_agreement
 from prbench.evaluation.best_of import ChoiceRules
-from prbench.evaluation.conditions import run_salt
+from prbench.evaluation.carry_on import measure_carried
+from prbench.evaluation.conditions import ConditionSource, run_salt
 from prbench.evaluation.controls import HOLDS_RECORDINGS, RECORDED_MOTION, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
@@ -28,8 +30,10 @@ from prbench.evaluation.results import ScoredSet, require_scores, require_summar
 from prbench.evaluation.scoring import ScoringRules, reported, score_selection
 from prbench.locks import sole_writer
 from prbench.methods.loaded_methods import forget_loaded_methods, unload_method
+from prbench.runs.carry_on import write_carried_on
 from prbench.runs.cost import read_batch_costs, total_cost
 from prbench.runs.folder import DatasetFolder, RunFolder
+from prbench.runs.predictions import Predictions
 from prbench.runs.record import PACKAGE
 from prbench.runs.scores import read_scores, write_scores
 from prbench.runs.summary import DatasetSummary
@@ -111,15 +115,22 @@ def _generate_all(parts: list[_Part], folder: RunFolder, engine: Engine) -> list
         unload_method()  # every worker loads its own
     try:
         missing = [part.missing() for part in parts]
-        tasks = (part.tasks(frozenset(wanted)) for part, wanted in zip(parts, missing, strict=True) if wanted)
-        owners = [part for part, wanted in zip(parts, missing, strict=True) for _ in wanted]
         done = {part.dataset.name: len(part.dataset.plan) - len(own) for part, own in zip(parts, missing, strict=True)}
-        if owners:
+        # Puts that carry on are a second round: they start where the motions of the first one end.
+        for carries in (False, True):
+            rounds = [
+                [index for index in wanted if part.carries(index) is carries]
+                for part, wanted in zip(parts, missing, strict=True)
+            ]
+            tasks = (part.tasks(frozenset(wanted)) for part, wanted in zip(parts, rounds, strict=True) if wanted)
+            owners = [part for part, wanted in zip(parts, rounds, strict=True) for _ in wanted]
+            if not owners:
+                continue
             owners[0].tell(done)
-        # One stream of work for all datasets, so that every worker starts once and loads the method once.
-        for _, part in zip(engine.map(run_batch, itertools.chain.from_iterable(tasks)), owners, strict=True):
-            done[part.dataset.name] += 1
-            part.tell(done)
+            # One stream of work for all datasets, so that every worker starts once and loads the method once.
+            for _, part in zip(engine.map(run_batch, itertools.chain.from_iterable(tasks)), owners, strict=True):
+                done[part.dataset.name] += 1
+                part.tell(done)
     except MemoryFullError as error:  # or a worker that ended without an answer
         folder.discard_if_empty()
         method = parts[0].prepared.record.method
@@ -164,6 +175,16 @@ class _Part:
             if not self.files.has_part(index, self.dataset.ids(rows), samples)
         ]
 
+    def carries(self, index: int) -> bool:
+        """Return True for a batch of puts that start where generated picks end."""
+        return self.dataset.carrying is not None and index >= self.dataset.pick_batches
+
+    def _carried(self, sample: int) -> tuple[ConditionSource, np.ndarray]:
+        assert self.dataset.carrying is not None
+        predictions = Predictions.open(self.files.predictions)
+        predictions.make_ready()
+        return self.dataset.carrying.source(self.dataset.source, predictions, sample)
+
     def tasks(self, wanted: frozenset[int]) -> Iterator[BatchTask]:
         """The work on some batches, in the order of the plan."""
         request = self.prepared.request
@@ -172,18 +193,23 @@ class _Part:
         given = None
         if request.is_control:
             given = control_motions(request.method, dataset.selection, dataset.source, dataset.plan)
+        carried = [self._carried(sample) for sample in range(request.samples)] if any(map(self.carries, wanted)) else []
         for index, rows in enumerate(dataset.plan):
             # Controls come in order: those of finished batches are made and passed over.
             motions = next(given) if given is not None else None
             if index not in wanted:
                 continue
-            first = dataset.source.batch(rows, self.prepared.condition, seed=request.seed, salt=salt, sample=0)
+            sources = [source for source, _ in carried] or [dataset.source] * request.samples
+            first = [
+                source.batch(rows, self.prepared.condition, seed=request.seed, salt=salt, sample=0)
+                for source in sources
+            ]
             yield BatchTask(
                 index=index,
                 sequence_ids=dataset.ids(rows),
                 # Motions of one sample are consecutive draws, so that one of one is the sample itself.
                 conditions=tuple(
-                    dataset.source.redrawn(first, rows, seed=request.seed, sample=draw)
+                    dataset.source.redrawn(first[draw // request.best_of], rows, seed=request.seed, sample=draw)
                     for draw in range(request.samples * request.best_of)
                 ),
                 choice=ChoiceRules.of(
@@ -195,6 +221,7 @@ class _Part:
                 part=self.files.part(index),
                 cost=self.files.batch_cost(index),
                 protocol_version=self.prepared.protocol.version,
+                placements=tuple(placements[rows] for _, placements in carried),
             )
 
     def write_notice(self) -> None:
@@ -225,6 +252,10 @@ class _Part:
             # The summary comes last: where it stands, everything else does.
             summarise(stored, self._scored_set()).write(files.path)
         files.forget_batch_costs()
+        if self.dataset.carrying is not None:
+            samples = range(self.prepared.request.samples)
+            found = measure_carried(self.dataset.selection, files.predictions, stored, samples=samples)
+            write_carried_on(files.path, found)
         return DatasetSummary.read(files.path)
 
     def _scored_set(self) -> ScoredSet:
@@ -241,6 +272,8 @@ class _Part:
             samples=request.samples,
             best_of=request.best_of,
             gaze=self.prepared.record.method.gaze,
+            obstacles=self.prepared.record.method.wants_obstacles,
+            carry_on=self.prepared.record.carry_on,
         )
 
     def _windows(self) -> Iterator[pa.Table]:

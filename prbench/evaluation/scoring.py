@@ -10,11 +10,13 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
 
+from prbench.boxes import Boxes
 from prbench.contract import Condition, ConditionBatch, Gaze, Motions
 from prbench.engine import Engine, InProcess
 from prbench.errors import PredictionsError
 from prbench.evaluation.conditions import opaque_ids, run_salt
 from prbench.evaluation.lengths import length_problem
+from prbench.evaluation.obstacles import SCENE_COLUMNS, SolidBoxes
 from prbench.evaluation.planning import WINDOW, Selection
 from prbench.evaluation.recorded_motion import is_recorded_motion
 from prbench.evaluation.request import Progress, ProgressCallback
@@ -22,7 +24,16 @@ from prbench.limits import FARTHEST_COORDINATE
 from prbench.manifests import MetricConstants
 from prbench.methods.coordinates import coordinate_problem, gaze_problem, impossible_frames
 from prbench.methods.motions import at_table_rate, native_frames
-from prbench.metrics import GAZE_METRICS, METRICS, UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
+from prbench.metrics import (
+    GAZE_METRICS,
+    METRICS,
+    SCENE_METRICS,
+    UNKNOWN_HAND,
+    GazeRays,
+    MotionBatch,
+    ScoringTargets,
+    score,
+)
 from prbench.metrics.prime_success_gaze import INVALID as INVALID_GAZE
 from prbench.metrics.registry import MetricValues
 from prbench.runs.predictions import PredictionRows, Predictions
@@ -75,6 +86,7 @@ class _Window:
     samples: tuple[int, ...]
     predictions: Predictions
     rules: ScoringRules
+    scene: Boxes | None
 
 
 def score_selection(
@@ -116,21 +128,25 @@ def score_recorded(
     Args:
         selection: The sequences.
         constants: Of the protocol.
-        metrics: Ids of the wanted metrics.
+        metrics: Ids of the wanted metrics; those of the scene are left out where no boxes are known.
 
     Returns:
         The values by metric id, and the goals (canonical frame, metres), both in the order of the selection. Metrics of
         gaze are NaN where a frame that decides has no recorded gaze.
     """
+    scene = SolidBoxes.of(selection.table)
     by_gaze = GAZE_METRICS & set(metrics)
-    wanted = [info.id for info in METRICS if info.id in metrics]
+    computed = {info.id for info in METRICS if scene is not None or info.id not in SCENE_METRICS}
+    wanted = [info.id for info in METRICS if info.id in metrics and info.id in computed]
     parts: list[dict[str, np.ndarray]] = []
     goals: list[np.ndarray] = []
-    for _, chunk in selection.windows(COLUMNS + (_GAZE_COLUMNS if by_gaze else [])):
+    columns = COLUMNS + (_GAZE_COLUMNS if by_gaze else []) + (SCENE_COLUMNS if scene else [])
+    for _, chunk in selection.windows(columns):
         recorded = MotionBatch(chunk.joints, chunk.offsets)
         goals.append(chunk.vectors("goal_location"))
-        targets = targets_of(chunk, goals[-1], _recorded_gaze(chunk) if by_gaze else None)
-        values = score(recorded, recorded, targets, constants, metrics=wanted)
+        gaze = _recorded_gaze(chunk) if by_gaze else None
+        boxes = scene.around(chunk) if scene else None
+        values = score(recorded, recorded, targets_of(chunk, goals[-1], gaze, boxes), constants, metrics=wanted)
         parts.append({name: column.value for name, column in values.items()})
         for name in by_gaze:
             unknown = values[name].flags.get(INVALID_GAZE)
@@ -153,12 +169,14 @@ def _windows(
 ) -> Iterator[_Window]:
     opaque = predictions.id_column == "opaque_id"
     salt = run_salt(rules.id_seed, selection.table.identity) if opaque else b""
-    columns = COLUMNS + (_GAZE_COLUMNS if rules.recorded_motion else [])
+    scene = SolidBoxes.of(selection.table)
+    columns = COLUMNS + (_GAZE_COLUMNS if rules.recorded_motion else []) + (SCENE_COLUMNS if scene else [])
     for place, chunk in selection.windows(columns):
         names = opaque_ids(chunk.sequence_ids, salt) if opaque else chunk.sequence_ids
         goals = chunk.vectors("goal_location") if rules.other_goals is None else rules.other_goals[place]
         dataset = selection.table.info.dataset
-        yield _Window(dataset, chunk.batch, goals, tuple(names), samples, predictions, rules)
+        boxes = scene.around(chunk) if scene else None
+        yield _Window(dataset, chunk.batch, goals, tuple(names), samples, predictions, rules, boxes)
 
 
 def _score_window(window: _Window) -> pa.Table:
@@ -185,7 +203,7 @@ def _score_window(window: _Window) -> pa.Table:
 
 def _targets(chunk: SequenceChunk, window: _Window) -> ScoringTargets:
     gaze = _recorded_gaze(chunk) if window.rules.recorded_motion else None
-    return targets_of(chunk, window.goals, gaze)
+    return targets_of(chunk, window.goals, gaze, window.scene)
 
 
 def _recorded_gaze(chunk: SequenceChunk) -> GazeRays:
@@ -202,7 +220,9 @@ def _generated_gaze(rays: Float[np.ndarray, "frames 2 3"]) -> GazeRays:
     return GazeRays(rays[:, 0].astype(np.float64), direction, np.ones(len(rays), dtype=bool))
 
 
-def targets_of(chunk: SequenceChunk, goals: Float[np.ndarray, "n 3"], gaze: GazeRays | None) -> ScoringTargets:
+def targets_of(
+    chunk: SequenceChunk, goals: Float[np.ndarray, "n 3"], gaze: GazeRays | None, scene: Boxes | None = None
+) -> ScoringTargets:
     """Return what metrics need of the sequences of a chunk, read with :data:`COLUMNS`."""
     return ScoringTargets(
         goal_location=goals.astype(np.float64),
@@ -211,6 +231,7 @@ def targets_of(chunk: SequenceChunk, goals: Float[np.ndarray, "n 3"], gaze: Gaze
         head_tilt_deg=chunk.numbers("head_tilt_deg"),
         fps=chunk.numbers("fps"),
         gaze=gaze,
+        scene=scene,
     )
 
 
@@ -219,7 +240,11 @@ def _scored(
 ) -> list[MetricValues]:
     metrics = None
     if rules.recorded_motion and rules.other_goals is not None:
-        metrics = frozenset(info.id for info in METRICS if not info.compares_with_recorded)
+        metrics = frozenset(
+            info.id
+            for info in METRICS
+            if not info.compares_with_recorded and (targets.scene is not None or info.id not in SCENE_METRICS)
+        )
     values = score(
         predicted,
         recorded,

@@ -73,6 +73,8 @@ class LeaderboardRow:
         parts = [self.record.control] if self.record.control else []
         if self.record.best_of > 1:
             parts.append(f"best of {self.record.best_of}")
+        if self.record.carry_on:
+            parts.append("carried on")
         if method.weights:
             parts.append(f"weights {method.weights}")
         parts += [f"{key}={value}" for key, value in sorted(method.options.items())]

@@ -216,6 +216,8 @@ def _json_row(row: TableRow) -> dict[str, object]:
         "samples": entry.record.samples,
         "best_of": entry.record.best_of,
         "gaze": entry.record.method.gaze,
+        "obstacles": entry.record.method.wants_obstacles,
+        "carry_on": entry.record.carry_on,
         "scored": entry.scored,
         "verified": not entry.unverified,
         "why_unverified": entry.unverified,

@@ -261,8 +261,7 @@ def _is_ranked(entry: LeaderboardRow) -> bool:
     return (
         not entry.is_control
         and not entry.summary.hands_in_recordings
-        and entry.record.best_of == 1
-        and not entry.record.method.gaze
+        and entry.record.is_usual
         and not entry.summary.unsupported
         and entry.scored >= FEWEST_RANKED
     )

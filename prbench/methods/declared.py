@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral, Real
 
 from prbench.contract import Adapter, Condition
@@ -24,6 +24,8 @@ class Declared:
     motionless: bool = False
     gaze: bool = False
     """True if its motions bring gaze."""
+    wants_obstacles: bool = False
+    """Must be given the solid boxes around each sequence."""
 
     @classmethod
     def by(cls, adapter: Adapter, *, origin: str) -> Declared:
@@ -36,7 +38,7 @@ class Declared:
         Raises:
             AdapterError: naming the attribute that is not what the contract asks for.
         """
-        return cls.checked(
+        declared = cls.checked(
             adapter.conditions,
             getattr(adapter, "max_frames", None),
             getattr(adapter, "native_fps", None),
@@ -44,6 +46,7 @@ class Declared:
             bool(getattr(adapter, "gaze", False)),
             origin=origin,
         )
+        return replace(declared, wants_obstacles=bool(getattr(adapter, "wants_obstacles", False)))
 
     @classmethod
     def checked(

@@ -266,7 +266,9 @@ def own_copy(batch: ConditionBatch) -> ConditionBatch:
     """Copy all arrays: a method that writes into its batch changes neither its next sample nor our checks."""
     arrays = {field.name: getattr(batch, field.name) for field in dataclasses.fields(batch)}
     return dataclasses.replace(
-        batch, **{name: value.copy() for name, value in arrays.items() if isinstance(value, np.ndarray)}
+        batch,
+        obstacles=None if batch.obstacles is None else batch.obstacles.copied(),
+        **{name: value.copy() for name, value in arrays.items() if isinstance(value, np.ndarray)},
     )
 
 

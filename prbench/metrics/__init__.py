@@ -26,6 +26,16 @@ METRICS: tuple[MetricInfo, ...] = tuple(
     sorted((info for family in FAMILIES for info in family.metrics), key=lambda info: info.position)
 )
 """All metrics in the order in which they are printed."""
+GAZE_METRICS: frozenset[str] = frozenset(info.id for family in FAMILIES if family.needs_gaze for info in family.metrics)
+"""Ids of the metrics that only motions with gaze have."""
+SCENE_METRICS: frozenset[str] = frozenset(
+    info.id for family in FAMILIES if family.needs_scene for info in family.metrics
+)
+"""Ids of the metrics that need the boxes of the scene."""
+METRICS_OF_MOTIONS: tuple[MetricInfo, ...] = tuple(
+    info for info in METRICS if info.id not in GAZE_METRICS | SCENE_METRICS
+)
+"""The metrics of any motion: those that need neither gaze nor the boxes of the scene."""
 MAIN_METRICS: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.main)
 """The columns of leaderboards."""
 RANKED_METRICS: tuple[MetricInfo, ...] = tuple(info for info in MAIN_METRICS if info.ranked)
@@ -33,15 +43,14 @@ RANKED_METRICS: tuple[MetricInfo, ...] = tuple(info for info in MAIN_METRICS if 
 STUDY_METRICS: tuple[MetricInfo, ...] = tuple(info for info in METRICS if info.in_study)
 """The six columns of the study's Table 2."""
 
-GAZE_METRICS: frozenset[str] = frozenset(info.id for family in FAMILIES if family.needs_gaze for info in family.metrics)
-"""Ids of the metrics that only motions with gaze have."""
-
 __all__ = [
     "FAMILIES",
     "GAZE_METRICS",
     "MAIN_METRICS",
     "METRICS",
+    "METRICS_OF_MOTIONS",
     "RANKED_METRICS",
+    "SCENE_METRICS",
     "STUDY_METRICS",
     "UNKNOWN_HAND",
     "GazeRays",
@@ -77,7 +86,8 @@ def score(
         recorded: The recorded motions of the same sequences, in the same order.
         targets: Their goals.
         constants: Of the protocol.
-        metrics: Ids of the wanted metrics; all by default, those of gaze only where ``targets`` hold some.
+        metrics: Ids of the wanted metrics; all by default, those of gaze and of the scene only where ``targets`` hold
+            gaze and boxes.
         allow_length_mismatch: Accept motions of another length than the recorded one: the final frame is then each
             motion's own, MPJPE takes the frames that both have, and the values carry the flag ``length_mismatch``.
         chunk_frames: Frames that are worked on at once; a matter of speed and memory only.

@@ -118,6 +118,8 @@ class MetricFamily:
     minimum_frames: int = 2
     needs_gaze: bool = False
     """Computed only where the predicted motions have gaze: recorded motion, and methods that generate it."""
+    needs_scene: bool = False
+    """Computed only where the boxes of the scene are handed in."""
 
 
 def find_families(package: str, path: Iterable[str]) -> tuple[MetricFamily, ...]:

@@ -47,11 +47,19 @@ def _wanted(
     if unknown:
         raise ValueError(f"unknown metric '{unknown[0]}'; known ones are: {', '.join(known)}")
     if metrics is None:
-        return tuple(family for family in families if pair.targets.gaze is not None or not family.needs_gaze)
+        return tuple(family for family in families if _is_given(family, pair))
     chosen = tuple(family for family in families if any(info.id in metrics for info in family.metrics))
     if any(family.needs_gaze for family in chosen) and pair.targets.gaze is None:
         raise ValueError("a metric of gaze was asked for, but the targets hold no gaze")
+    if any(family.needs_scene for family in chosen) and pair.targets.scene is None:
+        raise ValueError("a metric of the scene was asked for, but the targets hold no boxes")
     return chosen
+
+
+def _is_given(family: MetricFamily, pair: ScoringPair) -> bool:
+    """Return True where the targets hold what a family needs beside goals and times."""
+    has_gaze = pair.targets.gaze is not None or not family.needs_gaze
+    return has_gaze and (pair.targets.scene is not None or not family.needs_scene)
 
 
 def _infos(families: tuple[MetricFamily, ...], metrics: Collection[str] | None) -> list[MetricInfo]:
@@ -71,6 +79,10 @@ def _check(pair: ScoringPair, families: tuple[MetricFamily, ...], *, allow_lengt
         require_equal_lengths(predicted, recorded)
     if pair.targets.gaze is not None and len(pair.targets.gaze.valid) != len(predicted.values):
         raise ValueError(f"expected {len(predicted.values)} gaze rays, found {len(pair.targets.gaze.valid)}")
+    if pair.targets.scene is not None and len(pair.targets.scene) != len(pair.targets):
+        raise ValueError(
+            f"expected the boxes of {len(pair.targets)} sequences, found those of {len(pair.targets.scene)}"
+        )
     minimum = max((family.minimum_frames for family in families), default=1)
     predicted.require_frames(minimum)
     recorded.require_frames(minimum)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from prbench.boxes import Boxes
 from prbench.metrics.batch import MotionBatch
 from prbench.skeleton import WRISTS
 
@@ -49,6 +50,8 @@ class ScoringTargets:
     """Frames per second, one for all or one a sequence."""
     gaze: GazeRays | None = None
     """Gaze of the predicted motions: recorded gaze for recorded motion, generated gaze for methods that have it."""
+    scene: Boxes | None = None
+    """What stands around each sequence and is solid, canonical frames; None where nobody knows."""
 
     def __post_init__(self) -> None:
         columns = {"goal location": self.goal_location, "prime time": self.prime_time, "head tilt": self.head_tilt_deg}
@@ -91,6 +94,7 @@ class ScoringPair:
             targets.head_tilt_deg[start:stop],
             targets.fps_of_sequence[start:stop],
             gaze,
+            None if targets.scene is None else targets.scene.part(start, stop),
         )
         return ScoringPair(self.predicted.part(start, stop), self.recorded.part(start, stop), part)
 

@@ -264,6 +264,8 @@ class Recording:
     """Ids of doors, drawers and the like, where the dataset says so."""
     world_from_source: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
     """Maps the scene's own coordinates (meshes, point clouds) into this world frame."""
+    furniture: tuple[ObjectTrack, ...] = ()
+    """Things that stand still and are no part of :attr:`objects`, because the dataset tracks none of them."""
     messages: tuple[str, ...] = ()
     """Messages of the reader for the user."""
     shortfalls: tuple[str, ...] = ()

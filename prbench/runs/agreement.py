@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 
 from prbench.boundary import foreign_input
-from prbench.rates_of_people import BinRate, RateAgreement
+from prbench.rates_of_people import BinRate, RateAgreement, SceneOfPeople
 from prbench.runs.record import read_record
 from prbench.storage import write_json
 
@@ -21,11 +21,13 @@ class DatasetAgreement(msgspec.Struct, frozen=True, kw_only=True):
         dataset: Name of the dataset.
         rates: Agreement with recorded people, one entry a rate.
         breakdown: Rates by the goal's place, by metric, quantity and bin.
+        scene: How recorded people keep out of the scene's boxes; None where the table knows of none.
     """
 
     dataset: str
     rates: tuple[RateAgreement, ...]
     breakdown: tuple[BinRate, ...]
+    scene: SceneOfPeople | None = None
 
     def write(self, folder: Path) -> None:
         """Write ``agreement.json``."""

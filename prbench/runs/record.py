@@ -51,6 +51,8 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
     """The method declares that its motions stand still, so that Foot Skating says nothing about it."""
     gaze: bool = False
     """The motions bring gaze (docs/specification/protocol.md#gaze)."""
+    wants_obstacles: bool = False
+    """The method was given the solid boxes around each sequence, which others are not."""
     isolation: str | None = None
     """``process`` (paths, objects and environment withheld), ``bubblewrap`` (the file system too) or ``container``."""
 
@@ -119,11 +121,19 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     """Motions kept of each sequence."""
     best_of: int = 1
     """Motions drawn for each that is kept (docs/specification/protocol.md#best-of-k)."""
+    carry_on: bool = False
+    """Every put starts where the generated pick before it ends (docs/specification/carry-on.md)."""
     device: str
     threads: int
     """Per worker."""
     packages: dict[str, str]
     tables: tuple[TableRecord, ...]
+
+    @property
+    def is_usual(self) -> bool:
+        """False for motions that were chosen, bring gaze, knew more than others or started elsewhere: never ranked."""
+        adds_or_knows_more = self.method.gaze or self.method.wants_obstacles
+        return self.best_of == 1 and not adds_or_knows_more and not self.carry_on
 
     def write(self, folder: Path) -> None:
         """Write ``run.json``."""

@@ -27,6 +27,10 @@ SECTION = "§"
 """Mark of motions that were chosen among several."""
 PILCROW = "¶"
 """Mark of motions that bring gaze, which the study's methods do not generate."""
+LOZENGE = "◊"
+"""Mark of a method that was given the scene's boxes."""
+PARALLEL = "∥"
+"""Mark of puts that carry on from generated picks."""
 
 
 class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -79,6 +83,10 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Motions drawn for each that was kept."""
     gaze: bool = False
     """The motions bring gaze that the method generated."""
+    obstacles: bool = False
+    """The method was given the solid boxes around each sequence."""
+    carry_on: bool = False
+    """Every put starts where the generated pick before it ends."""
     length_mismatches: int
     metrics: tuple[MetricSummary, ...]
 
@@ -118,9 +126,24 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         return f"{PILCROW} gaze generated with the head, beyond the study; never ranked" if self.gaze else ""
 
     @property
+    def obstacles_mark(self) -> str:
+        """Remark of tables on a method that was given the scene's boxes; empty if it was not."""
+        if not self.obstacles:
+            return ""
+        return f"{LOZENGE} was given the scene's boxes, which other methods are not; never ranked"
+
+    @property
+    def carry_on_mark(self) -> str:
+        """Remark of tables on puts that carry on from generated picks; empty if they do not."""
+        if not self.carry_on:
+            return ""
+        return f"{PARALLEL} each put starts where the generated pick before it ends; never ranked"
+
+    @property
     def run_marks(self) -> tuple[str, ...]:
         """Remarks on how the motions were made, the same on every dataset of a run."""
-        return tuple(part for part in (self.best_of_mark, self.gaze_mark) if part)
+        marks = (self.best_of_mark, self.gaze_mark, self.obstacles_mark, self.carry_on_mark)
+        return tuple(mark for mark in marks if mark)
 
     @property
     def mark(self) -> str:
@@ -130,7 +153,12 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def symbols(self) -> str:
         """The signs of :attr:`mark`, for the name of the method."""
-        return " ".join(part.split(" ", 1)[0] for part in (self.recorded_motion_mark, *self.run_marks) if part)
+        return _signs((self.recorded_motion_mark, *self.run_marks))
+
+    @property
+    def run_symbols(self) -> str:
+        """The signs of :attr:`run_marks`."""
+        return _signs(self.run_marks)
 
     @property
     def edge_arrivals(self) -> str:
@@ -171,3 +199,8 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
                 f"{path}: expected schema version {RUN_SCHEMA_VERSION}, found {summary.schema_version}. Update prbench."
             )
         return summary
+
+
+def _signs(marks: tuple[str, ...]) -> str:
+    """The sign that each remark begins with."""
+    return " ".join(mark.split(" ", 1)[0] for mark in marks if mark)

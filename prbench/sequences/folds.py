@@ -150,6 +150,7 @@ def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> Dat
             sequences=map(split, _rows(table)),
             events=table.events().to_batches(),
             recordings=map(split, table.recordings().to_batches()),
+            scenes=table.scenes().to_batches(),
         )
 
 

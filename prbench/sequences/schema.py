@@ -144,8 +144,22 @@ RECORDINGS = pa.schema(
         column_field("message", pa.string()),
     ]
 )
+SCENES = pa.schema(
+    [
+        column_field("recording_id", pa.string()),
+        column_field("object_id", pa.string()),
+        column_field("name", pa.string()),
+        column_field("category", pa.string()),
+        column_field("centre", _PRECISE_POINT),
+        column_field("rotation", pa.list_(pa.float64(), 4)),
+        column_field("half_extents", _PRECISE_POINT),
+        column_field("entered", pa.float64(), nullable=True),
+    ]
+)
 DATASET_TABLES = {"sequences": SEQUENCES, "events": EVENTS, "recordings": RECORDINGS}
 """The tables of a dataset folder by the names of their files."""
+OPTIONAL_TABLES = {"scenes": SCENES}
+"""Tables that a dataset folder has only where its recordings know what they hold (docs/specification/scene.md)."""
 
 
 def with_metadata(schema: pa.Schema, *, protocol_version: int) -> pa.Schema:

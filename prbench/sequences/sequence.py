@@ -11,7 +11,7 @@ import pyarrow as pa
 from jaxtyping import Bool, Float
 
 from prbench.sequences.chunk import row_batch
-from prbench.sequences.schema import EVENTS, OUTCOMES, RECORDINGS, SEQUENCES
+from prbench.sequences.schema import EVENTS, OUTCOMES, RECORDINGS, SCENES, SEQUENCES
 
 FrameSource = Literal["recorded", "extrapolated", "copied"]
 
@@ -117,6 +117,29 @@ class RecordingRecord:
     """One message for each stream that ends before the recording does; they stand in ``message``, too."""
     lacks: tuple[str, ...] = ()
     """Parts that it lacks to have events or sequences at all; stands in ``message``, too."""
+
+
+@dataclass(frozen=True)
+class SceneBox:
+    """One row of ``scenes``: the box of a thing that stands still through a recording. World frame, metres."""
+
+    recording_id: str
+    object_id: str
+    name: str
+    category: str
+    centre: Float[np.ndarray, "3"]
+    rotation: Float[np.ndarray, "4"]
+    """World from box, quaternion w x y z."""
+    half_extents: Float[np.ndarray, "3"]
+    """Half the length of its edges."""
+    entered: float | None
+    """Largest depth to which a joint of the recorded person comes into it, over the whole recording; None without a
+    body."""
+
+
+def scene_batch(boxes: Iterable[SceneBox]) -> pa.RecordBatch:
+    """Arrow rows of boxes, in the order given."""
+    return row_batch(boxes, SCENES)
 
 
 def sequence_batch(sequences: Iterable[Sequence]) -> pa.RecordBatch:

@@ -30,7 +30,7 @@ from prbench.sequences.rows import (
     stream_chunks,
     table_parts,
 )
-from prbench.sequences.schema import DATASET_TABLES, SEQUENCES, check_schema, with_later_columns
+from prbench.sequences.schema import DATASET_TABLES, OPTIONAL_TABLES, SEQUENCES, check_schema, with_later_columns
 
 SPLITS = ("train", "validation", "test")
 _SHOWN = 8  # ids that an error message lists
@@ -50,6 +50,8 @@ class BuiltTable(Generic[Info]):
     """Name of the table that holds the motions."""
     schemas: ClassVar[Mapping[str, pa.Schema]]
     """Columns of every table of the folder, the main one first."""
+    optional: ClassVar[Mapping[str, pa.Schema]] = {}
+    """Columns of the tables that not every folder has."""
     identity_columns: ClassVar[tuple[str, ...]]
     """Columns of the main table that make its identity, in the order of :func:`identity_digest`."""
     check: ClassVar[Callable[..., None]]
@@ -66,7 +68,7 @@ class BuiltTable(Generic[Info]):
             self.folder / self.info.file_name,
             self.info.file_digests,
             main=self.main,
-            others=[name for name in self.schemas if name != self.main],
+            others=[name for name in (*self.schemas, *self.optional) if name != self.main],
             require_same_values=lambda: self.content,
         )
 
@@ -143,7 +145,7 @@ class BuiltTable(Generic[Info]):
 
     @foreign_input()
     def _read(self, name: str) -> pa.Table:
-        schema = self.schemas[name]
+        schema = {**self.schemas, **self.optional}[name]
         tables = []
         for path in self.part_paths(name):
             file = open_parquet(path)
@@ -158,6 +160,7 @@ class SequenceTable(BuiltTable[DatasetInfo]):
 
     main: ClassVar[str] = "sequences"
     schemas: ClassVar[Mapping[str, pa.Schema]] = DATASET_TABLES
+    optional: ClassVar[Mapping[str, pa.Schema]] = OPTIONAL_TABLES
     identity_columns: ClassVar[tuple[str, ...]] = ("sequence_id", "split", "action", "n_frames")
     check: ClassVar[Callable[..., None]] = staticmethod(check_schema)
 
@@ -202,6 +205,19 @@ class SequenceTable(BuiltTable[DatasetInfo]):
         recordings = self._read("recordings")
         require_distinct(recordings["recording_id"].to_pylist(), f"{self.folder}, recordings")
         return recordings
+
+    @property
+    def has_scenes(self) -> bool:
+        """Whether the boxes of what stands around the people are known (docs/specification/scene.md)."""
+        return any(path.partition("/")[0].removesuffix(".parquet") == "scenes" for path in self.info.file_digests)
+
+    def scenes(self) -> pa.Table:
+        """The ``scenes`` table: one row a box of each recording, world frame; without rows where none is known.
+
+        Raises:
+            TableError: if the file is missing that the description names, or is damaged.
+        """
+        return self._read("scenes") if self.has_scenes else OPTIONAL_TABLES["scenes"].empty_table()
 
 
 def why_no_sequences(info: DatasetInfo) -> str:

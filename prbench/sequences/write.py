@@ -19,7 +19,7 @@ from prbench.sequences.croissant import write_croissant
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.digests import RowDigests, digests_of_files
 from prbench.sequences.replacing import Holdings, require_no_loss
-from prbench.sequences.schema import DATASET_TABLES, with_metadata
+from prbench.sequences.schema import DATASET_TABLES, OPTIONAL_TABLES, with_metadata
 from prbench.sequences.table import Info, SequenceTable
 from prbench.storage import atomic_folder, atomic_path, require_replaceable
 
@@ -29,6 +29,7 @@ _ROWS = {
     "sequences": "One prime-and-reach sequence: from 2 s before the first look at the goal to the pick or put.",
     "events": "One candidate pick or put, with what became of it and the number that decided.",
     "recordings": "One recording that was found, with counts of its events by outcome.",
+    "scenes": "The box of one thing that stands still through a recording, such as a piece of furniture.",
 }
 
 
@@ -152,6 +153,7 @@ def write_dataset(
     sequences: Iterable[pa.RecordBatch],
     events: Iterable[pa.RecordBatch],
     recordings: Iterable[pa.RecordBatch],
+    scenes: Iterable[pa.RecordBatch] = (),
     replace: bool = False,
     incomplete: Collection[str] = (),
     protocol: BenchmarkProtocol | None = None,
@@ -164,6 +166,7 @@ def write_dataset(
         sequences: Rows in table order (sorted by ``sequence_id``).
         events: Rows of ``events``.
         recordings: Rows of ``recordings``.
+        scenes: Rows of ``scenes``; without any there is no such file.
         replace: Replace a dataset that holds recordings which this one lacks.
         incomplete: Ids of recordings of which a part could not be read, or a file ends early.
         protocol: Rules by which it was curated; a copy of a user's own ones is written beside the tables.
@@ -181,9 +184,14 @@ def write_dataset(
         new = Holdings.of(recordings, "sequence")
         require_no_loss(folder, FILE_NAME, new, outcome="sequence", what="sequences", incomplete=incomplete)
     tables = {"sequences": sequences, "events": events, "recordings": recordings}
+    schemas = dict(DATASET_TABLES)
+    boxes = [batch for batch in scenes if batch.num_rows]
+    if boxes:
+        tables["scenes"] = boxes
+        schemas |= OPTIONAL_TABLES
     with atomic_folder(folder) as temporary:
-        info = write_tables(temporary, info, tables, DATASET_TABLES, SequenceTable.identity_columns)
-        write_croissant(temporary, info, DATASET_TABLES, _ROWS)
+        info = write_tables(temporary, info, tables, schemas, SequenceTable.identity_columns)
+        write_croissant(temporary, info, schemas, _ROWS)
         if protocol is not None:
             write_protocol(temporary, protocol)
     return info

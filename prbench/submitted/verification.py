@@ -163,6 +163,8 @@ def summary_of(
             samples=record.samples,
             best_of=record.best_of,
             gaze=record.method.gaze,
+            obstacles=record.method.wants_obstacles,
+            carry_on=record.carry_on,
         ),
     )
 

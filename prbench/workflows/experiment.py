@@ -72,6 +72,8 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Motions kept of each sequence."""
     best_of: int = 1
     """Motions drawn for each that is kept."""
+    carry_on: bool = False
+    """Run pairs of a pick and the put that follows it, which starts where the generated pick ends."""
     batch_size: int | None = None
     """Sequences a batch; absent for 64."""
     device: str = "cpu"
@@ -130,6 +132,7 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             seed=seed,
             samples=self.samples,
             best_of=self.best_of,
+            carry_on=self.carry_on,
             batch_size=self.batch_size or DEFAULT_BATCH_SIZE,
             device=self.device,
             threads=self.threads,
@@ -218,6 +221,7 @@ def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path |
         seeds=(record.seed,),
         samples=record.samples,
         best_of=record.best_of,
+        carry_on=record.carry_on,
         batch_size=record.tables[0].batch_plan.batch_size,
         device=record.device,
         threads=record.threads,

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
+
+import numpy as np
 
 from prbench.curation import BuildOptions, BuildReport, build_from_sources
 from prbench.curation.options import NO_OPTIONS
 from prbench.engine import Engine, InProcess
 from prbench.errors import UsageError
 from prbench.readers import SYNTHETIC_PREFIX
-from prbench.recording import Recording
+from prbench.recording import ObjectTrack, Recording
 from prbench.storage import text_digest
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.layouts import layout_for, synthetic_recording
 from prbench.synthetic.people.perform import name_of_recording, perform
 from prbench.synthetic.people.world import Source, Split, assign
-from prbench.synthetic.performance import Performance
+from prbench.synthetic.performance import ObjectMotion, Performance
 
 Progress = Callable[[int, int, str], None]
 """Called with finished recordings, all of them, and the one that was finished last."""
@@ -54,8 +56,13 @@ class Staging:
         )
 
     def sense(self, performance: Performance) -> Recording:
-        """Return what the sensors measure of a performance."""
-        return synthetic_recording(performance, noise=self.noise)
+        """Return what the sensors measure of a performance, and the furniture even where no sensor tracks any."""
+        recording = synthetic_recording(performance, noise=self.noise)
+        if not all(track.movable for track in recording.objects):
+            return recording
+        start = recording.span[0]
+        furniture = tuple(_standing(piece, start) for piece in performance.objects if not piece.movable)
+        return replace(recording, furniture=furniture)
 
     def described(self) -> dict[str, str]:
         """The staging as text, as ``dataset.json`` holds it."""
@@ -70,6 +77,22 @@ class Staging:
             "synthetic_provocations": shares,
             "synthetic_generator": str(GENERATOR_VERSION),
         }
+
+
+def _standing(piece: ObjectMotion, start: float) -> ObjectTrack:
+    """Return the track of a piece of furniture; worlds of synthetic recordings are those of their performances."""
+    return ObjectTrack(
+        object_id=piece.object_id,
+        name=piece.name,
+        category=piece.category,
+        times=np.array([start]),
+        position=piece.position[:1],
+        rotation=piece.rotation[:1],
+        valid=np.ones(1, dtype=bool),
+        box_min=-piece.half_extents,
+        box_max=piece.half_extents,
+        movable=False,
+    )
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import pytest
 
 import prbench
 from prbench.api import measuring
-from prbench.metrics import GAZE_METRICS, METRICS
+from prbench.metrics import METRICS, METRICS_OF_MOTIONS
 from tests.fakes import smooth_motion
 
 SIX = [info.id for info in METRICS if info.in_study]
@@ -42,7 +42,7 @@ def test_the_example_of_the_docstring_runs():
 
 def test_one_motion_gets_the_values_of_the_run(table, runs, predicted):
     scored = runs[1].to_pandas().set_index(["sequence_id", "metric"]).value
-    variants = [info.id for info in METRICS if info.id not in GAZE_METRICS]
+    variants = [info.id for info in METRICS_OF_MOTIONS]
     for name, motion in predicted.items():
         sequence = table.sequence(name)
         measures = prbench.measure(motion, **_everything(sequence))

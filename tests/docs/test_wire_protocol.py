@@ -271,12 +271,12 @@ def test_the_hello_of_the_harness_has_the_keys_of_the_page(tmp_path, monkeypatch
 
 def test_every_key_of_a_programs_hello_is_honoured(tmp_path, monkeypatch):
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path))
-    keys = {"max_frames": 90, "native_fps": 30.0, "motionless": True}
+    keys = {"max_frames": 90, "native_fps": 30.0, "motionless": True, "gaze": True}
     keys |= {"weights": {"goal-loc": {"name": "w", "sha256": "0" * 64}}}
     assert {words(row[0])[0] for row in table("2. `hello`, program to harness") if row[2] == "no"} == set(keys)
     (tmp_path / "made.py").write_text(f"{BEGINNING}\nhello(**{keys!r})\n", encoding="utf-8")
     program = Program("made", (sys.executable, "-S", "-E", "made.py"), tmp_path, ENVIRONMENT)
     adapter = RemoteAdapter.start(program, weights=None, options={}, device="cpu", threads=1)
     adapter.close()
-    assert (adapter.max_frames, adapter.native_fps, adapter.motionless) == (90, 30.0, True)
+    assert (adapter.max_frames, adapter.native_fps, adapter.motionless, adapter.gaze) == (90, 30.0, True, True)
     assert adapter.weights[Condition.GOAL_LOCATION].sha256 == "0" * 64

@@ -16,7 +16,7 @@ from prbench.evaluation import planning
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.manifests import load_protocol
-from prbench.metrics import GAZE_METRICS, METRICS
+from prbench.metrics import METRICS, METRICS_OF_MOTIONS
 from prbench.randomness import noise_seed
 from prbench.runs import Predictions, RunFolder, read_scores
 from prbench.sequences import SequenceTable
@@ -64,7 +64,7 @@ def test_static_on_a_dataset_leaves_the_run_folder_of_the_design(table, tmp_path
     assert report.batches_made == 4
 
     scores = read_scores(tmp_path / "out/scores.parquet")
-    names = [info.id for info in METRICS if info.id not in GAZE_METRICS]
+    names = [info.id for info in METRICS_OF_MOTIONS]
     ids = [name for chunk in table.chunks(split="test", columns=[]) for name in chunk.sequence_ids]
     expected = [(name, sample, metric) for name in ids for sample in (0, 1) for metric in names]
     assert list(zip(*(scores[column].to_pylist() for column in ("sequence_id", "sample", "metric")))) == expected

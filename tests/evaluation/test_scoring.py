@@ -13,7 +13,7 @@ from prbench.evaluation.planning import select
 from prbench.evaluation.run import run_method
 from prbench.evaluation.scoring import ScoringRules, score_selection
 from prbench.manifests import load_protocol
-from prbench.metrics import METRICS, GazeRays, MotionBatch, ScoringTargets
+from prbench.metrics import GAZE_METRICS, METRICS_OF_MOTIONS, GazeRays, MotionBatch, ScoringTargets
 from prbench.metrics import score as score_by_hand
 from prbench.runs import Predictions, read_scores
 from tests.evaluation.test_run import request
@@ -85,4 +85,5 @@ def test_flags_of_single_sequences_reach_scores_and_summary(table, tmp_path):
             flag for row in rows if row["metric"] == metric.metric and row["flag"] for flag in row["flag"].split(";")
         ]
         assert metric.flags == {flag: flagged.count(flag) for flag in set(flagged)}
-    assert {row["metric"] for row in rows} == {info.id for info in METRICS}
+    wanted = {*GAZE_METRICS, *(info.id for info in METRICS_OF_MOTIONS)}
+    assert {row["metric"] for row in rows} == wanted

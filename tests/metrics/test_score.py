@@ -12,6 +12,7 @@ from prbench.metrics import (
     GAZE_METRICS,
     MAIN_METRICS,
     METRICS,
+    METRICS_OF_MOTIONS,
     RANKED_METRICS,
     STUDY_METRICS,
     GazeRays,
@@ -80,8 +81,10 @@ def test_the_metrics_stand_in_printed_order() -> None:
         "contact_share",
         "bone_length_change",
         *GAZE_METRICS,
+        "scene_penetration",
+        "scene_depth",
     }
-    assert list(score(*random_problem(0, [5]), CONSTANTS)) == [m.id for m in METRICS if m.id not in GAZE_METRICS]
+    assert list(score(*random_problem(0, [5]), CONSTANTS)) == [info.id for info in METRICS_OF_MOTIONS]
 
 
 def test_the_laws_are_tried_where_every_rate_takes_both_values() -> None:
@@ -199,7 +202,7 @@ def test_an_unknown_metric_is_answered_with_the_known_ones() -> None:
 def test_no_sequences_give_no_values() -> None:
     none = MotionBatch(np.empty((0, 22, 3), np.float32), np.array([0]))
     found = score(none, none, targets(0), CONSTANTS)
-    assert len(found) == len(METRICS) - len(GAZE_METRICS)
+    assert len(found) == len(METRICS_OF_MOTIONS)
     assert all(len(v.value) == 0 for v in found.values())
 
 

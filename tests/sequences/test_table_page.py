@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 
 from prbench.recording.streams import HandSource
-from prbench.sequences.schema import EVENTS, OUTCOMES, RECORDINGS, SEQUENCES
+from prbench.sequences.schema import EVENTS, OUTCOMES, RECORDINGS, SCENES, SEQUENCES
 
 PAGE = (Path(__file__).parents[2] / "docs" / "table.md").read_text(encoding="utf-8")
 
@@ -25,6 +25,7 @@ def _columns(section: str) -> set[str]:
     [
         ("sequences", set(SEQUENCES.names)),
         ("events", set(EVENTS.names)),
+        ("scenes", set(SCENES.names)),
         ("recordings", set(RECORDINGS.names) - set(OUTCOMES) | {OUTCOMES[0], OUTCOMES[-1]}),
     ],
 )

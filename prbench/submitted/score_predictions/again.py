@@ -94,7 +94,14 @@ def _scored(
     samples = require_complete(predictions, wanted)
     rules = _rules(request, run.record, selection, protocol)
     record = run.record
-    about = About(method=record.method.name, condition=record.condition, control=record.control, best_of=record.best_of)
+    about = About(
+        method=record.method.name,
+        condition=record.condition,
+        control=record.control,
+        best_of=record.best_of,
+        obstacles=record.method.wants_obstacles,
+        carry_on=record.carry_on,
+    )
     return Scored.of(
         chosen, selection, predictions, samples=samples, rules=rules, protocol=protocol, about=about, work=work
     )
@@ -125,7 +132,7 @@ def _require_same_table(run: RunFolder, table: SequenceTable) -> None:
 def _selections(request: ScoreRequest, record: RunRecord, table: SequenceTable) -> tuple[Selection, Selection]:
     """The chosen sequences, and those of them that have to be there."""
     limit = record.limit if request.limit is None else request.limit
-    chosen = select(table, split=request.split or record.split, limit=limit)
+    chosen = select(table, split=request.split or record.split, limit=limit, carry_on=record.carry_on)
     if record.sequences and request.limit is None:
         chosen = chosen.chosen(np.isin(chosen.sequence_ids, record.sequences))
     return chosen, supported(chosen, max_frames=record.method.max_frames, native_fps=record.method.native_fps)

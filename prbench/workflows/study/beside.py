@@ -140,6 +140,8 @@ def why_not_beside(entry: LeaderboardRow) -> str | None:
         return f"the best of {entry.record.best_of} motions, where the study draws one"
     if entry.record.method.gaze:
         return "a method that generates gaze, which the study's do not"
+    if not entry.record.is_usual:
+        return "motions with an option that the study has not"
     if entry.summary.hands_in_recordings:
         return "recorded motions, not a method's"
     return None

@@ -168,6 +168,8 @@ def _study_label(study: Row, row: TableRow, placed: Sequence[tuple[Row, TableRow
     options = dict(row.entry.record.method.options)
     if row.entry.record.best_of > 1:
         options["best of"] = str(row.entry.record.best_of)
+    if row.entry.record.carry_on:
+        options["carry on"] = "yes"
     if several:
         return f"{study.label} ({row.variant})"
     if options:

@@ -11,7 +11,7 @@ from dataclasses import asdict
 
 from prbench.leaderboard.tables import FEWEST_RANKED
 from prbench.metrics import STUDY_METRICS, exported_unit
-from prbench.runs.summary import PILCROW, SECTION
+from prbench.runs.summary import LOZENGE, PILCROW, SECTION
 from prbench.shown import markdown
 from prbench.workflows.table_two.layout import (
     ARRIVAL,
@@ -82,6 +82,8 @@ def notes(layout: TableLayout) -> Iterable[str]:
         )
     if any(line.gaze for line in lines):
         yield f"{PILCROW}: gaze is generated with the head, beyond the study. Never ranked."
+    if any(line.obstacles for line in lines):
+        yield f"{LOZENGE}: was given the scene's boxes, which other methods are not. Never ranked."
     yield "Rates in %, Goal MPJPE and MPJPE in m; 95 % intervals over recordings in brackets."
     few = [dataset.dataset for dataset in layout.datasets if not dataset.is_ranked]
     if few:
@@ -137,8 +139,12 @@ def _rows(block: BlockLayout) -> Iterable[Sequence[str]]:
 
 
 def shown_label(line: Line) -> str:
-    """The label of a line, with the signs of motions that were chosen among several and of those with gaze."""
-    marks = (SECTION if line.best_of > 1 else "", PILCROW if line.gaze else "")
+    """The label of a line, with the signs of motions that were chosen, bring gaze, or knew of the scene's boxes."""
+    marks = (
+        SECTION if line.best_of > 1 else "",
+        PILCROW if line.gaze else "",
+        LOZENGE if line.obstacles else "",
+    )
     return " ".join((line.label, *filter(None, marks)))
 
 

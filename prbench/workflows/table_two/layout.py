@@ -99,6 +99,8 @@ class Line:
     """Motions drawn for each that was kept; a line of more than one is marked and never ranked."""
     gaze: bool
     """The motions bring gaze; such a line is marked and never ranked."""
+    obstacles: bool
+    """The method was given the scene's boxes; such a line is marked and never ranked."""
     unsupported: int
     """Sequences that are longer than the method can generate, and were left out."""
     cost: LineCost
@@ -267,6 +269,7 @@ def _line(outcome: RowOutcome, row: TableRow | None) -> Line:
         arrival=_cell(row, ARRIVAL),
         best_of=planned.run.best_of,
         gaze=row is not None and row.entry.record.method.gaze,
+        obstacles=row is not None and row.entry.summary.obstacles,
         unsupported=row.entry.table.unsupported if row is not None else 0,
         cost=_line_cost(outcome.folder, row),
     )

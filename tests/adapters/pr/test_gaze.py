@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from prbench.boxes import Boxes
 from prbench.contract import Condition
 from prbench.errors import AdapterError, TableError, UsageError
 from prbench.skeleton import Joint
@@ -17,6 +18,7 @@ from prbench.training.installed import load_task
 from prbench.training.run import resolved
 from prbench.training.weights import write_weights
 from prbench_adapters.pr import load
+from prbench_adapters.pr.gaze.generation import with_gaze
 from prbench_adapters.pr.gaze.network import (
     GazeConfiguration,
     GazeNetwork,
@@ -145,6 +147,24 @@ def test_motions_keep_their_bytes_and_eyes_follow_the_noise_seed_of_their_row_al
     assert not np.array_equal(other.gaze.direction[2], both.gaze.direction[2])
     alone = eyes.generate(batch.rows(0, 1), seed=0)
     assert np.allclose(alone.gaze.direction[0], both.gaze.direction[0, :n_frames], atol=1e-4)
+
+
+def test_motions_are_led_around_boxes_before_their_eyes_are_added(files, monkeypatch):
+    monkeypatch.setattr("prbench_adapters.diffusion.obstacles._ITERATIONS", 3)
+    weights, gaze = files
+    batch = conditions(Condition.GOAL_LOCATION, 1)
+    options = {"optimise": "off", "obstacles": "avoid"}
+    blind = load(weights, options=options, device="cpu")
+    free = load(weights, options={"optimise": "off"}, device="cpu").generate(batch, seed=0)
+    middle = free.joints[:, 10, Joint.PELVIS].astype(np.float64)
+    batch = dataclasses.replace(batch, obstacles=Boxes(middle, np.eye(3)[None], np.full((1, 3), 0.15), np.arange(2)))
+    led = blind.generate(batch, seed=0)
+    eyes = load(weights, options={**options, "gaze": "eyes", "gaze-weights": str(gaze)}, device="cpu")
+    assert (eyes.wants_obstacles, eyes.gaze) == (True, True)
+    both = eyes.generate(batch, seed=0)
+    assert not np.array_equal(led.joints, free.joints)
+    assert np.array_equal(both.joints, led.joints)
+    assert np.array_equal(both.gaze.origin, with_gaze(led, batch, eyes.eyes).gaze.origin)
 
 
 def test_a_goal_pose_has_eyes_too(files, tmp_path):

@@ -1,0 +1,88 @@
+"""Scene penetration: how often and how deep a body comes into the boxes of what stands around it.
+
+Definition: docs/specification/scene.md#scene-penetration. Which boxes are solid is decided by whoever hands them in
+(:func:`prbench.evaluation.obstacles.solid_boxes`); a box that holds the goal is left out here, because whatever is
+reached in a cupboard lies in the cupboard's box.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.boxes import Boxes, deepest
+from prbench.manifests import MetricConstants, load_scene_constants
+from prbench.metrics.batch import MotionBatch
+from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.targets import ScoringPair, ScoringTargets
+
+
+def scene_penetration(
+    motion: MotionBatch, targets: ScoringTargets, *, depth: float
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Share of the frames in which a joint lies deeper than ``depth`` in a box, and the largest depth of any joint.
+
+    Args:
+        motion: Canonical frame, metres.
+        targets: With the boxes of the scene.
+        depth: Metres inside a box from which a joint penetrates it.
+
+    Returns:
+        The shares, 0 to 1; and the largest depths, metres, 0 where no joint is in a box.
+
+    Raises:
+        ValueError: if the targets hold no boxes.
+    """
+    if targets.scene is None:
+        raise ValueError("the targets hold no boxes of the scene")
+    share = np.zeros(motion.n_sequences)
+    largest = np.zeros(motion.n_sequences)
+    for row in range(motion.n_sequences):
+        joints = motion.values[motion.offsets[row] : motion.offsets[row + 1]].astype(np.float64)
+        in_frame = deepest(joints, without_goal(targets.scene.part(row, row + 1), targets.goal_location[row]))
+        share[row] = (in_frame > depth).mean()
+        largest[row] = in_frame.max()
+    return share, largest
+
+
+def without_goal(boxes: Boxes, goal: Float[np.ndarray, "3"]) -> Boxes:
+    """The boxes of one sequence without those in which its goal lies.
+
+    Args:
+        boxes: Canonical frame, metres.
+        goal: Goal location, likewise.
+    """
+    return boxes.chosen(boxes.depth(goal[None])[0] <= 0)
+
+
+def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, MetricValues]:  # noqa: ARG001
+    assert pair.targets.scene is not None
+    share, largest = scene_penetration(pair.predicted, pair.targets, depth=load_scene_constants().depth)
+    flags = {"no_boxes": np.diff(pair.targets.scene.offsets) == 0}
+    return MetricValues("scene_penetration", share, flags), MetricValues("scene_depth", largest, flags)
+
+
+FAMILY = MetricFamily(
+    (
+        MetricInfo(
+            "scene_penetration",
+            "Scene penetration",
+            "ratio",
+            higher_is_better=False,
+            main=False,
+            position=41,
+            compares_with_recorded=False,
+        ),
+        MetricInfo(
+            "scene_depth",
+            "Scene penetration (depth)",
+            "m",
+            higher_is_better=False,
+            main=False,
+            position=42,
+            compares_with_recorded=False,
+        ),
+    ),
+    _compute,
+    needs_scene=True,
+)
