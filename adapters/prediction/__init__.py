@@ -1,0 +1,1 @@
+"""Networks that predict motion: GazeMoDiff, HumanMAC, CVAE, DLow, BeLFusion; tensors in, tensors out."""

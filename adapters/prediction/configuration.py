@@ -1,0 +1,157 @@
+"""What a motion-prediction diffusion is made of: one frozen record, and the published ones by name.
+
+Source: docs/specification/prediction-networks.md#configuration.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+_COUNTS = (
+    "n_joints",
+    "observed",
+    "predicted",
+    "coefficients",
+    "width",
+    "heads",
+    "feed_forward",
+    "diffusion_steps",
+    "sampling_steps",
+    "encoder_width",
+    "encoder_heads",
+    "fusion_blocks",
+)
+_SHARES = ("dropout", "encoder_dropout", "fusion_dropout")
+
+
+class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """GazeMoDiff, HumanMAC and what lies between them.
+
+    The defaults are those of GazeMoDiff's public program with the decisions of
+    docs/specification/prediction-networks.md#decisions.
+
+    Raises:
+        ValueError: for sizes that do not fit together.
+    """
+
+    n_joints: int
+    gaze: bool = True
+    """A unit direction as the last node: gaze, or the head's direction in its place."""
+    observed: int = 15
+    predicted: int = 60
+    coefficients: int = 10
+    """DCT coefficients L that a window is described by; all else of its motion is lost."""
+
+    width: int = 512
+    heads: int = 8
+    layers: int = 4
+    feed_forward: int = 1024
+    dropout: float = 0.2
+    cross_attention: bool = True
+    """Whether the denoiser looks at each coefficient of the condition besides the condition vector."""
+
+    encoder: bool = True
+    """Whether the condition is encoded; else it is the DCT of the padded observation, as in HumanMAC."""
+    pose_encoder: bool = True
+    gaze_encoder: bool = True
+    fusion: Literal["graph-attention", "concatenation"] = "graph-attention"
+    encoder_width: int = 128
+    encoder_heads: int = 4
+    fusion_blocks: int = 4
+    encoder_dropout: float = 0.3
+    fusion_dropout: float = 0.2
+    legacy_layout: bool = False
+    """Scramble the encoder's axes as the public program does, to load or to compare its weights."""
+
+    diffusion_steps: int = 1500
+    sampling_steps: int = 100
+    condition_kept: float = 0.9
+    """Share of training windows that keep their condition."""
+    condition_kept_sampling: float = 1.0
+    """Share of samples that keep it when motions are predicted."""
+    dropped: Literal["both", "vector"] = "both"
+    """What a window without condition loses: the vector and what cross-attention sees, or the vector alone."""
+    guidance: float = 1.0
+    """Weight s of the condition, ε = ε_without + s (ε_with - ε_without); any but 1 takes two passes a step."""
+
+    def __post_init__(self) -> None:
+        for name in _COUNTS:
+            if getattr(self, name) < 1:
+                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        for name in _SHARES:
+            if not 0.0 <= getattr(self, name) < 1.0:
+                raise ValueError(f"'{name}' must be at least 0 and below 1, found {getattr(self, name)}")
+        for name in ("condition_kept", "condition_kept_sampling"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"'{name}' must be from 0 to 1, found {getattr(self, name)}")
+        if self.layers < 2 or self.layers % 2:
+            raise ValueError(f"'layers' must be even and at least 2, as halves are joined, found {self.layers}")
+        if self.width % 2 or self.width % self.heads:
+            raise ValueError(f"'width' must be even and divisible by 'heads' ({self.heads}), found {self.width}")
+        if self.coefficients > self.frames:
+            raise ValueError(f"'coefficients' must be at most the {self.frames} frames, found {self.coefficients}")
+        if self.diffusion_steps % self.sampling_steps or self.diffusion_steps == self.sampling_steps:
+            raise ValueError(
+                f"'sampling_steps' must divide the {self.diffusion_steps} diffusion steps and be fewer,"
+                f" found {self.sampling_steps}: with a remainder the noisiest steps would be left out"
+            )
+        if self.guidance != 1.0 and self.condition_kept_sampling != 1.0:
+            raise ValueError("'guidance' other than 1 needs 'condition_kept_sampling' 1: both drop the condition")
+
+    @property
+    def frames(self) -> int:
+        """Frames of a window, N = observed + predicted."""
+        return self.observed + self.predicted
+
+    @property
+    def nodes(self) -> int:
+        """Joints, and the direction if there is one."""
+        return self.n_joints + self.gaze
+
+    @property
+    def values(self) -> int:
+        """Numbers of one coefficient or frame: 3 a node."""
+        return 3 * self.nodes
+
+
+_HUMANMAC: dict[str, Any] = {
+    "gaze": False,
+    "encoder": False,
+    "cross_attention": False,
+    "diffusion_steps": 1000,
+    "dropped": "vector",
+}
+_PRESETS: dict[str, dict[str, Any]] = {
+    "gazemodiff": {},
+    "gazemodiff-code": {"legacy_layout": True, "dropped": "vector"},
+    "gazemodiff-paper": {"encoder_width": 16, "encoder_heads": 8, "encoder_dropout": 0.3, "fusion_dropout": 0.3},
+    "no-graph-attention": {"fusion": "concatenation"},
+    "no-cross-attention": {"cross_attention": False},
+    "no-gaze-encoder": {"gaze_encoder": False},
+    "no-motion-encoder": {"pose_encoder": False},
+    "no-gaze": {"gaze": False},
+    "humanmac": {**_HUMANMAC, "condition_kept": 0.8},
+    "humanmac-gaze": {**_HUMANMAC, "condition_kept": 0.8, "gaze": True},
+    "humanmac-humaneva": {**_HUMANMAC, "condition_kept": 1.0, "condition_kept_sampling": 0.5},
+    "humanmac-h36m": {**_HUMANMAC, "condition_kept": 0.8, "coefficients": 20, "layers": 8},
+}
+PRESETS = tuple(_PRESETS)
+"""Names of the configurations of the tables, the ablations, and the published programs."""
+
+
+def preset(name: str, *, n_joints: int, **changes: Any) -> DiffusionConfiguration:
+    """A configuration by name.
+
+    Args:
+        name: One of ``PRESETS``.
+        n_joints: Joints of the body.
+        changes: Keys that differ from the preset.
+
+    Raises:
+        ValueError: for other names, and for sizes that do not fit together.
+    """
+    if name not in _PRESETS:
+        raise ValueError(f"no configuration is named {name!r}; there are {', '.join(PRESETS)}")
+    return DiffusionConfiguration(**{"n_joints": n_joints, **_PRESETS[name], **changes})
