@@ -14,7 +14,8 @@ from prbench.metrics import METRICS, RANKED_METRICS, MetricInfo
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import TableRecord
 from prbench.runs.scores import read_scores
-from prbench.submitted.verification import RunChecker, recording_key
+from prbench.sequences.ids import recording_key
+from prbench.submitted.verification import RunChecker
 
 
 @dataclass(frozen=True)

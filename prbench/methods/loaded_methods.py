@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import psutil
 
-from prbench.contract import Adapter, Trainable, TrainingRun
+from prbench.contract import Trainable
 from prbench.errors import AdapterError
 from prbench.methods.adapters import load_adapter
+from prbench.methods.groups import MOTIONS, MethodGroup
 from prbench.methods.names import name_problem
 from prbench.methods.remote.adapter import RemoteAdapter
 from prbench.methods.remote.process import Program
-from prbench.methods.training_split import FIT_SEED, TrainingSplit, temporary_training_copy
+from prbench.methods.training_split import temporary_training_copy
 from prbench.sequences import SequenceTable
 
 
@@ -42,6 +45,10 @@ class MethodSpec:
     """``process`` or ``bubblewrap``, or ``container``, if the user asked for isolation."""
     timeout: float | None = None
     hidden: tuple[Path, ...] = ()
+    group: MethodGroup = MOTIONS
+    """The methods of the run's benchmark."""
+    fit: Callable[[Any, MethodSpec], None] | None = None
+    """Fits the method, once it is made in this process, to ``table_folder``; importable, since it goes to workers."""
 
     def load(self) -> LoadedMethod:
         """Return the method, ready to generate; it is made once a process."""
@@ -53,7 +60,7 @@ class LoadedMethod:
     """A method in this process, or the program that this process has started for it."""
 
     name: str
-    adapter: Adapter
+    adapter: Any
     warmed_up: bool = False
     """True once it has generated a batch, and with it loaded whatever loads on first use."""
 
@@ -132,10 +139,9 @@ def unload_method() -> None:
 
 
 def _loaded_here(spec: MethodSpec) -> LoadedMethod:
-    adapter = load_adapter(spec.name, spec.weights, dict(spec.options), spec.device)
-    if spec.fit_folder is not None and spec.table_folder is not None and isinstance(adapter, Trainable):
-        run = TrainingRun(folder=spec.fit_folder, seed=FIT_SEED, device=spec.device)
-        adapter.fit(TrainingSplit.open(spec.table_folder), validation=None, run=run)
+    adapter = load_adapter(spec.name, spec.weights, dict(spec.options), spec.device, group=spec.group)
+    if spec.fit is not None:
+        spec.fit(adapter, spec)
     return LoadedMethod(spec.name, adapter)
 
 

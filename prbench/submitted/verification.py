@@ -7,7 +7,7 @@ not, the run is called unverified.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import msgspec
@@ -18,8 +18,9 @@ import pyarrow.compute as pc
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError
 from prbench.evaluation.agreement import agreement_with_people, require_agreement
+from prbench.evaluation.benchmark import load_benchmark
 from prbench.evaluation.request import silent
-from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
+from prbench.evaluation.results import require_scores, require_summary, summary_of
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import RunRecord, TableRecord
 from prbench.runs.scores import read_scores
@@ -90,7 +91,7 @@ class RunChecker:
         files = run.dataset(record.dataset)
         scores = read_scores(files.scores)
         table = self.find_table(record)
-        recording_of, grouped = _recordings_of(scores, table)
+        recording_of, grouped = _recordings_of(run.record, scores, table)
         made = _require_summary_of(run, record, scores, recording_of, grouped=grouped)
         scored = ScoredSequences(run, record, recording_of)
         if not any(files.predictions.glob("part-*.parquet")):
@@ -106,15 +107,17 @@ class RunChecker:
         return CheckedSummary(made, "", scored)
 
 
-def _recordings_of(scores: pa.Table, table: SequenceTable | None) -> tuple[dict[str, str], bool]:
+def _recordings_of(record: RunRecord, scores: pa.Table, table: SequenceTable | None) -> tuple[dict[str, str], bool]:
     """Map each sequence that was scored to its recording; False where nothing says which ones belong together."""
     names = sorted(set(scores["sequence_id"].to_pylist()))
+    benchmark = load_benchmark(record.benchmark)
     if table is None:
         # Without the table, ids tell which recording a sequence is of, and so which intervals follow.
-        return {name: recording_key(name) for name in names}, _name_their_recording(names)
+        return {name: benchmark.recording_key(name) for name in names}, benchmark.ids_tell_recordings(names)
     rows = table.scalars()
     known = dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
-    return {name: known.get(name, recording_key(name)) for name in names}, all(name in known for name in names)
+    recording_of = {name: known.get(name, benchmark.recording_key(name)) for name in names}
+    return recording_of, all(name in known for name in names)
 
 
 def _require_summary_of(
@@ -144,37 +147,3 @@ def _require_agreement_of(run: RunFolder, scores: pa.Table, table: SequenceTable
         raise RunError(f"{files.scores}: expected sequences that the run was made on, found {quoted(unknown[0])}.")
     selection = selection.chosen(np.array([name in scored for name in selection.sequence_ids]))
     require_agreement(files, agreement_with_people(selection, scores, protocol=protocol))
-
-
-def summary_of(
-    record: RunRecord, table: TableRecord, scores: pa.Table, recording_of: Mapping[str, str]
-) -> DatasetSummary:
-    """Make ``summary.json`` anew from ``run.json``, the scores and the recording of each sequence."""
-    return summarise(
-        scores,
-        ScoredSet(
-            info=table,
-            recording_of=recording_of,
-            chosen=table.sequences,
-            method=record.method.name,
-            condition=record.condition,
-            control=record.control,
-            split=record.split,
-            samples=record.samples,
-            best_of=record.best_of,
-            gaze=record.method.gaze,
-            obstacles=record.method.wants_obstacles,
-            carry_on=record.carry_on,
-        ),
-    )
-
-
-def _name_their_recording(sequence_ids: Sequence[str]) -> bool:
-    """Return True where ids have all six parts; those of an imported release have three."""
-    parts = {name.count("/") + 1 for name in sequence_ids}
-    return len(parts) == 1 and min(parts) >= 6
-
-
-def recording_key(sequence_id: str) -> str:
-    """Dataset and recording of a sequence: its id without object, action, event and pose source."""
-    return sequence_id.rsplit("/", 4)[0]

@@ -9,8 +9,7 @@ import numpy as np
 from prbench.errors import RunError, UsageError
 from prbench.evaluation.conditions import ConditionSource, derangement
 from prbench.evaluation.controls import RECORDED_MOTION, SHUFFLED_GOAL
-from prbench.evaluation.planning import Selection, select
-from prbench.evaluation.preparation import supported
+from prbench.evaluation.planning import Selection, select, supported
 from prbench.evaluation.scoring import ScoringRules
 from prbench.manifests import BenchmarkProtocol, load_protocol
 from prbench.own_protocol import FILE_NAME, protocol_for
