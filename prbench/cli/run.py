@@ -209,7 +209,7 @@ def run(
     Without --data, five embedded synthetic datasets are used. The same command goes on with an interrupted run.
     With --benchmark motion-prediction, --data names tables of `prbench build-windows`.
     """
-    _require_data(given)
+    _require_fits_benchmark({**given, "config": config})
     if ALL in (given["method"], given["condition"]):
         _refuse_with_all(config=config, show_config=show_config, view=view, permission=permission)
         made = run_table_two(given, minutes=minutes, workers=workers)
@@ -235,18 +235,27 @@ def run(
     return _run_all(experiment, repeated, view=view, permission=permission, workers=workers)
 
 
-def _require_data(given: Mapping[str, Any]) -> None:
-    """Refuse a benchmark other than the default one without tables, or with what only the default one has."""
-    from prbench.benchmarks import default_benchmark
+def _require_fits_benchmark(given: Mapping[str, Any]) -> None:
+    """Refuse conditions of another benchmark, and what only the default one has: embedded tables and ``all``.
 
-    name = given["benchmark"]
-    own = default_benchmark().name
-    if name in (None, own):
+    Raises:
+        UsageError: naming the option.
+    """
+    from prbench.benchmarks import default_benchmark, find_benchmark
+
+    own = default_benchmark()
+    about = find_benchmark(given["benchmark"] or own.name)
+    condition = given["condition"]
+    # A file may name the benchmark; then the experiment is asked.
+    if given["config"] is None and condition not in (None, ALL, *about.conditions):
+        known = ", ".join(about.conditions)
+        raise UsageError(f"--condition {condition}: expected one of the benchmark {about.name}: {known}.")
+    if about.default:
         return
-    if ALL in (given["method"], given["condition"]):
-        raise UsageError(f"--method all: makes the rows of the study's Table 2, and belongs to {own}.")
+    if ALL in (given["method"], condition):
+        raise UsageError(f"--method all: makes the rows of the study's Table 2, and belongs to {own.name}.")
     if not given["data"]:
-        raise UsageError(f"--data DIR: {name} has no embedded tables; `prbench build-windows` makes one.")
+        raise UsageError(f"--data DIR: {about.name} has no embedded tables; `prbench build-windows` makes one.")
 
 
 def _refuse_with_all(**given: object) -> None:
@@ -568,7 +577,7 @@ def _print_scores(report: RunReport) -> None:
         print_scene(report.summaries, agreements)
         return
     for summary in report.summaries:
-        print_summary(summary, origin=method.origin, motionless=method.motionless, ranked=benchmark.ranked_metrics)
+        print_summary(summary, origin=method.origin, motionless=method.motionless, metrics=benchmark.metrics)
         agreement = _agreement(report, summary.dataset)
         print_agreement(agreement)
         print_scene([summary], [agreement])

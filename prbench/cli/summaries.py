@@ -262,7 +262,7 @@ def print_summary(
     *,
     origin: str,
     motionless: bool = False,
-    ranked: Sequence[MetricInfo] | None = None,
+    metrics: Sequence[MetricInfo] = (),
 ) -> None:
     """Print the scores of one method on one dataset.
 
@@ -270,9 +270,10 @@ def print_summary(
         summary: What it scored.
         origin: Whose method it is, in words.
         motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
-        ranked: Metrics by which methods of the benchmark are ranked; those of prime-and-reach by default.
+        metrics: All metrics of the benchmark; those of prime-and-reach by default.
     """
     irrelevant = _irrelevant(motionless)
+    details = {info.id for info in metrics if info.is_detail}
     control = f", {summary.control}" if summary.control else ""
     title = (
         f"{summary.title}: {summary.method} ({origin}), condition {summary.condition}{control};"
@@ -284,9 +285,10 @@ def print_summary(
         if metric.metric in irrelevant
         else (metric.title, *_cells(metric), _remarks(metric))
         for metric in summary.metrics
+        if metric.metric not in details
     ]
     print_table(title, ("metric", "mean", "95 % interval", ""), rows, numbers=(1, 2))
-    for line in _design_lines(summary, ranked):
+    for line in _design_lines(summary, [info for info in metrics if info.main and info.ranked]):
         print(line)
     if summary.unsupported:
         print(f"{summary.unsupported} sequences are longer than the method can generate and were not scored.")
@@ -296,7 +298,7 @@ def print_summary(
         print("These are scores on synthetic data: never compare them with published ones.")
 
 
-def _design_lines(summary: DatasetSummary, ranked: Sequence[MetricInfo] | None) -> list[str]:
+def _design_lines(summary: DatasetSummary, ranked: Sequence[MetricInfo]) -> list[str]:
     """Say what the data cannot decide, and what makes the first metric uncertain."""
     from prbench.leaderboard.decidable import undecided
     from prbench.metrics import RANKED_METRICS

@@ -251,6 +251,19 @@ class Benchmark(ABC):
         """
         return request
 
+    @property
+    @abstractmethod
+    def table_file(self) -> str:
+        """Name of the file that describes a table, by which a folder is known to hold one."""
+
+    @abstractmethod
+    def open_table(self, folder: Path) -> CaseTable:
+        """Open one table.
+
+        Raises:
+            TableError: if it is missing, empty or of an unknown version.
+        """
+
     @abstractmethod
     def open_tables(self, request: RunRequest) -> list[CaseTable]:
         """Open the tables that are asked for.
@@ -308,6 +321,10 @@ class Benchmark(ABC):
     @abstractmethod
     def recording_key(self, sequence_id: str) -> str:
         """Return what cases of one recording have in common, from the id alone."""
+
+    @abstractmethod
+    def recordings_of(self, table: CaseTable) -> dict[str, str]:
+        """Map each case of a table to its recording."""
 
     def ids_tell_recordings(self, sequence_ids: Sequence[str]) -> bool:
         """Return True where the ids alone tell which cases are of one recording."""

@@ -15,11 +15,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from prbench.benchmarks import default_benchmark
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError
+from prbench.evaluation.again import scored_again
 from prbench.evaluation.agreement import agreement_with_people, require_agreement
-from prbench.evaluation.benchmark import load_benchmark
-from prbench.evaluation.request import silent
+from prbench.evaluation.benchmark import CaseTable, load_benchmark
 from prbench.evaluation.results import require_scores, require_summary, summary_of
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import RunRecord, TableRecord
@@ -27,8 +28,7 @@ from prbench.runs.scores import read_scores
 from prbench.runs.summary import DatasetSummary
 from prbench.sequences import SequenceTable
 from prbench.shown import quoted
-from prbench.submitted.score_predictions.again import scored_again, scored_sequences
-from prbench.submitted.score_predictions.scored import Work
+from prbench.submitted.score_predictions.again import scored_sequences
 
 _OTHER_PROTOCOL = (
     "it was scored under another protocol than this version's, so metrics and limits that are newer are missing;"
@@ -77,7 +77,7 @@ class ScoredSequences:
 class RunChecker:
     """Checks runs against the tables that are at hand."""
 
-    find_table: Callable[[TableRecord], SequenceTable | None] = lambda _: None
+    find_table: Callable[[TableRecord], CaseTable | None] = lambda _: None
     """Gives the very table that a run was made on, if it is at hand."""
     engine: Engine = field(default_factory=InProcess)
 
@@ -97,25 +97,30 @@ class RunChecker:
         if not any(files.predictions.glob("part-*.parquet")):
             _require_agreement_of(run, scores, table)
             return CheckedSummary(made, "its folder holds no motions", scored)
-        if run.protocol is None:
+        if run.record.protocol_digest != _present_digest(run):
             return CheckedSummary(made, _OTHER_PROTOCOL, scored)
         if table is None:
             why = f"its table of {record.dataset} is not at hand: name it with --data DIR"
             return CheckedSummary(made, why, scored)
-        require_scores(files, scores, scored_again(run, table, Work(self.engine, silent)).scores)
+        require_scores(files, scores, scored_again(run, table, self.engine))
         _require_agreement_of(run, scores, table)
         return CheckedSummary(made, "", scored)
 
 
-def _recordings_of(record: RunRecord, scores: pa.Table, table: SequenceTable | None) -> tuple[dict[str, str], bool]:
+def _present_digest(run: RunFolder) -> str:
+    """Digest of the rules by which the run can be scored now: the user's own ones, or those of this version."""
+    rules = run.protocol if run.record.benchmark == default_benchmark().name else None
+    return (rules or load_benchmark(run.record.benchmark).present_rules).digest
+
+
+def _recordings_of(record: RunRecord, scores: pa.Table, table: CaseTable | None) -> tuple[dict[str, str], bool]:
     """Map each sequence that was scored to its recording; False where nothing says which ones belong together."""
     names = sorted(set(scores["sequence_id"].to_pylist()))
     benchmark = load_benchmark(record.benchmark)
     if table is None:
         # Without the table, ids tell which recording a sequence is of, and so which intervals follow.
         return {name: benchmark.recording_key(name) for name in names}, benchmark.ids_tell_recordings(names)
-    rows = table.scalars()
-    known = dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
+    known = benchmark.recordings_of(table)
     recording_of = {name: known.get(name, benchmark.recording_key(name)) for name in names}
     return recording_of, all(name in known for name in names)
 
@@ -130,14 +135,16 @@ def _require_summary_of(
     return made if grouped else DatasetSummary.read(files.path)
 
 
-def _require_agreement_of(run: RunFolder, scores: pa.Table, table: SequenceTable | None) -> None:
+def _require_agreement_of(run: RunFolder, scores: pa.Table, table: CaseTable | None) -> None:
     """Compare the agreement with recorded people with what follows from the scores, where the table is at hand.
 
     Raises:
         RunError: if it says something else, or the scores are of sequences that the run was not made on.
     """
+    if not isinstance(table, SequenceTable):  # other benchmarks have no such file
+        return
     protocol = run.protocol
-    if table is None or protocol is None:
+    if protocol is None:
         return
     files = run.dataset(table.info.dataset)
     selection = scored_sequences(run, table)

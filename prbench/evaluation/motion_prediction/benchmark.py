@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
+from pathlib import Path
 from typing import cast
 
 from prbench.errors import UsageError
@@ -19,7 +20,7 @@ from prbench.metrics import MetricInfo
 from prbench.prediction.batch import Condition, Predictor
 from prbench.prediction.installed import TrainingWindows
 from prbench.prediction.protocol import PredictionProtocol, load_prediction_protocol
-from prbench.prediction.table import WindowsTable
+from prbench.prediction.table import FILE_NAME, WindowsTable
 from prbench.runs.record import MethodRecord
 
 _PREDICTORS = MethodGroup("prbench.predictors", Predictor, "name, conditions and predict()", Condition)
@@ -60,6 +61,15 @@ class MotionPrediction(Benchmark):
                 raise UsageError(f"{option}: the benchmark {self.name} does not have it yet; leave it out.")
         return request
 
+    @property
+    def table_file(self) -> str:
+        """See :attr:`Benchmark.table_file`."""
+        return FILE_NAME
+
+    def open_table(self, folder: Path) -> WindowsTable:
+        """See :meth:`Benchmark.open_table`."""
+        return WindowsTable.open(folder)
+
     def open_tables(self, request: RunRequest) -> list[WindowsTable]:
         """See :meth:`Benchmark.open_tables`."""
         return open_windows(request.data, benchmark=self.name)
@@ -96,6 +106,12 @@ class MotionPrediction(Benchmark):
         """See :meth:`Benchmark.work`."""
         protocol = cast(PredictionProtocol, rules)
         return FutureWork(request, cases, method=method, condition=Condition(condition), protocol=protocol)
+
+    def recordings_of(self, table: CaseTable) -> dict[str, str]:
+        """See :meth:`Benchmark.recordings_of`."""
+        windows = cast(WindowsTable, table).windows
+        recordings = cast(WindowsTable, table).runs["recording_id"].take(windows["row"])
+        return dict(zip(windows["window_id"].to_pylist(), recordings.to_pylist(), strict=True))
 
     def recording_key(self, sequence_id: str) -> str:
         """Id of a window without segment, anchor and first frame; of an anchored one without its sequence's end."""

@@ -52,7 +52,7 @@ def prediction_metrics() -> tuple[MetricInfo, ...]:
         _info("mpjpe", "MPJPE"),
     ]
     joints = dict.fromkeys(name for each in JOINT_SETS.values() for name in each.names)
-    infos += [_info(f"joint/{name}", f"MPJPE, {name}") for name in joints]
+    infos += [_info(f"joint/{name}", f"MPJPE, {name}", is_detail=True) for name in joints]
     return tuple(_at(position, info) for position, info in enumerate(infos))
 
 
@@ -64,6 +64,7 @@ def _info(
     main: bool = False,
     better: bool | None = _LOWER,
     ranked: bool = True,
+    is_detail: bool = False,
 ) -> MetricInfo:
     return MetricInfo(
         id=id,
@@ -74,6 +75,7 @@ def _info(
         position=0,
         compares_with_recorded=True,
         ranked=ranked,
+        is_detail=is_detail,
     )
 
 

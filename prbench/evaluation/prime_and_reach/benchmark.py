@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from enum import StrEnum
+from pathlib import Path
 from typing import cast
 
 from prbench.contract import Condition
@@ -25,6 +26,7 @@ from prbench.metrics import METRICS, MetricInfo
 from prbench.own_protocol import protocol_for
 from prbench.runs.record import MethodRecord
 from prbench.sequences import SequenceTable
+from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.folds import fold_table
 from prbench.sequences.ids import names_its_recording, recording_key
 
@@ -55,6 +57,15 @@ class PrimeAndReach(Benchmark):
             return request
         folds = tuple(fold_table(folder, request.fold).folder for folder in request.data)
         return replace(request, data=folds, fold=None)
+
+    @property
+    def table_file(self) -> str:
+        """See :attr:`Benchmark.table_file`."""
+        return FILE_NAME
+
+    def open_table(self, folder: Path) -> SequenceTable:
+        """See :meth:`Benchmark.open_table`."""
+        return SequenceTable.open(folder)
 
     def open_tables(self, request: RunRequest) -> list[SequenceTable]:
         """See :meth:`Benchmark.open_tables`."""
@@ -108,6 +119,11 @@ class PrimeAndReach(Benchmark):
     def recording_key(self, sequence_id: str) -> str:
         """Dataset and recording of a sequence."""
         return recording_key(sequence_id)
+
+    def recordings_of(self, table: CaseTable) -> dict[str, str]:
+        """See :meth:`Benchmark.recordings_of`."""
+        rows = cast(SequenceTable, table).scalars()
+        return dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
 
     def ids_tell_recordings(self, sequence_ids: Sequence[str]) -> bool:
         """Return True where ids have all six parts; those of an imported release have three."""
