@@ -25,10 +25,11 @@ from prbench.benchmarks import AboutBenchmark, find_benchmark
 from prbench.engine import Engine
 from prbench.errors import UsageError, did_you_mean
 from prbench.evaluation.request import RunRequest
+from prbench.manifests import BenchmarkProtocol
 from prbench.methods.groups import MethodGroup
 from prbench.methods.loaded_methods import LoadedMethod, MethodSpec
 from prbench.metrics import MetricInfo
-from prbench.runs.folder import DatasetFolder
+from prbench.runs.folder import DatasetFolder, RunFolder
 from prbench.runs.predictions import PredictionRows
 from prbench.runs.record import MethodRecord
 from prbench.sequences.dataset_info import Provenance
@@ -213,6 +214,16 @@ class Benchmark(ABC):
     @abstractmethod
     def present_rules(self) -> Rules:
         """The protocol of this version of prbench."""
+
+    def rules_of(self, run: RunFolder) -> Rules | None:
+        """Return the rules that a finished run followed; None for those of another version, which are not known."""
+        present = self.present_rules
+        return present if present.digest == run.record.protocol_digest else None
+
+    def copied_rules(self, rules: Rules) -> BenchmarkProtocol | None:
+        """Return the user's own protocol, of which a copy is laid beside the run; None for prbench's."""
+        del rules
+        return None
 
     @property
     def conditions(self) -> type[StrEnum]:

@@ -26,7 +26,6 @@ from prbench.evaluation.preparation import DEFAULT_PARENT, PreparedDataset, Prep
 from prbench.evaluation.request import Progress, ProgressCallback, RunRequest, reported, silent
 from prbench.evaluation.results import require_scores, require_summary, summary_of
 from prbench.locks import sole_writer
-from prbench.manifests import BenchmarkProtocol
 from prbench.methods.loaded_methods import forget_loaded_methods, unload_method
 from prbench.runs.cost import read_batch_costs, total_cost
 from prbench.runs.folder import DatasetFolder, RunFolder
@@ -107,8 +106,7 @@ def missing_batches(request: RunRequest, *, engine: Engine) -> Iterator[BatchTas
 
 def _prepared_folder(prepared: PreparedRun) -> RunFolder:
     """Make the run folder, with a copy of the protocol where it is the user's own."""
-    own = prepared.rules if isinstance(prepared.rules, BenchmarkProtocol) else None
-    return RunFolder.prepare(prepared.out, prepared.record, own)
+    return RunFolder.prepare(prepared.out, prepared.record, prepared.benchmark.copied_rules(prepared.rules))
 
 
 def _generate_all(parts: list[_Part], folder: RunFolder, engine: Engine) -> list[int]:

@@ -9,6 +9,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
+from prbench.benchmarks import benchmarks
 from prbench.entry_points import ADAPTERS
 from prbench.errors import AdapterError, PrbenchError, UsageError
 from prbench.methods.declared import Declared
@@ -41,6 +42,13 @@ def find_adapter(name: str, *, also_known: Iterable[str] = (), entry_points: str
             f"adapter '{name}' (package {claims[0].package}): {claims[0].problem}."
             " Repair the entry point, or reinstall the package."
         )
+    for other in benchmarks().values():
+        elsewhere = {adapter.name for adapter in list_adapters(other.entry_points) if not adapter.problem}
+        if other.entry_points != entry_points and name in elsewhere:
+            raise AdapterError(
+                f"'{name}' is a method of the benchmark {other.name}, which is not the one asked for here:"
+                f" `prbench run --benchmark {other.name} --method {name}` runs it."
+            )
     raise no_such_method(name, [*(adapter.name for adapter in installed), *also_known])
 
 

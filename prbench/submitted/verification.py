@@ -15,7 +15,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from prbench.benchmarks import default_benchmark
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError
 from prbench.evaluation.again import scored_again
@@ -97,7 +96,7 @@ class RunChecker:
         if not any(files.predictions.glob("part-*.parquet")):
             _require_agreement_of(run, scores, table)
             return CheckedSummary(made, "its folder holds no motions", scored)
-        if run.record.protocol_digest != _present_digest(run):
+        if load_benchmark(run.record.benchmark).rules_of(run) is None:
             return CheckedSummary(made, _OTHER_PROTOCOL, scored)
         if table is None:
             why = f"its table of {record.dataset} is not at hand: name it with --data DIR"
@@ -105,12 +104,6 @@ class RunChecker:
         require_scores(files, scores, scored_again(run, table, self.engine))
         _require_agreement_of(run, scores, table)
         return CheckedSummary(made, "", scored)
-
-
-def _present_digest(run: RunFolder) -> str:
-    """Digest of the rules by which the run can be scored now: the user's own ones, or those of this version."""
-    rules = run.protocol if run.record.benchmark == default_benchmark().name else None
-    return (rules or load_benchmark(run.record.benchmark).present_rules).digest
 
 
 def _recordings_of(record: RunRecord, scores: pa.Table, table: CaseTable | None) -> tuple[dict[str, str], bool]:

@@ -24,6 +24,7 @@ from prbench.methods.loaded_methods import MethodSpec
 from prbench.methods.methods import fitted_to
 from prbench.metrics import METRICS, MetricInfo
 from prbench.own_protocol import protocol_for
+from prbench.runs.folder import RunFolder
 from prbench.runs.record import MethodRecord
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
@@ -50,6 +51,14 @@ class PrimeAndReach(Benchmark):
     def present_rules(self) -> BenchmarkProtocol:
         """See :attr:`Benchmark.present_rules`."""
         return load_protocol()
+
+    def rules_of(self, run: RunFolder) -> BenchmarkProtocol | None:
+        """The user's own protocol, or prbench's."""
+        return run.protocol
+
+    def copied_rules(self, rules: Rules) -> BenchmarkProtocol:
+        """See :meth:`Benchmark.copied_rules`; a copy of prbench's own is never written."""
+        return cast(BenchmarkProtocol, rules)
 
     def settled(self, request: RunRequest) -> RunRequest:
         """Turn a fold of participants into the tables that it makes."""
