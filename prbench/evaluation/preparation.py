@@ -21,7 +21,7 @@ from prbench.methods.adapters import chosen_condition, find_adapter, require_wei
 from prbench.methods.declared import Declared
 from prbench.methods.loaded_methods import LoadedMethod, MethodSpec, forget_loaded_methods
 from prbench.methods.methods import method_spec
-from prbench.methods.remote.adapter import RemoteAdapter
+from prbench.methods.remote.method import RemoteMethod
 from prbench.runs.record import (
     BUILT_IN,
     CONTROL,
@@ -163,7 +163,7 @@ def _method(request: RunRequest, spec: MethodSpec, condition: StrEnum) -> Method
 
 def _source(spec: MethodSpec, method: LoadedMethod) -> tuple[str, str, str]:
     """Kind of a method, where it comes from, and its version: of the installed package, or as the program says."""
-    if spec.package is not None and isinstance(method.adapter, RemoteAdapter):
+    if spec.package is not None and isinstance(method.adapter, RemoteMethod):
         return PROGRAM, spec.package, method.adapter.version
     installed = find_adapter(spec.name, entry_points=spec.group.entry_points)
     return (BUILT_IN if installed.built_in else PACKAGE), installed.package, installed.version
@@ -173,7 +173,7 @@ def _weights(
     given: Path | None, method: LoadedMethod, condition: StrEnum, origin: str
 ) -> tuple[str | None, str | None]:
     """Name and digest of the weights in use: those that the method declares, else those that the user gave."""
-    if isinstance(method.adapter, RemoteAdapter):
+    if isinstance(method.adapter, RemoteMethod):
         declared = method.adapter.weights.get(condition)
         if declared is not None:
             return declared.name, declared.sha256

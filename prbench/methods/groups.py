@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from prbench.contract import ENTRY_POINT_GROUP, Adapter, Condition
+from prbench.methods.remote.adapter import RemoteAdapter
+from prbench.methods.remote.method import RemoteMethod
 
 
 @dataclass(frozen=True)
@@ -20,9 +22,13 @@ class MethodGroup:
     """What the protocol asks for, in words."""
     conditions: type[StrEnum]
     """The conditions that a method may name."""
-    elsewhere: bool = False
-    """Methods can be reached at a distance: as programs, isolated, or fitted in a process of their own."""
+    remote: type[RemoteMethod]
+    """A method of the group behind the wire protocol."""
+    has_worker: bool = False
+    """Installed methods can be isolated: :mod:`prbench.methods.worker` serves them."""
 
 
-MOTIONS = MethodGroup(ENTRY_POINT_GROUP, Adapter, "name, conditions and generate()", Condition, elsewhere=True)
+MOTIONS = MethodGroup(
+    ENTRY_POINT_GROUP, Adapter, "name, conditions and generate()", Condition, RemoteAdapter, has_worker=True
+)
 """The methods of prime-and-reach."""

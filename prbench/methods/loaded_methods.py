@@ -10,12 +10,13 @@ from typing import Any
 
 import psutil
 
+from prbench.benchmarks import benchmark_of_group
 from prbench.contract import Trainable
 from prbench.errors import AdapterError
 from prbench.methods.adapters import load_adapter
 from prbench.methods.groups import MOTIONS, MethodGroup
 from prbench.methods.names import name_problem
-from prbench.methods.remote.adapter import RemoteAdapter
+from prbench.methods.remote.method import RemoteMethod
 from prbench.methods.remote.process import Program
 from prbench.methods.training_split import temporary_training_copy
 from prbench.sequences import SequenceTable
@@ -71,18 +72,18 @@ class LoadedMethod:
 
     def program_bytes(self) -> int:
         """Return the memory of the method's program and of all that it has started, in bytes; 0 in process."""
-        if not isinstance(self.adapter, RemoteAdapter):
+        if not isinstance(self.adapter, RemoteMethod):
             return 0
         return sum(_resident_bytes(process) for process in psutil.Process().children(recursive=True))
 
     @property
     def restarts(self) -> int:
         """Number of times that the method's program was started again after a crash; 0 in process."""
-        return self.adapter.restarts if isinstance(self.adapter, RemoteAdapter) else 0
+        return self.adapter.restarts if isinstance(self.adapter, RemoteMethod) else 0
 
     def close(self) -> None:
         """End its program, if it has one."""
-        if isinstance(self.adapter, RemoteAdapter):
+        if isinstance(self.adapter, RemoteMethod):
             self.adapter.close()
 
 
@@ -149,7 +150,7 @@ def _loaded_program(spec: MethodSpec, program: Program) -> LoadedMethod:
     weights = spec.weights
     if weights is not None and weights.exists():
         weights = weights.absolute()
-    adapter = RemoteAdapter.start(
+    adapter = spec.group.remote.start(
         program,
         weights=None if weights is None else str(weights),
         options=dict(spec.options),
@@ -173,7 +174,7 @@ def _require_name(name: str, spec: MethodSpec) -> None:
             f"method '{spec.expected_name}': expected the program to introduce itself by this name, found '{name}'."
             " Correct method.name in the TOML file, or start the right program."
         )
-    if problem := name_problem(name):
+    if problem := name_problem(name, own=benchmark_of_group(spec.group.entry_points).methods):
         raise AdapterError(f"program '{spec.name}': {problem}. Let it introduce itself by another name in its hello.")
 
 

@@ -66,17 +66,16 @@ def method_spec(
         hidden=hidden,
         group=group,
     )
-    if not group.elsewhere and (isolate or is_program(method)):
-        word = "--isolate" if isolate else f"--method {method}"
-        about = benchmark_of_group(group.entry_points)
-        raise UsageError(
-            f"{word}: methods of {about.name} run in this process alone, neither as programs nor isolated yet. Offer"
-            f" the method as a package, in the entry-point group {about.entry_points}."
-        )
     if is_program(method):
         return _program_spec(spec, isolate)
-    known = METHOD_CONTROLS if group.elsewhere else ()
+    known = METHOD_CONTROLS if group is MOTIONS else ()
     installed = find_adapter(method, also_known=known, entry_points=group.entry_points)
+    if isolate and not group.has_worker:
+        about = benchmark_of_group(group.entry_points)
+        raise UsageError(
+            f"--isolate: installed methods of {about.name} cannot be isolated yet. Leave it out, or start the method as"
+            " a program of its own (--method cmd:…), which can."
+        )
     if isolate:
         program = _worker(spec, installed, None)
         return replace(spec, program=program, isolation=program.fence)

@@ -12,6 +12,7 @@ from prbench.errors import UsageError
 from prbench.evaluation.benchmark import Benchmark, CaseTable, Rules
 from prbench.evaluation.motion_prediction.cases import WindowCases, open_windows, single_windows
 from prbench.evaluation.motion_prediction.metrics import prediction_metrics
+from prbench.evaluation.motion_prediction.remote import RemotePredictor
 from prbench.evaluation.motion_prediction.work import FutureWork
 from prbench.evaluation.request import RunRequest
 from prbench.methods.groups import MethodGroup
@@ -23,7 +24,7 @@ from prbench.prediction.protocol import PredictionProtocol, load_prediction_prot
 from prbench.prediction.table import FILE_NAME, WindowsTable
 from prbench.runs.record import MethodRecord
 
-_PREDICTORS = MethodGroup("prbench.predictors", Predictor, "name, conditions and predict()", Condition)
+_PREDICTORS = MethodGroup("prbench.predictors", Predictor, "name, conditions and predict()", Condition, RemotePredictor)
 
 
 class MotionPrediction(Benchmark):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,33 @@ from tests.evaluation.test_run import reproducible_bytes
 from tests.prediction.windows import walking, write
 
 BENCHMARK = load_benchmark("motion-prediction")
+
+PROGRAM = r"""
+import json, sys
+import pyarrow as pa
+
+def answer(header, payload=b""):
+    if payload:
+        header["bytes"] = len(payload)
+    sys.stdout.buffer.write(json.dumps(header).encode() + b"\n" + payload)
+    sys.stdout.buffer.flush()
+
+for line in iter(sys.stdin.buffer.readline, b""):
+    asked = json.loads(line)
+    if asked["message"] == "hello":
+        assert asked["benchmark"] == "motion-prediction"
+        answer({"message": "hello", "wire": 1, "name": "stays", "version": "1", "conditions": ["pose", "pose+gaze"]})
+        continue
+    rows = pa.ipc.open_stream(sys.stdin.buffer.read(asked["bytes"])).read_next_batch()
+    per_pose = 3 * len(asked["joint_names"])
+    last = [row[-per_pose:] for row in rows["observed_joints"].to_pylist()]
+    joints = [pose * (asked["n_future"] * asked["n_samples"]) for pose in last]
+    batch = pa.record_batch([rows["opaque_id"], pa.array(joints, pa.list_(pa.float32()))], ["opaque_id", "joints"])
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, batch.schema) as writer:
+        writer.write_batch(batch)
+    answer({"message": "futures", "batch": asked["batch"]}, sink.getvalue().to_pybytes())
+"""
 
 NOISE = """
     import numpy as np
@@ -171,9 +199,9 @@ def test_a_failure_names_method_and_windows(windows, tmp_path, predictor):
         ({"control": "shuffled-goal"}, "--control"),
         ({"best_of": 2, "condition": None}, "--best-of"),
         ({"carry_on": True}, "--carry-on"),
-        ({"isolate": True}, "neither as programs nor isolated yet"),
-        ({"method": "cmd:python x.py"}, "neither as programs nor isolated yet"),
-        ({"method": "mdm"}, "'mdm' is not installed"),
+        ({"isolate": True}, "installed methods of motion-prediction cannot be isolated yet"),
+        ({"method": "mdm"}, "'mdm' is a method of the benchmark prime-and-reach"),
+        ({"method": "nearest-pest"}, "'nearest-pest' is not installed"),
         ({"split": "published"}, "no window"),
         ({"sequences": ("nowhere",)}, "nowhere"),
     ],
@@ -188,6 +216,23 @@ def test_what_motion_prediction_does_not_have_is_refused(windows, tmp_path, chan
 def test_a_table_of_sequences_is_no_table_of_windows(table, tmp_path):
     with pytest.raises(PrbenchError, match=r"windows\.json"):
         run(table.folder, tmp_path / "out")
+
+
+@pytest.mark.parametrize("condition", ["pose", "pose+gaze"])
+def test_a_program_over_arrow_scores_as_the_same_predictor_here(windows, tmp_path, condition):
+    program = tmp_path / "stays.py"
+    program.write_text(PROGRAM)
+    report = run(windows, tmp_path / "apart", f'cmd:"{sys.executable}" {program}', condition=condition)
+    here = run(windows, tmp_path / "here", "zero-velocity", condition=condition)
+    assert means(report) == means(here)
+    assert report.folder.record.method.kind == "program"
+
+
+def test_a_program_that_answers_too_few_numbers_is_told(windows, tmp_path):
+    program = tmp_path / "stays.py"
+    program.write_text(PROGRAM.replace(' * asked["n_samples"]', ""))
+    with pytest.raises(AdapterError, match=r"sent futures that cannot be used: expected 7,920 numbers in 'joints'"):
+        run(windows, tmp_path / "out", f'cmd:"{sys.executable}" {program}')
 
 
 def test_single_windows_can_be_run(windows, tmp_path):
