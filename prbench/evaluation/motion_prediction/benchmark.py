@@ -11,11 +11,12 @@ from prbench.errors import UsageError
 from prbench.evaluation.benchmark import Benchmark
 from prbench.evaluation.motion_prediction.cases import WindowCases, open_windows, single_windows
 from prbench.evaluation.motion_prediction.metrics import prediction_metrics
-from prbench.evaluation.motion_prediction.remote import RemotePredictor
+from prbench.evaluation.motion_prediction.remote import RemotePredictor, serve_futures
 from prbench.evaluation.motion_prediction.work import FutureWork
 from prbench.evaluation.request import RunRequest
 from prbench.methods.groups import MethodGroup
 from prbench.methods.loaded_methods import MethodSpec
+from prbench.methods.remote.method import RemoteMethod
 from prbench.metrics import MetricInfo
 from prbench.prediction.batch import Condition, Predictor
 from prbench.prediction.installed import TrainingWindows
@@ -23,7 +24,14 @@ from prbench.prediction.protocol import PredictionProtocol, load_prediction_prot
 from prbench.prediction.table import FILE_NAME, WindowsTable
 from prbench.runs.record import MethodRecord
 
-_PREDICTORS = MethodGroup("prbench.predictors", Predictor, "name, conditions and predict()", Condition, RemotePredictor)
+_PREDICTORS = MethodGroup(
+    "prbench.predictors",
+    Predictor,
+    "name, conditions and predict()",
+    Condition,
+    RemotePredictor,
+    serve_futures,
+)
 
 
 class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
@@ -95,7 +103,13 @@ class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
     def fitted(self, spec: MethodSpec, table: WindowsTable, condition: StrEnum) -> MethodSpec:
         """Show the training windows of the table to a predictor that learns and brought no weights of its own."""
         del condition
-        if spec.weights is not None or not hasattr(spec.load().adapter, "fit"):
+        adapter = spec.load().adapter
+        if spec.weights is None and isinstance(adapter, RemoteMethod) and adapter.trainable:
+            raise UsageError(
+                f"--isolate: {adapter.name} learns from the table, which it is not shown at a distance yet; leave it"
+                " out."
+            )
+        if spec.weights is not None or not hasattr(adapter, "fit"):
             return spec
         return replace(spec, fit=fit_to_training_windows, table_folder=table.folder)
 
