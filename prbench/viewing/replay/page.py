@@ -122,8 +122,8 @@ def _overlay(scenes: Sequence[Scene], hold: float) -> str:
 
 def _key(scenes: Sequence[Scene]) -> str:
     entries = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", MARK_COLOUR)]
-    if any(scene.gaze is not None for scene in scenes):
-        entries.append(("recorded gaze", GAZE_COLOUR))
+    if any(motion.gaze is not None for scene in scenes for motion in scene.motions):
+        entries.append(("gaze", GAZE_COLOUR))
     if any(scene.goal is not None for scene in scenes):
         entries.append(("goal and its box", GOAL_COLOUR))
     lines = "".join(f"<div>{_swatch(colour)}{html(text)}</div>" for text, colour in entries)
