@@ -31,6 +31,8 @@ class AboutBenchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     """What judges the answers, in words."""
     conditions: dict[str, str]
     """What a method may know, in words, by the name of the condition; in the order in which tables show them."""
+    build: str
+    """Command that makes its tables."""
     samples: int
     """Number of answers to each case, unless the user says another."""
     batch_size: int

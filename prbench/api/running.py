@@ -352,7 +352,7 @@ def run(
     folders = table_folders(data)
     about = find_benchmark(benchmark)
     if not folders and not about.default:
-        raise UsageError(f"data: {benchmark} has no embedded tables; `prbench build-windows` makes one.")
+        raise UsageError(f"data: {benchmark} has no embedded tables; `{about.build}` makes one.")
     if not folders:
         folders = table_folders(embedded_tables(workers=workers))
         if not sequences:

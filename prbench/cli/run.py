@@ -257,7 +257,7 @@ def _require_fits_benchmark(given: Mapping[str, Any]) -> None:
     if ALL in (given["method"], condition):
         raise UsageError(f"--method all: makes the rows of the study's Table 2, and belongs to {own.name}.")
     if not given["data"]:
-        raise UsageError(f"--data DIR: {about.name} has no embedded tables; `prbench build-windows` makes one.")
+        raise UsageError(f"--data DIR: {about.name} has no embedded tables; `{about.build}` makes one.")
 
 
 def _refuse_with_all(**given: object) -> None:
