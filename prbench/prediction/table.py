@@ -11,7 +11,7 @@ from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -135,6 +135,18 @@ class Window:
             "exclusion": self.exclusion,
             "goal": None if self.goal is None else self.goal.tolist(),
         }
+
+    @classmethod
+    def of(cls, row: Mapping[str, Any]) -> Window:
+        """A row of ``windows`` again, as :meth:`row` wrote it."""
+        return cls(
+            start=row["start"],
+            n_gaze_valid=row["n_gaze_valid"],
+            n_scored=row["n_scored"],
+            exclusion=row["exclusion"],
+            anchor=row["anchor"],
+            goal=None if row["goal"] is None else np.array(row["goal"]),
+        )
 
 
 class WindowsInfo(Provenance, frozen=True, kw_only=True):
@@ -396,7 +408,7 @@ class WindowsTable:
                     if here:
                         batch = file.read_row_group(group)
                         for row in here:
-                            yield row, _run_of(batch.slice(row - first, 1))
+                            yield row, run_of(batch.slice(row - first, 1))
                     first += count
 
     def batches(
@@ -493,8 +505,9 @@ class WindowsTable:
         )
 
 
-def _run_of(table: pa.Table) -> Run:
-    row = table.combine_chunks().to_batches()[0]
+def run_of(rows: pa.Table | pa.RecordBatch) -> Run:
+    """The only row of ``streams`` that is given, as a run."""
+    row = rows if isinstance(rows, pa.RecordBatch) else rows.combine_chunks().to_batches()[0]
 
     def frames(name: str, size: int) -> np.ndarray:
         flat = row.column(name).flatten()
