@@ -341,7 +341,8 @@ class WindowsTable:
 
     @cached_property
     def _columns(self) -> Mapping[str, np.ndarray]:
-        columns = {name: np.array(self.runs[name].to_pylist()) for name in ("split", "published_split")}
+        short = ("split", "published_split", "recording_id", "participant_id")
+        columns = {name: np.array(self.runs[name].to_pylist()) for name in short}
         row = self.windows["row"].to_numpy()
         return {name: values[row] for name, values in columns.items()} | {
             "row": row,
@@ -357,6 +358,7 @@ class WindowsTable:
         published_split: str | None = None,
         anchor: str | None = None,
         recordings: SequenceOf[str] | None = None,
+        participants: SequenceOf[str] | None = None,
         with_excluded: bool = False,
     ) -> Int[np.ndarray, " n"]:
         """Places of the windows that are scored, the same under every condition, so that conditions can be paired.
@@ -365,7 +367,8 @@ class WindowsTable:
             split: Only this split of the dataset.
             published_split: Only this split of the published evaluation.
             anchor: Only this anchor.
-            recordings: Only these recordings, for splits of one's own such as leaving out a participant.
+            recordings: Only these recordings, for splits of one's own.
+            participants: Only these participants, for leaving one out (:mod:`prbench.prediction.folds`).
             with_excluded: Windows with an invalid body or too little gaze, too: those that the study counts.
 
         Raises:
@@ -376,9 +379,9 @@ class WindowsTable:
         for name, wanted in (("split", split), ("published_split", published_split), ("anchor", anchor)):
             if wanted is not None:
                 keep &= columns[name] == wanted
-        if recordings is not None:
-            of_run = np.array(self.runs["recording_id"].to_pylist())[columns["row"]]
-            keep &= np.isin(of_run, list(recordings))
+        for name, some in (("recording_id", recordings), ("participant_id", participants)):
+            if some is not None:
+                keep &= np.isin(columns[name], list(some))
         if not with_excluded:
             keep &= columns["exclusion"] == ""
             if self.info.has_gaze:

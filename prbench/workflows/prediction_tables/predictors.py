@@ -1,0 +1,91 @@
+"""The predictor of a row: without learning, remembered from training windows, or an installed one with its weights."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+
+from prbench.errors import AdapterError, UsageError, did_you_mean
+from prbench.methods.installed import entry_points_of
+from prbench.prediction.batch import Predictor
+from prbench.prediction.predictors import ConstantVelocity, NearestPast, ZeroVelocity
+from prbench.prediction.published import TableRow
+from prbench.prediction.table import WindowsTable
+
+PREDICTORS = "prbench.predictors"
+"""The group of entry points ``load(weights, *, options, device) -> Predictor``."""
+_WITHOUT_LEARNING = {each.name: each for each in (ZeroVelocity(), ConstantVelocity())}
+_NEAREST_PAST = NearestPast.name
+BUILT_IN = (*_WITHOUT_LEARNING, _NEAREST_PAST)
+
+
+def predictor_of(
+    row: TableRow, table: WindowsTable, train: Int[np.ndarray, " m"], weights: Path | None, *, device: str = "cpu"
+) -> Predictor:
+    """Find the predictor of a row.
+
+    Args:
+        row: What to run.
+        table: The windows, from which the nearest past is learnt.
+        train: Places of the windows that may be learnt from.
+        weights: Folder with the user's weights by name; None for those that come with a predictor.
+        device: Where a network runs.
+
+    Raises:
+        AdapterError: if it is not installed, or cannot be loaded.
+        UsageError: if it needs training windows or weights that are not there.
+    """
+    if row.method in _WITHOUT_LEARNING:
+        return _WITHOUT_LEARNING[row.method]
+    if row.method == _NEAREST_PAST:
+        if not len(train):
+            raise UsageError(f"{row.method}: expected windows of a training split, found none in {table.folder}.")
+        return NearestPast.fit(table.batches(row.condition, train))
+    return installed_predictor(row.method, _weights_of(row, weights), device=device)
+
+
+def installed_predictor(name: str, weights: Path | None, *, device: str = "cpu") -> Predictor:
+    """Load an installed predictor.
+
+    Raises:
+        AdapterError: if none of that name is installed, or it is no predictor.
+    """
+    entries = {entry.name: entry for entry in entry_points_of(PREDICTORS)}
+    if name not in entries:
+        known = (*BUILT_IN, *entries)
+        raise AdapterError(
+            f"predictor '{name}' is not installed.{did_you_mean(name, known)} Known: {', '.join(known)}."
+        )
+    predictor = entries[name].load()(weights, options={}, device=device)
+    if not isinstance(predictor, Predictor):
+        raise AdapterError(
+            f"predictor '{name}': expected a Predictor from its entry point, found {type(predictor).__name__}."
+        )
+    return predictor
+
+
+def samples_of(predictor: Predictor, asked: int) -> int:
+    """How many samples are asked for: one of a predictor that knows of no other, at most all that were remembered."""
+    if predictor.name in _WITHOUT_LEARNING:
+        return 1
+    if isinstance(predictor, NearestPast):
+        return min(asked, len(predictor.futures))
+    return asked
+
+
+def _weights_of(row: TableRow, folder: Path | None) -> Path | None:
+    for path in _places(row, folder):
+        if path.is_file():
+            return path
+    if row.weights != row.method:
+        raise UsageError(f"no weights '{row.weights}': train them, and name their folder with --weights.")
+    return None
+
+
+def _places(row: TableRow, folder: Path | None) -> Iterator[Path]:
+    if folder is not None:
+        yield folder / f"{row.weights}.safetensors"
+        yield folder / row.weights / "weights.safetensors"
