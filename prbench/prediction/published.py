@@ -63,6 +63,11 @@ class TableRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         """Unique, and fit to be a file's name."""
         return f"{self.weights or self.method}-{self.condition.value.replace('+', '-')}"
 
+    @property
+    def is_ablation(self) -> bool:
+        """Stands among the ablations alone: its weights are never those that come with the method."""
+        return self.tables == ("3",)
+
 
 class PredictionTables(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The whole file."""

@@ -110,8 +110,9 @@ def view_futures(request: FuturesRequest, progress: Progress = lambda *_: None) 
 def _places(table: WindowsTable, fold: Fold, request: FuturesRequest) -> np.ndarray:
     """Places of the windows in table order."""
     if not request.window_ids:
-        spread = np.linspace(0, len(fold.test) - 1, min(request.limit, len(fold.test)) + 2)[1:-1]
-        return np.unique(fold.test[spread.round().astype(int)])
+        n = min(request.limit, len(fold.test))
+        # The middle of n equal stretches.
+        return fold.test[(2 * np.arange(n) + 1) * len(fold.test) // (2 * n)]
     known = table.windows["window_id"].to_pylist()
     wanted = [find_sequence_id(name, known, among=str(table.folder)) for name in request.window_ids]
     return np.sort([known.index(name) for name in wanted])

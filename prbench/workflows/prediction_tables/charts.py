@@ -23,7 +23,7 @@ _VALUE_TITLES = {
 def horizon_panels(rows: Sequence[TableRow], scores: Mapping[str, Scores]) -> tuple[ChartPanel, ...]:
     """Errors of every row but GazeMoDiff's ablations up to, and at, the horizons of the protocol."""
     panels = []
-    shown = [row for row in rows if row.name in scores and row.tables != ("3",)]
+    shown = [row for row in rows if row.name in scores and not row.is_ablation]
     summaries = {row.label: summarise(scores[row.name]) for row in shown if row.method != GROUND_TRUTH}
     for metric, title in _HORIZON_TITLES.items():
         lines = {}

@@ -80,7 +80,7 @@ def _weights_of(row: TableRow, folder: Path | None) -> Path | None:
     for path in _places(row, folder):
         if path.is_file():
             return path
-    if row.weights != row.method:
+    if row.is_ablation:
         raise UsageError(f"no weights '{row.weights}': train them, and name their folder with --weights.")
     return None
 

@@ -22,7 +22,7 @@ from prbench.prediction.published import TableRow, load_tables
 from prbench.prediction.references import references, score_reference
 from prbench.prediction.scoring import Scores, SimilarPasts, score_predictor
 from prbench.prediction.table import WindowsTable
-from prbench.sequences.rows import read_parquet
+from prbench.sequences.rows import open_parquet
 from prbench.shown import quoted
 from prbench.storage import atomic_path, text_digest, turn_into_paths, write_json, write_text
 from prbench.viewing.prediction_charts import draw_chart
@@ -140,7 +140,7 @@ def _by_condition(rows: tuple[TableRow, ...], scores: Mapping[str, Scores]) -> d
     """Scores of each method that stands in the tables under several conditions; parts removed are no condition."""
     found: dict[str, dict[Condition, Scores]] = {}
     for row in rows:
-        if row.name in scores and row.tables != ("3",) and row.method not in references():
+        if row.name in scores and not row.is_ablation and row.method not in references():
             found.setdefault(row.method, {})[row.condition] = scores[row.name]
     return {method: each for method, each in found.items() if len(each) > 1}
 
@@ -185,7 +185,7 @@ class _Work:
         path = self._path(row)
         if not path.is_file():
             return None
-        found = read_parquet(path)
+        found = open_parquet(path).read()
         if (found.schema.metadata or {}).get(_DIGEST) != self._digest(row).encode():
             return None
         return Scores.of(found)
