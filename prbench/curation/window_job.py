@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -123,9 +123,7 @@ class WindowsJob:
         reader = reader_for(source.dataset, dict(source.reader_options))
         if isinstance(reader, PublishedForPrediction):
             # Its tracks know which samples were measured; the recording holds and interpolates, also from later ones.
-            recording, tracks = reader.read_published(source.found)
-            if not self.native:
-                tracks = tuple(replace(track, joints=track.body) for track in tracks)
+            recording, tracks = reader.read_published(source.found, native=self.native)
             published = self.protocol.published_splits.get(source.dataset)
             yield from runs_of_tracks(
                 recording,

@@ -6,7 +6,7 @@ Source: docs/specification/motion-prediction.md#joint-sets.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -112,7 +112,10 @@ MOGAZE21 = JointSet(
 )  # fmt: skip
 """The 21 links of MoGaze (docs/specification/mogaze.md#files)."""
 
-JOINT_SETS: Mapping[str, JointSet] = {each.name: each for each in (SMPL22, MOGAZE21)}
+GIMO23 = replace(SMPL22, name="gimo23", parents={**SMPL22.parents, "jaw": "head"})
+"""The 23 joints that GIMO's study scores: joints 0 to 22 of SMPL-X."""
+
+JOINT_SETS: Mapping[str, JointSet] = {each.name: each for each in (SMPL22, MOGAZE21, GIMO23)}
 
 
 def joint_set(name: str) -> JointSet:
