@@ -310,7 +310,7 @@ WRITING = (
     ),
     Writing(
         "prediction tables --out",
-    "view --out png",
+        "view --out png",
         lambda given, out: ("view", given.run, "--data", given.table, "--limit", 1, "--out", out),
         "v.png",
     ),

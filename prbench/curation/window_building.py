@@ -6,7 +6,7 @@ was interrupted or not. Source: docs/specification/motion-prediction.md#from-rec
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -16,7 +16,7 @@ import msgspec
 import prbench
 from prbench.curation.options import BuildOptions
 from prbench.curation.sources import native_sources
-from prbench.curation.window_job import CutRecording, WindowsJob
+from prbench.curation.window_job import CutRecording, NativeWindows, WindowsJob, WindowSource
 from prbench.curation.window_runs import window_starts
 from prbench.engine import Engine, InProcess
 from prbench.errors import InputFileError, UsageError
@@ -85,7 +85,6 @@ def build_windows(
         StorageError: if ``out`` cannot be written or holds something else.
     """
     out = Path(out).expanduser().absolute()
-    require_replaceable(out, FILE_NAME, kind="table of windows")
     options = BuildOptions(recordings=recordings, limit=limit, reader=reader, on_error=on_error)
     sources = native_sources(dataset, root, options)
     name = sources[0].dataset
@@ -101,18 +100,48 @@ def build_windows(
             remedy="Leave the option out: every dataset has the 22 joints.",
         )
     native = published is not None and joints != "smpl22"
-    protocol = load_prediction_protocol()
     chosen = {"joints": "native" if native else "smpl22", "recordings": recordings, "limit": str(limit or "all")}
     chosen |= {f"reader.{key}": value for key, value in reader}
-    job = WindowsJob(manifest, protocol, native, on_error == "fail", work_folder(out))
-    info = _described(name, manifest, protocol, joint_set=published if published is not None and native else "smpl22")
+    cut = [NativeWindows(source, manifest, native) for source in sources]
+    return build_from_window_sources(
+        cut, name, manifest, out, options=chosen, on_error=on_error, engine=engine, progress=progress
+    )
+
+
+def build_from_window_sources(
+    sources: Sequence[WindowSource],
+    dataset: str,
+    manifest: Manifest,
+    out: Path,
+    *,
+    options: dict[str, str],
+    on_error: Literal["skip", "fail"],
+    engine: Engine,
+    progress: Callable[[int, int, str], None] | None,
+) -> WindowsReport:
+    """Build a table of windows from any recordings of one dataset with one joint set (see :func:`build_windows`).
+
+    Args:
+        sources: In table order.
+        dataset: Name that the table bears.
+        manifest: Of the dataset.
+        out: Folder of the table.
+        options: What stands in the table's description.
+        on_error: See :func:`build_windows`.
+        engine: See :func:`build_windows`.
+        progress: See :func:`build_windows`.
+    """
+    require_replaceable(out, FILE_NAME, kind="table of windows")
+    protocol = load_prediction_protocol()
+    job = WindowsJob(protocol, on_error == "fail", work_folder(out))
+    info = _described(dataset, manifest, protocol, joint_set=sources[0].joint_set)
     finished: list[CutRecording] = []
     with sole_writer(out), working_in_parts(out):
         for each in engine.map(job, sources, if_full=job.if_full):
             finished.append(each)
             if progress is not None:
                 progress(len(finished), len(sources), each.recording_id)
-        info = _finished(info, finished, chosen)
+        info = _finished(info, finished, options)
         # Last of all: until here an earlier table stands as it was.
         info = write_windows(out, info, (run for each in finished for run in read_cut_runs(each.folder)))
     return WindowsReport(out, info, tuple(finished))
