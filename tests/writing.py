@@ -309,7 +309,6 @@ WRITING = (
         "c.json",
     ),
     Writing(
-        "prediction tables --out",
         "view --out png",
         lambda given, out: ("view", given.run, "--data", given.table, "--limit", 1, "--out", out),
         "v.png",

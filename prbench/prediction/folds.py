@@ -47,15 +47,13 @@ def folds(table: WindowsTable, split: SplitChoice) -> Iterator[Fold]:
     if split == "participants":
         yield from _participants(table)
         return
-    name = "published_split" if split == "published" else "split"
-    test = table.chosen(**{name: "test"})
-    yield Fold("", _none_if_refused(table, name), test)
+    has_training = "train" in set(table.runs["published_split" if split == "published" else "split"].to_pylist())
+    train = _part(table, split, "train") if has_training else np.zeros(0, dtype=np.int64)
+    yield Fold("", train, _part(table, split, "test"))
 
 
-def _none_if_refused(table: WindowsTable, name: str) -> Int[np.ndarray, " m"]:
-    if "train" not in set(table.runs[name].to_pylist()):
-        return np.zeros(0, dtype=np.int64)
-    return table.chosen(**{name: "train"})
+def _part(table: WindowsTable, split: SplitChoice, part: str) -> Int[np.ndarray, " n"]:
+    return table.chosen(published_split=part) if split == "published" else table.chosen(split=part)
 
 
 def _participants(table: WindowsTable) -> Iterator[Fold]:

@@ -44,9 +44,9 @@ def truncation_floor(coefficients: int) -> Reference:
 
     def truncated(batch: ObservedBatch, truth: Truth) -> Futures:
         windows = np.concatenate([batch.observed_joints, _whole_futures(batch, truth)], axis=1).astype(np.float64)
-        kept = dct(windows, axis=1, norm="ortho")
+        kept = np.asarray(dct(windows, axis=1, norm="ortho"))
         kept[:, coefficients:] = 0.0
-        future = idct(kept, axis=1, norm="ortho")[:, batch.observed_joints.shape[1] :]
+        future = np.asarray(idct(kept, axis=1, norm="ortho"))[:, batch.observed_joints.shape[1] :]
         return Futures(joints=future[:, None].astype(np.float32))
 
     return truncated

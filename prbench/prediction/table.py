@@ -23,6 +23,7 @@ from prbench.errors import TableError, UsageError
 from prbench.prediction.batch import Condition, ObservedBatch, window_keys
 from prbench.prediction.joint_sets import JointSet, invert_each, joint_set, rotations_alone, transform_each
 from prbench.prediction.protocol import FrameName
+from prbench.recording.pose_origin import is_estimated
 from prbench.sequences.chunk import row_batch
 from prbench.sequences.dataset_info import Provenance
 from prbench.sequences.digests import require_unchanged
@@ -198,12 +199,12 @@ def write_windows(
 
     Raises:
         StorageError: if the folder holds something that is no table of windows, or cannot be written.
-        TableError: if there is no window.
+        TableError: if there is no window, or captured bodies stand beside estimated ones.
     """
     require_replaceable(folder, FILE_NAME, kind="table of windows")
     joints = joint_set(info.joint_set)
     schemas = {"streams": streams_schema(joints), "windows": WINDOWS}
-    tally = _Tally(schemas["streams"])
+    tally = _Tally(folder, schemas["streams"])
     with atomic_folder(folder) as temporary:
         tables = {"streams": tally.streams(cut), "windows": tally.windows()}
         # The provenance counts what was written, so it is written once more at the end.
@@ -220,8 +221,10 @@ def write_windows(
 class _Tally:
     """Turns runs into rows, and remembers the windows and counts that are known only at the end."""
 
-    def __init__(self, schema: pa.Schema) -> None:
+    def __init__(self, folder: Path, schema: pa.Schema) -> None:
+        self._folder = folder
         self._schema = schema
+        self._kinds: dict[bool, str] = {}
         self._windows: list[dict[str, object]] = []
         self.runs = 0
         self._frames = 0
@@ -233,6 +236,7 @@ class _Tally:
     def streams(self, cut: Iterable[CutRun]) -> Iterator[pa.RecordBatch]:
         for each in cut:
             run = each.run
+            self._require_one_kind(run)
             self._windows += [window.row(run, self.runs) for window in each.windows]
             for window in each.windows:
                 outcome = window.exclusion or "window"
@@ -243,6 +247,15 @@ class _Tally:
             self._recordings.add(run.recording_id)
             self._participants.add(run.participant_id)
             yield row_batch([run], self._schema)
+
+    def _require_one_kind(self, run: Run) -> None:
+        """Estimated bodies may carry later head motion: they never enter one mean with captured ones."""
+        self._kinds.setdefault(is_estimated(run.pose_source), run.recording_id)
+        if len(self._kinds) > 1:
+            raise TableError(
+                f"{self._folder}: expected captured bodies or estimated ones, found both: {self._kinds[False]} and"
+                f" {self._kinds[True]}. Build a table of each; they never enter one mean."
+            )
 
     def windows(self) -> Iterator[pa.RecordBatch]:
         for start in range(0, len(self._windows), 4096):

@@ -10,7 +10,12 @@ from prbench.workflows.build_windows import build_windows
 from tests.corpora.suits import walking_suit, write_arrays
 
 NAME = "20230607_s0_james_johnson_act0_e72nhq"
-CHOSEN = {"joints": None, "recordings": "*", "limit": None, "reader": (), "on_error": "fail", "engine": InProcess()}
+
+
+def build(root, out, **changes):
+    """Build windows of everything, and stop at the first error."""
+    given = {"joints": None, "recordings": "*", "limit": None, "reader": (), "on_error": "fail", "engine": InProcess()}
+    return build_windows("nymeria", root, out, **given | changes)  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -22,7 +27,7 @@ def root(tmp_path):
 
 
 def test_a_suit_becomes_windows_on_the_22_joints_without_gaze_where_there_is_none(root, tmp_path):
-    report = build_windows("nymeria", root, tmp_path / "w", **CHOSEN)
+    report = build(root, tmp_path / "w")
     assert (report.info.joint_set, report.info.has_gaze, report.info.outcomes) == ("smpl22", False, {"window": 3})
     table = WindowsTable.open(tmp_path / "w")
     assert table.runs["participant_id"].to_pylist() == ["james_johnson"]
@@ -36,6 +41,6 @@ def test_a_suit_becomes_windows_on_the_22_joints_without_gaze_where_there_is_non
 
 def test_native_joints_and_names_that_do_not_exist_are_refused(root, tmp_path):
     with pytest.raises(UsageError, match="native"):
-        build_windows("nymeria", root, tmp_path / "w", **CHOSEN | {"joints": "native"})
+        build(root, tmp_path / "w", joints="native")
     with pytest.raises(InputFileError, match="matches 'x'"):
-        build_windows("nymeria", root, tmp_path / "w", **CHOSEN | {"recordings": "x"})
+        build(root, tmp_path / "w", recordings="x")

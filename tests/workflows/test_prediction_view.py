@@ -61,7 +61,7 @@ def test_all_futures_leave_from_the_observed_body_in_the_player(shown):
         return nodes[name]
 
     scene = SimpleNamespace(add_frame=add, add_line_segments=add, add_icosphere=add, add_label=add)
-    stage = FutureStage(SimpleNamespace(scene=scene), 0, window)
+    stage = FutureStage(SimpleNamespace(scene=scene), 0, window)  # type: ignore[arg-type]
     bones = len(window.joint_set.bones)
     assert n_frames_of(window) == 75
     stage.set_frame(14)

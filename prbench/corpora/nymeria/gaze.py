@@ -65,7 +65,7 @@ def head_from_device(
     large = (np.linalg.norm(of_head, axis=1) > _LEAST_TURN) & (np.linalg.norm(of_glasses, axis=1) > _LEAST_TURN)
     if large.sum() < _FEWEST_TURNS:
         return None, f"gaze: the head turns {int(large.sum())} times only, which does not tell how the glasses sit"
-    found, _ = Rotation.align_vectors(of_head[large], of_glasses[large])
+    found = Rotation.align_vectors(of_head[large], of_glasses[large])[0]
     residual = float(np.median(np.linalg.norm(of_head[large] - found.apply(of_glasses[large]), axis=1)))
     if residual > _LARGEST_RESIDUAL:
         return None, f"gaze: suit and glasses turn differently (median {np.rad2deg(residual):.1f} degrees a step)"

@@ -62,8 +62,7 @@ def published_track(
 
 
 def _and_jaw(readings: gimo.GimoReadings, body: BodyStream, manifest: Manifest) -> Float[np.ndarray, "n 23 3"]:
-    jaw = readings.body.jaw if isinstance(readings.body, gimo.LocalJoints) else None
-    if jaw is None:
+    if not isinstance(readings.body, gimo.LocalJoints) or readings.body.jaw is None:
         raise InputFileError(
             readings.recording_id,
             "",
@@ -72,7 +71,7 @@ def _and_jaw(readings: gimo.GimoReadings, body: BodyStream, manifest: Manifest) 
             remedy="Build the windows on the 22 joints (--joints smpl22).",
         )
     longest = round(manifest.thresholds["longest_filled_gap"])
-    wanted, _ = filled(readings.body.frames, jaw[:, None], readings.segment.frames, longest=longest)
+    wanted, _ = filled(readings.body.frames, readings.body.jaw[:, None], readings.segment.frames, longest=longest)
     return np.concatenate([body.joints, transform_points(readings.transform.room_from_body(), wanted)], axis=1)
 
 
