@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 import msgspec
 
-from prbench.cli.commands import Answer, command, note
+from prbench.cli.commands import Answer, SeveralValues, command, note
 from prbench.cli.options import PATH, device_option, out_folder_option, seed_option
 from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
@@ -51,6 +51,13 @@ class PredictionTablesReport(msgspec.Struct, frozen=True, kw_only=True):
     help="Folder with weights by the row's name, such as no-gaze.safetensors (default: those that come with prbench).",
 )
 @click.option(
+    "--runs",
+    cls=SeveralValues,
+    type=PATH,
+    metavar="RUN...",
+    help="Finished runs on WINDOWS (`prbench run --benchmark motion-prediction`): their scores stand for their rows.",
+)
+@click.option(
     "--split",
     type=click.Choice(["published", "dataset", "participants"]),
     help="Windows that are scored: of the study's test split (default where there is one), of the dataset's, or each"
@@ -64,6 +71,7 @@ def tables(
     windows: Path,
     out: Path,
     weights: Path | None,
+    runs: tuple[Path, ...],
     split: Literal["published", "dataset", "participants"] | None,
     samples: int,
     limit: int | None,
@@ -81,6 +89,7 @@ def tables(
         samples=samples,
         limit=limit,
         weights=weights,
+        runs=runs,
         seed=seed,
         device=device,
     )

@@ -6,6 +6,7 @@ Source: docs/specification/motion-prediction.md#metrics.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -94,8 +95,22 @@ class Scores:
 
     def only(self, keep: Bool[np.ndarray, " windows"]) -> Scores:
         """The scores of some windows."""
-        places = np.flatnonzero(keep).tolist()
-        return Scores({name: [values[place] for place in places] for name, values in self.columns.items()})
+        return self._at(np.flatnonzero(keep))
+
+    def in_order(self, window_ids: SequenceOf[str]) -> Scores:
+        """The same scores in the order of these windows: batches of another size bring short windows in another one.
+
+        Raises:
+            UsageError: if they are scores of other windows.
+        """
+        place = {name: number for number, name in enumerate(self.columns.get("window_id", ()))}
+        if place.keys() != set(window_ids) or len(window_ids) != len(self):
+            raise UsageError(f"expected scores of {len(window_ids)} windows, found those of {len(self)} others.")
+        return self._at(np.array([place[name] for name in window_ids]))
+
+    def _at(self, places: Int[np.ndarray, " n"]) -> Scores:
+        chosen = places.tolist()
+        return Scores({name: [values[place] for place in chosen] for name, values in self.columns.items()})
 
     def __len__(self) -> int:
         return len(self.columns.get("window_id", ()))

@@ -4,9 +4,13 @@ import json
 
 import pytest
 
-from prbench.errors import UsageError
+from prbench.errors import RunError, UsageError
+from prbench.evaluation.request import RunRequest
+from prbench.evaluation.run import run_method
 from prbench.prediction.batch import Condition
+from prbench.prediction.table import WindowsTable
 from prbench.workflows.prediction_tables import TablesRequest, run_tables
+from prbench.workflows.prediction_tables.from_runs import scores_of_runs
 from prbench.workflows.prediction_tables.gaze_value import lead_of, values_of_conditions
 from prbench.workflows.prediction_tables.run import JSON, MARKDOWN
 from tests.prediction.windows import walking, write
@@ -87,3 +91,28 @@ def test_a_lead_is_read_from_the_anchor():
 
 def test_one_condition_has_no_value():
     assert values_of_conditions({"a": {Condition.POSE: None}}) == ()  # type: ignore[dict-item]
+
+
+def test_finished_runs_stand_for_their_rows(windows, tmp_path):
+    out = tmp_path / "runs" / "constant"
+    asked = {"benchmark": "motion-prediction", "condition": "pose", "samples": 1, "limit": 2}
+    run_method(RunRequest(method="constant-velocity", data=(windows,), out=out, **asked))  # type: ignore[arg-type]
+    scores = scores_of_runs([tmp_path / "runs"], WindowsTable.open(windows))
+    report = run_tables(TablesRequest(windows=windows, out=tmp_path / "out", samples=2, runs=(out,)))
+    assert report.layout.n_windows == 2
+    assert "constant-velocity-pose" not in report.scored
+    lines = {line.row.name: line for line in report.layout.tables[0].lines}
+    found = lines["constant-velocity-pose"].measured["ade"].mean
+    assert found == scores["constant-velocity-pose"].means()["ade"]
+    # The run's windows are those of the other rows, too: paired differences would refuse others.
+    assert {step.worse for step in report.layout.tables[0].order} | {report.layout.tables[0].order[0].better} >= {
+        "constant velocity",
+        "zero velocity",
+    }
+
+
+def test_no_runs_and_runs_with_a_split_are_refused(windows, tmp_path):
+    with pytest.raises(RunError, match="found none"):
+        scores_of_runs([tmp_path], WindowsTable.open(windows))
+    with pytest.raises(UsageError, match="leave --split"):
+        TablesRequest(windows=windows, out=tmp_path, runs=(tmp_path,), split="dataset")

@@ -15,8 +15,8 @@ from prbench.prediction.predictors import ConstantVelocity, NearestPast, ZeroVel
 from prbench.prediction.published import TableRow
 from prbench.prediction.table import WindowsTable
 
-PREDICTORS = "prbench.predictors"
-"""The group of entry points ``load(weights, *, options, device) -> Predictor``."""
+_GROUP = "prbench.predictors"
+"""Entry points ``load(weights, *, options, device) -> Predictor``."""
 _WITHOUT_LEARNING = {each.name: each for each in (ZeroVelocity(), ConstantVelocity())}
 _NEAREST_PAST = NearestPast.name
 BUILT_IN = (*_WITHOUT_LEARNING, _NEAREST_PAST)
@@ -53,7 +53,7 @@ def installed_predictor(name: str, weights: Path | None, *, device: str = "cpu")
     Raises:
         AdapterError: if none of that name is installed, or it is no predictor.
     """
-    entries = {entry.name: entry for entry in entry_points_of(PREDICTORS)}
+    entries = {entry.name: entry for entry in entry_points_of(_GROUP)}
     if name not in entries:
         known = (*BUILT_IN, *entries)
         raise AdapterError(

@@ -28,6 +28,7 @@ from prbench.storage import atomic_path, text_digest, turn_into_paths, write_jso
 from prbench.viewing.prediction_charts import draw_chart
 from prbench.workflows.prediction_tables.as_markdown import as_builtins, as_markdown
 from prbench.workflows.prediction_tables.charts import horizon_panels, value_panels
+from prbench.workflows.prediction_tables.from_runs import scores_of_runs
 from prbench.workflows.prediction_tables.gaze_value import ValueOfCondition, values_of_conditions
 from prbench.workflows.prediction_tables.layout import PredictionLayout, lay_out
 from prbench.workflows.prediction_tables.predictors import predictor_of, samples_of
@@ -63,13 +64,17 @@ class TablesRequest:
     """Largest number of scored windows, spread evenly over the table; None for all."""
     weights: Path | None = None
     """Folder with the user's weights by name."""
+    runs: tuple[Path, ...] = ()
+    """Finished runs on these windows, whose scores stand for their rows; their windows are scored in all other rows."""
     seed: int = 0
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        turn_into_paths(self, "windows", "out", "weights")
+        turn_into_paths(self, "windows", "out", "weights", "runs")
         if self.samples < 1:
             raise UsageError(f"--samples: expected one or more, found {self.samples}.")
+        if self.runs and (self.split is not None or self.limit is not None):
+            raise UsageError("--runs: the runs tell which windows are scored; leave --split and --limit out.")
         if self.limit is not None and self.limit < 1:
             raise UsageError(f"--limit: expected one or more, found {self.limit}.")
 
@@ -96,16 +101,20 @@ def run_tables(request: TablesRequest, progress: Progress = lambda *_: None) -> 
     """
     table = WindowsTable.open(request.windows)
     split = request.split or default_split(table)
-    parts = _limited(list(folds(table, split)), request.limit)
-    everything = np.sort(np.concatenate([fold.test for fold in parts]))
+    whole = list(folds(table, split))
+    scores = scores_of_runs(request.runs, table) if request.runs else {}
+    parts = _of_runs(whole, table, scores) if scores else _limited(whole, request.limit)
+    # Similar pasts are looked for among all windows of the split, whatever the limit.
+    everything = np.unique(np.concatenate([*(fold.test for fold in whole), *(fold.test for fold in parts)]))
     work = _Work(request, table, split, parts)
     rows = load_tables().rows
-    scores: dict[str, Scores] = {}
     missing: dict[str, str] = {}
     scored = []
     with sole_writer(request.out):
         for done, row in enumerate(rows):
             progress(done, len(rows), row.label)
+            if row.name in scores:
+                continue
             found = work.kept(row)
             if found is None:
                 try:
@@ -145,6 +154,13 @@ def _by_condition(rows: tuple[TableRow, ...], scores: Mapping[str, Scores]) -> d
     return {method: each for method, each in found.items() if len(each) > 1}
 
 
+def _of_runs(whole: list[Fold], table: WindowsTable, scores: Mapping[str, Scores]) -> list[Fold]:
+    """The windows that runs were made on; none of them is learnt from."""
+    named = set(next(iter(scores.values())).columns["window_id"])
+    test = np.flatnonzero([name in named for name in table.windows["window_id"].to_pylist()])
+    return [Fold("", np.setdiff1d(whole[0].train, test), test)]
+
+
 def _limited(parts: list[Fold], limit: int | None) -> list[Fold]:
     """At most so many windows for testing in all, every part and every stretch of the table with its share."""
     total = sum(len(fold.test) for fold in parts)
@@ -178,7 +194,11 @@ class _Work:
             str(request.limit),
             str(request.samples),
             str(request.seed),
+            *(str(name) for fold in parts for name in fold.test.tolist()),
         )
+        self._window_ids = table.windows.take(np.sort(np.concatenate([fold.test for fold in parts])))[
+            "window_id"
+        ].to_pylist()
 
     def kept(self, row: TableRow) -> Scores | None:
         """Scores of an earlier call with the same settings; None if there are none."""
@@ -201,6 +221,7 @@ class _Work:
             else:
                 part = self._predicted(row, fold, similar)
             scores.add(part.columns)
+        scores = scores.in_order(self._window_ids)
         scored = scores.table()
         path = self._path(row)
         path.parent.mkdir(parents=True, exist_ok=True)
