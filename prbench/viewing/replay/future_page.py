@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from prbench.locks import sole_writer
 from prbench.shown import html
@@ -87,8 +87,9 @@ def _camera_of(window: ShownWindow) -> tuple[Float[np.ndarray, "3"], Float[np.nd
     look_at = np.array([(low[0] + high[0]) / 2, 0.9, (low[2] + high[2]) / 2])
     across = np.cross([0.0, 1.0, 0.0], window.sideways)
     away = 0.55 * window.sideways - 0.85 * across
-    distance = 2.6 + 0.8 * float(np.linalg.norm((high - low)[[0, 2]]))
-    return look_at + away * distance + [0.0, 0.3 * distance, 0.0], look_at
+    distance = 1.7 + 0.55 * float(np.linalg.norm((high - low)[[0, 2]]))
+    look_at = look_at + np.cross(away, [0.0, 1.0, 0.0]) * 0.15 * distance  # of the picture: the overlay stands there
+    return look_at + away * distance + [0.0, 0.25 * distance, 0.0], look_at
 
 
 class FutureStage:
@@ -135,18 +136,18 @@ class _Lane:
         recorded = np.concatenate([window.observed, _held_to(window.recorded, n_future)]) + offset
         bones = np.array(window.joint_set.bones)
         head = window.joint_set.index(window.joint_set.head)[0]
-        colours = np.array([[round(255 * part) for part in shade] for shade in shades(fan.colour, len(fan.joints))])
+        # One node for all futures: (bodies * bones, 2 ends, 3).
+        each = np.repeat(_vertex_colours(shades(fan.colour, len(fan.joints))), len(bones), axis=0)
+        colours = np.repeat(each[:, None], 2, axis=1)
         self._moving = []
         for what, bodies, colour, width in (
             ("observed", observed[None], rgb(OBSERVED_COLOUR), 0.03),
             ("futures", futures, colours, 0.014),
             ("recorded", recorded[None], rgb(RECORDED_COLOUR), 0.012),
         ):
-            # One node for all bodies of a kind: (frames, bodies * bones, 2 ends, 3).
             positions = np.moveaxis(bodies[:, :, bones], 0, 1).reshape(n_observed + n_future, -1, 2, 3)
-            shade = np.repeat(np.reshape(colour, (-1, 3)), len(bones), axis=0)[:, None].repeat(2, axis=1)
             handle = server.scene.add_line_segments(
-                f"{name}/{what}", positions[0].astype(np.float32), colors=shade.astype(np.uint8), thickness=width
+                f"{name}/{what}", positions[0].astype(np.float32), colors=colour, thickness=width
             )
             self._moving.append((positions.astype(np.float32), handle))
         self._heads = observed[:, head]
@@ -184,6 +185,11 @@ class _Lane:
         self._head.position = self._heads[frame]
         for positions, handle in self._moving:
             handle.points = positions[frame]
+
+
+def _vertex_colours(shade: Sequence[tuple[float, float, float]]) -> UInt8[np.ndarray, "n 3"]:
+    """Colours of single vertices, which the viewer takes as linear light (those of a whole node it does not)."""
+    return np.rint(255 * np.array(shade) ** 2.2).astype(np.uint8)
 
 
 def _held_to(recorded: Float[np.ndarray, "scored joints 3"], n: int) -> Float[np.ndarray, "n joints 3"]:
