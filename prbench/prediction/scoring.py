@@ -103,7 +103,7 @@ class Scores:
         Raises:
             UsageError: if they are scores of other windows.
         """
-        place = {name: number for number, name in enumerate(self.columns.get("window_id", ()))}
+        place: dict[str, int] = {name: number for number, name in enumerate(self.columns.get("window_id", []))}
         if place.keys() != set(window_ids) or len(window_ids) != len(self):
             raise UsageError(f"expected scores of {len(window_ids)} windows, found those of {len(self)} others.")
         return self._at(np.array([place[name] for name in window_ids]))
