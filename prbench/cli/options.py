@@ -92,6 +92,18 @@ def benchmark_option(function: _Function) -> _Function:
     )(function)
 
 
+def usual_number(of: str) -> str:
+    """Return the usual number of answers or cases a batch, of each benchmark that has another than the default one."""
+    usual = getattr(default_benchmark(), of)
+    others = [f"{about.name} {getattr(about, of)}" for about in benchmarks().values() if not about.default]
+    return "; ".join([str(usual), *others])
+
+
+def conditions_by_benchmark() -> str:
+    """Return the conditions of each benchmark."""
+    return "; ".join(f"{', '.join(about.conditions)} with {about.name}" for about in benchmarks().values())
+
+
 def data_option(*, required: bool, help: str = "Built dataset folder(s).") -> _Decorator:
     """Add ``--data DIR…``, repeatable."""
     return click.option("--data", cls=SeveralValues, type=PATH, metavar="DIR...", required=required, help=help)

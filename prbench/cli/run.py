@@ -22,6 +22,7 @@ from prbench.cli.options import (
     SECONDS,
     benchmark_option,
     complete_method,
+    conditions_by_benchmark,
     control_option,
     data_option,
     fold_options,
@@ -32,6 +33,7 @@ from prbench.cli.options import (
     protocol_option,
     seed_option,
     sequence_option,
+    usual_number,
     workers_option,
 )
 from prbench.cli.progress import progress
@@ -126,8 +128,8 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
 @click.option(
     "--condition",
     type=click.Choice([*ALL_CONDITIONS, ALL]),
-    help="What the method is given (default: the only condition that it takes): pose, pose+head or pose+gaze belong to"
-    " motion-prediction, the others to prime-and-reach; all: every row that Table 2 has of it.",
+    help=f"What the method is given (default: the only condition that it takes): {conditions_by_benchmark()}; all:"
+    " every row that Table 2 has of it.",
 )
 @click.option(
     "--config",
@@ -159,7 +161,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
     "--samples",
     type=POSITIVE,
     metavar="N",
-    help="Motions a sequence (default 1); K futures a window of motion-prediction (default 50).",
+    help=f"Answers to each case: motions a sequence, futures a window (default {usual_number('samples')}).",
 )
 @click.option(
     "--best-of",
@@ -179,8 +181,8 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
     "--batch-size",
     type=POSITIVE,
     metavar="N",
-    help="Sequences a batch (default 64; windows of motion-prediction 16; with all: up to 16, so that two workers have"
-    " as many).",
+    help=f"Sequences, or other cases, a batch (default {usual_number('batch_size')}; with all: up to 16, so that two"
+    " workers have as many).",
 )
 @click.option(
     "--isolate",

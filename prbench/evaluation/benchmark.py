@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
-from typing import Protocol, Self, runtime_checkable
+from typing import Any, Generic, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 import pyarrow as pa
@@ -64,13 +64,14 @@ class CaseTable(Protocol):
         """What it is and where it came from."""
         ...
 
+    # Text in both; "Any" because a type checker takes a cached property for none of a protocol's.
     @property
-    def identity(self) -> str:
+    def identity(self) -> Any:
         """Digest of which cases there are."""
         ...
 
     @property
-    def content(self) -> str:
+    def content(self) -> Any:
         """Digest of all values."""
         ...
 
@@ -104,6 +105,10 @@ class Cases(Protocol):
         ...
 
     def __len__(self) -> int: ...
+
+
+Table = TypeVar("Table", bound=CaseTable)
+Chosen = TypeVar("Chosen", bound=Cases)
 
 
 @dataclass(frozen=True)
@@ -190,7 +195,7 @@ class CaseWork(ABC):
         del files, scores
 
 
-class Benchmark(ABC):
+class Benchmark(ABC, Generic[Table, Chosen]):
     """One benchmark; its value stands in ``benchmark.toml``."""
 
     name: str
@@ -220,7 +225,7 @@ class Benchmark(ABC):
         present = self.present_rules
         return present if present.digest == run.record.protocol_digest else None
 
-    def copied_rules(self, rules: Rules) -> BenchmarkProtocol | None:
+    def copied_rules(self, rules: Any) -> BenchmarkProtocol | None:
         """Return the user's own protocol, of which a copy is laid beside the run; None for prbench's."""
         del rules
         return None
@@ -268,7 +273,7 @@ class Benchmark(ABC):
         """Name of the file that describes a table, by which a folder is known to hold one."""
 
     @abstractmethod
-    def open_table(self, folder: Path) -> CaseTable:
+    def open_table(self, folder: Path) -> Table:
         """Open one table.
 
         Raises:
@@ -276,7 +281,7 @@ class Benchmark(ABC):
         """
 
     @abstractmethod
-    def open_tables(self, request: RunRequest) -> list[CaseTable]:
+    def open_tables(self, request: RunRequest) -> list[Table]:
         """Open the tables that are asked for.
 
         Raises:
@@ -285,7 +290,7 @@ class Benchmark(ABC):
         """
 
     @abstractmethod
-    def rules(self, request: RunRequest, tables: Sequence[CaseTable]) -> Rules:
+    def rules(self, request: RunRequest, tables: Sequence[Table]) -> Rules:
         """Return the rules of a run on some tables.
 
         Raises:
@@ -301,7 +306,7 @@ class Benchmark(ABC):
         del request, condition
 
     @abstractmethod
-    def choose(self, request: RunRequest, tables: Sequence[CaseTable]) -> list[Cases]:
+    def choose(self, request: RunRequest, tables: Sequence[Table]) -> list[Chosen]:
         """Choose the cases of each table.
 
         Raises:
@@ -309,7 +314,7 @@ class Benchmark(ABC):
             TableError: if there is none.
         """
 
-    def answerable(self, request: RunRequest, cases: Cases, method: MethodRecord) -> Cases:
+    def answerable(self, request: RunRequest, cases: Chosen, method: MethodRecord) -> Chosen:
         """Return the cases that a method can answer in full; none is ever cut.
 
         Raises:
@@ -318,14 +323,14 @@ class Benchmark(ABC):
         del request, method
         return cases
 
-    def fitted(self, spec: MethodSpec, table: CaseTable, condition: StrEnum) -> MethodSpec:
+    def fitted(self, spec: MethodSpec, table: Table, condition: StrEnum) -> MethodSpec:
         """Return the method fitted to a table, where it learns and brought no weights of its own."""
         del table, condition
         return spec
 
     @abstractmethod
     def work(
-        self, request: RunRequest, cases: Cases, *, method: MethodRecord, condition: StrEnum, rules: Rules
+        self, request: RunRequest, cases: Chosen, *, method: MethodRecord, condition: StrEnum, rules: Any
     ) -> CaseWork:
         """Return the work on the cases of one table."""
 
@@ -334,7 +339,7 @@ class Benchmark(ABC):
         """Return what cases of one recording have in common, from the id alone."""
 
     @abstractmethod
-    def recordings_of(self, table: CaseTable) -> dict[str, str]:
+    def recordings_of(self, table: Table) -> dict[str, str]:
         """Map each case of a table to its recording."""
 
     def ids_tell_recordings(self, sequence_ids: Sequence[str]) -> bool:
@@ -344,7 +349,7 @@ class Benchmark(ABC):
 
 
 @cache
-def load_benchmark(name: str) -> Benchmark:
+def load_benchmark(name: str) -> Benchmark[Any, Any]:
     """Load the value of a benchmark.
 
     Raises:

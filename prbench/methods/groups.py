@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 from prbench.contract import ENTRY_POINT_GROUP, Adapter, Condition
 from prbench.methods.remote.adapter import RemoteAdapter
 from prbench.methods.remote.method import RemoteMethod
+from prbench.methods.remote.served import serve_motions
 
 
 @dataclass(frozen=True)
@@ -24,11 +27,11 @@ class MethodGroup:
     """The conditions that a method may name."""
     remote: type[RemoteMethod]
     """A method of the group behind the wire protocol."""
-    has_worker: bool = False
-    """Installed methods can be isolated: :mod:`prbench.methods.worker` serves them."""
+    serve: Callable[[str, Any, dict[str, Any], bytes], tuple[dict[str, Any], bytes]]
+    """Answers a request for an installed method in :mod:`prbench.methods.worker`: name, method, header, payload."""
 
 
 MOTIONS = MethodGroup(
-    ENTRY_POINT_GROUP, Adapter, "name, conditions and generate()", Condition, RemoteAdapter, has_worker=True
+    ENTRY_POINT_GROUP, Adapter, "name, conditions and generate()", Condition, RemoteAdapter, serve_motions
 )
 """The methods of prime-and-reach."""

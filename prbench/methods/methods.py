@@ -70,12 +70,6 @@ def method_spec(
         return _program_spec(spec, isolate)
     known = METHOD_CONTROLS if group is MOTIONS else ()
     installed = find_adapter(method, also_known=known, entry_points=group.entry_points)
-    if isolate and not group.has_worker:
-        about = benchmark_of_group(group.entry_points)
-        raise UsageError(
-            f"--isolate: installed methods of {about.name} cannot be isolated yet. Leave it out, or start the method as"
-            " a program of its own (--method cmd:…), which can."
-        )
     if isolate:
         program = _worker(spec, installed, None)
         return replace(spec, program=program, isolation=program.fence)
@@ -129,6 +123,7 @@ def _worker(spec: MethodSpec, installed: InstalledAdapter, fit: Fit | None) -> P
         hidden=spec.hidden,
         fit=fit,
         timeout=spec.timeout,
+        benchmark=benchmark_of_group(spec.group.entry_points).name,
     )
 
 

@@ -1,33 +1,29 @@
 """Serve an installed method over the wire protocol: what ``--isolate`` starts in place of calling it.
 
-``python -m prbench.methods.worker NAME [--train FOLDER --fit FOLDER]`` reads requests from stdin and answers on
-stdout (docs/wire-protocol.md). What the method or its libraries print goes to stderr.
+``python -m prbench.methods.worker NAME [--benchmark NAME] [--train FOLDER --fit FOLDER]`` reads requests from
+stdin and answers on stdout (docs/wire-protocol.md). What the method or its libraries print goes to stderr.
 """
 
 from __future__ import annotations
 
 import argparse
-import math
+import importlib
 import os
 import sys
 from collections.abc import Sequence
+from enum import StrEnum
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
-from prbench.contract import Adapter, Condition, ConditionBatch, Motions, Trainable, TrainingRun
+from prbench.benchmarks import default_benchmark, find_benchmark
+from prbench.contract import Trainable, TrainingRun
 from prbench.engine import is_out_of_memory
 from prbench.errors import PrbenchError
 from prbench.methods.adapters import load_adapter, used_weights, weights_digest
 from prbench.methods.declared import Declared
-from prbench.methods.motions import own_copy, release_memory, told, well_formed
-from prbench.methods.remote.messages import (
-    WIRE_VERSION,
-    Header,
-    batch_of,
-    motions_payload,
-    read_message,
-    write_message,
-)
+from prbench.methods.groups import MOTIONS, MethodGroup
+from prbench.methods.motions import release_memory, told
+from prbench.methods.remote.messages import WIRE_VERSION, Header, read_message, write_message
 from prbench.methods.training_split import FIT_SEED, TrainingCopy
 from prbench.methods.users_environment import computing_threads
 
@@ -40,6 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(prog="python -m prbench.methods.worker", description=__doc__)
     parser.add_argument("name", help="of an installed method")
+    parser.add_argument("--benchmark", default=default_benchmark().name, help="that it is a method of")
     parser.add_argument("--train", type=Path, help="copy of the training rows to fit the method to")
     parser.add_argument("--fit", type=Path, help="folder of the fit")
     asked = parser.parse_args(arguments)
@@ -49,16 +46,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     settings = hello[0]
     try:
-        adapter = load_adapter(asked.name, _path(settings["weights"]), settings["options"], settings["device"])
+        group = _group(asked.benchmark)
+        weights = _path(settings["weights"])
+        adapter = load_adapter(asked.name, weights, settings["options"], settings["device"], group=group)
         if asked.train is not None and isinstance(adapter, Trainable):
             run = TrainingRun(folder=asked.fit, seed=FIT_SEED, device=settings["device"])
             adapter.fit(TrainingCopy.open(asked.train), validation=None, run=run)
-        introduction = _introduction(asked.name, adapter, _path(settings["weights"]))
+        introduction = _introduction(asked.name, adapter, weights, group)
     except (Exception, SystemExit) as error:
         write_message(answers, {"message": "error", "text": _reason(error)})
         return 1
     write_message(answers, introduction)
-    _serve(asked.name, adapter, settings["threads"], requests, answers)
+    _serve(asked.name, adapter, settings["threads"], requests, answers, group)
     return 0
 
 
@@ -75,8 +74,17 @@ def _take_streams() -> tuple[BinaryIO, BinaryIO]:
     return requests, answers
 
 
-def _introduction(name: str, adapter: Adapter, given: Path | None) -> Header:
-    declared = Declared.by(adapter, origin=f"adapter '{name}'")
+def _group(benchmark: str) -> MethodGroup:
+    """Return how methods of a benchmark are loaded and served."""
+    about = find_benchmark(benchmark)
+    if about.default:
+        return MOTIONS
+    module, _, attribute = about.value.partition(":")
+    return getattr(importlib.import_module(module), attribute).methods
+
+
+def _introduction(name: str, adapter: Any, given: Path | None, group: MethodGroup) -> Header:
+    declared = Declared.by(adapter, origin=f"adapter '{name}'", conditions=group.conditions)
     weights = {}
     for condition in sorted(declared.conditions):
         used = _weights(name, adapter, condition, given)
@@ -93,11 +101,11 @@ def _introduction(name: str, adapter: Adapter, given: Path | None) -> Header:
         "motionless": declared.motionless,
         "gaze": declared.gaze,
         "weights": weights,
-        "trainable": isinstance(adapter, Trainable),
+        "trainable": hasattr(adapter, "fit"),
     }
 
 
-def _weights(name: str, adapter: Adapter, condition: Condition, given: Path | None) -> Path | None:
+def _weights(name: str, adapter: Any, condition: StrEnum, given: Path | None) -> Path | None:
     """Return the weights used under a condition; None where the method has none."""
     try:
         used = used_weights(adapter, condition, given, origin=f"adapter '{name}'")
@@ -106,32 +114,25 @@ def _weights(name: str, adapter: Adapter, condition: Condition, given: Path | No
     return used if used is not None and used.exists() else None
 
 
-def _serve(name: str, adapter: Adapter, threads: int, requests: BinaryIO, answers: BinaryIO) -> None:
+def _serve(name: str, adapter: Any, threads: int, requests: BinaryIO, answers: BinaryIO, group: MethodGroup) -> None:
     while (message := read_message(requests)) is not None:
         header, payload = message
         assert payload is not None
-        answer, motions = _answered(name, adapter, threads, header, batch_of(header, payload))
-        write_message(answers, {**answer, "batch": header["batch"]}, motions)
+        answer, sent = _answered(name, adapter, threads, header, payload, group)
+        write_message(answers, {**answer, "batch": header["batch"]}, sent)
 
 
 def _answered(
-    name: str, adapter: Adapter, threads: int, header: Header, batch: ConditionBatch
+    name: str, adapter: Any, threads: int, header: Header, payload: bytes, group: MethodGroup
 ) -> tuple[Header, bytes | None]:
     try:
         with computing_threads(threads):
-            motions = adapter.generate(own_copy(batch), seed=header["seed"])
-        motions = well_formed(motions, batch, method=name, sequence_ids=batch.opaque_id, farthest=math.inf)
+            return group.serve(name, adapter, header, payload)
     except (Exception, SystemExit) as error:
         if not is_out_of_memory(error):
             return {"message": "error", "text": _reason(error)}, None
         release_memory()
         return {"message": "error", "text": "out of memory", "out_of_memory": True}, None
-    return _sent(motions, batch)
-
-
-def _sent(motions: Motions, batch: ConditionBatch) -> tuple[Header, bytes]:
-    passes = {} if motions.cost is None else {"network_passes": motions.cost.network_passes}
-    return {"message": "motions", **passes}, motions_payload(batch.opaque_id, motions)
 
 
 def _reason(error: BaseException) -> str:

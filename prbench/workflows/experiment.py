@@ -13,7 +13,7 @@ from pathlib import Path
 
 import msgspec
 
-from prbench.benchmarks import find_benchmark
+from prbench.benchmarks import benchmarks, find_benchmark
 from prbench.boundary import foreign_input
 from prbench.bounded import read_whole
 from prbench.errors import InputFileError, RunError, UsageError, did_you_mean
@@ -123,11 +123,6 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     def _request(self, method: ExperimentMethod, condition: str | None, seed: int) -> RunRequest:
         about = find_benchmark(self.benchmark)
-        if condition is not None and condition not in about.conditions:
-            raise UsageError(
-                f"condition '{condition}': expected one that the benchmark {about.name} has:"
-                f" {', '.join(about.conditions)}.{did_you_mean(condition, about.conditions)}"
-            )
         return RunRequest(
             method=method.name,
             benchmark=self.benchmark,
@@ -187,6 +182,16 @@ def read_experiment(path: Path) -> Experiment:
     if not experiment.methods or not experiment.seeds:
         key = "seeds" if experiment.methods else "methods"
         raise InputFileError(path, key, expected="one entry or more", found="none")
+    if experiment.benchmark not in benchmarks():
+        raise InputFileError(path, "benchmark", expected=" or ".join(benchmarks()), found=experiment.benchmark)
+    known = find_benchmark(experiment.benchmark).conditions
+    for method in experiment.methods:
+        for condition in method.conditions:
+            if condition not in known:
+                remedy = did_you_mean(condition, known).strip()
+                raise InputFileError(
+                    path, "conditions", expected=f"some of {', '.join(known)}", found=condition, remedy=remedy
+                )
     return experiment
 
 

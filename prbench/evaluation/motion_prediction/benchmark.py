@@ -6,17 +6,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import cast
 
 from prbench.errors import UsageError
-from prbench.evaluation.benchmark import Benchmark, CaseTable, Rules
+from prbench.evaluation.benchmark import Benchmark
 from prbench.evaluation.motion_prediction.cases import WindowCases, open_windows, single_windows
 from prbench.evaluation.motion_prediction.metrics import prediction_metrics
-from prbench.evaluation.motion_prediction.remote import RemotePredictor
+from prbench.evaluation.motion_prediction.remote import RemotePredictor, serve_futures
 from prbench.evaluation.motion_prediction.work import FutureWork
 from prbench.evaluation.request import RunRequest
 from prbench.methods.groups import MethodGroup
 from prbench.methods.loaded_methods import MethodSpec
+from prbench.methods.remote.method import RemoteMethod
 from prbench.metrics import MetricInfo
 from prbench.prediction.batch import Condition, Predictor
 from prbench.prediction.installed import TrainingWindows
@@ -24,10 +24,17 @@ from prbench.prediction.protocol import PredictionProtocol, load_prediction_prot
 from prbench.prediction.table import FILE_NAME, WindowsTable
 from prbench.runs.record import MethodRecord
 
-_PREDICTORS = MethodGroup("prbench.predictors", Predictor, "name, conditions and predict()", Condition, RemotePredictor)
+_PREDICTORS = MethodGroup(
+    "prbench.predictors",
+    Predictor,
+    "name, conditions and predict()",
+    Condition,
+    RemotePredictor,
+    serve_futures,
+)
 
 
-class MotionPrediction(Benchmark):
+class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
     """See :class:`prbench.evaluation.benchmark.Benchmark`."""
 
     name = "motion-prediction"
@@ -75,7 +82,7 @@ class MotionPrediction(Benchmark):
         """See :meth:`Benchmark.open_tables`."""
         return open_windows(request.data, benchmark=self.name)
 
-    def rules(self, request: RunRequest, tables: Sequence[CaseTable]) -> PredictionProtocol:
+    def rules(self, request: RunRequest, tables: Sequence[WindowsTable]) -> PredictionProtocol:
         """Prbench's own protocol; tables of another version are refused."""
         del request
         protocol = load_prediction_protocol()
@@ -87,31 +94,41 @@ class MotionPrediction(Benchmark):
                 )
         return protocol
 
-    def choose(self, request: RunRequest, tables: Sequence[CaseTable]) -> list[WindowCases]:
+    def choose(self, request: RunRequest, tables: Sequence[WindowsTable]) -> list[WindowCases]:
         """Choose windows of each table; where single ones are asked for, only of the tables that hold one."""
-        opened = cast(Sequence[WindowsTable], tables)
         if request.sequences:
-            return single_windows(opened, request.sequences, split=request.split)
-        return [WindowCases.of(table, split=request.split, limit=request.limit) for table in opened]
+            return single_windows(tables, request.sequences, split=request.split)
+        return [WindowCases.of(table, split=request.split, limit=request.limit) for table in tables]
 
-    def fitted(self, spec: MethodSpec, table: CaseTable, condition: StrEnum) -> MethodSpec:
+    def fitted(self, spec: MethodSpec, table: WindowsTable, condition: StrEnum) -> MethodSpec:
         """Show the training windows of the table to a predictor that learns and brought no weights of its own."""
         del condition
-        if spec.weights is not None or not hasattr(spec.load().adapter, "fit"):
+        adapter = spec.load().adapter
+        if spec.weights is None and isinstance(adapter, RemoteMethod) and adapter.trainable:
+            raise UsageError(
+                f"--isolate: {adapter.name} learns from the table, which it is not shown at a distance yet; leave it"
+                " out."
+            )
+        if spec.weights is not None or not hasattr(adapter, "fit"):
             return spec
         return replace(spec, fit=fit_to_training_windows, table_folder=table.folder)
 
     def work(
-        self, request: RunRequest, cases: WindowCases, *, method: MethodRecord, condition: StrEnum, rules: Rules
+        self,
+        request: RunRequest,
+        cases: WindowCases,
+        *,
+        method: MethodRecord,
+        condition: StrEnum,
+        rules: PredictionProtocol,
     ) -> FutureWork:
         """See :meth:`Benchmark.work`."""
-        protocol = cast(PredictionProtocol, rules)
-        return FutureWork(request, cases, method=method, condition=Condition(condition), protocol=protocol)
+        return FutureWork(request, cases, method=method, condition=Condition(condition), protocol=rules)
 
-    def recordings_of(self, table: CaseTable) -> dict[str, str]:
+    def recordings_of(self, table: WindowsTable) -> dict[str, str]:
         """See :meth:`Benchmark.recordings_of`."""
-        windows = cast(WindowsTable, table).windows
-        recordings = cast(WindowsTable, table).runs["recording_id"].take(windows["row"])
+        windows = table.windows
+        recordings = table.runs["recording_id"].take(windows["row"])
         return dict(zip(windows["window_id"].to_pylist(), recordings.to_pylist(), strict=True))
 
     def recording_key(self, sequence_id: str) -> str:

@@ -60,14 +60,22 @@ class WindowCases:
         """See :meth:`prbench.evaluation.benchmark.Cases.chosen`."""
         return replace(self, places=self.places[keep])
 
-    @cached_property
+    @property
     def sequence_ids(self) -> tuple[str, ...]:
         """Ids of the windows."""
+        return self._ids
+
+    @property
+    def recording_ids(self) -> tuple[str, ...]:
+        """The recording of each window."""
+        return self._recordings
+
+    @cached_property
+    def _ids(self) -> tuple[str, ...]:
         return tuple(self.table.windows["window_id"].take(self.places).to_pylist())
 
     @cached_property
-    def recording_ids(self) -> tuple[str, ...]:
-        """The recording of each window."""
+    def _recordings(self) -> tuple[str, ...]:
         rows = self.table.windows["row"].take(self.places)
         return tuple(self.table.runs["recording_id"].take(rows).to_pylist())
 

@@ -27,6 +27,8 @@ def prediction_metrics() -> tuple[MetricInfo, ...]:
         _info("mmfde", "MMFDE", main=True),
         # Spread is a merit beside a small error alone: a predictor that answers anything has most of it.
         _info("apd", "APD", main=True, better=_HIGHER, ranked=False),
+        # Of windows that end at the event alone: where no window of a table does, boards have an empty column.
+        _info("wrist_to_goal", "Wrist to goal", main=True),
         _info("ade_mean", "ADE, mean over samples"),
         _info("fde_mean", "FDE, mean over samples"),
         _info("mmade_canonical", "MMADE, own frames"),
@@ -44,7 +46,6 @@ def prediction_metrics() -> tuple[MetricInfo, ...]:
         _info("wrists_fde", "FDE, wrists"),
         _info("first_frame_jump", "First-frame jump"),
         _info("bone_error_percent", "Bone error", unit="%"),
-        _info("wrist_to_goal", "Wrist to goal"),
         _info("wrist_to_goal_mean", "Wrist to goal, mean over samples"),
         _info("wrist_to_goal_recorded", "Wrist to goal, as recorded", better=None),
         _info("pelvis_at_event", "Pelvis at event"),

@@ -15,7 +15,7 @@ from prbench.methods.remote.answers import answer_in
 from prbench.methods.remote.messages import Header, arrow_stream
 from prbench.methods.remote.method import Exchange, RemoteMethod
 from prbench.methods.remote.received import numbers_by_id
-from prbench.prediction.batch import Condition, Futures, ObservedBatch
+from prbench.prediction.batch import Condition, Futures, ObservedBatch, Predictor
 
 
 class RemotePredictor(RemoteMethod):
@@ -80,3 +80,44 @@ def _futures_in(
     size = int(np.prod(shape[1:]))
     read = partial(numbers_by_id, asked=ids, name="joints", size=size)
     return answer_in(header, payload, number, due="futures", read=read).reshape(shape)
+
+
+def serve_futures(name: str, adapter: Predictor, header: Header, payload: bytes) -> tuple[Header, bytes]:
+    """Answer a ``predict`` message for an installed predictor.
+
+    Args:
+        name: Name of the predictor.
+        adapter: The predictor.
+        header: As received.
+        payload: As received.
+
+    Returns:
+        Header, without the number of the batch, and payload of the answer.
+    """
+    with pa.ipc.open_stream(payload) as reader:
+        rows = reader.read_next_batch()
+    observed = (len(rows), header["n_observed"])
+
+    def column(column_name: str, *shape: int) -> np.ndarray | None:
+        if column_name not in rows.schema.names:
+            return None
+        return rows[column_name].flatten().to_numpy(zero_copy_only=False).reshape(*observed, *shape)
+
+    joints = column("observed_joints", len(header["joint_names"]), 3)
+    assert joints is not None
+    batch = ObservedBatch(
+        condition=Condition(header["condition"]),
+        fps=header["fps"],
+        n_future=header["n_future"],
+        joint_names=tuple(header["joint_names"]),
+        observed_joints=joints,
+        key=tuple(rows["key"].to_pylist()),
+        gaze=column("gaze", 3),
+        gaze_valid=column("gaze_valid"),
+    )
+    n_samples = header["n_samples"]
+    futures = adapter.predict(batch, n_samples=n_samples, seed=header["seed"])
+    futures.require_fits(batch, n_samples, predictor=name)
+    joints = np.asarray(futures.joints, dtype=np.float32).reshape(len(batch), -1)
+    sent = pa.FixedSizeListArray.from_arrays(pa.array(joints.reshape(-1)), joints.shape[1])
+    return {"message": "futures"}, arrow_stream({"opaque_id": rows["opaque_id"], "joints": sent})

@@ -54,9 +54,13 @@ class FutureWork(CaseWork):
         """True for the predictor that answers with recorded futures."""
         return self._method.name == NEAREST_PAST
 
-    @cached_property
+    @property
     def plan(self) -> list[Int[np.ndarray, "_"]]:
         """Windows after one another, in the order of the table; all are as long."""
+        return self._plan
+
+    @cached_property
+    def _plan(self) -> list[Int[np.ndarray, "_"]]:
         size = self._request.batch_size
         return [np.arange(start, min(start + size, len(self._cases))) for start in range(0, len(self._cases), size)]
 

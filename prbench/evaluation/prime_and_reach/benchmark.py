@@ -7,11 +7,10 @@ from contextlib import nullcontext
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import cast
 
 from prbench.contract import Condition
 from prbench.errors import AdapterError
-from prbench.evaluation.benchmark import Benchmark, CaseTable, Rules
+from prbench.evaluation.benchmark import Benchmark
 from prbench.evaluation.best_of import require_goal
 from prbench.evaluation.carry_on import require_goal_to_carry, whole_pairs
 from prbench.evaluation.planning import Selection, open_tables, select, select_sequences, supported
@@ -32,7 +31,7 @@ from prbench.sequences.folds import fold_table
 from prbench.sequences.ids import names_its_recording, recording_key
 
 
-class PrimeAndReach(Benchmark):
+class PrimeAndReach(Benchmark[SequenceTable, Selection]):
     """See :class:`prbench.evaluation.benchmark.Benchmark`."""
 
     name = PROTOCOL_NAME
@@ -56,9 +55,9 @@ class PrimeAndReach(Benchmark):
         """The user's own protocol, or prbench's."""
         return run.protocol
 
-    def copied_rules(self, rules: Rules) -> BenchmarkProtocol:
+    def copied_rules(self, rules: BenchmarkProtocol) -> BenchmarkProtocol:
         """See :meth:`Benchmark.copied_rules`; a copy of prbench's own is never written."""
-        return cast(BenchmarkProtocol, rules)
+        return rules
 
     def settled(self, request: RunRequest) -> RunRequest:
         """Turn a fold of participants into the tables that it makes."""
@@ -80,10 +79,9 @@ class PrimeAndReach(Benchmark):
         """See :meth:`Benchmark.open_tables`."""
         return open_tables(request.data)
 
-    def rules(self, request: RunRequest, tables: Sequence[CaseTable]) -> BenchmarkProtocol:
+    def rules(self, request: RunRequest, tables: Sequence[SequenceTable]) -> BenchmarkProtocol:
         """The user's own protocol, or prbench's."""
-        opened = cast(Sequence[SequenceTable], tables)
-        return protocol_for(request.protocol, (table.described_protocol for table in opened))
+        return protocol_for(request.protocol, (table.described_protocol for table in tables))
 
     def require_condition(self, request: RunRequest, condition: StrEnum) -> None:
         """Refuse to choose motions, or to carry them on, where the method is given no goal."""
@@ -91,12 +89,11 @@ class PrimeAndReach(Benchmark):
         if request.carry_on:
             require_goal_to_carry(Condition(condition))
 
-    def choose(self, request: RunRequest, tables: Sequence[CaseTable]) -> list[Selection]:
+    def choose(self, request: RunRequest, tables: Sequence[SequenceTable]) -> list[Selection]:
         """Select sequences of each table; where single ones are asked for, only of the tables that hold one."""
-        opened = cast(Sequence[SequenceTable], tables)
         if request.sequences:
-            return select_sequences(opened, request.sequences, split=request.split)
-        return [select(table, split=request.split, limit=request.limit, carry_on=request.carry_on) for table in opened]
+            return select_sequences(tables, request.sequences, split=request.split)
+        return [select(table, split=request.split, limit=request.limit, carry_on=request.carry_on) for table in tables]
 
     def answerable(self, request: RunRequest, cases: Selection, method: MethodRecord) -> Selection:
         """The sequences that are no longer than the method can generate, in whole pairs where puts carry on."""
@@ -110,28 +107,33 @@ class PrimeAndReach(Benchmark):
             )
         return selection
 
-    def fitted(self, spec: MethodSpec, table: CaseTable, condition: StrEnum) -> MethodSpec:
+    def fitted(self, spec: MethodSpec, table: SequenceTable, condition: StrEnum) -> MethodSpec:
         """See :meth:`Benchmark.fitted`."""
         del condition
-        spec = fitted_to(spec, cast(SequenceTable, table))
+        spec = fitted_to(spec, table)
         with nullcontext() if spec.fit_folder is None else in_turn(spec.fit_folder):
             spec.load()  # a fit is made here, once, and found by every worker
         return spec
 
     def work(
-        self, request: RunRequest, cases: Selection, *, method: MethodRecord, condition: StrEnum, rules: Rules
+        self,
+        request: RunRequest,
+        cases: Selection,
+        *,
+        method: MethodRecord,
+        condition: StrEnum,
+        rules: BenchmarkProtocol,
     ) -> MotionWork:
         """See :meth:`Benchmark.work`."""
-        protocol = cast(BenchmarkProtocol, rules)
-        return MotionWork(request, cases, method=method, condition=Condition(condition), protocol=protocol)
+        return MotionWork(request, cases, method=method, condition=Condition(condition), protocol=rules)
 
     def recording_key(self, sequence_id: str) -> str:
         """Dataset and recording of a sequence."""
         return recording_key(sequence_id)
 
-    def recordings_of(self, table: CaseTable) -> dict[str, str]:
+    def recordings_of(self, table: SequenceTable) -> dict[str, str]:
         """See :meth:`Benchmark.recordings_of`."""
-        rows = cast(SequenceTable, table).scalars()
+        rows = table.scalars()
         return dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
 
     def ids_tell_recordings(self, sequence_ids: Sequence[str]) -> bool:

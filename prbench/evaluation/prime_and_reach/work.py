@@ -58,9 +58,13 @@ class MotionWork(CaseWork):
         """See :attr:`CaseWork.holds_recordings`."""
         return self._request.method in HOLDS_RECORDINGS
 
-    @cached_property
+    @property
     def plan(self) -> list[Int[np.ndarray, "_"]]:
         """Batches of similar length; where puts carry on, those of the picks come first."""
+        return self._plan
+
+    @cached_property
+    def _plan(self) -> list[Int[np.ndarray, "_"]]:
         if self._carrying is None:
             return plan_batches(self._selection.n_frames, self._request.batch_size)
         return [batch for half in self._halves for batch in half]

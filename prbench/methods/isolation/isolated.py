@@ -43,6 +43,7 @@ def worker_program(
     hidden: tuple[Path, ...],
     fit: Fit | None = None,
     timeout: float | None = None,
+    benchmark: str,
 ) -> Program:
     """Return the worker that runs an installed method at a distance.
 
@@ -54,11 +55,12 @@ def worker_program(
         hidden: Folders to withhold where that is possible.
         fit: For a method that is fitted by the run.
         timeout: Seconds for a batch.
+        benchmark: Name of its benchmark.
     """
     environment = isolated_environment(users_environment()) | text_encoder(os.environ)
     # The worker finds prbench where this process found it, installed or not; it drops the variable again.
     environment["PYTHONPATH"] = os.pathsep.join(import_path())
-    words = [sys.executable, "-P", "-m", _WORKER, name]
+    words = [sys.executable, "-P", "-m", _WORKER, name, "--benchmark", benchmark]
     shown = [Shown(path) for path in (*python_folders(target), *readable_folders(environment))]
     shown += [Shown(Path(value)) for _, value in options if Path(value).is_absolute()]
     if weights is not None:

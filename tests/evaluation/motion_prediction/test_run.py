@@ -125,7 +125,7 @@ def test_a_run_scores_as_the_functions_of_motion_prediction_do(windows, tmp_path
 
 
 def test_every_score_has_a_place_in_tables():
-    assert [info.id for info in BENCHMARK.ranked_metrics] == ["ade", "fde", "mmade", "mmfde"]
+    assert [info.id for info in BENCHMARK.ranked_metrics] == ["ade", "fde", "mmade", "mmfde", "wrist_to_goal"]
     positions = [info.position for info in BENCHMARK.metrics]
     assert positions == sorted(set(positions))
 
@@ -199,7 +199,7 @@ def test_a_failure_names_method_and_windows(windows, tmp_path, predictor):
         ({"control": "shuffled-goal"}, "--control"),
         ({"best_of": 2, "condition": None}, "--best-of"),
         ({"carry_on": True}, "--carry-on"),
-        ({"isolate": True}, "installed methods of motion-prediction cannot be isolated yet"),
+        ({"method": "nearest-past", "isolate": True}, "learns from the table, which it is not shown"),
         ({"method": "mdm"}, "'mdm' is a method of the benchmark prime-and-reach"),
         ({"method": "nearest-pest"}, "'nearest-pest' is not installed"),
         ({"split": "published"}, "no window"),
@@ -226,6 +226,15 @@ def test_a_program_over_arrow_scores_as_the_same_predictor_here(windows, tmp_pat
     here = run(windows, tmp_path / "here", "zero-velocity", condition=condition)
     assert means(report) == means(here)
     assert report.folder.record.method.kind == "program"
+
+
+@pytest.mark.parametrize("condition", ["pose", "pose+gaze"])
+def test_an_isolated_predictor_scores_as_here(windows, tmp_path, predictor, condition):
+    predictor("noise")
+    apart = run(windows, tmp_path / "apart", "noise", condition=condition, isolate=True)
+    here = run(windows, tmp_path / "here", "noise", condition=condition)
+    assert means(apart) == means(here)
+    assert apart.folder.record.method.isolation in ("process", "bubblewrap")
 
 
 def test_a_program_that_answers_too_few_numbers_is_told(windows, tmp_path):
