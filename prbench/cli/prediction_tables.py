@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, SeveralValues, command, note
-from prbench.cli.options import PATH, device_option, out_folder_option, seed_option
+from prbench.cli.options import PATH, POSITIVE, device_option, limit_option, out_folder_option, seed_option
 from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 
@@ -63,9 +63,9 @@ class PredictionTablesReport(msgspec.Struct, frozen=True, kw_only=True):
     help="Windows that are scored: of the study's test split (default where there is one), of the dataset's, or each"
     " participant's, left out of what is learnt.",
 )
-@click.option("--samples", type=int, default=50, metavar="K", help="Futures of each window (default 50).")
-@click.option("--limit", type=int, metavar="N", help="At most N windows, spread evenly over the table.")
-@seed_option("the futures")
+@click.option("--samples", type=POSITIVE, default=50, metavar="K", help="Futures of each window (default 50).")
+@limit_option()
+@seed_option("of the futures")
 @device_option
 def tables(
     windows: Path,

@@ -9,7 +9,15 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, SeveralValues, command
-from prbench.cli.options import PATH, device_option, out_file_option, permission_option, seed_option
+from prbench.cli.options import (
+    PATH,
+    POSITIVE,
+    device_option,
+    limit_option,
+    out_file_option,
+    permission_option,
+    seed_option,
+)
 from prbench.cli.progress import progress
 
 if TYPE_CHECKING:
@@ -84,9 +92,9 @@ class FuturesReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option(
     "--window", "window_ids", cls=SeveralValues, metavar="ID...", help="These windows; a part of an id will do."
 )
-@click.option("--limit", type=int, default=1, metavar="N", help="Without --window: so many test windows (default 1).")
-@click.option("--samples", type=int, default=10, metavar="K", help="Futures of each predictor (default 10).")
-@seed_option("the futures")
+@limit_option("1")
+@click.option("--samples", type=POSITIVE, default=10, metavar="K", help="Futures of each predictor (default 10).")
+@seed_option("of the futures")
 @device_option
 @permission_option
 @out_file_option("Picture (.png, .svg) or page (.html).", required=True)
@@ -96,7 +104,7 @@ def view(
     conditions: tuple[str, ...],
     weights: Path | None,
     window_ids: tuple[str, ...],
-    limit: int,
+    limit: int | None,
     samples: int,
     seed: int,
     device: str,

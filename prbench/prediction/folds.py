@@ -14,6 +14,7 @@ from jaxtyping import Int
 
 from prbench.errors import UsageError
 from prbench.prediction.table import WindowsTable
+from prbench.sequences.table import by_share
 
 SplitChoice = Literal["published", "dataset", "participants"]
 """``published``: of the study; ``dataset``: of the recordings; ``participants``: each person scored once, unlearnt."""
@@ -50,6 +51,16 @@ def folds(table: WindowsTable, split: SplitChoice) -> Iterator[Fold]:
     has_training = "train" in set(table.runs["published_split" if split == "published" else "split"].to_pylist())
     train = _part(table, split, "train") if has_training else np.zeros(0, dtype=np.int64)
     yield Fold("", train, _part(table, split, "test"))
+
+
+def share_of(table: WindowsTable, places: Int[np.ndarray, " n"], limit: int | None) -> Int[np.ndarray, " m"]:
+    """At most so many windows, of every recording its share; the same that `prbench run --limit` chooses."""
+    if limit is None or limit >= len(places):
+        return places
+    ids = table.windows["window_id"].take(places).to_pylist()
+    recordings = table.runs["recording_id"].take(table.windows["row"].take(places)).to_pylist()
+    kept = set(by_share(ids, recordings)[:limit])
+    return places[[name in kept for name in ids]]
 
 
 def _part(table: WindowsTable, split: SplitChoice, part: str) -> Int[np.ndarray, " n"]:

@@ -29,7 +29,7 @@ class PublishedScore:
     """One printed number."""
 
     table: str
-    """``1``, ``2``, ``3``, or ``text`` for the diversities of section 6."""
+    """``1``, ``2``, ``3``, or ``text`` for the diversities of the running text."""
     dataset: str
     method: str
     variant: str
@@ -92,7 +92,7 @@ def load_published_scores(table: str) -> tuple[PublishedScore, ...]:
     """Read the numbers of a table in printed order.
 
     Args:
-        table: ``1``, ``2`` or ``3``; ``text`` for the diversities (APD) of section 6.
+        table: ``1``, ``2`` or ``3``; ``text`` for the diversities (APD) of the running text.
 
     Raises:
         ValueError: for another table.

@@ -12,7 +12,7 @@ import numpy as np
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import UsageError
 from prbench.prediction.batch import Condition, Futures, ObservedBatch, Predictor, ask
-from prbench.prediction.folds import Fold, default_split, folds
+from prbench.prediction.folds import Fold, default_split, folds, share_of
 from prbench.prediction.joint_sets import transform_each
 from prbench.prediction.metrics import displacements, frame_errors
 from prbench.prediction.protocol import load_prediction_protocol
@@ -44,8 +44,9 @@ class FuturesRequest:
     methods: tuple[str, ...]
     conditions: tuple[Condition, ...] = (Condition.POSE,)
     window_ids: tuple[str, ...] = ()
-    """Ids, or parts of ids that fit one window only; empty for some, spread evenly over the test split."""
-    limit: int = 1
+    """Ids, or parts of ids that fit one window only; empty for some of the test split."""
+    limit: int | None = None
+    """Windows that are shown where none is named; by default one."""
     samples: int = DEFAULT_SAMPLES
     weights: Path | None = None
     """Weights file of the method."""
@@ -58,8 +59,10 @@ class FuturesRequest:
         turn_into_paths(self, "windows", "out", "weights")
         if self.out.suffix.lower() not in (*FORMATS, ".html"):
             raise UsageError(f"{self.out}: expected a file that ends in .png, .svg or .html.")
-        if self.samples < 1 or self.limit < 1:
+        if self.samples < 1 or (self.limit is not None and self.limit < 1):
             raise UsageError(f"expected one sample and one window or more, found {self.samples} and {self.limit}.")
+        if self.window_ids and self.limit is not None:
+            raise UsageError("--window names the windows already; leave --limit out.")
         if self.weights is not None and len(self.methods) > 1:
             raise UsageError("--weights: belongs to one method; name one --method.")
         if len(self.methods) * len(self.conditions) > len(METHOD_COLOURS):
@@ -110,9 +113,7 @@ def view_futures(request: FuturesRequest, progress: Progress = lambda *_: None) 
 def _places(table: WindowsTable, fold: Fold, request: FuturesRequest) -> np.ndarray:
     """Places of the windows in table order."""
     if not request.window_ids:
-        n = min(request.limit, len(fold.test))
-        # The middle of n equal stretches.
-        return fold.test[(2 * np.arange(n) + 1) * len(fold.test) // (2 * n)]
+        return share_of(table, fold.test, request.limit or 1)
     known = table.windows["window_id"].to_pylist()
     wanted = [find_sequence_id(name, known, among=str(table.folder)) for name in request.window_ids]
     return np.sort([known.index(name) for name in wanted])

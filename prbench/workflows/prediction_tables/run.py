@@ -16,7 +16,7 @@ import prbench
 from prbench.errors import PrbenchError, UsageError
 from prbench.locks import sole_writer
 from prbench.prediction.batch import Condition
-from prbench.prediction.folds import Fold, SplitChoice, default_split, folds
+from prbench.prediction.folds import Fold, SplitChoice, default_split, folds, share_of
 from prbench.prediction.protocol import load_prediction_protocol
 from prbench.prediction.published import TableRow, load_tables
 from prbench.prediction.references import references, score_reference
@@ -61,7 +61,7 @@ class TablesRequest:
     """None for the study's where the table has one, else the dataset's."""
     samples: int = 50
     limit: int | None = None
-    """Largest number of scored windows, spread evenly over the table; None for all."""
+    """Largest number of scored windows, of every recording its share; None for all."""
     weights: Path | None = None
     """Folder with the user's weights by name."""
     runs: tuple[Path, ...] = ()
@@ -103,7 +103,7 @@ def run_tables(request: TablesRequest, progress: Progress = lambda *_: None) -> 
     split = request.split or default_split(table)
     whole = list(folds(table, split))
     scores = scores_of_runs(request.runs, table) if request.runs else {}
-    parts = _of_runs(whole, table, scores) if scores else _limited(whole, request.limit)
+    parts = _of_runs(whole, table, scores) if scores else _limited(table, whole, request.limit)
     # Similar pasts are looked for among all windows of the split, whatever the limit.
     everything = np.unique(np.concatenate([*(fold.test for fold in whole), *(fold.test for fold in parts)]))
     work = _Work(request, table, split, parts)
@@ -161,21 +161,11 @@ def _of_runs(whole: list[Fold], table: WindowsTable, scores: Mapping[str, Scores
     return [Fold("", np.setdiff1d(whole[0].train, test), test)]
 
 
-def _limited(parts: list[Fold], limit: int | None) -> list[Fold]:
-    """At most so many windows for testing in all, every part and every stretch of the table with its share."""
-    total = sum(len(fold.test) for fold in parts)
-    if limit is None or limit >= total:
-        return parts
-    kept = np.zeros(total, dtype=bool)
-    kept[np.round(np.linspace(0, total - 1, limit)).astype(int)] = True
-    found = []
-    first = 0
-    for fold in parts:
-        test = fold.test[kept[first : first + len(fold.test)]]
-        first += len(fold.test)
-        if len(test):
-            found.append(replace(fold, test=test))
-    return found
+def _limited(table: WindowsTable, parts: list[Fold], limit: int | None) -> list[Fold]:
+    """At most so many windows for testing in all."""
+    kept = share_of(table, np.sort(np.concatenate([fold.test for fold in parts])), limit)
+    found = [replace(fold, test=np.intersect1d(fold.test, kept)) for fold in parts]
+    return [fold for fold in found if len(fold.test)]
 
 
 class _Work:
