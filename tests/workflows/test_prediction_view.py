@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from prbench.errors import RedistributionError, UsageError
+from prbench.errors import AdapterError, RedistributionError, UsageError
 from prbench.prediction.batch import Condition
 from prbench.prediction.table import FILE_NAME
 from prbench.viewing.replay.future_page import FutureStage, lanes_of, n_frames_of
@@ -105,3 +105,12 @@ def test_recorded_motion_that_a_licence_keeps_is_not_drawn(windows, tmp_path):
     (kept / FILE_NAME).write_bytes(msgspec.json.encode(info | {"redistribution": "none"}))
     with pytest.raises(RedistributionError, match="--permission synthetic-walks"):
         view_futures(FuturesRequest(windows=kept, out=tmp_path / "f.svg", methods=("zero-velocity",)))
+
+
+def test_weights_that_are_not_there_and_unknown_methods_are_refused(windows, tmp_path):
+    out = tmp_path / "f.svg"
+    missing = FuturesRequest(windows=windows, out=out, methods=("x",), weights=tmp_path / "w.safetensors")
+    with pytest.raises(UsageError, match="found neither"):
+        view_futures(missing)
+    with pytest.raises(AdapterError, match="Did you mean 'zero-velocity'"):
+        view_futures(FuturesRequest(windows=windows, out=out, methods=("zero-velocty",)))

@@ -8,18 +8,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int
 
-from prbench.errors import AdapterError, UsageError, did_you_mean
-from prbench.methods.installed import entry_points_of
+from prbench.errors import UsageError
+from prbench.evaluation.benchmark import load_benchmark
+from prbench.methods.adapters import load_adapter, require_weights
 from prbench.prediction.batch import Predictor
 from prbench.prediction.predictors import ConstantVelocity, NearestPast, ZeroVelocity
 from prbench.prediction.published import TableRow
 from prbench.prediction.table import WindowsTable
 
-_GROUP = "prbench.predictors"
-"""Entry points ``load(weights, *, options, device) -> Predictor``."""
 _WITHOUT_LEARNING = {each.name: each for each in (ZeroVelocity(), ConstantVelocity())}
 _NEAREST_PAST = NearestPast.name
-BUILT_IN = (*_WITHOUT_LEARNING, _NEAREST_PAST)
 
 
 def predictor_of(
@@ -31,7 +29,8 @@ def predictor_of(
         row: What to run.
         table: The windows, from which the nearest past is learnt.
         train: Places of the windows that may be learnt from.
-        weights: Folder with the user's weights by name; None for those that come with a predictor.
+        weights: Folder with the user's weights by name, or a file or name of weights that is handed on; None for those
+            that come with a predictor.
         device: Where a network runs.
 
     Raises:
@@ -44,27 +43,8 @@ def predictor_of(
         if not len(train):
             raise UsageError(f"{row.method}: expected windows of a training split, found none in {table.folder}.")
         return NearestPast.fit(table.batches(row.condition, train))
-    return installed_predictor(row.method, _weights_of(row, weights), device=device)
-
-
-def installed_predictor(name: str, weights: Path | None, *, device: str = "cpu") -> Predictor:
-    """Load an installed predictor.
-
-    Raises:
-        AdapterError: if none of that name is installed, or it is no predictor.
-    """
-    entries = {entry.name: entry for entry in entry_points_of(_GROUP)}
-    if name not in entries:
-        known = (*BUILT_IN, *entries)
-        raise AdapterError(
-            f"predictor '{name}' is not installed.{did_you_mean(name, known)} Known: {', '.join(known)}."
-        )
-    predictor = entries[name].load()(weights, options={}, device=device)
-    if not isinstance(predictor, Predictor):
-        raise AdapterError(
-            f"predictor '{name}': expected a Predictor from its entry point, found {type(predictor).__name__}."
-        )
-    return predictor
+    group = load_benchmark("motion-prediction").methods
+    return load_adapter(row.method, _weights_of(row, weights), {}, device, group=group)
 
 
 def samples_of(predictor: Predictor, asked: int) -> int:
@@ -76,8 +56,11 @@ def samples_of(predictor: Predictor, asked: int) -> int:
     return asked
 
 
-def _weights_of(row: TableRow, folder: Path | None) -> Path | None:
-    for path in _places(row, folder):
+def _weights_of(row: TableRow, weights: Path | None) -> Path | None:
+    require_weights(weights)
+    if weights is not None and not weights.is_dir():
+        return weights
+    for path in _places(row, weights):
         if path.is_file():
             return path
     if row.is_ablation:
