@@ -22,7 +22,7 @@ from prbench_adapters.diffusion.batches import ModelBodies, SequenceNoise, parts
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser, frame_mask
 from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
-from prbench_adapters.diffusion.model import MotionModel, Reach
+from prbench_adapters.diffusion.model import Feet, MotionModel, Reach
 from prbench_adapters.diffusion.sampling import sample_ddim, sample_ddpm
 
 Precision = Literal["float32", "bfloat16"]
@@ -147,6 +147,8 @@ class SamplingSettings:
     motion by some centimetres (poses by some millimetres), otherwise in another batch, so float32 is the default."""
     reach: Reach = "predicted"
     """``goal`` leads the nearer wrist to a goal location within the last half second, in closed form."""
+    feet: Feet = "steps"
+    """``steps`` lets the feet of goal-frame features stand or swing; ``predicted`` leaves them as they are."""
 
 
 def generate(model: MotionModel, batch: ConditionBatch, settings: SamplingSettings) -> Motions:
@@ -201,4 +203,6 @@ def _sample(
         clean = sample_ddim(denoise, model.schedule, start, steps=settings.steps)
     else:
         clean = sample_ddpm(denoise, model.schedule, start, lambda _: noise.draw(columns), steps=settings.steps)
-    return model.joints(clean, condition, torch.as_tensor(n_frames), reach=settings.reach).cpu().numpy(), denoise.passes
+    lengths = torch.as_tensor(n_frames)
+    joints = model.joints(clean, condition, lengths, reach=settings.reach, feet=settings.feet)
+    return joints.cpu().numpy(), denoise.passes

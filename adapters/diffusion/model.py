@@ -26,6 +26,7 @@ _MOST_TEXTS = 65_536
 """Kept at once; of Nymeria's narrations in DistilBERT's vectors these are about 3 GB."""
 KIND = "denoiser"
 Reach = Literal["predicted", "goal"]
+Feet = Literal["steps", "predicted"]
 """Where a motion ends: as the network predicts it, or with a wrist at the goal."""
 
 
@@ -173,16 +174,16 @@ class MotionModel:
         n_frames: Int[torch.Tensor, " batch"],
         *,
         reach: Reach = "predicted",
+        feet: Feet = "steps",
     ) -> Float[torch.Tensor, "batch frames 22 3"]:
         """Joints of standardised features, canonical frame, metres; differentiable, in float32 at least.
-
-        With goal-frame features, feet that the network says are planted stay where they are.
 
         Args:
             normalised: As the network makes them.
             condition: What it was told: goal-frame features are measured from it.
             n_frames: Valid frames of each row.
             reach: ``goal`` leads a wrist to the goal at the end, which takes goal-frame features.
+            feet: ``steps`` lets the feet of goal-frame features stand or swing; ``predicted`` leaves them as they are.
         """
         # Decoding sums up over frames, for which half precision is too coarse.
         features = normalised if normalised.dtype == torch.float64 else normalised.float()
@@ -190,7 +191,8 @@ class MotionModel:
         if self.configuration.features == "humanml3d":
             return decode(smoothed(features, n_frames) if self.configuration.smoothed else features)
         frame = goal_frame(condition, features)
-        return frame.decode(features, n_frames, self.configuration.fps, steps=True, reach=reach == "goal")
+        fps = self.configuration.fps
+        return frame.decode(features, n_frames, fps, steps=feet == "steps", reach=reach == "goal")
 
 
 def network(configuration: DenoiserConfiguration) -> Denoiser | FrameDenoiser:

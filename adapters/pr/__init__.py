@@ -33,7 +33,8 @@ _MODES = ("fast", "paper", "off")
 _BONES = ("predicted", "initial")
 _OBSTACLES = ("ignore", "avoid")
 _GAZE = ("head", "eyes")
-_SAMPLING_ALONE = ("sampler", "steps", "reach")
+_SAMPLING_ALONE = ("sampler", "steps", "reach", "feet")
+_OF_GOAL_FRAMES = {"reach": "goal", "feet": "predicted"}  # choices that other features do not have
 
 
 @dataclass(frozen=True)
@@ -134,8 +135,9 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
 
     Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the other
     ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`; without optimisation
-    ``sampler`` (ddpm, ddim, or one-pass for weights of one to four steps, which needs no ``optimise=off``), ``steps``
-    and ``reach`` (predicted, or goal: a wrist is led to a goal location at the end); ``guidance`` (1); ``bones``
+    ``sampler`` (ddpm, ddim, or one-pass for weights of one to four steps, which needs no ``optimise=off``), ``steps``,
+    ``reach`` (predicted, or goal: a wrist is led to a goal location at the end) and ``feet`` (steps: they stand or
+    swing; or predicted: as the network has them); ``guidance`` (1); ``bones``
     (predicted, or initial for the initial pose's lengths); ``obstacles`` (ignore, or avoid: finished motions are led
     around the scene's boxes); ``text-path`` (files of the text encoder, if the weights need one that has some);
     ``gaze`` (head, or eyes: motions with gaze) and ``gaze-weights`` (file or folder that ``prbench train --method pr
@@ -156,7 +158,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     from prbench_adapters.diffusion.noise_optimisation.settings import PRIME_AND_REACH_OPTIONS
     from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known
 
-    own = ("optimise", "text-path", "reach", "obstacles", "gaze", "gaze-weights")
+    own = ("optimise", "text-path", "reach", "feet", "obstacles", "gaze", "gaze-weights")
     require_known(options, (*own, *SAMPLING_OPTIONS, *PRIME_AND_REACH_OPTIONS))
     if weights is None:
         paths = {condition: resolve(None, name) for condition, name in DEFAULT_WEIGHTS.items()}
@@ -219,9 +221,10 @@ def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Co
             f"weights {path}: expected a model of goal {' or '.join(wanted)}, found one of goal"
             f" '{model.configuration.goal}'. Choose weights that `prbench train --method pr --stage finetune` made."
         )
-    if options.get("reach") == "goal" and model.configuration.features != "goal-frame":
+    idle = [key for key, value in _OF_GOAL_FRAMES.items() if options.get(key) == value]
+    if idle and model.configuration.features != "goal-frame":
         raise AdapterError(
-            f"option 'reach': weights {path}: expected a model of goal-frame features, found one of"
+            f"option '{idle[0]}': weights {path}: expected a model of goal-frame features, found one of"
             f" {model.configuration.features}. Leave the option out, or choose other weights."
         )
     if options.get("sampler") == ONE_PASS:
@@ -271,7 +274,7 @@ def _require_few_steps(model: MotionModel, path: Path) -> None:
 
 def _generation(options: Mapping[str, str], configuration: DenoiserConfiguration) -> Generation:
     """Turn the options into settings for a model, checked before anything is generated."""
-    from prbench_adapters.diffusion.model import Reach
+    from prbench_adapters.diffusion.model import Feet, Reach
     from prbench_adapters.diffusion.noise_optimisation.settings import (
         PRIME_AND_REACH_OPTIONS,
         fast,
@@ -292,7 +295,9 @@ def _generation(options: Mapping[str, str], configuration: DenoiserConfiguration
         samplers = (*SAMPLERS, ONE_PASS)
         sampling = sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=steps, samplers=samplers)
         reach = cast(Reach, choice(options, "reach", get_args(Reach)))
-        return Generation(replace(sampling, reach=reach), own_bones=choice(options, "bones", _BONES) == "initial")
+        feet = cast(Feet, choice(options, "feet", get_args(Feet)))
+        own_bones = choice(options, "bones", _BONES) == "initial"
+        return Generation(replace(sampling, reach=reach, feet=feet), own_bones=own_bones)
     idle = [key for key in _SAMPLING_ALONE if key in options]
     if idle:
         raise ValueError(

@@ -175,10 +175,11 @@ def _draw_arrow(axes: Axes, scene: Scene, joints: Float[np.ndarray, "22 3"], *, 
 
 def _draw_gaze(axes: Axes, scene: Scene, frame: int) -> None:
     """Draw the gaze at the prime as a line, and a cross where it passes the goal."""
-    if scene.gaze is None or scene.goal is None or not scene.gaze.valid[frame]:
+    gaze = scene.motions[0].gaze
+    if gaze is None or scene.goal is None or not gaze.valid[frame]:
         return
-    origin = scene.gaze.origin[frame]
-    direction = scene.gaze.direction[frame]
+    origin = gaze.origin[frame]
+    direction = gaze.direction[frame]
     along = max(float((scene.goal.location - origin) @ direction), 0.0)
     begin, end = _flat(scene, np.stack([origin, origin + along * direction]))
     axes.plot([begin[0], end[0]], [begin[1], end[1]], color=_GAZE, linewidth=1.2, linestyle="--")

@@ -51,9 +51,10 @@ def test_the_motion_depends_on_its_goal(weights, condition):
     assert _largest_change(_generate(adapter, condition), _generate(adapter, condition, **{field: moved})) > 1e-3
 
 
-def test_a_wrist_is_led_to_the_goal_only_by_weights_that_can(weights):
-    with pytest.raises(AdapterError, match=r"option 'reach'.* expected a model of goal-frame features"):
-        load(weights[Condition.GOAL_LOCATION], options={**SAMPLING, "reach": "goal"}, device="cpu")
+@pytest.mark.parametrize(("key", "value"), [("reach", "goal"), ("feet", "predicted")])
+def test_arms_and_feet_are_chosen_only_with_weights_that_can(weights, key, value):
+    with pytest.raises(AdapterError, match=f"option '{key}'.* expected a model of goal-frame features"):
+        load(weights[Condition.GOAL_LOCATION], options={**SAMPLING, key: value}, device="cpu")
 
 
 @pytest.fixture(scope="module")

@@ -28,6 +28,7 @@ from prbench.viewing.replay.parts import (
     draw_dots,
     draw_goal,
     extent,
+    gaze_style,
     head_rays,
     limit_top_view,
     mark_times,
@@ -35,7 +36,7 @@ from prbench.viewing.replay.parts import (
     side_view,
     top_view,
 )
-from prbench.viewing.replay.scene import RECORDED, Goal, Progress, Scene, ShownMotion
+from prbench.viewing.replay.scene import Goal, Progress, Scene, ShownMotion
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -210,8 +211,9 @@ class FilmStage:
             values = measure(motion, goal, scene.head_tilt_deg)
             ray.plot(scene.times, values.head_distance, color=motion.colour, linewidth=1.3)
             wrist.plot(scene.times, values.wrist_distance, color=motion.colour, linewidth=1.3)
-        if scene.gaze is not None:
-            ray.plot(scene.times, gaze_distance(scene.gaze, goal), color=GAZE_COLOUR, linewidth=0.9, zorder=1.5)
+            if motion.gaze is not None:
+                style = {"linewidth": 0.9, "zorder": 1.5, **gaze_style(motion)}
+                ray.plot(scene.times, gaze_distance(motion.gaze, goal), **style)
         limits = scene.thresholds.prime_distance, scene.thresholds.reach_distance
         titles = "goal to head ray (m)", "goal to nearer wrist (m)"
         for panel, limit, title, what in zip((ray, wrist), limits, titles, ("primed", "reached"), strict=True):
@@ -234,10 +236,10 @@ class FilmStage:
         points = flat(motion.joints)
         head_segments = flat(head_rays(motion.joints, scene.head_tilt_deg, goal, _LONGEST_RAY))
         self._add_ray(panel, head_segments, {"color": motion.colour, "linewidth": 1.2, "linestyle": (0, (4, 2))})
-        if motion.label == RECORDED and scene.gaze is not None:
-            segments = flat(rays(scene.gaze.origin, scene.gaze.direction, goal, _LONGEST_RAY))
+        if motion.gaze is not None:
+            segments = flat(rays(motion.gaze.origin, motion.gaze.direction, goal, _LONGEST_RAY))
             # A line to NaN is not drawn, which hides the ray where the gaze is not valid.
-            segments = np.where(scene.gaze.valid[:, None, None], segments, np.nan)
+            segments = np.where(motion.gaze.valid[:, None, None], segments, np.nan)
             self._add_ray(panel, segments, {"color": GAZE_COLOUR, "linewidth": 1.6})
         lines, head = draw_bodies(panel, points[:1], motion.colour)
         bones = bone_segments(points)

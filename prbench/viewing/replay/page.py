@@ -174,8 +174,8 @@ def overlay_box(notices: Iterable[str], key: Iterable[tuple[str, str]], parts: I
 
 def _key(scenes: Sequence[Scene]) -> list[tuple[str, str]]:
     entries = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", MARK_COLOUR)]
-    if any(scene.gaze is not None for scene in scenes):
-        entries.append(("recorded gaze", GAZE_COLOUR))
+    if any(motion.gaze is not None for scene in scenes for motion in scene.motions):
+        entries.append(("gaze", GAZE_COLOUR))
     if any(scene.goal is not None for scene in scenes):
         entries.append(("goal and its box", GOAL_COLOUR))
     return entries

@@ -22,7 +22,7 @@ from prbench.viewing.replay.parts import (
     rays,
     rgb,
 )
-from prbench.viewing.replay.scene import RECORDED, Scene, ShownMotion
+from prbench.viewing.replay.scene import Scene, ShownMotion
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -137,11 +137,11 @@ class _Body:
             "left": (bones[:, ~IS_THICK], colour, 0.016),
             "head_ray": (head_rays(joints, scene.head_tilt_deg, goal, _LONGEST_RAY)[:, None], colour, 0.008),
         }
-        if motion.label == RECORDED and scene.gaze is not None:
-            origin = scene.gaze.origin + offset
-            gaze = rays(origin, scene.gaze.direction, goal, _LONGEST_RAY)
+        if motion.gaze is not None:
+            origin = motion.gaze.origin + offset
+            gaze = rays(origin, motion.gaze.direction, goal, _LONGEST_RAY)
             # A ray without length where the gaze is not valid: the viewer shows no NaN.
-            gaze = np.where(scene.gaze.valid[:, None, None], gaze, origin[:, None])
+            gaze = np.where(motion.gaze.valid[:, None, None], gaze, origin[:, None])
             segments["gaze"] = (gaze[:, None], rgb(GAZE_COLOUR), 0.012)
         self._moving = [
             (

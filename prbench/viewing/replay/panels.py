@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,6 +19,7 @@ from prbench.viewing.replay.parts import (
     draw_bodies,
     draw_dots,
     draw_goal,
+    gaze_style,
     head_rays,
     limit_top_view,
     mark_times,
@@ -83,9 +84,9 @@ def _draw_rays(
     goal = scene.goal_location
     for ray in flat(head_rays(motion.joints[frames], scene.head_tilt_deg, goal, _LONGEST_RAY)):
         axes.plot(*ray.T, color=motion.colour, linewidth=1.0, linestyle=(0, (4, 2)), zorder=2)
-    if motion.label == RECORDED and scene.gaze is not None:
-        segments = flat(rays(scene.gaze.origin[frames], scene.gaze.direction[frames], goal, _LONGEST_RAY))
-        for ray in segments[scene.gaze.valid[frames]]:
+    if motion.gaze is not None:
+        segments = flat(rays(motion.gaze.origin[frames], motion.gaze.direction[frames], goal, _LONGEST_RAY))
+        for ray in segments[motion.gaze.valid[frames]]:
             axes.plot(*ray.T, color=GAZE_COLOUR, linewidth=1.3, zorder=2)
 
 
@@ -150,10 +151,6 @@ def draw_way(axes: Axes, scene: Scene, frames: Int[np.ndarray, " poses"]) -> Non
         draw_dots(axes, top_view(scene.surroundings))
     for motion in scene.motions:
         _draw_motion(axes, scene, motion, frames)
-    at_prime = [scene.prime_frame]
-    if scene.gaze is not None and scene.gaze.valid[scene.prime_frame]:
-        ray = rays(scene.gaze.origin[at_prime], scene.gaze.direction[at_prime], scene.goal_location, _RAY)
-        axes.plot(*top_view(ray)[0].T, color=GAZE_COLOUR, linewidth=1.5)
     if scene.goal is not None:
         corners = top_view(scene.goal.box_corners)
         draw_goal(axes, corners, top_view(scene.goal.location), linewidth=1.0, markersize=5.0, zorder=5)
@@ -171,6 +168,10 @@ def _draw_motion(axes: Axes, scene: Scene, motion: ShownMotion, frames: Int[np.n
         axes.plot(*tick.T, color=motion.colour, linewidth=0.8)
     ray = head_rays(motion.joints[[scene.prime_frame]], scene.head_tilt_deg, scene.goal_location, _RAY)
     axes.plot(*top_view(ray)[0].T, color=motion.colour, linewidth=1.1, linestyle=(0, (4, 2)))
+    if motion.gaze is not None and motion.gaze.valid[scene.prime_frame]:
+        at_prime = [scene.prime_frame]
+        ray = rays(motion.gaze.origin[at_prime], motion.gaze.direction[at_prime], scene.goal_location, _RAY)
+        axes.plot(*top_view(ray)[0].T, linewidth=1.5, **gaze_style(motion))
     draw_bodies(axes, top_view(motion.joints[[-1]]), motion.colour, alpha=0.45)
     for frame, mark, size in ((0, "o", 5), (scene.prime_frame, "D", 6), (-1, "*", 11)):
         axes.plot(*path[frame], mark, color=motion.colour, markersize=size, markeredgecolor="white", zorder=6)
@@ -191,10 +192,10 @@ def draw_curves(panels: tuple[Axes, Axes, Axes], scene: Scene, goal: Goal) -> No
         for panel, curve in zip(panels, (values.head_distance, values.head_angle, values.wrist_distance), strict=True):
             panel.plot(scene.times, curve, color=motion.colour, linewidth=1.5)
             highest[panel] = max(highest[panel], float(curve.max()))
-    if scene.gaze is not None:
-        style: dict[str, Any] = {"color": GAZE_COLOUR, "linewidth": 1.0, "zorder": 1.5}
-        ray.plot(scene.times, gaze_distance(scene.gaze, goal), **style)
-        angle.plot(scene.times, gaze_angle(scene.gaze, goal), **style)
+        if motion.gaze is not None:
+            style = {"linewidth": 1.0, "zorder": 1.5, **gaze_style(motion)}
+            ray.plot(scene.times, gaze_distance(motion.gaze, goal), **style)
+            angle.plot(scene.times, gaze_angle(motion.gaze, goal), **style)
     ray.axhline(scene.thresholds.prime_distance, color=MARK_COLOUR, linewidth=0.8, linestyle=":")
     wrist.axhline(scene.thresholds.reach_distance, color=MARK_COLOUR, linewidth=0.8, linestyle=":")
     titles = (

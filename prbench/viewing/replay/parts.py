@@ -6,14 +6,14 @@ The colours can be told apart with any kind of colour vision (Okabe and Ito's se
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
 from prbench.skeleton import BONES, Joint, head_forward
 from prbench.viewing.figures import draw_box
-from prbench.viewing.replay.scene import Scene
+from prbench.viewing.replay.scene import RECORDED, Scene, ShownMotion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,6 +41,13 @@ _LINE_WIDTHS = np.where(IS_THICK, 2.1, 0.9)  # points
 def rgb(colour: str) -> tuple[int, int, int]:
     """Return red, green and blue, 0 to 255, of ``#rrggbb``."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def gaze_style(motion: ShownMotion) -> dict[str, Any]:
+    """Return how the gaze of one of several motions is drawn in a panel that they share."""
+    if motion.label == RECORDED:
+        return {"color": GAZE_COLOUR}
+    return {"color": motion.colour, "linestyle": ":"}
 
 
 def bone_segments(points: Float[np.ndarray, "*poses 22 k"]) -> Float[np.ndarray, "*poses 21 2 k"]:

@@ -77,6 +77,14 @@ class RunMotions:
             raise PredictionsError(f"{self.files.predictions}, {sequence_id}: expected finite positions, found NaN.")
         return joints
 
+    def gaze(self, sequence_id: str) -> Gaze | None:
+        """Read the gaze that was generated with a motion; None where the run has none."""
+        rays = self.predictions.motions([sequence_id], self.sample).gaze
+        if rays is None:
+            return None
+        origin, direction = rays.astype(np.float64).swapaxes(0, 1)
+        return Gaze(origin, direction, np.ones(len(rays), dtype=bool))
+
     def scores(self, sequence_ids: Sequence[str]) -> Mapping[str, Mapping[str, float]]:
         """Map each sequence id to its metric values; to none for a run that was interrupted before it was scored.
 
@@ -138,7 +146,9 @@ def read_scenes(
     chunks = {chunk.sequence_ids[0]: chunk for chunk in table.chunks(ids=frozenset(sequence_ids), rows=1)}
     for name in sequence_ids:
         motions = [
-            ShownMotion(run.label, colour, run.joints(name, int(chunks[name].n_frames[0])), values[name])
+            ShownMotion(
+                run.label, colour, run.joints(name, int(chunks[name].n_frames[0])), values[name], run.gaze(name)
+            )
             for run, colour, values in zip(runs, METHOD_COLOURS, scores, strict=False)
         ]
         yield scene_of(chunks[name], table.info, motions, permitted=permitted, around=around, constants=constants)
@@ -181,7 +191,8 @@ def scene_of(
     gaze = gaze_of(chunk)
     placed = info.why_not_scored is None  # else the goal's frame is unknown, so that no distance means anything
     scores = _own_scores(chunk, gaze, constants) if placed else {}
-    recorded = ShownMotion(RECORDED, RECORDED_COLOUR, chunk.joints.astype(np.float64), scores)
+    eyes = gaze if gaze.valid.any() else None
+    recorded = ShownMotion(RECORDED, RECORDED_COLOUR, chunk.joints.astype(np.float64), scores, eyes)
     return Scene(
         sequence_id=chunk.sequence_ids[0],
         dataset=info.dataset,
@@ -194,7 +205,6 @@ def scene_of(
         motions=(recorded, *motions) if shown else tuple(motions),
         thresholds=constants,
         goal=goal_of(chunk) if shown and placed else None,
-        gaze=gaze if shown and gaze.valid.any() else None,
         notice=notice(info, permitted),
         surroundings=around(chunk) if shown and around is not None else None,
     )

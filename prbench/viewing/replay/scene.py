@@ -20,6 +20,16 @@ Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, eq=False)
+class Gaze:
+    """One ray a frame, canonical frame, metres."""
+
+    origin: Float[np.ndarray, "n 3"]
+    direction: Float[np.ndarray, "n 3"]
+    """Unit vectors."""
+    valid: Bool[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
 class ShownMotion:
     """One motion of a sequence: the recorded one, or what a method made of it."""
 
@@ -30,16 +40,8 @@ class ShownMotion:
     """Canonical frame, metres."""
     scores: Mapping[str, float] = field(default_factory=dict)
     """Maps metric ids to values; rates are 0 or 1. Empty if the motion was not scored."""
-
-
-@dataclass(frozen=True, eq=False)
-class Gaze:
-    """Recorded gaze: one ray a frame, canonical frame, metres."""
-
-    origin: Float[np.ndarray, "n 3"]
-    direction: Float[np.ndarray, "n 3"]
-    """Unit vectors."""
-    valid: Bool[np.ndarray, " n"]
+    gaze: Gaze | None = None
+    """Recorded with the motion, or generated with it; None for a motion without eyes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +75,6 @@ class Scene:
     """The protocol's limits of priming and reaching, drawn beside the measured values."""
     goal: Goal | None = None
     """None where the recorded motion is withheld, and where the goal's place is unknown."""
-    gaze: Gaze | None = None
-    """None where the recorded motion is withheld, and where the table has no valid gaze."""
     notice: str = ""
     """Sentence that the dataset's terms ask a view to show."""
     surroundings: Float[np.ndarray, "k 3"] | None = None

@@ -15,7 +15,7 @@ from prbench.viewing.figures import new_figure, write_png
 from prbench.viewing.replay.measures import HEADER, score_row
 from prbench.viewing.replay.panels import draw_curves, draw_strip, draw_way
 from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR, METHOD_COLOURS, SURROUNDINGS_COLOUR
-from prbench.viewing.replay.scene import Progress, Scene
+from prbench.viewing.replay.scene import RECORDED, Progress, Scene
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -176,8 +176,12 @@ def _draw_key(axes: Axes, scene: Scene) -> None:
         Line2D([], [], linewidth=2.1, label="right limbs and trunk (left: thin)", **grey),
         Line2D([], [], linewidth=1.1, linestyle=(0, (4, 2)), label="head ray", **grey),
     ]
-    if scene.gaze is not None:
-        handles.append(Line2D([], [], linewidth=1.5, color=GAZE_COLOUR, label="recorded gaze"))
+    with_gaze = [motion for motion in scene.motions if motion.gaze is not None]
+    if with_gaze:
+        handles.append(Line2D([], [], linewidth=1.5, color=GAZE_COLOUR, label="gaze"))
+    if any(motion.label != RECORDED for motion in with_gaze):
+        dotted: dict[str, Any] = {"linewidth": 1.5, "linestyle": ":", **grey}
+        handles.append(Line2D([], [], label="generated gaze (from above, curves)", **dotted))
     if scene.goal is not None:
         handles.append(Line2D([], [], marker="s", linestyle="", color=GOAL_COLOUR, label="goal and its box"))
     handles += [

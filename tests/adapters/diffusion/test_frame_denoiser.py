@@ -150,6 +150,17 @@ def test_weights_are_written_and_read_back(data, tmp_path):
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-6)
 
 
+def test_feet_can_stay_as_the_network_has_them_and_nothing_above_the_knees_changes(data):
+    model = _model(_module(data))
+    batch = _batch(n_frames=(31,))
+    stepping = generate(model, batch, SAMPLING).joints
+    gliding = generate(model, batch, dataclasses.replace(SAMPLING, feet="predicted")).joints
+    moved = np.abs(stepping - gliding).max(axis=(0, 1, 3))
+    legs = [joint for joint in Joint if joint.name.endswith(("KNEE", "ANKLE", "FOOT"))]
+    assert moved[legs].max() > 0.01
+    assert np.delete(moved, legs).max() < 1e-5
+
+
 def test_a_wrist_can_be_led_to_the_goal_and_noise_can_be_optimised(data):
     model = _model(_module(data))
     batch = _batch(n_frames=(31,))

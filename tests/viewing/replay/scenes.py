@@ -24,19 +24,27 @@ def walking(n_frames: int = N_FRAMES, *, sideways: float = 0.0) -> np.ndarray:
 
 
 def a_scene(
-    *labels: str, n_frames: int = N_FRAMES, fps: float = 20.0, recorded: bool = True, notice: str = ""
+    *labels: str,
+    n_frames: int = N_FRAMES,
+    fps: float = 20.0,
+    recorded: bool = True,
+    notice: str = "",
+    with_eyes: bool = False,
 ) -> Scene:
-    """A recorded walk to a goal 2 m ahead, with a method's motion for every label."""
+    """A recorded walk to a goal 2 m ahead, with a method's motion for every label, which may have gaze as well."""
     scores = {"prime_success": 1.0, "reach_success": 0.0, "goal_mpjpe": 0.123, "location_error": 1.0, "mpjpe": 1.5}
+    valid = np.ones(n_frames, dtype=bool)
+    ahead = np.tile([0.0, 0.0, 1.0], (n_frames, 1))
+    eyes = Gaze(walking(n_frames, sideways=0.2)[:, 15], ahead, valid) if with_eyes else None
     motions = [
-        ShownMotion(label, colour, walking(n_frames, sideways=0.2 * (number + 1)), scores)
+        ShownMotion(label, colour, walking(n_frames, sideways=0.2 * (number + 1)), scores, eyes)
         for number, (label, colour) in enumerate(zip(labels, METHOD_COLOURS, strict=False))
     ]
-    own = ShownMotion(RECORDED, RECORDED_COLOUR, walking(n_frames), {"prime_success": 0.0, "reach_success": 1.0})
+    seen = valid.copy()
+    seen[3:4] = False  # a gap, where there are that many frames
+    gaze = Gaze(walking(n_frames)[:, 15], ahead, seen)
+    own = ShownMotion(RECORDED, RECORDED_COLOUR, walking(n_frames), {"prime_success": 0.0, "reach_success": 1.0}, gaze)
     location = np.array([0.1, 1.0, 2.0])
-    eye = walking(n_frames)[:, 15]
-    valid = np.ones(n_frames, dtype=bool)
-    valid[3:4] = False  # a gap, where there are that many frames
     return Scene(
         sequence_id="made-up/recording_with_a_long_name_000/4508463855879675/pick/50.000000/fake-body-source",
         dataset="made-up",
@@ -51,6 +59,5 @@ def a_scene(
             load_protocol().metrics, prime_distance=0.25, prime_window=1.0, reach_distance=0.10
         ),
         goal=Goal(location, location + _CORNERS) if recorded else None,
-        gaze=Gaze(eye, np.tile([0.0, 0.0, 1.0], (n_frames, 1)), valid) if recorded else None,
         notice=notice,
     )

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.text import Text
 
 from prbench.errors import StorageError
@@ -57,6 +58,16 @@ def test_every_motion_gaze_and_goal_is_drawn_in_its_colour(tmp_path):
         assert near.sum() > 50, colour
     absent = np.abs(pixels - rgb(METHOD_COLOURS[2])).max(axis=-1) < 12
     assert not absent.any()
+
+
+def test_generated_gaze_is_drawn_as_the_recorded_one_is():
+    def gaze_lines(figure: Figure) -> int:
+        return sum(line.get_color() == GAZE_COLOUR for line in figure.findobj(Line2D))
+
+    without, with_eyes = (_drawn(a_scene("pr, goal-loc", with_eyes=eyes)) for eyes in (False, True))
+    assert gaze_lines(with_eyes) == gaze_lines(without) + len(chosen_frames(a_scene()))
+    words = [" ".join(text.get_text() for text in figure.findobj(Text)) for figure in (without, with_eyes)]
+    assert ["generated gaze" in each for each in words] == [False, True]
 
 
 def test_colours_stay_apart_for_eyes_without_red_or_green_receptors():

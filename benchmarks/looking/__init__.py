@@ -1,1 +1,0 @@
-"""How well a head's elevation follows from the condition, and what its error weighs in the loss of training."""
