@@ -5,6 +5,7 @@ Source: docs/specification/prediction-baselines.md#dlow-sampler.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -13,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from prbench_adapters.prediction.cvae import CVAE
-from prbench_adapters.prediction.recurrent import Perceptron, gaussian_kl, last_state
+from prbench_adapters.prediction.recurrent import Perceptron, gaussian_kl, last_state, latent_noise
 
 _SMALLEST_VARIANCE = 1e-12
 _VALUES_OF_HUMANEVA = 42
@@ -90,6 +91,26 @@ class DLow(nn.Module):
         """All K futures in metres of one noise vector a window."""
         scale, shift = self.maps(observed)
         return self.cvae.decode(observed, scale * noise[:, None] + shift)
+
+    @torch.no_grad()
+    def predict(
+        self, observed: Float[Tensor, "windows observed joints 3"], seeds: Sequence[Sequence[int]]
+    ) -> Float[Tensor, "windows samples predicted joints 3"]:
+        """Draw all K continuations of each window, metres.
+
+        Args:
+            observed: Joints, metres.
+            seeds: K seeds for each window, of which the first decides: one noise vector makes all samples.
+
+        Raises:
+            ValueError: for another number of samples than K.
+        """
+        wanted = self.configuration.n_samples
+        found = sorted({len(row) for row in seeds})
+        if found != [wanted]:
+            raise ValueError(f"expected {wanted} samples of each window, which are one design, found {found}")
+        noise = latent_noise([row[:1] for row in seeds], self.cvae.configuration.latent, observed)
+        return self.decode(observed, noise[:, 0])
 
     def loss(
         self,
