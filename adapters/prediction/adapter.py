@@ -18,7 +18,7 @@ from jaxtyping import Float
 from prbench.errors import AdapterError, UsageError
 from prbench.prediction.batch import Condition, Futures, ObservedBatch, sample_generator
 from prbench.prediction.joint_sets import invert_each, rotations_alone, transform_each
-from prbench.training.weights import Weights, read_weights
+from prbench.training.weights import read_weights
 from prbench_adapters.diffusion.bundled import bundled_names, bundled_weights, resolve
 from prbench_adapters.diffusion.model import torch_device
 from prbench_adapters.diffusion.options import choice, number, require_known, whole_number
@@ -132,7 +132,9 @@ class LearnedPredictor:
         try:
             measured = held(torch.from_numpy(turned), torch.from_numpy(batch.gaze_valid)).numpy()
         except ValueError as error:
-            raise AdapterError(f"{self.name}: {error}. Choose windows with measured gaze, or another condition.") from error
+            raise AdapterError(
+                f"{self.name}: {error}. Choose windows with measured gaze, or another condition."
+            ) from error
         latest = np.searchsorted(times, own_times + _SAME_TIME, side="right") - 1
         return measured[:, np.maximum(latest, 0)]
 
@@ -186,7 +188,7 @@ def load_predictor(name: str, weights: Path | None, *, options: Mapping[str, str
     loaded = []
     for path in _paths(name, weights):
         file = read_weights(path, kind=name)
-        record = _with_options(file, file.configuration(RECORDS[name]), options)
+        record = _with_options(file.configuration(RECORDS[name]), options)
         loaded.append(Loaded(path, record.windows, network_of(file, record).to(where, precision)))
     return LearnedPredictor(name, loaded)
 
@@ -204,7 +206,7 @@ def _paths(name: str, weights: Path | None) -> list[Path]:
     return [bundled_weights(each, folder) for each in own]
 
 
-def _with_options(file: Weights, record: PredictorRecord, options: Mapping[str, str]) -> PredictorRecord:
+def _with_options(record: PredictorRecord, options: Mapping[str, str]) -> PredictorRecord:
     """The record with another number of sampling steps or guidance, which change no tensor."""
     if not isinstance(record, DiffusionRecord):
         return record

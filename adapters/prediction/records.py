@@ -1,4 +1,4 @@
-"""What the header of a predictor's weights file says: the windows that it learnt from, and the sizes of its networks."""
+"""Headers of the predictors' weights files: the windows that they learnt from, and the sizes of the networks."""
 
 from __future__ import annotations
 

@@ -63,9 +63,7 @@ class PoseDecoder(nn.Module):
         return torch.stack(poses, dim=1)
 
 
-def latent_noise(
-    seeds: Sequence[Sequence[int]], size: int, like: Tensor
-) -> Float[Tensor, "windows samples size"]:
+def latent_noise(seeds: Sequence[Sequence[int]], size: int, like: Tensor) -> Float[Tensor, "windows samples size"]:
     """Standard normal noise, each sample's from its own seed and nothing else.
 
     Args:

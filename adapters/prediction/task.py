@@ -124,7 +124,7 @@ def diffusion(request: Request) -> DiffusionTraining:
         raise UsageError(f"model.preset: expected one of {', '.join(own)}, found '{name}'.")
     seen = request.seen
     if name == "no-gaze" and seen.condition is not Condition.POSE:
-        raise UsageError("model.preset: 'no-gaze' predicts from the body alone; add --set model.windows.condition=pose.")
+        raise UsageError("model.preset: 'no-gaze' knows the body alone; add --set model.windows.condition=pose.")
     given = {"n_joints", "gaze", "observed", "predicted"} & set(changes)
     if given:
         raise UsageError(f"model.{min(given)}: follows from the windows and their condition; leave it out.")
@@ -140,8 +140,9 @@ def diffusion(request: Request) -> DiffusionTraining:
 
 def cvae(request: Request) -> CVAETraining:
     """CVAE; a direction counts as one more joint."""
-    sizes = {"n_joints": request.seen.nodes, "predicted": request.seen.predicted}
-    record = CVAERecord(windows=request.seen, network=_converted({**request.model, **sizes}, CVAEConfiguration, "model"))
+    seen = request.seen
+    sizes = {"n_joints": seen.nodes, "predicted": seen.predicted}
+    record = CVAERecord(windows=seen, network=_converted({**request.model, **sizes}, CVAEConfiguration, "model"))
     model = record.build()
     origin = _started(request, model, record)
     return CVAETraining(request.name, record, model, request.course, origin)

@@ -179,7 +179,7 @@ class WindowsDataset(Dataset[WindowItem]):
         return WindowItem(run.joints[part], direction, valid, self.shape, self.choice.frame)
 
     def spread(self, limit: int) -> tuple[int, ...]:
-        """Places of at most ``limit`` items of each table, at equal distances, so that every recording has its share."""
+        """Places of at most ``limit`` items of each table, at equal distances: every recording has its share."""
         places: list[int] = []
         first = 0
         for count in self.counts:

@@ -1,4 +1,4 @@
-"""The method ``belfusion``: diffusion of behaviours, which are then decoded from the last poses (docs/methods/belfusion.md)."""
+"""The method ``belfusion``: behaviours by diffusion, decoded from the last poses (docs/methods/belfusion.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The method ``gazemodiff``: diffusion of windows under pose and gaze, joined by graph attention (docs/methods/gazemodiff.md)."""
+"""The method ``gazemodiff``: diffusion of windows under pose and gaze (docs/methods/gazemodiff.md)."""
 
 from __future__ import annotations
 

@@ -170,7 +170,7 @@ def test_windows_of_another_duration_and_other_joints_are_refused(trained):
         observed_joints=batch.observed_joints,
         key=batch.key,
     )
-    with pytest.raises(AdapterError, match="predicts 2 s, these windows have 0.5 s and 3 s"):
+    with pytest.raises(AdapterError, match=r"predicts 2 s, these windows have 0\.5 s and 3 s"):
         predictor.predict(longer, n_samples=1, seed=0)
     fewer = ObservedBatch(
         condition=batch.condition,
@@ -180,7 +180,7 @@ def test_windows_of_another_duration_and_other_joints_are_refused(trained):
         observed_joints=batch.observed_joints[:, :, :21],
         key=batch.key,
     )
-    with pytest.raises(AdapterError, match="22 joints of smpl22.*21 others"):
+    with pytest.raises(AdapterError, match=r"22 joints of smpl22.*21 others"):
         predictor.predict(fewer, n_samples=1, seed=0)
 
 
