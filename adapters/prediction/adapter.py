@@ -80,25 +80,34 @@ class LearnedPredictor:
         loaded = self._loaded[batch.condition]
         self._require_fit(batch, loaded, n_samples)
         seen = loaded.windows
-        # Frames of the network's own rate on the batch's times; 0 is the last observed frame.
-        own_times = np.arange(1 - seen.observed, 1) / seen.fps
-        times = np.arange(1 - batch.shape[1], 1) / batch.fps
         frames = np.tile(np.eye(4), (len(batch), 1, 1))
         if seen.frame == "last-pose":
             frames = seen.joints.last_pose_frame(batch.observed_joints[:, -1])
-        own_from_batch = invert_each(frames)
-        observed = _at_times(transform_each(own_from_batch, batch.observed_joints), times, own_times)
-        if batch.gaze is not None:
-            observed = np.concatenate([observed, self._direction(batch, own_from_batch, times, own_times)], axis=2)
+        observed = self._observed(batch, seen, invert_each(frames))
         drawn = self._drawn(loaded.network, observed, batch.key, n_samples=n_samples, seed=seed)
         joints = drawn[:, :, :, : seen.n_joints]
-        # The last observed pose is put before the futures, so that a quicker rate has something to begin from.
-        start = np.broadcast_to(observed[:, None, -1:, : seen.n_joints], (*joints.shape[:2], 1, *joints.shape[3:]))
-        joints = np.concatenate([start, joints], axis=2).swapaxes(1, 2)
-        own_times = np.arange(seen.predicted + 1) / seen.fps
-        times = np.arange(1, batch.n_future + 1) / batch.fps
-        joints = _at_times(joints, own_times, times).swapaxes(1, 2)
+        if batch.fps != seen.fps:
+            last = np.broadcast_to(observed[:, None, -1:, : seen.n_joints], (*joints.shape[:2], 1, *joints.shape[3:]))
+            # A quicker rate than the network's begins between the last observed frame and the first predicted one.
+            whole = np.concatenate([last, joints], axis=2).swapaxes(1, 2)
+            own_times = np.arange(seen.predicted + 1) / seen.fps
+            joints = _at_times(whole, own_times, np.arange(1, batch.n_future + 1) / batch.fps).swapaxes(1, 2)
         return Futures(joints=transform_each(frames, joints).astype(np.float32))
+
+    def _observed(
+        self, batch: ObservedBatch, seen: SeenWindows, own_from_batch: Float[np.ndarray, "batch 4 4"]
+    ) -> Float[np.ndarray, "batch observed nodes 3"]:
+        """The observed nodes in the network's frame and at its rate."""
+        # The last observed frame is at 0 at either rate.
+        times = np.arange(1 - batch.shape[1], 1) / batch.fps
+        own_times = np.arange(1 - seen.observed, 1) / seen.fps
+        joints = transform_each(own_from_batch, batch.observed_joints)
+        if batch.fps != seen.fps:
+            joints = _at_times(joints, times, own_times)
+        if batch.gaze is None:
+            return joints
+        direction = self._direction(batch, own_from_batch, times, own_times)
+        return np.concatenate([joints, direction], axis=2)
 
     def _drawn(
         self,
@@ -228,8 +237,6 @@ def _at_times(
     wanted: Float[np.ndarray, " others"],
 ) -> Float[np.ndarray, "batch others *shape"]:
     """Values at other times, interpolated linearly, and before the first or after the last one extrapolated."""
-    if len(times) == len(wanted) and np.abs(times - wanted).max() < _SAME_TIME:
-        return values
     right = np.clip(np.searchsorted(times, wanted - _SAME_TIME), 1, len(times) - 1)
     share = (wanted - times[right - 1]) / (times[right] - times[right - 1])
     share = share.reshape(1, -1, *(1,) * (values.ndim - 2))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Generic, TypeVar
 
 import msgspec
 import torch
@@ -37,6 +38,10 @@ from prbench_adapters.prediction.records import (
 from prbench_adapters.prediction.recurrent import gaussian_kl
 from prbench_adapters.prediction.window_dct import held
 
+Losses = dict[str, Tensor]
+"""Scalars by name; ``loss`` is minimised."""
+RecordT = TypeVar("RecordT", bound=Record)
+NetworkT = TypeVar("NetworkT", bound=nn.Module)
 _VALIDATION_SAMPLES = 5
 
 
@@ -66,7 +71,7 @@ class RateCourse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return factor
 
 
-class PredictorTraining(TrainingModule):
+class PredictorTraining(TrainingModule, Generic[RecordT, NetworkT]):
     """A network with its losses; subclasses say what these are.
 
     Args:
@@ -78,14 +83,17 @@ class PredictorTraining(TrainingModule):
     """
 
     def __init__(
-        self, kind: str, record: Record, network: nn.Module, course: RateCourse, origin: tuple[str, ...] = ()
+        self, kind: str, record: RecordT, network: NetworkT, course: RateCourse, origin: tuple[str, ...] = ()
     ) -> None:
         super().__init__()
-        self.kind, self.record, self.network = kind, record, network
-        self.course, self.origin = course, origin
+        self.kind = kind
+        self.record = record
+        self.network = network
+        self.course = course
+        self.origin = origin
         self._partners = mirror_partners(record.windows.joints.names)
 
-    def forward(self, batch: WindowBatch, step: int) -> dict[str, Tensor]:  # pyright: ignore[reportIncompatibleMethodOverride]  # fed with windows
+    def forward(self, batch: WindowBatch, step: int) -> Losses:  # pyright: ignore[reportIncompatibleMethodOverride]  # fed with windows
         """The losses of one batch, and in validation errors of drawn futures.
 
         Returns:
@@ -100,12 +108,12 @@ class PredictorTraining(TrainingModule):
         losses = self.losses(motion, generator, step)
         return losses if step >= 0 else losses | self.errors(motion, step)
 
-    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> dict:
+    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> Losses:
         """Losses of whole windows by name."""
         raise NotImplementedError
 
     @torch.no_grad()
-    def errors(self, motion: Float[Tensor, "windows frames nodes 3"], step: int) -> dict[str, Tensor]:
+    def errors(self, motion: Float[Tensor, "windows frames nodes 3"], step: int) -> Losses:
         """Errors of drawn futures of the joints."""
         network = self.network
         if not isinstance(network, PredictorNetwork):
@@ -159,13 +167,10 @@ class PredictorTraining(TrainingModule):
         return torch.randn(tuple(shape), generator=generator).to(like)
 
 
-class DiffusionTraining(PredictorTraining):
+class DiffusionTraining(PredictorTraining[DiffusionRecord, CoefficientDiffusion]):
     """GazeMoDiff or HumanMAC: the mean squared error of predicted noise."""
 
-    record: DiffusionRecord
-    network: CoefficientDiffusion
-
-    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> dict:  # noqa: ARG002
+    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> Losses:  # noqa: ARG002
         """Error of the noise at a random step of each window; step 0 is never drawn, as published."""
         shape = self.record.network
         count = len(motion)
@@ -175,13 +180,10 @@ class DiffusionTraining(PredictorTraining):
         return {"loss": self.network.loss(motion, index, noise, kept)}
 
 
-class CVAETraining(PredictorTraining):
+class CVAETraining(PredictorTraining[CVAERecord, CVAE]):
     """CVAE: reconstruction, first frame and divergence."""
 
-    record: CVAERecord
-    network: CVAE
-
-    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> dict:  # noqa: ARG002
+    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> Losses:  # noqa: ARG002
         """The reconstruction of the future from a latent vector that was drawn for it."""
         observed = self.record.windows.observed
         noise = self._normal((len(motion), self.record.network.latent), generator, motion)
@@ -194,13 +196,10 @@ class CVAETraining(PredictorTraining):
         }
 
 
-class DLowTraining(PredictorTraining):
+class DLowTraining(PredictorTraining[DLowRecord, DLow]):
     """DLow: K futures that are diverse, one of them near the recorded one, from likely latent vectors."""
 
-    record: DLowRecord
-    network: DLow
-
-    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> dict:  # noqa: ARG002
+    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> Losses:  # noqa: ARG002
         """The losses of the K futures of one noise vector a window."""
         observed = self.record.windows.observed
         noise = self._normal((len(motion), self.record.cvae.latent), generator, motion)
@@ -208,7 +207,7 @@ class DLowTraining(PredictorTraining):
         return {"loss": loss.total, "kl": loss.kl, "diversity": loss.diversity, "best_of_k": loss.best_of_k}
 
 
-class AutoencoderTraining(PredictorTraining):
+class AutoencoderTraining(PredictorTraining[AutoencodersRecord, Autoencoders]):
     """BeLFusion's autoencoders together: they share no parameter, so that one loss trains both.
 
     Args:
@@ -219,16 +218,13 @@ class AutoencoderTraining(PredictorTraining):
             are, and the coupler alone learns.
     """
 
-    record: AutoencodersRecord
-    network: Autoencoders
-
     def __init__(
         self, record: AutoencodersRecord, network: Autoencoders, course: RateCourse, *, frozen_from: float
     ) -> None:
         super().__init__(AUTOENCODERS, record, network, course)
         self.frozen_from = frozen_from
 
-    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> dict:
+    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> Losses:
         """Errors of both reconstructions, the divergence, and what the auxiliary decoder finds in the behaviour."""
         shape = self.record.network
         behaviour = self.network.behaviour
@@ -260,7 +256,7 @@ class AutoencoderTraining(PredictorTraining):
         return (decoded - future).square().sum() / len(sequence)
 
 
-class BeLFusionTraining(PredictorTraining):
+class BeLFusionTraining(PredictorTraining[BeLFusionRecord, BeLFusion]):
     """BeLFusion's diffusion of behaviours: the best of several noises.
 
     Args:
@@ -271,16 +267,13 @@ class BeLFusionTraining(PredictorTraining):
         noises: How many are tried for each window.
     """
 
-    record: BeLFusionRecord
-    network: BeLFusion
-
     def __init__(
         self, record: BeLFusionRecord, network: BeLFusion, course: RateCourse, origin: tuple[str, ...], *, noises: int
     ) -> None:
         super().__init__("belfusion", record, network, course, origin)
         self.noises = noises
 
-    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> dict:  # noqa: ARG002
+    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> Losses:  # noqa: ARG002
         """Errors of the clean behaviour and of the future that is decoded from it, at one step for each window."""
         size = self.record.behaviour.behaviour
         count = len(motion)
