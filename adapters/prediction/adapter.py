@@ -139,7 +139,7 @@ class LearnedPredictor:
         assert batch.gaze is not None and batch.gaze_valid is not None  # noqa: PT018
         turned = transform_each(rotations_alone(own_from_batch), batch.gaze)[:, :, None]
         try:
-            measured = held(torch.from_numpy(turned), torch.from_numpy(batch.gaze_valid)).numpy()
+            measured = held(torch.from_numpy(turned), torch.from_numpy(batch.gaze_valid.copy())).numpy()
         except ValueError as error:
             raise AdapterError(
                 f"{self.name}: {error}. Choose windows with measured gaze, or another condition."

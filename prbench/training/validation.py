@@ -10,7 +10,7 @@ import contextlib
 import math
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,10 +34,11 @@ from prbench.sequences import SequenceTable
 from prbench.sequences.table import by_share
 from prbench.training.configuration import TrainingConfiguration
 from prbench.training.dataset import SequenceDataset, configured_dataset
+from prbench.training.items import MotionBatch
 from prbench.training.motions import Table
 from prbench.training.state import Row
 from prbench.training.task import TrainingModule
-from prbench.training.windows import WindowsDataset
+from prbench.training.windows import WindowBatch, WindowsDataset
 
 _SPLIT = "validation"
 _SCORES = tuple(info.id for info in MAIN_METRICS)
@@ -126,11 +127,16 @@ class Validation:
         totals: dict[str, float] = defaultdict(float)
         for number, start in enumerate(range(0, len(self.places), self.batch_size)):
             places = self.places[start : start + self.batch_size]
-            batch = self.data.collate([self.data[place] for place in places]).to(device)
+            batch = self._batch(places).to(device)
             # Negative steps draw the same noise at every validation and none that training has drawn.
             for name, loss in module(batch, -1 - number).items():
                 totals[name] += float(loss) * len(places)
         return {name: total / len(self.places) for name, total in totals.items()}
+
+    def _batch(self, places: Sequence[int]) -> MotionBatch | WindowBatch:
+        if isinstance(self.data, WindowsDataset):
+            return self.data.collate([self.data[place] for place in places])
+        return self.data.collate([self.data[place] for place in places])
 
     def _metrics(self, adapter: Adapter) -> Row:
         """Mean of every metric over the sequences of all tables."""
