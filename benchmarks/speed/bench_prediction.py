@@ -92,7 +92,7 @@ class Reference:
 
     def __init__(self, folder: Path, model: CoefficientDiffusion) -> None:
         if not (folder / "models" / "transformer_crossatt.py").is_file():
-            raise SystemExit(f"{folder}: expected GazeMoDiff's public code (models/transformer_crossatt.py), found none.")
+            raise SystemExit(f"{folder}: expected a checkout with models/transformer_crossatt.py, found none.")
         shape = model.configuration
         with _imports(folder):
             transformer = importlib.import_module("models.transformer_crossatt").MotionTransformer
