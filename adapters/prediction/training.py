@@ -179,6 +179,10 @@ class DiffusionTraining(PredictorTraining[DiffusionRecord, CoefficientDiffusion]
         noise = self._normal((count, shape.coefficients, shape.values), generator, motion)
         return {"loss": self.network.loss(motion, index, noise, kept)}
 
+    def hidden_matrices(self) -> tuple[nn.Parameter, ...]:
+        """The matrices of the denoiser's blocks."""
+        return tuple(each for each in self.network.denoiser.blocks.parameters() if each.ndim == 2)
+
 
 class CVAETraining(PredictorTraining[CVAERecord, CVAE]):
     """CVAE: reconstruction, first frame and divergence."""
