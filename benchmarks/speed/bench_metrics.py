@@ -20,7 +20,7 @@ from benchmarks.speed.naive_metrics import naive_metrics
 from benchmarks.speed.timing import Row, print_rows, timed
 from prbench.manifests import load_protocol
 from prbench.metrics import STUDY_METRICS, MotionBatch, ScoringTargets, score
-from prbench.runs.scores import PREDICTIONS
+from prbench.runs.scores import predictions_schema
 from prbench.sequences.write import write_table
 from prbench.skeleton import N_JOINTS
 
@@ -89,8 +89,8 @@ def write_motions(path: Path, motion: MotionBatch) -> Path:
         pa.array(np.arange(n)),
         pa.ListArray.from_arrays(pa.array(motion.offsets.astype(np.int32)), poses),
     ]
-    batch = pa.RecordBatch.from_arrays(columns, schema=PREDICTIONS)
-    write_table(path, [batch], PREDICTIONS, protocol_version=load_protocol().version)
+    batch = pa.RecordBatch.from_arrays(columns, schema=predictions_schema())
+    write_table(path, [batch], predictions_schema(), protocol_version=load_protocol().version)
     return path
 
 

@@ -18,7 +18,9 @@ from prbench.api.pictures import Picture, Replay, picture_of, replay_of
 from prbench.api.progress import progress
 from prbench.api.scored import described, irrelevant_metrics, scores_for_notebook, scores_frame, summary_frame
 from prbench.api.tables import Table, embedded_tables, table_folders
-from prbench.errors import UsageError
+from prbench.benchmarks import find_benchmark
+from prbench.errors import RunError, UsageError
+from prbench.manifests import PROTOCOL_NAME
 from prbench.runs import DatasetSummary, Predictions, RunCost, RunFolder, RunRecord, read_scores
 from prbench.shown import html
 
@@ -128,6 +130,7 @@ class Run:
         """
         from prbench.sequences.table import find_sequence_id
 
+        self._require_motions()
         if not 0 <= sample < self.record.samples:
             raise UsageError(f"{self.folder}: expected a sample from 0 to {self.record.samples - 1}, found {sample}.")
         opened = [Predictions.open(self._folder.dataset(name).predictions) for name in self.datasets]
@@ -210,6 +213,7 @@ class Run:
     ) -> tuple[Scene, ...]:
         from prbench.workflows.view import ViewRequest, scenes_of
 
+        self._require_motions()
         require_positive(limit=limit)
         request = ViewRequest(
             out=Path("notebook.png"),  # never written
@@ -222,6 +226,18 @@ class Run:
             scene=as_optional_path(scene),
         )
         return scenes_of(request)
+
+    def _require_motions(self) -> None:
+        """Refuse a run whose answers are no motions of a sequence.
+
+        Raises:
+            RunError: naming the benchmark.
+        """
+        if not find_benchmark(self.record.benchmark).default:
+            raise RunError(
+                f"{self.folder}: is a run of {self.record.benchmark}, whose answers cannot be shown here yet; its"
+                " scores can."
+            )
 
     @property
     def _irrelevant(self) -> frozenset[str]:
@@ -252,10 +268,11 @@ def _claims(method: str) -> list[str]:
 def run(
     method: str,
     *,
-    condition: Literal["none", "text", "goal-pose", "goal-loc"] | None = None,
+    benchmark: str = PROTOCOL_NAME,
+    condition: Literal["none", "text", "goal-pose", "goal-loc", "pose", "pose+head", "pose+gaze"] | None = None,
     data: PathLike | Table | Iterable[PathLike | Table] = (),
     out: PathLike | None = None,
-    split: Literal["train", "validation", "test", "participants"] = "test",
+    split: Literal["train", "validation", "test", "participants", "published"] = "test",
     fold: str | None = None,
     limit: int | None = None,
     sequence: str | Iterable[str] = (),
@@ -265,7 +282,7 @@ def run(
     threads: int = 1,
     control: Literal["shuffled-goal"] | None = None,
     seed: int = 0,
-    samples: int = 1,
+    samples: int | None = None,
     best_of: int = 1,
     carry_on: bool = False,
     batch_size: int | None = None,
@@ -281,12 +298,14 @@ def run(
     Args:
         method: Name of an installed method (``prbench adapters list``); ``cmd:`` and a command line, or a TOML file,
             for a program; or ``ground-truth``, ``ground-truth-resampled`` or ``scripted``.
+        benchmark: What is asked of the method: ``prime-and-reach``, or ``motion-prediction`` on tables of windows.
         condition: What the method is given: nothing (``none``), a sentence (``text``), the pose at the goal
-            (``goal-pose``), or the goal's place (``goal-loc``). By default what ``prbench run`` takes without
+            (``goal-pose``), or the goal's place (``goal-loc``); for motion prediction ``pose``, ``pose+head`` or
+            ``pose+gaze``. By default what ``prbench run`` takes without
             ``--condition``.
         data: A table or its folder, or several; without it prbench's own five tables of synthetic people are used.
         out: Run folder; by default one below ``runs`` whose name says what was run.
-        split: The sequences to run; ``participants`` goes with ``fold``.
+        split: The sequences to run; ``participants`` goes with ``fold``, ``published`` with motion prediction.
         fold: Such as ``2/6``: the participants of this fold are tested on.
         limit: At most so many sequences of each dataset, of every recording its share; without ``data``
             10 by default.
@@ -297,12 +316,12 @@ def run(
         threads: Threads of each worker.
         control: ``shuffled-goal`` gives every sequence another one's goal.
         seed: Seed of the run.
-        samples: Motions for each sequence.
+        samples: Motions for each sequence: 1 by default, 50 futures of each window for motion prediction.
         best_of: Motions drawn for each of these, of which the one is kept whose own head ray and wrist serve the given
             goal best; such runs are marked in tables and never ranked.
         carry_on: Run pairs of a pick and the put that follows it, which starts where the generated pick ends; marked
             and never ranked, too.
-        batch_size: Sequences a batch; 64 by default, 5 without ``data``.
+        batch_size: Sequences a batch; 64 by default, 5 without ``data``, 16 windows for motion prediction.
         isolate: Run the method in a process that is given neither paths, objects nor environment.
         timeout: Seconds for each batch of a program or an isolated method; 600 by default.
         protocol: Your own ``protocol.toml``, stamped into the run; by default prbench's.
@@ -320,7 +339,7 @@ def run(
         StorageError: if the run folder cannot be written.
     """
     from prbench.engine import engine_for
-    from prbench.evaluation.request import DEFAULT_BATCH_SIZE, RunRequest
+    from prbench.evaluation.request import RunRequest
     from prbench.evaluation.run import run_method
     from prbench.workflows import first_run
 
@@ -331,6 +350,9 @@ def run(
     require_positive(batch_size=batch_size, workers=workers)
     sequences = as_texts(sequence)
     folders = table_folders(data)
+    about = find_benchmark(benchmark)
+    if not folders and not about.default:
+        raise UsageError(f"data: {benchmark} has no embedded tables; `prbench build-windows` makes one.")
     if not folders:
         folders = table_folders(embedded_tables(workers=workers))
         if not sequences:
@@ -338,6 +360,7 @@ def run(
             batch_size = batch_size or first_run.BATCH_SIZE
     request = RunRequest(
         method=str(method),
+        benchmark=benchmark,
         data=folders,
         weights=as_optional_path(weights),
         options=as_options(option),
@@ -346,10 +369,10 @@ def run(
         limit=limit,
         sequences=sequences,
         seed=seed,
-        samples=samples,
+        samples=samples or about.samples,
         best_of=best_of,
         carry_on=carry_on,
-        batch_size=batch_size or DEFAULT_BATCH_SIZE,
+        batch_size=batch_size or about.batch_size,
         device=device,
         threads=threads,
         control=control,
@@ -359,7 +382,7 @@ def run(
         protocol=as_optional_path(protocol),
     )
     if condition is not None:
-        request = replace(request, condition=condition_of(condition))
+        request = replace(request, condition=condition_of(condition) if about.default else str(condition))
     with progress(f"running {request.method_label}") as show:
         report = run_method(
             request,
@@ -395,4 +418,4 @@ def open_run(path: PathLike) -> Run:
     Raises:
         RunError: if the folder holds no run, or a damaged one.
     """
-    return Run(RunFolder.open(as_path(path)))
+    return Run(RunFolder.open(as_path(path), any_benchmark=True))

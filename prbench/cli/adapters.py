@@ -10,8 +10,9 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, Group, command, note
-from prbench.cli.options import CONDITIONS, SECONDS, out_file_option, out_folder_option
+from prbench.cli.options import CONDITIONS, SECONDS, benchmark_option, out_file_option, out_folder_option
 from prbench.cli.terminal import print_columns
+from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.methods.describe import Description
@@ -143,14 +144,19 @@ class ConvertersReport(msgspec.Struct, frozen=True, kw_only=True):
     " its error.",
 )
 @click.option("--timeout", type=SECONDS, default=30, metavar="SECONDS", help="Time limit of each import (default 30).")
-def list_methods(names: tuple[str, ...], details: bool, timeout: float) -> Answer:
+@benchmark_option
+def list_methods(names: tuple[str, ...], details: bool, timeout: float, benchmark: str | None) -> Answer:
     """List the installed methods with their packages, without importing any of them.
 
     With NAME only these methods are listed.
     """
+    from prbench.benchmarks import default_benchmark, find_benchmark
     from prbench.methods.installed import list_adapters, no_such_method
 
-    found = list_adapters()
+    about = find_benchmark(benchmark or default_benchmark().name)
+    if details and not about.default:
+        raise UsageError(f"--details: the methods of {about.name} cannot be described yet; leave it out.")
+    found = list_adapters(about.entry_points)
     known = {adapter.name for adapter in found}
     unknown = [name for name in names if name not in known]
     if unknown:

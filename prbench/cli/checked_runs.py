@@ -32,17 +32,20 @@ def run_checker(data: Sequence[Path], workers: int) -> RunChecker:
     return RunChecker(table_finder(data), engine_for(workers))
 
 
-def collected_runs(runs: Sequence[Path], data: Sequence[Path], workers: int) -> CollectedRuns:
+def collected_runs(
+    runs: Sequence[Path], data: Sequence[Path], workers: int, *, any_benchmark: bool = False
+) -> CollectedRuns:
     """Collect finished runs, whose scores are held against their motions, and tell what was left out or not checked.
 
     Args:
         runs: Run folders, or folders that hold some.
         data: Tables of the runs.
         workers: Number of processes.
+        any_benchmark: The command knows runs of every benchmark.
     """
     from prbench.leaderboard import collect_runs
 
-    collected = collect_runs(runs, check=run_checker(data, workers).check)
+    collected = collect_runs(runs, check=run_checker(data, workers).check, any_benchmark=any_benchmark)
     for reason in collected.left_out:
         note(f"left out: {reason}")
     for row in collected.rows:

@@ -122,7 +122,7 @@ def _compared_run(path: Path, datasets: list[str]) -> ComparedRun:
     """Name the method of a run and its origin, and the datasets for which it handed in recorded motions."""
     from prbench.runs import DatasetSummary, RunFolder
 
-    run = RunFolder.open(path)
+    run = RunFolder.open(path, any_benchmark=True)
     marks = {name: DatasetSummary.read(run.dataset(name).path).mark for name in datasets}
     return ComparedRun(
         path=path,

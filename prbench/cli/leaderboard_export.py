@@ -131,7 +131,7 @@ class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     says_nothing: list[str]
 
 
-class BoardTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class BoardTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """Runs on one dataset that compare: protocol, table, split and sequences agree.
 
     Attributes:
@@ -152,6 +152,7 @@ class BoardTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         recordings: Number of recordings that they come from.
         undecided: Sentences on what the data cannot decide, and the smallest differences that they can.
         rows: The runs, sorted by condition, controls last.
+        benchmark: Name of the benchmark; absent for prime-and-reach.
     """
 
     dataset: str
@@ -170,6 +171,7 @@ class BoardTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     recordings: int
     undecided: list[str]
     rows: list[BoardRow]
+    benchmark: str = ""
 
 
 class MacroMean(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -200,18 +202,20 @@ class MacroMean(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     missing: list[str]
 
 
-class MacroMeans(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class MacroMeans(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """Methods over all datasets of one protocol.
 
     Attributes:
         datasets: Names of the datasets.
         synthetic: Whether one of them is synthetic.
         rows: The methods.
+        benchmark: Name of the benchmark; absent for prime-and-reach.
     """
 
     datasets: list[str]
     synthetic: bool
     rows: list[MacroMean]
+    benchmark: str = ""
 
 
 class PublishedDifference(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -324,7 +328,7 @@ def export(
     from prbench.locks import sole_writer
     from prbench.storage import write_text
 
-    board = boards.make_leaderboard(collected_runs(runs, data, workers))
+    board = boards.make_leaderboard(collected_runs(runs, data, workers, any_benchmark=True))
     text = _exported(board, format, with_published=with_published)
     if out is not None:
         with sole_writer(out):

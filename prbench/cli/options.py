@@ -9,13 +9,18 @@ from typing import Any, TypeVar
 
 import click
 
+from prbench.benchmarks import benchmarks, default_benchmark
 from prbench.cli.commands import SeveralValues
 
-CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
-"""Conditions that a method can be given; spelt out here, so that ``--help`` imports no arrays."""
+CONDITIONS = tuple(default_benchmark().conditions)
+"""Conditions that a method of the default benchmark can be given."""
+ALL_CONDITIONS = tuple(name for about in benchmarks().values() for name in about.conditions)
+"""Conditions of all benchmarks."""
 FIRST_RUN_SEQUENCES = 10
 """Limit of a run on the embedded datasets, of each (``prbench.workflows.first_run``); spelt out for the same reason."""
 SPLITS = ("train", "validation", "test")
+PUBLISHED = "published"
+"""Value of ``--split`` that means the test split of a published evaluation, where windows have one."""
 PATH = click.Path(path_type=Path)
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -78,6 +83,27 @@ class KeyValue(click.ParamType):
         return "KEY=VALUE"
 
 
+def benchmark_option(function: _Function) -> _Function:
+    """Add ``--benchmark NAME``."""
+    return click.option(
+        "--benchmark",
+        type=click.Choice(list(benchmarks())),
+        help=f"What is asked of the method (default {default_benchmark().name}).",
+    )(function)
+
+
+def usual_number(of: str) -> str:
+    """Return the usual number of answers or cases a batch, of each benchmark that has another than the default one."""
+    usual = getattr(default_benchmark(), of)
+    others = [f"{about.name} {getattr(about, of)}" for about in benchmarks().values() if not about.default]
+    return "; ".join([str(usual), *others])
+
+
+def conditions_by_benchmark() -> str:
+    """Return the conditions of each benchmark."""
+    return "; ".join(f"{', '.join(about.conditions)} with {about.name}" for about in benchmarks().values())
+
+
 def data_option(*, required: bool, help: str = "Built dataset folder(s).") -> _Decorator:
     """Add ``--data DIR…``, repeatable."""
     return click.option("--data", cls=SeveralValues, type=PATH, metavar="DIR...", required=required, help=help)
@@ -120,14 +146,17 @@ PARTICIPANTS = "participants"
 """Value of ``--split`` that goes with ``--fold``."""
 
 
-def fold_options(split: str | None = "test") -> _Decorator:
+def fold_options(split: str | None = "test", *, more_splits: tuple[str, ...] = ()) -> _Decorator:
     """Add ``--split``, which also takes ``participants``, and ``--fold K/N``.
 
     Args:
         split: Default of ``--split``; None for a command that takes ``participants`` alone.
+        more_splits: Further values.
     """
-    choices = [PARTICIPANTS] if split is None else [*SPLITS, PARTICIPANTS]
+    choices = [PARTICIPANTS] if split is None else [*SPLITS, PARTICIPANTS, *more_splits]
     default = "" if split is None else f"Split of the table (default {split}); "
+    if PUBLISHED in more_splits:
+        default += "published: the published test windows of motion-prediction; "
 
     def add(function: _Function) -> _Function:
         folded = click.option(
@@ -281,11 +310,14 @@ def replace_option(what: str = "table") -> _Decorator:
 
 def complete_method(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:  # noqa: ARG001
     """Return the installed methods and the controls that begin with what was typed, for the shell's completion."""
+    from prbench.benchmarks import find_benchmark
     from prbench.methods.installed import list_adapters
     from prbench.methods.names import METHOD_CONTROLS
 
-    names = {adapter.name for adapter in list_adapters() if not adapter.problem}
-    return sorted(name for name in {*names, *METHOD_CONTROLS} if name.startswith(incomplete))
+    about = find_benchmark(ctx.params.get("benchmark") or default_benchmark().name)
+    names = {adapter.name for adapter in list_adapters(about.entry_points) if not adapter.problem}
+    controls = METHOD_CONTROLS if about.default else ()
+    return sorted(name for name in {*names, *controls} if name.startswith(incomplete))
 
 
 def complete_dataset(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:  # noqa: ARG001

@@ -14,12 +14,15 @@ import msgspec
 from prbench.cli.commands import Answer, command, note, session
 from prbench.cli.embedded import embedded_tables
 from prbench.cli.options import (
-    CONDITIONS,
+    ALL_CONDITIONS,
     FIRST_RUN_SEQUENCES,
     PATH,
     POSITIVE,
+    PUBLISHED,
     SECONDS,
+    benchmark_option,
     complete_method,
+    conditions_by_benchmark,
     control_option,
     data_option,
     fold_options,
@@ -30,6 +33,7 @@ from prbench.cli.options import (
     protocol_option,
     seed_option,
     sequence_option,
+    usual_number,
     workers_option,
 )
 from prbench.cli.progress import progress
@@ -50,6 +54,7 @@ from prbench.rates_of_people import CarriedOn
 
 if TYPE_CHECKING:
     from prbench.engine import Engine
+    from prbench.evaluation.benchmark import Benchmark
     from prbench.evaluation.request import RunRequest
     from prbench.evaluation.run import RunReport
     from prbench.runs import RunFolder
@@ -57,7 +62,7 @@ if TYPE_CHECKING:
     from prbench.workflows.experiment import Experiment, ExperimentMethod
 
 _FIRST_RUN_WORKERS = 2
-_OF_AN_EXPERIMENT = ("method", "condition", "options", "control", "sequences", "minutes")
+_OF_AN_EXPERIMENT = ("benchmark", "method", "condition", "options", "control", "sequences", "minutes")
 """Options whose place is in the file, where there is one."""
 
 
@@ -112,6 +117,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
     report=RunAnswer,
     resumes=True,
 )
+@benchmark_option
 @click.option(
     "--method",
     metavar="NAME|cmd:…|FILE",
@@ -121,8 +127,9 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
 )
 @click.option(
     "--condition",
-    type=click.Choice([*CONDITIONS, ALL]),
-    help="What the method is given (default: the only condition that it takes); all: every row that Table 2 has of it.",
+    type=click.Choice([*ALL_CONDITIONS, ALL]),
+    help=f"What the method is given (default: the only condition that it takes): {conditions_by_benchmark()}; all:"
+    " every row that Table 2 has of it.",
 )
 @click.option(
     "--config",
@@ -134,7 +141,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
 @click.option("--show-config", is_flag=True, help="Print the experiment that the command line means, and stop.")
 @data_option(required=False, help="Built dataset folder(s); without it small synthetic ones are built and used.")
 @out_folder_option("Run folder (default: one under ./runs); resumes. Several runs: the folder of their folders.")
-@fold_options()
+@fold_options(more_splits=(PUBLISHED,))
 @limit_option(f"all; {FIRST_RUN_SEQUENCES} without --data; with all: what fits into --minutes")
 @click.option(
     "--minutes",
@@ -150,7 +157,12 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
 @method_settings
 @control_option("Give every sequence another one's goal.")
 @seed_option("of the run")
-@click.option("--samples", type=POSITIVE, default=1, metavar="N", help="Motions a sequence (default 1).")
+@click.option(
+    "--samples",
+    type=POSITIVE,
+    metavar="N",
+    help=f"Answers to each case: motions a sequence, futures a window (default {usual_number('samples')}).",
+)
 @click.option(
     "--best-of",
     type=POSITIVE,
@@ -169,7 +181,8 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
     "--batch-size",
     type=POSITIVE,
     metavar="N",
-    help="Sequences a batch (default 64; with all: up to 16, so that two workers have as many).",
+    help=f"Sequences, or other cases, a batch (default {usual_number('batch_size')}; with all: up to 16, so that two"
+    " workers have as many).",
 )
 @click.option(
     "--isolate",
@@ -196,7 +209,9 @@ def run(
     """Run a method over tables and score what it generates.
 
     Without --data, five embedded synthetic datasets are used. The same command goes on with an interrupted run.
+    With --benchmark motion-prediction, --data names tables of `prbench build-windows`.
     """
+    _require_fits_benchmark({**given, "config": config})
     if ALL in (given["method"], given["condition"]):
         _refuse_with_all(config=config, show_config=show_config, view=view, permission=permission)
         made = run_table_two(given, minutes=minutes, workers=workers)
@@ -215,11 +230,34 @@ def run(
         from prbench.cli.supervision import calls_foreign_code, supervised
 
         for method in experiment.methods:
-            if calls_foreign_code(method.name, isolate=experiment.isolate):
+            if calls_foreign_code(method.name, isolate=experiment.isolate, entry_points=_group(experiment)):
                 from prbench.cli.main import main
 
                 return supervised(main, sys.argv[1:], method=method.name)
     return _run_all(experiment, repeated, view=view, permission=permission, workers=workers)
+
+
+def _require_fits_benchmark(given: Mapping[str, Any]) -> None:
+    """Refuse conditions of another benchmark, and what only the default one has: embedded tables and ``all``.
+
+    Raises:
+        UsageError: naming the option.
+    """
+    from prbench.benchmarks import default_benchmark, find_benchmark
+
+    own = default_benchmark()
+    about = find_benchmark(given["benchmark"] or own.name)
+    condition = given["condition"]
+    # A file may name the benchmark; then the experiment is asked.
+    if given["config"] is None and condition not in (None, ALL, *about.conditions):
+        known = ", ".join(about.conditions)
+        raise UsageError(f"--condition {condition}: expected one of the benchmark {about.name}: {known}.")
+    if about.default:
+        return
+    if ALL in (given["method"], condition):
+        raise UsageError(f"--method all: makes the rows of the study's Table 2, and belongs to {own.name}.")
+    if not given["data"]:
+        raise UsageError(f"--data DIR: {about.name} has no embedded tables; `prbench build-windows` makes one.")
 
 
 def _refuse_with_all(**given: object) -> None:
@@ -246,8 +284,9 @@ def _experiment(config: Path | None, given: Mapping[str, Any]) -> tuple[RunFolde
             options=dict(given["options"]),
             control=given["control"],
         )
+        benchmark = {"benchmark": given["benchmark"]} if given["benchmark"] else {}
         return None, msgspec.convert(
-            {"methods": [msgspec.to_builtins(method)], "sequences": given["sequences"], **own}, Experiment
+            {"methods": [msgspec.to_builtins(method)], "sequences": given["sequences"], **own, **benchmark}, Experiment
         )
     for name in _OF_AN_EXPERIMENT:
         if given.get(name):
@@ -317,7 +356,7 @@ def _run_all(
 
         file_kind(view)  # what would fail after the run fails before it
     for method in experiment.methods:
-        _tell_claims(method.name)
+        _tell_claims(method.name, _group(experiment))
     first_run = not experiment.data
     engine = engine_for(workers or (_FIRST_RUN_WORKERS if first_run else 1))
     if first_run:
@@ -384,11 +423,18 @@ def _on_embedded_tables(experiment: Experiment, engine: Engine) -> Experiment:
     return msgspec.structs.replace(experiment, **changes)
 
 
-def _tell_claims(method: str) -> None:
+def _group(experiment: Experiment) -> str:
+    """Entry-point group of the methods of an experiment."""
+    from prbench.benchmarks import find_benchmark
+
+    return find_benchmark(experiment.benchmark).entry_points
+
+
+def _tell_claims(method: str, entry_points: str) -> None:
     """Name the packages that offer a method under a name that belongs to prbench; theirs is never run."""
     from prbench.methods.installed import list_adapters
 
-    for adapter in list_adapters():
+    for adapter in list_adapters(entry_points):
         if adapter.name == method and adapter.problem:
             note(f"note: {adapter.package} {adapter.version} is not used: {adapter.problem}.")
 
@@ -463,10 +509,11 @@ def _view(out: Path, folder: Path, request: RunRequest, permission: tuple[str, .
 
 
 def _made(report: RunReport) -> MadeRun:
-    from prbench.runs.means import intervals_of_means, means_over_datasets
+    from prbench.runs.means import intervals_of_means, means_over_datasets, share_a_mean
 
     record = report.folder.record
-    means = means_over_datasets(report.summaries) if len(report.summaries) > 1 else {}
+    several = len(report.summaries) > 1 and share_a_mean(record.tables)
+    means = means_over_datasets(report.summaries) if several else {}
     return MadeRun(
         folder=report.folder.path,
         method=record.method.name,
@@ -492,29 +539,47 @@ def _carried_on(report: RunReport) -> list[CarriedOn]:
     return [read_carried_on(report.folder.dataset(summary.dataset).path) for summary in report.summaries]
 
 
-def _agreement(report: RunReport, dataset: str) -> DatasetAgreement:
+def _agreement(report: RunReport, dataset: str) -> DatasetAgreement | None:
+    """Return the agreement with recorded people; None for a benchmark that has none."""
     from prbench.runs.agreement import DatasetAgreement
 
-    return DatasetAgreement.read(report.folder.dataset(dataset).path)
+    files = report.folder.dataset(dataset)
+    return DatasetAgreement.read(files.path) if files.agreement.is_file() else None
 
 
 def _print_run(report: RunReport, *, single: bool) -> None:
     if single:
-        print_sequence_scores(report.folder)
+        print_sequence_scores(report.folder, _benchmark(report).metrics)
         return
     _print_scores(report)
     print_carried_on(_carried_on(report))
 
 
+def _benchmark(report: RunReport) -> Benchmark:
+    from prbench.evaluation.benchmark import load_benchmark
+
+    return load_benchmark(report.folder.record.benchmark)
+
+
 def _print_scores(report: RunReport) -> None:
+    from prbench.runs.means import share_a_mean
+
     method = report.folder.record.method
+    benchmark = _benchmark(report)
     if len(report.summaries) > 1:
         agreements = [_agreement(report, summary.dataset) for summary in report.summaries]
-        print_datasets(report.summaries, agreements, origin=method.origin, motionless=method.motionless)
+        print_datasets(
+            report.summaries,
+            agreements,
+            origin=method.origin,
+            motionless=method.motionless,
+            metrics=benchmark.metrics,
+            one_mean=share_a_mean(report.folder.record.tables),
+        )
         print_scene(report.summaries, agreements)
         return
     for summary in report.summaries:
-        print_summary(summary, origin=method.origin, motionless=method.motionless)
+        print_summary(summary, origin=method.origin, motionless=method.motionless, metrics=benchmark.metrics)
         agreement = _agreement(report, summary.dataset)
         print_agreement(agreement)
         print_scene([summary], [agreement])

@@ -257,15 +257,23 @@ def _irrelevant(motionless: bool) -> frozenset[str]:
     return frozenset(info.id for info in METRICS if motionless and info.irrelevant_if_motionless)
 
 
-def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = False) -> None:
+def print_summary(
+    summary: DatasetSummary,
+    *,
+    origin: str,
+    motionless: bool = False,
+    metrics: Sequence[MetricInfo] = (),
+) -> None:
     """Print the scores of one method on one dataset.
 
     Args:
         summary: What it scored.
         origin: Whose method it is, in words.
         motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
+        metrics: All metrics of the benchmark; those of prime-and-reach by default.
     """
     irrelevant = _irrelevant(motionless)
+    details = {info.id for info in metrics if info.is_detail}
     control = f", {summary.control}" if summary.control else ""
     title = (
         f"{summary.title}: {summary.method} ({origin}), condition {summary.condition}{control};"
@@ -277,9 +285,10 @@ def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = Fa
         if metric.metric in irrelevant
         else (metric.title, *_cells(metric), _remarks(metric))
         for metric in summary.metrics
+        if metric.metric not in details
     ]
     print_table(title, ("metric", "mean", "95 % interval", ""), rows, numbers=(1, 2))
-    for line in _design_lines(summary):
+    for line in _design_lines(summary, [info for info in metrics if info.main and info.ranked]):
         print(line)
     if summary.unsupported:
         print(f"{summary.unsupported} sequences are longer than the method can generate and were not scored.")
@@ -289,11 +298,15 @@ def print_summary(summary: DatasetSummary, *, origin: str, motionless: bool = Fa
         print("These are scores on synthetic data: never compare them with published ones.")
 
 
-def _design_lines(summary: DatasetSummary) -> list[str]:
+def _design_lines(summary: DatasetSummary, ranked: Sequence[MetricInfo]) -> list[str]:
     """Say what the data cannot decide, and what makes the first metric uncertain."""
     from prbench.leaderboard.decidable import undecided
+    from prbench.metrics import RANKED_METRICS
 
-    lines = list(undecided(summary.dataset, summary.sequences, summary.recordings, [summary.metrics]))
+    found = undecided(
+        summary.dataset, summary.sequences, summary.recordings, [summary.metrics], ranked=ranked or RANKED_METRICS
+    )
+    lines = list(found)
     metric = next((metric for metric in summary.metrics if any(metric.uncertainty.values())), None)
     if metric is not None:
         source, share = max(metric.uncertainty.items(), key=lambda item: item[1])
@@ -306,10 +319,12 @@ def _design_lines(summary: DatasetSummary) -> list[str]:
 
 def print_datasets(
     summaries: Sequence[DatasetSummary],
-    agreements: Sequence[DatasetAgreement],
+    agreements: Sequence[DatasetAgreement | None],
     *,
     origin: str,
     motionless: bool = False,
+    metrics: Sequence[MetricInfo],
+    one_mean: bool = True,
 ) -> None:
     """Print main metrics of one method, and those of gaze, on several datasets, one column a dataset, and their mean.
 
@@ -320,15 +335,18 @@ def print_datasets(
         agreements: One a dataset, in the same order.
         origin: Whose method it is, in words.
         motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
+        metrics: All metrics of the benchmark.
+        one_mean: The datasets may enter one mean.
     """
-    from prbench.metrics import GAZE_METRICS, MAIN_METRICS, METRICS
+    from prbench.metrics import GAZE_METRICS
     from prbench.runs.means import means_over_datasets
 
     first = summaries[0]
-    by_gaze = [info for info in METRICS if info.id in GAZE_METRICS]
+    by_gaze = [info for info in metrics if info.id in GAZE_METRICS]
+    main = [info for info in metrics if info.main]
     # Beside what the head does; recorded motion, whose eyes were measured, has them too.
-    shown = (*MAIN_METRICS, *(info for info in by_gaze if all(each.metric(info.id) for each in summaries)))
-    means = means_over_datasets(summaries)
+    shown = (*main, *(info for info in by_gaze if all(each.metric(info.id) for each in summaries)))
+    means = means_over_datasets(summaries) if one_mean else {}
     irrelevant = _irrelevant(motionless)
     is_wide = shown_width() >= _WIDE
     rows: list[tuple[str, ...]] = []
@@ -350,7 +368,9 @@ def print_datasets(
         print("phi: agreement with recorded people, sequence by sequence; 0 is unrelated, 1 the same sequences.")
     if not is_wide:
         print(f"Intervals of 95 %: on a terminal of {_WIDE} columns, in a file, or with --json.")
-    _print_decidable(summaries)
+    if not one_mean:
+        print("No mean: bodies of some datasets were estimated from the motion of the head, others were captured.")
+    _print_decidable(summaries, [info for info in main if info.ranked])
     unsupported = [f"{each.unsupported} of {_short(each)}" for each in summaries if each.unsupported]
     if unsupported:
         print(f"Longer than the method can generate, and not scored: {', '.join(unsupported)}.")
@@ -363,10 +383,9 @@ def print_datasets(
         print("Synthetic data: never compare these scores with published ones.")
 
 
-def _print_decidable(summaries: Sequence[DatasetSummary]) -> None:
+def _print_decidable(summaries: Sequence[DatasetSummary], ranked: Sequence[MetricInfo]) -> None:
     """Print which datasets decide nothing, and the smallest differences that the others could find."""
     from prbench.leaderboard.decidable import why_undecided
-    from prbench.metrics import RANKED_METRICS
 
     reasons: dict[str, list[str]] = {}
     for each in summaries:
@@ -376,7 +395,7 @@ def _print_decidable(summaries: Sequence[DatasetSummary]) -> None:
     for reason, names in reasons.items():
         print(f"Cannot be decided: {', '.join(names)} ({reason}).")
     rows = []
-    for info in RANKED_METRICS:
+    for info in ranked:
         cells = [_detectable_cell(each.metric(info.id), info) for each in summaries]
         if any(cell not in (_DASH, _NOT_EVEN) for cell in cells):
             rows.append((_with_unit(info), *cells))
@@ -465,8 +484,9 @@ def _estimate_cell(found: MetricSummary | MeanOverDatasets | None, info: MetricI
     return f"{mean}\n{bounds}"
 
 
-def _phi_of(agreement: DatasetAgreement, info: MetricInfo, *, interval: bool) -> str:
-    rate = next((rate for rate in agreement.rates if rate.metric == info.id), None)
+def _phi_of(agreement: DatasetAgreement | None, info: MetricInfo, *, interval: bool) -> str:
+    rates = agreement.rates if agreement else ()
+    rate = next((rate for rate in rates if rate.metric == info.id), None)
     if rate is None or rate.phi is None:
         return _DASH
     return phi_cell(rate).replace(" ", "\n", 1) if interval else f"{rate.phi:+.2f}"
@@ -497,9 +517,13 @@ def _remarks(metric: MetricSummary) -> str:
     return "; ".join([_MARKS.get(mark, mark) for mark in metric.marks] + flags)
 
 
-def print_sequence_scores(run: RunFolder) -> None:
-    """Print what every motion of a run scored, sequence by sequence."""
-    from prbench.metrics import METRICS
+def print_sequence_scores(run: RunFolder, metrics: Sequence[MetricInfo]) -> None:
+    """Print what every motion of a run scored, sequence by sequence.
+
+    Args:
+        run: The run.
+        metrics: All metrics of its benchmark.
+    """
     from prbench.runs import read_scores
 
     for table in run.record.tables:
@@ -509,7 +533,7 @@ def print_sequence_scores(run: RunFolder) -> None:
             samples = sorted({sample for _, sample in values})
             header = ("metric", *(f"sample {sample}" if len(samples) > 1 else "value" for sample in samples), "")
             lines = []
-            for metric in METRICS:
+            for metric in metrics:
                 cells = [values[metric.id, sample] for sample in samples if (metric.id, sample) in values]
                 if cells:
                     remarks = dict.fromkeys(cell["flag"].replace("_", " ") for cell in cells if cell["flag"])

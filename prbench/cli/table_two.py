@@ -103,7 +103,7 @@ def _table_request(given: Mapping[str, Any], data: tuple[Path, ...], minutes: in
         limit=given["limit"],
         minutes=minutes or DEFAULT_MINUTES,
         seed=given["seed"],
-        samples=given["samples"],
+        samples=given["samples"] or 1,
         best_of=given["best_of"],
         batch_size=given["batch_size"],
         device=given["device"],

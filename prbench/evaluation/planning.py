@@ -16,6 +16,7 @@ from jaxtyping import Int
 
 from prbench.errors import TableError, UsageError
 from prbench.evaluation.pairs import Pair, require_pairs
+from prbench.methods.motions import native_frames
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.table import SPLITS, SequenceTable, by_share, find_sequence_id
 from prbench.storage import text_digest
@@ -162,6 +163,22 @@ def _of_pairs(everything: Selection, pairs: SequenceOf[Pair], limit: int | None)
     pick_of = {pair.put: pair.pick for pair in pairs}
     kept = {*chosen, *(pick_of[name] for name in chosen)}
     return everything.chosen(np.array([name in kept for name in everything.sequence_ids]))
+
+
+def supported(selection: Selection, *, max_frames: int | None, native_fps: float | None) -> Selection:
+    """The sequences that a method can generate in full; none is ever cut.
+
+    Args:
+        selection: The chosen sequences.
+        max_frames: The method's limit, at its own rate; None for none.
+        native_fps: The method's own rate; None for the table's.
+    """
+    if max_frames is None:
+        return selection
+    n_frames = selection.n_frames
+    if native_fps is not None:
+        n_frames = native_frames(n_frames, fps=selection.fps, native_fps=native_fps)
+    return selection.chosen(n_frames <= max_frames)
 
 
 def select_sequences(tables: SequenceOf[SequenceTable], wanted: SequenceOf[str], *, split: str) -> list[Selection]:

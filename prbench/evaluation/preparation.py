@@ -1,43 +1,27 @@
-"""Everything that is known before the first motion is generated: the methods, sequences, batches, and ``run.json``."""
+"""Everything that is known before the first case is answered: the methods, cases, batches, and ``run.json``."""
 
 from __future__ import annotations
 
 import re
 import sys
 from collections.abc import Iterable
-from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 import prbench
-from prbench.contract import Condition
-from prbench.errors import AdapterError
-from prbench.evaluation.best_of import require_goal
-from prbench.evaluation.carry_on import Carrying, require_goal_to_carry, whole_pairs
-from prbench.evaluation.conditions import ConditionSource, derangement
-from prbench.evaluation.controls import RECORDED_MOTION, SHUFFLED_GOAL
-from prbench.evaluation.planning import (
-    Selection,
-    open_tables,
-    plan_batches,
-    plan_digest,
-    select,
-    select_sequences,
-)
+from prbench.evaluation.benchmark import Benchmark, Cases, CaseWork, Rules, load_benchmark
+from prbench.evaluation.planning import plan_digest
 from prbench.evaluation.request import RunRequest
-from prbench.locks import in_turn
-from prbench.manifests import BenchmarkProtocol
 from prbench.methods.adapters import chosen_condition, find_adapter, require_weights, used_weights, weights_digest
 from prbench.methods.declared import Declared
 from prbench.methods.loaded_methods import LoadedMethod, MethodSpec, forget_loaded_methods
-from prbench.methods.methods import fitted_to, method_spec
-from prbench.methods.motions import native_frames
-from prbench.methods.remote.adapter import RemoteAdapter
-from prbench.own_protocol import protocol_for
+from prbench.methods.methods import method_spec
+from prbench.methods.remote.method import RemoteMethod
 from prbench.runs.record import (
     BUILT_IN,
     CONTROL,
@@ -49,9 +33,7 @@ from prbench.runs.record import (
     TableRecord,
 )
 from prbench.runs.scores import RUN_SCHEMA_VERSION
-from prbench.sequences import SequenceTable
-from prbench.sequences.folds import OPTION, WHOLE_TABLE, fold_table
-from prbench.storage import text_digest
+from prbench.sequences.folds import OPTION, WHOLE_TABLE
 
 DEFAULT_PARENT = Path("runs")
 """Folder of run folders for which the user names none."""
@@ -64,29 +46,22 @@ _RECORDED_PACKAGES = ("numpy", "pyarrow", "scipy", "torch")  # those on which a 
 class PreparedDataset:
     """One table, ready to be run."""
 
-    chosen: Selection
-    """The sequences of split and limit."""
-    selection: Selection
-    """The chosen sequences that the method can generate."""
-    source: ConditionSource
-    plan: list[Int[np.ndarray, "_"]]
+    chosen: Cases
+    """The cases of split and limit."""
+    cases: Cases
+    """The chosen cases that the method can answer."""
     method: MethodSpec | None
     """None for a control."""
-    scored_goals: Float[np.ndarray, "n 3"] | None
-    """Goals of other sequences that the recorded motion is scored against; None for each sequence's own."""
-    carrying: Carrying | None = None
-    """Pairs whose puts carry on from generated picks; None where every sequence starts as recorded."""
-    pick_batches: int = 0
-    """Number of batches, the first of the plan, that hold the picks of :attr:`carrying`."""
+    work: CaseWork
 
     @property
     def name(self) -> str:
         """Name of the dataset."""
-        return self.selection.table.info.dataset
+        return self.cases.table.info.dataset
 
     def ids(self, rows: Int[np.ndarray, " rows"]) -> tuple[str, ...]:
         """Ids of a planned batch."""
-        return tuple(self.selection.sequence_ids[row] for row in rows)
+        return tuple(self.cases.sequence_ids[row] for row in rows)
 
 
 @dataclass(frozen=True)
@@ -94,12 +69,11 @@ class PreparedRun:
     """A request with everything that follows from it."""
 
     request: RunRequest
-    condition: Condition
-    """The condition asked for, or the only one that the method takes."""
+    benchmark: Benchmark
     record: RunRecord
     datasets: tuple[PreparedDataset, ...]
     out: Path
-    protocol: BenchmarkProtocol
+    rules: Rules
 
 
 def prepare_run(request: RunRequest) -> PreparedRun:
@@ -115,25 +89,25 @@ def prepare_run(request: RunRequest) -> PreparedRun:
     """
     # A method that an earlier run of this process has loaded may hold its state.
     forget_loaded_methods()
-    if request.fold is not None:
-        folds = tuple(fold_table(folder, request.fold).folder for folder in request.data)
-        request = replace(request, data=folds, fold=None)
-    tables = open_tables(request.data)
-    protocol = protocol_for(request.protocol, (table.described_protocol for table in tables))
-    spec = None if request.is_control else _spec(request)
-    condition = _condition(request, spec)
-    require_goal(condition, best_of=request.best_of)
-    if request.carry_on:
-        require_goal_to_carry(condition)
+    benchmark = load_benchmark(request.benchmark)
+    request = benchmark.settled(request)
+    tables = benchmark.open_tables(request)
+    rules = benchmark.rules(request, tables)
+    spec = None if request.is_control else _spec(request, benchmark)
+    condition = _condition(request, benchmark, spec)
+    benchmark.require_condition(request, condition)
     method = _control(request) if spec is None else _method(request, spec, condition)
-    datasets = tuple(_dataset(request, chosen, spec, method) for chosen in _chosen_sequences(request, tables))
-    record = _record(request, condition, method, datasets, protocol)
+    datasets = tuple(
+        _dataset(benchmark, request, chosen, spec, method, condition, rules)
+        for chosen in benchmark.choose(request, tables)
+    )
+    record = _record(request, condition, method, datasets, rules)
     if request.repeats is not None:
         record.require_same_inputs(request.repeats)
-    return PreparedRun(request, condition, record, datasets, request.out or _default_folder(record), protocol)
+    return PreparedRun(request, benchmark, record, datasets, request.out or _default_folder(record), rules)
 
 
-def _spec(request: RunRequest) -> MethodSpec:
+def _spec(request: RunRequest, benchmark: Benchmark) -> MethodSpec:
     require_weights(request.weights)
     return method_spec(
         request.method,
@@ -144,15 +118,17 @@ def _spec(request: RunRequest) -> MethodSpec:
         isolate=request.isolate,
         timeout=request.timeout,
         hidden=(*request.data, request.out or DEFAULT_PARENT),
+        group=benchmark.methods,
     )
 
 
-def _condition(request: RunRequest, spec: MethodSpec | None) -> Condition:
-    """Return the condition that is asked for, or the only one that the method takes."""
+def _condition(request: RunRequest, benchmark: Benchmark, spec: MethodSpec | None) -> StrEnum:
+    """Return the condition that is asked for, or the only one that the method takes; of a control the first."""
+    asked = None if request.condition is None else benchmark.condition(request.condition)
     if spec is None:
-        return request.condition or Condition.NONE
+        return asked or next(iter(benchmark.conditions))
     method = spec.load()
-    return chosen_condition(method.name, method.adapter, request.condition)
+    return chosen_condition(method.name, method.adapter, asked, group=benchmark.methods)
 
 
 def _control(request: RunRequest) -> MethodRecord:
@@ -161,11 +137,11 @@ def _control(request: RunRequest) -> MethodRecord:
     return MethodRecord(name=request.method, kind=CONTROL, **own, **limits)
 
 
-def _method(request: RunRequest, spec: MethodSpec, condition: Condition) -> MethodRecord:
+def _method(request: RunRequest, spec: MethodSpec, condition: StrEnum) -> MethodRecord:
     """Load an adapter or a program, and return what is recorded about it."""
     method = spec.load()
     origin = f"adapter '{method.name}'"
-    declared = Declared.by(method.adapter, origin=origin)
+    declared = Declared.by(method.adapter, origin=origin, conditions=spec.group.conditions)
     weights, digest = _weights(request.weights, method, condition, origin)
     kind, package, version = _source(spec, method)
     return MethodRecord(
@@ -187,17 +163,17 @@ def _method(request: RunRequest, spec: MethodSpec, condition: Condition) -> Meth
 
 def _source(spec: MethodSpec, method: LoadedMethod) -> tuple[str, str, str]:
     """Kind of a method, where it comes from, and its version: of the installed package, or as the program says."""
-    if spec.package is not None and isinstance(method.adapter, RemoteAdapter):
+    if spec.package is not None and isinstance(method.adapter, RemoteMethod):
         return PROGRAM, spec.package, method.adapter.version
-    installed = find_adapter(spec.name)
+    installed = find_adapter(spec.name, entry_points=spec.group.entry_points)
     return (BUILT_IN if installed.built_in else PACKAGE), installed.package, installed.version
 
 
 def _weights(
-    given: Path | None, method: LoadedMethod, condition: Condition, origin: str
+    given: Path | None, method: LoadedMethod, condition: StrEnum, origin: str
 ) -> tuple[str | None, str | None]:
     """Name and digest of the weights in use: those that the method declares, else those that the user gave."""
-    if isinstance(method.adapter, RemoteAdapter):
+    if isinstance(method.adapter, RemoteMethod):
         declared = method.adapter.weights.get(condition)
         if declared is not None:
             return declared.name, declared.sha256
@@ -206,82 +182,34 @@ def _weights(
     return (used.name, weights_digest(used)) if used else (None, None)
 
 
-def _chosen_sequences(request: RunRequest, tables: list[SequenceTable]) -> list[Selection]:
-    """Select sequences of each table; where single ones are asked for, only of the tables that hold one."""
-    if request.sequences:
-        return select_sequences(tables, request.sequences, split=request.split)
-    return [select(table, split=request.split, limit=request.limit, carry_on=request.carry_on) for table in tables]
-
-
 def _dataset(
+    benchmark: Benchmark,
     request: RunRequest,
-    chosen: Selection,
+    chosen: Cases,
     spec: MethodSpec | None,
     method: MethodRecord,
+    condition: StrEnum,
+    rules: Rules,
 ) -> PreparedDataset:
-    table = chosen.table
-    selection = supported(chosen, max_frames=method.max_frames, native_fps=method.native_fps)
-    if request.carry_on:
-        selection = whole_pairs(selection)
-    if not len(selection):
-        raise AdapterError(
-            f"adapter '{method.name}' generates at most {method.max_frames} frames; all {len(chosen)} chosen sequences"
-            f" of {table.info.dataset} are longer."
-        )
+    cases = benchmark.answerable(request, chosen, method)
     if spec is not None:
-        spec = fitted_to(spec, table)
-        with nullcontext() if spec.fit_folder is None else in_turn(spec.fit_folder):
-            spec.load()  # a fit is made here, once, and found by every worker
-    source = ConditionSource.read(selection, obstacles=method.wants_obstacles)
-    scored_goals = None
-    if request.control == SHUFFLED_GOAL:
-        shuffled = source.with_goals_of(derangement(selection, seed=request.seed))
-        if request.method in RECORDED_MOTION:
-            scored_goals = shuffled.goal_location
-        source = shuffled
-    if not request.carry_on:
-        plan = plan_batches(selection.n_frames, request.batch_size)
-        return PreparedDataset(chosen, selection, source, plan, spec, scored_goals)
-    carrying = Carrying.of(selection)
-    # Picks first: a put cannot start before its pick has ended.
-    halves = [_plan_of(np.sort(rows), selection, request.batch_size) for rows in (carrying.picks, carrying.puts)]
-    plan = halves[0] + halves[1]
-    return PreparedDataset(chosen, selection, source, plan, spec, scored_goals, carrying, len(halves[0]))
-
-
-def _plan_of(rows: Int[np.ndarray, " rows"], selection: Selection, batch_size: int) -> list[Int[np.ndarray, "_"]]:
-    """Plan the batches of some sequences of a selection."""
-    return [rows[batch] for batch in plan_batches(selection.n_frames[rows], batch_size)]
-
-
-def supported(selection: Selection, *, max_frames: int | None, native_fps: float | None) -> Selection:
-    """The sequences that a method can generate in full; none is ever cut.
-
-    Args:
-        selection: The chosen sequences.
-        max_frames: The method's limit, at its own rate; None for none.
-        native_fps: The method's own rate; None for the table's.
-    """
-    if max_frames is None:
-        return selection
-    n_frames = selection.n_frames
-    if native_fps is not None:
-        n_frames = native_frames(n_frames, fps=selection.fps, native_fps=native_fps)
-    return selection.chosen(n_frames <= max_frames)
+        spec = benchmark.fitted(spec, cases.table, condition)
+    work = benchmark.work(request, cases, method=method, condition=condition, rules=rules)
+    return PreparedDataset(chosen, cases, spec, work)
 
 
 def _record(
     request: RunRequest,
-    condition: Condition,
+    condition: StrEnum,
     method: MethodRecord,
     datasets: tuple[PreparedDataset, ...],
-    protocol: BenchmarkProtocol,
+    rules: Rules,
 ) -> RunRecord:
     return RunRecord(
         schema_version=RUN_SCHEMA_VERSION,
         prbench_version=prbench.__version__,
-        protocol_version=protocol.version,
-        protocol_digest=protocol.digest,
+        protocol_version=rules.version,
+        protocol_digest=rules.digest,
         method=method,
         condition=condition.value,
         control=request.control,
@@ -298,41 +226,43 @@ def _record(
         threads=request.threads,
         packages=package_versions(_RECORDED_PACKAGES),
         tables=tuple(
-            table_record(dataset.chosen, dataset.selection, _plan_record(dataset, request)) for dataset in datasets
+            table_record(dataset.chosen, dataset.cases, _plan_record(dataset, request)) for dataset in datasets
         ),
+        benchmark=request.benchmark,
     )
 
 
 def _plan_record(dataset: PreparedDataset, request: RunRequest) -> BatchPlanRecord:
     return BatchPlanRecord(
         batch_size=request.batch_size,
-        batches=len(dataset.plan),
-        digest=plan_digest(dataset.selection.sequence_ids, dataset.plan),
+        batches=len(dataset.work.plan),
+        digest=plan_digest(dataset.cases.sequence_ids, dataset.work.plan),
     )
 
 
-def table_record(chosen: Selection, selection: Selection, plan: BatchPlanRecord) -> TableRecord:
+def table_record(chosen: Cases, cases: Cases, plan: BatchPlanRecord) -> TableRecord:
     """Return what a run's record says about a table.
 
     Args:
-        chosen: The sequences of split and limit.
-        selection: Those of them that the method can generate.
+        chosen: The cases of split and limit.
+        cases: Those of them that the method can answer.
         plan: Its batches.
     """
-    info = selection.table.info
+    info = cases.table.info
     return TableRecord(
         dataset=info.dataset,
         title=info.title,
         synthetic=info.synthetic,
         redistribution=info.redistribution,
-        identity_digest=selection.table.identity,
-        content_digest=selection.table.content,
+        identity_digest=cases.table.identity,
+        content_digest=cases.table.content,
         sequences=len(chosen),
-        unsupported=len(chosen) - len(selection),
+        unsupported=len(chosen) - len(cases),
         selection_digest=chosen.digest,
         batch_plan=plan,
         fold=info.options.get(OPTION),
         whole_table=info.options.get(WHOLE_TABLE),
+        estimated_bodies=getattr(info, "estimated_bodies", False),
     )
 
 
@@ -354,5 +284,5 @@ def _default_folder(record: RunRecord) -> Path:
     several = len(record.tables) > _NAMED_DATASETS
     datasets = f"{len(record.tables)}-datasets" if several else "+".join(table.dataset for table in record.tables)
     best_of = f"-best-of-{record.best_of}" if record.best_of > 1 else ""
-    name = f"{record.method.name}{control}-{record.condition}{best_of}-{datasets}-{text_digest(repr(record))[:8]}"
+    name = f"{record.method.name}{control}-{record.condition}{best_of}-{datasets}-{record.short_digest}"
     return DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)

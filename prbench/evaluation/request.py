@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import pyarrow as pa
 
 from prbench.contract import Condition
 from prbench.errors import UsageError
 from prbench.evaluation.best_of import require_goal
+from prbench.manifests import PROTOCOL_NAME
 from prbench.methods.names import METHOD_CONTROLS, SHUFFLED_GOAL
 from prbench.methods.programs.words import short_name
 from prbench.runs.record import RunRecord
@@ -32,7 +35,9 @@ class RunRequest:
     name (``RunRecord.method.name``)."""
     data: tuple[Path, ...]
     """Dataset folders."""
-    condition: Condition | None = None
+    benchmark: str = PROTOCOL_NAME
+    """Name of the benchmark."""
+    condition: str | None = None
     """What the method is given; None for the only condition that it takes, and for none with a control."""
     weights: Path | None = None
     options: Mapping[str, str] = field(default_factory=dict)
@@ -94,8 +99,8 @@ class RunRequest:
             raise UsageError(f"--method {self.method} is part of the harness; leave --isolate and --timeout out.")
         if self.best_of > 1 and self.is_control:
             raise UsageError(f"--method {self.method} draws nothing to choose from; leave --best-of out.")
-        if self.best_of > 1 and self.condition is not None:
-            require_goal(self.condition, best_of=self.best_of)
+        if self.best_of > 1 and self.condition is not None and self.benchmark == PROTOCOL_NAME:
+            require_goal(Condition(self.condition), best_of=self.best_of)
         if self.carry_on and (self.is_control or self.control is not None):
             raise UsageError("--carry-on: controls make no motion that could go on; leave it out.")
         if self.carry_on and self.sequences:
@@ -132,3 +137,19 @@ ProgressCallback = Callable[[Progress], None]
 
 def silent(progress: Progress) -> None:
     """Say nothing."""
+
+
+def reported(scores: Iterator[pa.Table], dataset: str, total: int, progress: ProgressCallback) -> Iterator[pa.Table]:
+    """Pass scores on, and report after each table how many cases are done.
+
+    Args:
+        scores: Rows of ``scores.parquet``, whole cases at a time.
+        dataset: Name of the dataset.
+        total: Number of all cases.
+        progress: Called after each table.
+    """
+    done = 0
+    for table in scores:
+        yield table
+        done += len(table["sequence_id"].unique())
+        progress(Progress(dataset, "score", done, total))

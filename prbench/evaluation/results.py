@@ -11,13 +11,14 @@ import numpy as np
 import pyarrow as pa
 
 from prbench.errors import RunError
+from prbench.evaluation.benchmark import load_benchmark
 from prbench.evaluation.comparisons import smallest_detectable_unpaired
 from prbench.evaluation.intervals import CONFIDENCE, metric_interval, uncertainty_sources
-from prbench.metrics import METRICS, RANKED_METRICS, MetricInfo
+from prbench.metrics import MetricInfo
 from prbench.metrics.scoring import LENGTH_MISMATCH
 from prbench.runs import summary as run_summary
 from prbench.runs.folder import DatasetFolder
-from prbench.runs.record import TableRecord
+from prbench.runs.record import RunRecord, TableRecord
 from prbench.runs.summary import DatasetSummary, MetricSummary
 from prbench.sequences import DatasetInfo
 
@@ -132,6 +133,8 @@ class ScoredSet:
     """The motions that the scores belong to."""
 
     info: DatasetInfo | TableRecord
+    metrics: tuple[MetricInfo, ...]
+    """All metrics of the benchmark, in the order in which they are printed."""
     recording_of: Mapping[str, str]
     """Recording of each scored sequence."""
     chosen: int
@@ -158,7 +161,7 @@ def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
         scores: Rows of ``scores.parquet``.
         scored: What they are of.
     """
-    metrics = _metrics(scores, scored.recording_of)
+    metrics = _metrics(scores, scored)
     mismatched = max((metric.flags.get(LENGTH_MISMATCH, 0) for metric in metrics), default=0)
     return DatasetSummary(
         dataset=scored.info.dataset,
@@ -182,22 +185,47 @@ def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
     )
 
 
+def summary_of(
+    record: RunRecord, table: TableRecord, scores: pa.Table, recording_of: Mapping[str, str]
+) -> DatasetSummary:
+    """Make ``summary.json`` anew from ``run.json``, the scores and the recording of each case."""
+    return summarise(
+        scores,
+        ScoredSet(
+            info=table,
+            metrics=load_benchmark(record.benchmark).metrics,
+            recording_of=recording_of,
+            chosen=table.sequences,
+            method=record.method.name,
+            condition=record.condition,
+            control=record.control,
+            split=record.split,
+            samples=record.samples,
+            best_of=record.best_of,
+            gaze=record.method.gaze,
+            obstacles=record.method.wants_obstacles,
+            carry_on=record.carry_on,
+        ),
+    )
+
+
 def _titled(title: str, *, synthetic: bool) -> str:
     """The title of a dataset, with the word "synthetic" where the data are."""
     return f"{title} (synthetic)" if synthetic and "synthetic" not in title.lower() else title
 
 
-def _metrics(scores: pa.Table, recording_of: Mapping[str, str]) -> tuple[MetricSummary, ...]:
+def _metrics(scores: pa.Table, scored: ScoredSet) -> tuple[MetricSummary, ...]:
     names = np.array(scores["metric"].to_pylist(), dtype=object)
     present = set(names)
+    ranked = sum(info.main and info.ranked for info in scored.metrics)
     return tuple(
-        _summarised(info, scores.take(pa.array(np.flatnonzero(names == info.id))), recording_of)
-        for info in METRICS
+        _summarised(info, scores.take(pa.array(np.flatnonzero(names == info.id))), scored.recording_of, ranked)
+        for info in scored.metrics
         if info.id in present
     )
 
 
-def _summarised(info: MetricInfo, rows: pa.Table, recording_of: Mapping[str, str]) -> MetricSummary:
+def _summarised(info: MetricInfo, rows: pa.Table, recording_of: Mapping[str, str], ranked: int) -> MetricSummary:
     sequence_ids = rows["sequence_id"].to_pylist()
     recording_ids = [recording_of[name] for name in sequence_ids]
     values = rows["value"].to_numpy()
@@ -218,6 +246,6 @@ def _summarised(info: MetricInfo, rows: pa.Table, recording_of: Mapping[str, str
         recordings=estimate.n_recordings,
         marks=estimate.marks,
         flags=dict(sorted(flags.items())),
-        detectable=smallest_detectable_unpaired(values, recording_ids, sequence_ids, comparisons=len(RANKED_METRICS)),
+        detectable=smallest_detectable_unpaired(values, recording_ids, sequence_ids, comparisons=ranked),
         uncertainty={name: round(share, 4) for name, share in shares.items()},
     )

@@ -1,4 +1,6 @@
-"""Run a method over tables: conditions, motions, scores, summary, in a run folder that resumes.
+"""Run a method over tables: questions, answers, scores, summary, in a run folder that resumes.
+
+Nothing here knows of a benchmark but its value (:mod:`prbench.evaluation.benchmark`).
 
 ``run.json`` is written first and holds everything that decides the result; a batch of predictions is written whole;
 scores, cost and summary follow when all batches are there, the summary last. Whatever moment a run was killed at, the
@@ -15,25 +17,18 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+from jaxtyping import Int
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import AdapterError, MemoryFullError
-from prbench.evaluation.agreement import agreement_with_people, require_agreement
-from prbench.evaluation.best_of import ChoiceRules
-from prbench.evaluation.carry_on import measure_carried
-from prbench.evaluation.conditions import ConditionSource, run_salt
-from prbench.evaluation.controls import HOLDS_RECORDINGS, RECORDED_MOTION, control_motions
 from prbench.evaluation.generation import BatchTask, run_batch
 from prbench.evaluation.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
-from prbench.evaluation.request import Progress, ProgressCallback, RunRequest, silent
-from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
-from prbench.evaluation.scoring import ScoringRules, reported, score_selection
+from prbench.evaluation.request import Progress, ProgressCallback, RunRequest, reported, silent
+from prbench.evaluation.results import require_scores, require_summary, summary_of
 from prbench.locks import sole_writer
 from prbench.methods.loaded_methods import forget_loaded_methods, unload_method
-from prbench.runs.carry_on import write_carried_on
 from prbench.runs.cost import read_batch_costs, total_cost
 from prbench.runs.folder import DatasetFolder, RunFolder
-from prbench.runs.predictions import Predictions
 from prbench.runs.record import PACKAGE
 from prbench.runs.scores import read_scores, write_scores
 from prbench.runs.summary import DatasetSummary
@@ -74,7 +69,7 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
         try:
             prepared = prepare_run(request)
             held.enter_context(sole_writer(prepared.out))
-            folder = RunFolder.prepare(prepared.out, prepared.record, prepared.protocol)
+            folder = _prepared_folder(prepared)
             parts = [_Part(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
             made = _generate_all(parts, folder, engine)
         except Exception:
@@ -86,7 +81,7 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
         for part in parts:
             part.write_notice()
         summaries = tuple(part.scored() for part in parts)
-    total = sum(len(dataset.plan) for dataset in prepared.datasets)
+    total = sum(len(dataset.work.plan) for dataset in prepared.datasets)
     return RunReport(folder, summaries, batches_made=sum(made), batches_found=total - sum(made))
 
 
@@ -101,12 +96,17 @@ def missing_batches(request: RunRequest, *, engine: Engine) -> Iterator[BatchTas
         engine: Where the batches will be made.
     """
     prepared = prepare_run(request)
-    folder = RunFolder.prepare(prepared.out, prepared.record, prepared.protocol)
+    folder = _prepared_folder(prepared)
     if not isinstance(engine, InProcess):
         unload_method()  # every worker loads its own
     for dataset in prepared.datasets:
         part = _Part(prepared, dataset, folder.dataset(dataset.name), engine, silent)
         yield from part.tasks(frozenset(part.missing()))
+
+
+def _prepared_folder(prepared: PreparedRun) -> RunFolder:
+    """Make the run folder, with a copy of the protocol where it is the user's own."""
+    return RunFolder.prepare(prepared.out, prepared.record, prepared.benchmark.copied_rules(prepared.rules))
 
 
 def _generate_all(parts: list[_Part], folder: RunFolder, engine: Engine) -> list[int]:
@@ -115,17 +115,15 @@ def _generate_all(parts: list[_Part], folder: RunFolder, engine: Engine) -> list
         unload_method()  # every worker loads its own
     try:
         missing = [part.missing() for part in parts]
-        done = {part.dataset.name: len(part.dataset.plan) - len(own) for part, own in zip(parts, missing, strict=True)}
-        # Puts that carry on are a second round: they start where the motions of the first one end.
-        for carries in (False, True):
+        done = {part.dataset.name: len(part.plan) - len(own) for part, own in zip(parts, missing, strict=True)}
+        numbers = {part.dataset.work.round_of(index) for part, own in zip(parts, missing, strict=True) for index in own}
+        for number in sorted(numbers):
             rounds = [
-                [index for index in wanted if part.carries(index) is carries]
+                [index for index in wanted if part.dataset.work.round_of(index) == number]
                 for part, wanted in zip(parts, missing, strict=True)
             ]
             tasks = (part.tasks(frozenset(wanted)) for part, wanted in zip(parts, rounds, strict=True) if wanted)
             owners = [part for part, wanted in zip(parts, rounds, strict=True) for _ in wanted]
-            if not owners:
-                continue
             owners[0].tell(done)
             # One stream of work for all datasets, so that every worker starts once and loads the method once.
             for _, part in zip(engine.map(run_batch, itertools.chain.from_iterable(tasks)), owners, strict=True):
@@ -161,132 +159,73 @@ class _Part:
     engine: Engine
     progress: ProgressCallback
 
+    @property
+    def plan(self) -> list[Int[np.ndarray, "_"]]:
+        """The places of the cases of each batch."""
+        return self.dataset.work.plan
+
     def tell(self, done: dict[str, int]) -> None:
         """Report how many batches of this dataset are done."""
-        self.progress(Progress(self.dataset.name, "generate", done[self.dataset.name], len(self.dataset.plan)))
+        self.progress(Progress(self.dataset.name, "generate", done[self.dataset.name], len(self.plan)))
 
     def missing(self) -> list[int]:
         """Batches that no earlier call has made."""
-        self.files.require_no_other_parts(len(self.dataset.plan))
+        self.files.require_no_other_parts(len(self.plan))
         samples = self.prepared.request.samples
         return [
             index
-            for index, rows in enumerate(self.dataset.plan)
+            for index, rows in enumerate(self.plan)
             if not self.files.has_part(index, self.dataset.ids(rows), samples)
         ]
 
-    def carries(self, index: int) -> bool:
-        """Return True for a batch of puts that start where generated picks end."""
-        return self.dataset.carrying is not None and index >= self.dataset.pick_batches
-
-    def _carried(self, sample: int) -> tuple[ConditionSource, np.ndarray]:
-        assert self.dataset.carrying is not None
-        predictions = Predictions.open(self.files.predictions)
-        predictions.make_ready()
-        return self.dataset.carrying.source(self.dataset.source, predictions, sample)
-
     def tasks(self, wanted: frozenset[int]) -> Iterator[BatchTask]:
         """The work on some batches, in the order of the plan."""
-        request = self.prepared.request
-        dataset = self.dataset
-        salt = run_salt(request.seed, dataset.selection.table.identity)
-        given = None
-        if request.is_control:
-            given = control_motions(request.method, dataset.selection, dataset.source, dataset.plan)
-        carried = [self._carried(sample) for sample in range(request.samples)] if any(map(self.carries, wanted)) else []
-        for index, rows in enumerate(dataset.plan):
-            # Controls come in order: those of finished batches are made and passed over.
-            motions = next(given) if given is not None else None
-            if index not in wanted:
-                continue
-            sources = [source for source, _ in carried] or [dataset.source] * request.samples
-            first = [
-                source.batch(rows, self.prepared.condition, seed=request.seed, salt=salt, sample=0)
-                for source in sources
-            ]
+        for index, question in self.dataset.work.questions(wanted, self.files):
             yield BatchTask(
                 index=index,
-                sequence_ids=dataset.ids(rows),
-                # Motions of one sample are consecutive draws, so that one of one is the sample itself.
-                conditions=tuple(
-                    dataset.source.redrawn(first[draw // request.best_of], rows, seed=request.seed, sample=draw)
-                    for draw in range(request.samples * request.best_of)
-                ),
-                choice=ChoiceRules.of(
-                    self.prepared.protocol, best_of=request.best_of, head_tilt_deg=dataset.source.head_tilt_deg[rows]
-                ),
-                method=dataset.method,
-                seed=request.seed,
-                given=motions,
+                sequence_ids=self.dataset.ids(self.plan[index]),
+                question=question,
+                method=self.dataset.method,
+                seed=self.prepared.request.seed,
                 part=self.files.part(index),
                 cost=self.files.batch_cost(index),
-                protocol_version=self.prepared.protocol.version,
-                placements=tuple(placements[rows] for _, placements in carried),
+                protocol_version=self.prepared.rules.version,
             )
 
     def write_notice(self) -> None:
         """Say beside the predictions what the data's terms ask, so that it travels with a folder that is passed on."""
-        recorded = self.prepared.request.method in HOLDS_RECORDINGS
-        text = run_notice(self.dataset.selection.table.info, recorded_motion=recorded)
+        text = run_notice(self.dataset.cases.table.info, recorded_motion=self.dataset.work.holds_recordings)
         if text and not self.files.notice.is_file():
             write_text(self.files.notice, text)
 
     def scored(self) -> DatasetSummary:
         """Score what was generated; what an earlier call wrote has to follow from the motions and the table."""
         files = self.files
+        work = self.dataset.work
         if files.finished and files.has_scores():
             stored = read_scores(files.scores)
-            require_scores(files, stored, pa.concat_tables(self._windows()))
-            require_summary(files, summarise(stored, self._scored_set()))
-            agreement = agreement_with_people(self.dataset.selection, stored, protocol=self.prepared.protocol)
-            require_agreement(files, agreement)
-            if not files.agreement.is_file():  # a run of an earlier version
-                agreement.write(files.path)
+            require_scores(files, stored, pa.concat_tables(self._scores()))
+            require_summary(files, self._summary(stored))
+            work.require_beside(files, stored)
         else:
-            write_scores(files.scores, self._windows())
+            write_scores(files.scores, self._scores())
             measured = files.batch_costs()
             if measured or not files.cost.is_file():  # else only scores were lost, and what was measured still holds
-                total_cost(read_batch_costs(measured), batches=len(self.dataset.plan)).write(files.cost)
+                total_cost(read_batch_costs(measured), batches=len(self.plan)).write(files.cost)
             stored = read_scores(files.scores)
-            agreement_with_people(self.dataset.selection, stored, protocol=self.prepared.protocol).write(files.path)
+            work.write_beside(files, stored)
             # The summary comes last: where it stands, everything else does.
-            summarise(stored, self._scored_set()).write(files.path)
+            self._summary(stored).write(files.path)
         files.forget_batch_costs()
-        if self.dataset.carrying is not None:
-            samples = range(self.prepared.request.samples)
-            found = measure_carried(self.dataset.selection, files.predictions, stored, samples=samples)
-            write_carried_on(files.path, found)
         return DatasetSummary.read(files.path)
 
-    def _scored_set(self) -> ScoredSet:
-        request = self.prepared.request
-        selection = self.dataset.selection
-        return ScoredSet(
-            info=selection.table.info,
-            recording_of=dict(zip(selection.sequence_ids, selection.recording_ids)),
-            chosen=len(self.dataset.chosen),
-            method=self.prepared.record.method.name,
-            condition=self.prepared.condition.value,
-            control=request.control,
-            split=request.split,
-            samples=request.samples,
-            best_of=request.best_of,
-            gaze=self.prepared.record.method.gaze,
-            obstacles=self.prepared.record.method.wants_obstacles,
-            carry_on=self.prepared.record.carry_on,
-        )
+    def _summary(self, scores: pa.Table) -> DatasetSummary:
+        record = self.prepared.record
+        table = next(table for table in record.tables if table.dataset == self.dataset.name)
+        cases = self.dataset.cases
+        return summary_of(record, table, scores, dict(zip(cases.sequence_ids, cases.recording_ids, strict=True)))
 
-    def _windows(self) -> Iterator[pa.Table]:
-        """The scores of what was generated, a window of sequences at a time."""
-        request = self.prepared.request
-        rules = ScoringRules(
-            self.prepared.protocol.metrics,
-            recorded_motion=request.method in RECORDED_MOTION,
-            other_goals=self.dataset.scored_goals,
-            run_of=self.prepared.record.method.name,
-        )
-        selection = self.dataset.selection
-        windows = score_selection(
-            selection, self.files.predictions, samples=range(request.samples), rules=rules, engine=self.engine
-        )
-        return reported(windows, selection, self.progress)
+    def _scores(self) -> Iterator[pa.Table]:
+        """The scores of what was generated, some cases at a time."""
+        scores = self.dataset.work.scores(self.files, self.engine)
+        return reported(scores, self.dataset.name, len(self.dataset.cases), self.progress)

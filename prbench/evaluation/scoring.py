@@ -19,7 +19,6 @@ from prbench.evaluation.lengths import length_problem
 from prbench.evaluation.obstacles import SCENE_COLUMNS, SolidBoxes
 from prbench.evaluation.planning import WINDOW, Selection
 from prbench.evaluation.recorded_motion import is_recorded_motion
-from prbench.evaluation.request import Progress, ProgressCallback
 from prbench.limits import FARTHEST_COORDINATE
 from prbench.manifests import MetricConstants
 from prbench.methods.coordinates import coordinate_problem, gaze_problem, impossible_frames
@@ -153,15 +152,6 @@ def score_recorded(
             if unknown is not None:
                 parts[-1][name] = np.where(unknown, np.nan, parts[-1][name])
     return {name: np.concatenate([part[name] for part in parts]) for name in wanted}, np.concatenate(goals)
-
-
-def reported(windows: Iterator[pa.Table], selection: Selection, progress: ProgressCallback) -> Iterator[pa.Table]:
-    """Pass the scores of windows on, and report after each how many sequences are done."""
-    done = 0
-    for window in windows:
-        yield window
-        done += len(window["sequence_id"].unique())
-        progress(Progress(selection.table.info.dataset, "score", done, len(selection)))
 
 
 def _windows(

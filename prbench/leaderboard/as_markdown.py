@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from prbench.benchmarks import default_benchmark
 from prbench.leaderboard.costs import COST_TITLES
 from prbench.leaderboard.tables import (
     FEWEST_RANKED,
@@ -15,8 +16,7 @@ from prbench.leaderboard.tables import (
     hides,
     undecided_lines,
 )
-from prbench.manifests import load_protocol
-from prbench.metrics import MAIN_METRICS, MetricInfo, printed_unit
+from prbench.metrics import MetricInfo, printed_unit
 from prbench.runs.record import CONTROL
 from prbench.shown import markdown, markdown_code
 
@@ -26,21 +26,26 @@ _FEW = "†"
 
 def as_markdown(leaderboard: Leaderboard) -> str:
     """The whole document."""
-    blocks = ["# Prime-and-reach leaderboard"]
+    found = dict.fromkeys(table.benchmark.about.title for table in leaderboard.tables)
+    several = len(found) > 1
+    blocks = ["# Leaderboard" if several else f"# {next(iter(found), default_benchmark().title)} leaderboard"]
     for table in leaderboard.tables:
-        blocks += _dataset_blocks(table, shared_name=_repeats(table, leaderboard))
+        blocks += _dataset_blocks(table, shared_name=_repeats(table, leaderboard), with_benchmark=several)
     for macro in leaderboard.macro:
-        blocks += _macro_blocks(macro)
+        blocks += _macro_blocks(macro, with_benchmark=several)
     if leaderboard.notes:
         blocks += ["## Notes", "\n".join(f"- {markdown(note)}" for note in leaderboard.notes)]
     return "\n\n".join(blocks) + "\n"
 
 
-def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
+def _dataset_blocks(table: DatasetTable, *, shared_name: bool, with_benchmark: bool) -> list[str]:
+    metrics = table.benchmark.main_metrics
     counts = f"{table.sequences} sequences, {table.recordings} recording{'' if table.recordings == 1 else 's'}"
     if table.of:
         counts += f" of {table.of} that every method here generated"
     title = f"## {markdown(table.title)}, {markdown_code(table.dataset)}: {markdown(table.split)}, {counts}"
+    if with_benchmark:
+        title += f", {table.benchmark.about.title.lower()}"
     if table.protocol:
         title += f", own protocol {markdown(table.protocol)}"
     if table.earlier_version is not None:
@@ -49,19 +54,19 @@ def _dataset_blocks(table: DatasetTable, *, shared_name: bool) -> list[str]:
         # Two tables of one dataset differ in a digest at most, so their titles have to show digests.
         protocol, identity, content, _, chosen = (part[:8] for part in table.key)
         title += f" (protocol {protocol}, table {identity}/{content}, chosen {chosen})"
-    header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), *COST_TITLES, "Kind"]
+    header = ["Condition", "Method", "Variant", *(_column(info) for info in metrics), *COST_TITLES, "Kind"]
     rows = [
         [
             "control" if row.entry.record.method.kind == CONTROL else markdown(row.entry.record.condition),
             _marked(row.entry.method, row.entry.summary.symbols),
             _variant(row.variant, unverified=bool(row.entry.unverified)),
-            *(_cell(row, info) for info in MAIN_METRICS),
+            *(_cell(row, info) for info in metrics),
             *row.entry.cost.cells,
             markdown(row.entry.origin),
         ]
         for row in table.rows
     ]
-    return [title, _grid(header, rows), "\n".join(f"- {line}" for line in _legend(table))]
+    return [title, _grid(header, rows, metrics), "\n".join(f"- {line}" for line in _legend(table))]
 
 
 def _variant(text: str, *, unverified: bool) -> str:
@@ -105,8 +110,9 @@ def _legend(table: DatasetTable) -> Iterable[str]:
     if table.protocol:
         yield f"Scored under a protocol of the user's own, {markdown(table.protocol)}: no number here is the study's."
     if table.earlier_version is not None:
+        present = table.benchmark.present_rules.version
         yield (
-            f"Scored under version {table.earlier_version} of the protocol; version {load_protocol().version} is the"
+            f"Scored under version {table.earlier_version} of the protocol; version {present} is the"
             " present one, and no number of the two is comparable. Run the methods again to compare them."
         )
     if table.sequences < FEWEST_RANKED:
@@ -143,13 +149,13 @@ def _groups(table: DatasetTable) -> Iterable[str]:
     for condition in dict.fromkeys(row.entry.record.condition for row in table.rows if row.ranks):
         rows = [row for row in table.rows if row.entry.record.condition == condition and row.ranks]
         alike = []
-        for info in MAIN_METRICS:
+        for info in table.benchmark.main_metrics:
             ranks = {row.ranks[info.id] for row in rows if info.id in row.ranks}
             if ranks == {1}:
                 alike.append(info.title)
         if alike:
             yield f"{markdown(condition)}: the data separate no two methods in {', '.join(alike)}."
-        for info in MAIN_METRICS:
+        for info in table.benchmark.main_metrics:
             if info.title in alike or not any(info.id in row.ranks for row in rows):
                 continue
             groups: dict[int, list[str]] = {}
@@ -161,18 +167,21 @@ def _groups(table: DatasetTable) -> Iterable[str]:
             yield f"{markdown(condition)}, {info.title}: {'; '.join(parts)} (methods of one group are not separated)."
 
 
-def _macro_blocks(macro: MacroTable) -> list[str]:
+def _macro_blocks(macro: MacroTable, *, with_benchmark: bool) -> list[str]:
+    metrics = macro.benchmark.main_metrics
     word = " (synthetic data among them)" if macro.synthetic else ""
     title = f"## Mean over datasets: {', '.join(map(markdown, macro.datasets))}{word}"
+    if with_benchmark:
+        title += f", {macro.benchmark.about.title.lower()}"
     if macro.earlier_version is not None:
         title += f", protocol version {macro.earlier_version}"
-    header = ["Condition", "Method", "Variant", *(_column(info) for info in MAIN_METRICS), "Missing", "Kind"]
+    header = ["Condition", "Method", "Variant", *(_column(info) for info in metrics), "Missing", "Kind"]
     rows = [
         [
             "control" if row.is_control else markdown(row.condition),
             _marked(row.method, row.symbols),
             _variant(row.variant, unverified=row.unverified),
-            *(_macro_cell(row, info) for info in MAIN_METRICS),
+            *(_macro_cell(row, info) for info in metrics),
             ", ".join(map(markdown, row.missing)),
             markdown(row.origin),
         ]
@@ -183,7 +192,7 @@ def _macro_blocks(macro: MacroTable) -> list[str]:
         " number of methods of its condition that are better on every dataset by a supported difference; none for"
         " methods without a dataset."
     )
-    return [title, _grid(header, rows), legend]
+    return [title, _grid(header, rows, metrics), legend]
 
 
 def _macro_cell(row: MacroRow, info: MetricInfo) -> str:
@@ -202,11 +211,12 @@ def _column(info: MetricInfo) -> str:
     return f"{info.title}{info.arrow}{f' ({unit})' if unit else ''}"
 
 
-def _grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    numbers = {*map(_column, MAIN_METRICS), *COST_TITLES}
+def _grid(header: Sequence[str], rows: Sequence[Sequence[str]], metrics: Sequence[MetricInfo]) -> str:
+    numbers = {*map(_column, metrics), *COST_TITLES}
     rule = ["---:" if name in numbers else "---" for name in header]
     return "\n".join("| " + " | ".join(line) + " |" for line in [header, rule, *rows])
 
 
 def _repeats(table: DatasetTable, leaderboard: Leaderboard) -> bool:
-    return sum(other.dataset == table.dataset for other in leaderboard.tables) > 1
+    key = (table.benchmark.name, table.dataset)
+    return sum((other.benchmark.name, other.dataset) == key for other in leaderboard.tables) > 1

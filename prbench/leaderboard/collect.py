@@ -7,16 +7,18 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from prbench.benchmarks import benchmarks, find_benchmark
 from prbench.boundary import foreign_input
 from prbench.errors import RunError
+from prbench.evaluation.benchmark import Benchmark, load_benchmark
 from prbench.leaderboard.costs import UNMEASURED, MotionCost, cost_of
 from prbench.leaderboard.merging import merge_folds
-from prbench.methods.names import BUILT_IN_METHODS, METHOD_CONTROLS, name_problem
+from prbench.methods.names import METHOD_CONTROLS, name_problem
 from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
 from prbench.runs.merged import FILE_NAME as MERGED
 from prbench.runs.merged import FoldRun, MergedFrom
-from prbench.runs.record import MethodRecord, RunRecord, TableRecord
+from prbench.runs.record import RunRecord, TableRecord
 from prbench.runs.scores import read_scores
 from prbench.runs.summary import DatasetSummary, MetricSummary
 from prbench.submitted.verification import CheckedSummary, RunChecker, ScoredSequences
@@ -49,11 +51,16 @@ class LeaderboardRow:
         return self.record.method.name
 
     @property
+    def benchmark(self) -> Benchmark:
+        """The benchmark of the run."""
+        return load_benchmark(self.record.benchmark)
+
+    @property
     def origin(self) -> str:
         """Origin of the method, in words; a record that claims a method for prbench without right is not believed."""
         method = self.record.method
         # run.json is a user's file: a method may claim to be built in without being so.
-        ours = {run_record.BUILT_IN: BUILT_IN_METHODS, run_record.CONTROL: METHOD_CONTROLS}.get(method.kind)
+        ours = {run_record.BUILT_IN: self.benchmark.about.methods, run_record.CONTROL: METHOD_CONTROLS}.get(method.kind)
         return "unknown kind" if ours is not None and method.name not in ours else method.origin
 
     @property
@@ -103,12 +110,13 @@ Check = Callable[[RunFolder, TableRecord], CheckedSummary]
 
 
 @foreign_input()
-def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> CollectedRuns:
+def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_benchmark: bool = False) -> CollectedRuns:
     """Read run folders, or all run folders below a folder.
 
     Args:
         paths: In any order; a run that is named twice counts once.
         check: By default a checker without tables, which leaves all runs unverified.
+        any_benchmark: The caller shows runs of every benchmark; without it, those of the default one alone.
 
     Raises:
         RunError: if a path holds no run, or a run is damaged, or its files do not follow from one another.
@@ -127,9 +135,12 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None) -> Collec
     merged: list[tuple[LeaderboardRow, RunFolder]] = []
     of_folds: dict[tuple[str, str], tuple[LeaderboardRow, RunFolder]] = {}
     for folder in sorted(folders):
-        run = RunFolder.open(folder)
+        run = RunFolder.open(folder, any_benchmark=any_benchmark)
+        if run.record.benchmark not in benchmarks():
+            left_out.append(f"{folder.name}: of a benchmark that this version of prbench does not have")
+            continue
         # A foreign method under the name of ours would stand in the study's own row.
-        if problem := _false_name(run.record.method):
+        if problem := _false_name(run.record):
             left_out.append(f"{folder.name}: {problem}; run or score it again under another name")
             continue
         unfinished = [table.dataset for table in run.record.tables if not run.dataset(table.dataset).finished]
@@ -204,10 +215,12 @@ def _own_protocol(run: RunFolder) -> str:
     return protocol.label if protocol is not None and protocol.is_own else ""
 
 
-def _false_name(method: MethodRecord) -> str | None:
+def _false_name(record: RunRecord) -> str | None:
     """Return what is wrong with the name of a foreign method; prbench 0.5 checked no names."""
+    method = record.method
+    own = find_benchmark(record.benchmark).methods
     foreign = (run_record.PACKAGE, run_record.PROGRAM, run_record.FILE)
-    return name_problem(method.name) if method.kind in foreign else None
+    return name_problem(method.name, own=own) if method.kind in foreign else None
 
 
 def _runs_below(path: Path) -> list[Path]:

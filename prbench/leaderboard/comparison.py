@@ -9,12 +9,13 @@ import numpy as np
 import pyarrow.compute as pc
 
 from prbench.errors import RunError
+from prbench.evaluation.benchmark import Benchmark, load_benchmark
 from prbench.evaluation.comparisons import Comparison, PairedValues, compare
-from prbench.metrics import METRICS, RANKED_METRICS, MetricInfo
+from prbench.metrics import MetricInfo
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import TableRecord
 from prbench.runs.scores import read_scores
-from prbench.submitted.verification import RunChecker, recording_key
+from prbench.submitted.verification import RunChecker
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,13 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
     """
     first = Path(first)
     second = Path(second)
-    runs = RunFolder.open(first), RunFolder.open(second)
+    runs = RunFolder.open(first, any_benchmark=True), RunFolder.open(second, any_benchmark=True)
+    if runs[0].record.benchmark != runs[1].record.benchmark:
+        raise RunError(
+            f"{first} is a run of the benchmark {runs[0].record.benchmark}, {second} of {runs[1].record.benchmark}:"
+            " their numbers measure different things and cannot be compared."
+        )
+    benchmark = load_benchmark(runs[0].record.benchmark)
     if runs[0].record.protocol_digest != runs[1].record.protocol_digest:
         raise RunError(
             f"{first} and {second} follow different protocols, so their numbers cannot be compared. Run the method of"
@@ -75,7 +82,7 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
             chosen = _table_of(runs[0], name).sequences
             left_out.append(f"{name}: compared on the {len(common)} of {chosen} sequences that both methods generated")
     found = compare(scores)
-    infos = {info.id: info for info in METRICS}
+    infos = {info.id: info for info in benchmark.metrics}
     metrics = []
     for key, comparison in found.items():
         dataset, metric = key.split("\n")
@@ -119,13 +126,14 @@ def paired_scores(
     Raises:
         RunError: if they were run on different tables, or scored on different sequences.
     """
-    scores = [sequence_scores(run.dataset(dataset).scores, only=only) for run in (first, second)]
+    benchmark = load_benchmark(first.record.benchmark)
+    scores = [sequence_scores(run.dataset(dataset).scores, benchmark, only=only) for run in (first, second)]
     if _table_of(first, dataset).content_digest != _table_of(second, dataset).content_digest:
         raise RunError(f"{first.path} and {second.path} were run on different tables of {dataset}.")
     pairs = {}
-    for info in RANKED_METRICS:
+    for info in benchmark.ranked_metrics:
         try:
-            pair = paired_values(scores[0], scores[1], info)
+            pair = paired_values(scores[0], scores[1], info, benchmark)
         except ValueError as error:
             raise RunError(
                 f"{first.path} and {second.path} were scored on different sequences of {dataset}"
@@ -145,11 +153,12 @@ class SequenceScores:
     values: dict[str, np.ndarray]
 
 
-def sequence_scores(path: Path, *, only: frozenset[str] | None = None) -> SequenceScores:
+def sequence_scores(path: Path, benchmark: Benchmark, *, only: frozenset[str] | None = None) -> SequenceScores:
     """Read the main metrics of ``scores.parquet``.
 
     Args:
         path: The file.
+        benchmark: The benchmark of the run.
         only: Ids of the sequences to read; None for all.
 
     Raises:
@@ -162,7 +171,7 @@ def sequence_scores(path: Path, *, only: frozenset[str] | None = None) -> Sequen
     means = scores.group_by(["sequence_id", "metric"]).aggregate([("value", "mean")])
     names: dict[str, list[str]] = {}
     values: dict[str, np.ndarray] = {}
-    for metric in (info.id for info in METRICS if info.main):
+    for metric in (info.id for info in benchmark.main_metrics):
         rows = means.filter(pc.field("metric") == metric).sort_by("sequence_id")
         if rows.num_rows:
             names[metric] = rows["sequence_id"].to_pylist()
@@ -170,7 +179,9 @@ def sequence_scores(path: Path, *, only: frozenset[str] | None = None) -> Sequen
     return SequenceScores(names, values)
 
 
-def paired_values(first: SequenceScores, second: SequenceScores, info: MetricInfo) -> PairedValues | None:
+def paired_values(
+    first: SequenceScores, second: SequenceScores, info: MetricInfo, benchmark: Benchmark
+) -> PairedValues | None:
     """Put the values of two runs side by side; None where one of them lacks the metric.
 
     Raises:
@@ -183,7 +194,7 @@ def paired_values(first: SequenceScores, second: SequenceScores, info: MetricInf
     if names != others:
         raise ValueError(f"{len(names)} and {len(others)}")
     # Sequences of one recording are not independent, so their spread is that between recordings.
-    recordings = [recording_key(name) for name in names]
+    recordings = [benchmark.recording_key(name) for name in names]
     return PairedValues(first.values[info.id], second.values[info.id], recordings, rate=info.unit == "rate")
 
 

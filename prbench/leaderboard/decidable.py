@@ -18,7 +18,12 @@ FEWEST_RANKED = 50
 
 
 def undecided(
-    dataset: str, sequences: int, recordings: int, methods: Sequence[Iterable[MetricSummary]]
+    dataset: str,
+    sequences: int,
+    recordings: int,
+    methods: Sequence[Iterable[MetricSummary]],
+    *,
+    ranked: Sequence[MetricInfo] = RANKED_METRICS,
 ) -> Iterator[str]:
     """Yield sentences on what the data cannot decide, and the smallest differences that they can.
 
@@ -27,6 +32,7 @@ def undecided(
         sequences: Number of sequences that were scored.
         recordings: Number of recordings that they come from.
         methods: The scores of each method.
+        ranked: The metrics by which methods of the benchmark are ranked.
     """
     reason = why_undecided(sequences, recordings)
     if reason:
@@ -38,22 +44,22 @@ def undecided(
         for metric in metrics:
             if metric.detectable is not None:
                 found.setdefault(metric.metric, []).append(metric.detectable)
-    texts = [_detectable_text(info, median(found[info.id])) for info in RANKED_METRICS if info.id in found]
+    texts = [_detectable_text(info, median(found[info.id])) for info in ranked if info.id in found]
     if texts:
         yield (
             "Smallest difference between two unrelated methods of this spread that would be found in four of five"
-            f" repetitions, at the first step of Holm's correction for {len(RANKED_METRICS)} metrics:"
+            f" repetitions, at the first step of Holm's correction for {len(ranked)} metrics:"
             f" {', '.join(texts)}."
         )
 
-    rate = next((info for info in RANKED_METRICS if info.unit == "rate" and found.get(info.id)), None)
+    rate = next((info for info in ranked if info.unit == "rate" and found.get(info.id)), None)
     if rate is not None:
         needed = [
             recordings_needed(
                 median(found[rate.id]),
                 points / 100,
                 recordings=recordings,
-                comparisons=len(RANKED_METRICS),
+                comparisons=len(ranked),
                 power=POWER,
             )
             for points in POINTS

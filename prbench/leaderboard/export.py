@@ -10,10 +10,11 @@ from collections.abc import Callable, Iterable
 import msgspec
 
 from prbench.errors import UsageError
+from prbench.evaluation.benchmark import Benchmark
 from prbench.leaderboard.as_markdown import as_markdown
 from prbench.leaderboard.costs import MotionCost
 from prbench.leaderboard.tables import DatasetTable, Leaderboard, MacroTable, TableRow, hides, undecided_lines
-from prbench.metrics import METRICS, exported_unit, printed_scale
+from prbench.metrics import MetricInfo, exported_unit, printed_scale
 from prbench.runs.means import intervals_of_means
 from prbench.runs.summary import EDGE_ARRIVAL
 from prbench.shown import csv_text
@@ -43,7 +44,6 @@ _CSV_COLUMNS: tuple[str, ...] = (
     "parameters",
 )
 _TEXT_COLUMNS = ("dataset", "condition", "method", "variant", "metric", "note")
-_INFOS = {info.id: info for info in METRICS}
 _JSON_VERSION = 1
 
 
@@ -80,12 +80,15 @@ def _csv_shown(row: dict[str, str]) -> dict[str, str]:
 
 
 def _csv_dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, str]]:
+    infos = _infos(table.benchmark)
     for row in table.rows:
         for metric in row.entry.summary.metrics:
-            info = _INFOS.get(metric.metric)
+            info = infos.get(metric.metric)
             scale = printed_scale(metric.unit)
             hidden = info is not None and hides(row.entry, info)
             notes = [*metric.marks, *(["synthetic"] if table.synthetic else [])]
+            if not table.benchmark.about.default:
+                notes.append(f"benchmark {table.benchmark.name}")
             if table.of:
                 notes.append(f"common {table.sequences} of {table.of} sequences")
             if table.protocol:
@@ -108,7 +111,7 @@ def _csv_dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, st
                 # Empty where Markdown prints a dash, so that nobody averages a number that means nothing.
                 "value": "" if hidden else _csv_number(scale * metric.mean),
                 "unit": exported_unit(metric.unit),
-                "higher_is_better": _csv_direction(metric.metric),
+                "higher_is_better": _csv_direction(info),
                 "low": "" if hidden or metric.low is None else _csv_number(scale * metric.low),
                 "high": "" if hidden or metric.high is None else _csv_number(scale * metric.high),
                 "sequences": str(metric.sequences),
@@ -130,11 +133,14 @@ def _csv_cost(cost: MotionCost) -> dict[str, str]:
 
 def _csv_macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
     about = ["mean over datasets", *(["synthetic"] if macro.synthetic else [])]
+    if not macro.benchmark.about.default:
+        about.append(f"benchmark {macro.benchmark.name}")
+    infos = _infos(macro.benchmark)
     if macro.earlier_version is not None:
         about.append(f"protocol version {macro.earlier_version}")
     for row in macro.rows:
         for metric, mean in row.means.items():
-            info = _INFOS[metric]
+            info = infos[metric]
             yield dict.fromkeys(_CSV_COLUMNS, "") | {
                 "table": number,
                 "dataset": "+".join(macro.datasets),
@@ -144,7 +150,7 @@ def _csv_macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
                 "metric": metric,
                 "value": _csv_number(info.scale * mean.mean),
                 "unit": exported_unit(info.unit),
-                "higher_is_better": _csv_direction(metric),
+                "higher_is_better": _csv_direction(info),
                 "low": "" if mean.low is None else _csv_number(info.scale * mean.low),
                 "high": "" if mean.high is None else _csv_number(info.scale * mean.high),
                 "rank": str(row.ranks.get(metric, "")),
@@ -154,8 +160,12 @@ def _csv_macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
             }
 
 
-def _csv_direction(metric: str) -> str:
-    direction = _INFOS[metric].higher_is_better if metric in _INFOS else None
+def _infos(benchmark: Benchmark) -> dict[str, MetricInfo]:
+    return {info.id: info for info in benchmark.metrics}
+
+
+def _csv_direction(info: MetricInfo | None) -> str:
+    direction = info.higher_is_better if info is not None else None
     return "" if direction is None else str(direction).lower()
 
 
@@ -178,7 +188,9 @@ def _as_json(leaderboard: Leaderboard) -> str:
 
 def _json_table(table: DatasetTable) -> dict[str, object]:
     protocol, identity, content, split, chosen = table.key
+    named = {} if table.benchmark.about.default else {"benchmark": table.benchmark.name}
     return {
+        **named,
         "dataset": table.dataset,
         "title": table.title,
         "synthetic": table.synthetic,
@@ -231,12 +243,14 @@ def _json_row(row: TableRow) -> dict[str, object]:
             "memory_mebibytes": entry.cost.memory_mebibytes,
             "parameters": entry.cost.parameters,
         },
-        "says_nothing": [info.id for info in METRICS if hides(entry, info)],
+        "says_nothing": [info.id for info in entry.benchmark.metrics if hides(entry, info)],
     }
 
 
 def _json_macro(macro: MacroTable) -> dict[str, object]:
+    named = {} if macro.benchmark.about.default else {"benchmark": macro.benchmark.name}
     return {
+        **named,
         "datasets": list(macro.datasets),
         "synthetic": macro.synthetic,
         "rows": [

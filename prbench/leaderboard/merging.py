@@ -13,6 +13,7 @@ import msgspec
 import pyarrow as pa
 
 from prbench.errors import RunError, StorageError
+from prbench.evaluation.results import summary_of
 from prbench.locks import sole_writer
 from prbench.own_protocol import write_protocol
 from prbench.runs.cost import RunCost, joined_costs
@@ -21,8 +22,9 @@ from prbench.runs.merged import FILE_NAME, FoldRun, MergedFrom
 from prbench.runs.record import BatchPlanRecord, MethodRecord, RunRecord, TableRecord
 from prbench.runs.scores import read_scores, write_scores
 from prbench.runs.summary import DatasetSummary
+from prbench.sequences.ids import recording_key
 from prbench.storage import atomic_folder, text_digest
-from prbench.submitted.verification import RunChecker, recording_key, summary_of
+from prbench.submitted.verification import RunChecker
 
 
 @dataclass(frozen=True, eq=False)

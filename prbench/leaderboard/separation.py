@@ -37,7 +37,7 @@ def separate_by_comparison(rows: Sequence[LeaderboardRow], metrics: Sequence[Met
     pairs: dict[str, PairedValues] = {}
     for (i, first), (j, second) in combinations(enumerate(scores), 2):
         for info in directed:
-            pair = paired_values(first, second, info)
+            pair = paired_values(first, second, info, rows[0].benchmark)
             if pair is not None:
                 pairs[f"{i} {j} {info.id}"] = pair
     directions = {info.id: info.higher_is_better for info in directed}
@@ -57,4 +57,4 @@ def _scores(row: LeaderboardRow) -> SequenceScores:
         raise RunError(
             f"{row.run}: expected the run's scores beside its summary, found none. Run it again: it resumes."
         )
-    return sequence_scores(row.scores, only=row.only)
+    return sequence_scores(row.scores, row.benchmark, only=row.only)

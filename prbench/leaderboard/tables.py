@@ -15,15 +15,14 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from prbench.evaluation.benchmark import Benchmark
 from prbench.leaderboard.collect import CollectedRuns, LeaderboardRow
 from prbench.leaderboard.decidable import FEWEST_RANKED, undecided
 from prbench.leaderboard.separation import Separate, separate_by_comparison
-from prbench.manifests import load_protocol
-from prbench.metrics import MAIN_METRICS, RANKED_METRICS, MetricInfo
+from prbench.metrics import MetricInfo
 from prbench.runs.means import MeanOverDatasets, mean_over_datasets
 from prbench.runs.record import CONTROL
 
-_CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
 _KEYS = ("protocol", "table identity", "table content", "split", "chosen sequences")
 
 
@@ -69,6 +68,16 @@ class DatasetTable:
     """Version of prbench's own protocol where it is not the present one."""
 
     @property
+    def benchmark(self) -> Benchmark:
+        """The benchmark of all rows."""
+        return self.rows[0].entry.benchmark
+
+    @property
+    def estimated_bodies(self) -> bool:
+        """Bodies were estimated from whole tracks of the head."""
+        return self.rows[0].entry.table.estimated_bodies
+
+    @property
     def protocol_digest(self) -> str:
         """Digest of the rules by which the rows were scored."""
         return self.key[0]
@@ -102,6 +111,7 @@ class MacroTable:
     datasets: tuple[str, ...]
     synthetic: bool
     rows: tuple[MacroRow, ...]
+    benchmark: Benchmark
     earlier_version: int | None = None
     """See :attr:`DatasetTable.earlier_version`."""
 
@@ -171,8 +181,9 @@ def _comparison_key(row: LeaderboardRow) -> tuple[str, ...]:
 
 def _separations(tables: Sequence[DatasetTable]) -> Iterable[str]:
     """Yield a note for each dataset that has more than one table."""
-    for dataset in sorted({table.dataset for table in tables}):
-        keys = [table.key for table in tables if table.dataset == dataset]
+    # Tables of two benchmarks are not expected to compare, and their titles tell them apart.
+    for benchmark, dataset in sorted({(table.benchmark.name, table.dataset) for table in tables}):
+        keys = [table.key for table in tables if (table.benchmark.name, table.dataset) == (benchmark, dataset)]
         different = [name for i, name in enumerate(_KEYS) if len({key[i] for key in keys}) > 1]
         if different:
             yield f"{dataset} has {len(keys)} tables that must not be compared: they differ in {', '.join(different)}."
@@ -180,15 +191,16 @@ def _separations(tables: Sequence[DatasetTable]) -> Iterable[str]:
 
 def _dataset_table(entries: list[LeaderboardRow], separate: Separate) -> DatasetTable:
     first = entries[0]
+    metrics = first.benchmark.ranked_metrics
     ordered = sorted(entries, key=_place)
     variants = _unique_variants(ordered)
     ranks = [dict[str, int]() for _ in ordered]
     leads = [set[str]() for _ in ordered]
     beaten_by = [dict[str, frozenset[int]]() for _ in ordered]
-    for condition in _CONDITIONS:
+    for condition in first.benchmark.about.conditions:
         ranked = [i for i, entry in enumerate(ordered) if entry.record.condition == condition and _is_ranked(entry)]
-        beaten = separate([ordered[i] for i in ranked], RANKED_METRICS)
-        for info in RANKED_METRICS:
+        beaten = separate([ordered[i] for i in ranked], metrics)
+        for info in metrics:
             shown = {place for place, i in enumerate(ranked) if _is_shown(ordered[i], info)}
             # Being first of one is no distinction.
             if len(shown) < 2 or info.higher_is_better is None:
@@ -217,7 +229,7 @@ def _dataset_table(entries: list[LeaderboardRow], separate: Separate) -> Dataset
 
 def _earlier_version(row: LeaderboardRow) -> int | None:
     version = row.record.protocol_version
-    return None if row.protocol or version == load_protocol().version else version
+    return None if row.protocol or version == row.benchmark.present_rules.version else version
 
 
 def _is_shown(entry: LeaderboardRow, info: MetricInfo) -> bool:
@@ -253,7 +265,8 @@ def _joined(*parts: str) -> str:
 
 
 def _place(entry: LeaderboardRow) -> tuple:
-    condition = _CONDITIONS.index(entry.record.condition) if entry.record.condition in _CONDITIONS else len(_CONDITIONS)
+    conditions = [*entry.benchmark.about.conditions, entry.record.condition]
+    condition = conditions.index(entry.record.condition)
     return (entry.record.method.kind == CONTROL, condition, entry.method, entry.variant, entry.record.seed, entry.run)
 
 
@@ -283,23 +296,29 @@ def undecided_lines(table: DatasetTable) -> tuple[str, ...]:
     """Return sentences on what the data of a table cannot decide, and the smallest differences that they can."""
     entries = [row.entry for row in table.rows if not row.entry.is_control] or [row.entry for row in table.rows]
     metrics = [[metric for metric in entry.summary.metrics if metric.metric not in _hidden(entry)] for entry in entries]
-    return tuple(undecided(table.dataset, table.sequences, table.recordings, metrics))
+    ranked = table.benchmark.ranked_metrics
+    return tuple(undecided(table.dataset, table.sequences, table.recordings, metrics, ranked=ranked))
 
 
 def _hidden(entry: LeaderboardRow) -> set[str]:
-    return {info.id for info in MAIN_METRICS if hides(entry, info)}
+    return {info.id for info in entry.benchmark.main_metrics if hides(entry, info)}
 
 
 def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
     """Yield a table for each protocol with two datasets or more, if each dataset has one table under it."""
-    for protocol in sorted({table.protocol_digest for table in tables}):
-        under = [table for table in tables if table.protocol_digest == protocol]
+    for kind in sorted({_kind(table) for table in tables}):
+        under = [table for table in tables if _kind(table) == kind]
         datasets = tuple(table.dataset for table in under)
         # A mean over one dataset is that dataset's table; two tables of one dataset would count it twice.
         if len(datasets) < 2 or len(set(datasets)) < len(datasets):
             continue
         synthetic = any(table.synthetic for table in under)
-        yield MacroTable(datasets, synthetic, tuple(_macro_rows(under)), under[0].earlier_version)
+        yield MacroTable(datasets, synthetic, tuple(_macro_rows(under)), under[0].benchmark, under[0].earlier_version)
+
+
+def _kind(table: DatasetTable) -> tuple[str, bool]:
+    """What tables have in common that may enter one mean: the protocol, and whether bodies are estimates."""
+    return table.protocol_digest, table.estimated_bodies
 
 
 def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
@@ -314,9 +333,9 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
     names = [table.dataset for table in tables]
     means = {key: _macro_means(entries, names) for key, entries in found.items()}
     ranks: dict[tuple[str, str, str, str], dict[str, int]] = {key: {} for key in found}
-    for condition in _CONDITIONS:
+    for condition in tables[0].benchmark.about.conditions:
         keys = [key for key in found if key[0] == condition and all(_is_ranked(entry) for entry in found[key].values())]
-        for info in RANKED_METRICS:
+        for info in tables[0].benchmark.ranked_metrics:
             shown = [key for key in keys if info.id in means[key]]
             if len(shown) < 2 or info.higher_is_better is None:
                 continue
@@ -344,7 +363,7 @@ def _macro_means(entries: dict[str, LeaderboardRow], datasets: list[str]) -> dic
     if any(name not in entries for name in datasets):
         return {}
     means = {}
-    for info in MAIN_METRICS:
+    for info in entries[datasets[0]].benchmark.main_metrics:
         shown = [None if hides(entries[name], info) else entries[name].metric(info.id) for name in datasets]
         mean = mean_over_datasets(shown)
         if mean is not None:

@@ -4,27 +4,32 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
+from enum import StrEnum
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import Any
 
-from prbench.contract import ENTRY_POINT_GROUP, Adapter, Condition
+from prbench.benchmarks import benchmarks
+from prbench.entry_points import ADAPTERS
 from prbench.errors import AdapterError, PrbenchError, UsageError
 from prbench.methods.declared import Declared
+from prbench.methods.groups import MOTIONS, MethodGroup
 from prbench.methods.installed import InstalledAdapter, list_adapters, no_such_method
 from prbench.storage import file_digest
 
 
-def find_adapter(name: str, *, also_known: Iterable[str] = ()) -> InstalledAdapter:
+def find_adapter(name: str, *, also_known: Iterable[str] = (), entry_points: str = ADAPTERS) -> InstalledAdapter:
     """Find the installed method of this name: prbench's own, or the one that a single package offers.
 
     Args:
         name: As given by ``--method``.
         also_known: Further names that may be meant, such as those of controls.
+        entry_points: Entry-point group, which is that of one benchmark.
 
     Raises:
         AdapterError: if there is none (with the nearest name), two packages offer it, or its metadata are damaged.
     """
-    installed = list_adapters()
+    installed = list_adapters(entry_points)
     claims = [adapter for adapter in installed if adapter.name == name]
     found = [adapter for adapter in claims if not adapter.problem]
     if len(found) > 1:
@@ -37,10 +42,19 @@ def find_adapter(name: str, *, also_known: Iterable[str] = ()) -> InstalledAdapt
             f"adapter '{name}' (package {claims[0].package}): {claims[0].problem}."
             " Repair the entry point, or reinstall the package."
         )
+    for other in benchmarks().values():
+        elsewhere = {adapter.name for adapter in list_adapters(other.entry_points) if not adapter.problem}
+        if other.entry_points != entry_points and name in elsewhere:
+            raise AdapterError(
+                f"'{name}' is a method of the benchmark {other.name}, which is not the one asked for here:"
+                f" `prbench run --benchmark {other.name} --method {name}` runs it."
+            )
     raise no_such_method(name, [*(adapter.name for adapter in installed), *also_known])
 
 
-def load_adapter(name: str, weights: Path | None, options: Mapping[str, str], device: str) -> Adapter:
+def load_adapter(
+    name: str, weights: Path | None, options: Mapping[str, str], device: str, *, group: MethodGroup = MOTIONS
+) -> Any:
     """Import a method and make it.
 
     Args:
@@ -48,13 +62,14 @@ def load_adapter(name: str, weights: Path | None, options: Mapping[str, str], de
         weights: File or folder, or None for the method's default.
         options: ``--option key=value``, handed on as they are.
         device: ``cpu``, ``cuda`` …
+        group: The methods of one benchmark.
 
     Raises:
         AdapterError: if it is not installed, cannot be imported, refuses an option, or is no adapter; the message
             names the package and the cause.
     """
-    installed = find_adapter(name)
-    point = EntryPoint(installed.name, installed.target, ENTRY_POINT_GROUP)
+    installed = find_adapter(name, entry_points=group.entry_points)
+    point = EntryPoint(installed.name, installed.target, group.entry_points)
     origin = f"adapter '{name}' (package {installed.package} {installed.version}, {installed.target})"
     try:
         load = point.load()
@@ -70,22 +85,20 @@ def load_adapter(name: str, weights: Path | None, options: Mapping[str, str], de
         raise AdapterError(f"{origin}: refused its settings: {error}") from error
     except (Exception, SystemExit) as error:
         raise AdapterError(f"{origin}: cannot be loaded: {_cause(error)}.") from error
-    if not isinstance(adapter, Adapter):
-        raise AdapterError(
-            f"{origin}: expected an object with name, conditions and generate(), found {type(adapter).__name__}."
-        )
-    Declared.by(adapter, origin=origin)
+    if not isinstance(adapter, group.interface):
+        raise AdapterError(f"{origin}: expected an object with {group.members}, found {type(adapter).__name__}.")
+    Declared.by(adapter, origin=origin, conditions=group.conditions)
     return adapter
 
 
-def chosen_condition(name: str, adapter: Adapter, condition: Condition | None) -> Condition:
+def chosen_condition(name: str, adapter: Any, condition: StrEnum | None, *, group: MethodGroup = MOTIONS) -> Any:
     """Return the condition that a method is run under: the one asked for, or the only one that it takes.
 
     Raises:
         AdapterError: if the method does not take it, or none is asked for and it takes several; names those that it
             takes.
     """
-    conditions = Declared.by(adapter, origin=f"adapter '{name}'").conditions
+    conditions = Declared.by(adapter, origin=f"adapter '{name}'", conditions=group.conditions).conditions
     if condition is not None and condition in conditions:
         return condition
     if condition is None and len(conditions) == 1:
@@ -96,7 +109,7 @@ def chosen_condition(name: str, adapter: Adapter, condition: Condition | None) -
     raise AdapterError(f"adapter '{name}' does not take the condition '{condition.value}'. Choose one of: {taken}.")
 
 
-def used_weights(adapter: Adapter, condition: Condition, given: Path | None, *, origin: str) -> Path | None:
+def used_weights(adapter: Any, condition: StrEnum, given: Path | None, *, origin: str) -> Path | None:
     """Return the weights used under a condition: those the method names itself (``weights_for``), else those given.
 
     Raises:

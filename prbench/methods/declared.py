@@ -6,9 +6,11 @@ import contextlib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from numbers import Integral, Real
+from typing import Any
 
-from prbench.contract import Adapter, Condition
+from prbench.contract import Condition
 from prbench.errors import AdapterError
 
 
@@ -16,7 +18,8 @@ from prbench.errors import AdapterError
 class Declared:
     """The attributes of an adapter that the harness honours."""
 
-    conditions: frozenset[Condition]
+    conditions: frozenset[Any]
+    """Of the benchmark's own type."""
     max_frames: int | None = None
     """Longest motion at its own rate, in frames; None for no limit."""
     native_fps: float | None = None
@@ -28,12 +31,13 @@ class Declared:
     """Must be given the solid boxes around each sequence."""
 
     @classmethod
-    def by(cls, adapter: Adapter, *, origin: str) -> Declared:
+    def by(cls, adapter: Any, *, origin: str, conditions: type[StrEnum] = Condition) -> Declared:
         """Read the attributes of a method.
 
         Args:
             adapter: The method.
             origin: Name of the method in messages.
+            conditions: The conditions of its benchmark.
 
         Raises:
             AdapterError: naming the attribute that is not what the contract asks for.
@@ -45,6 +49,7 @@ class Declared:
             bool(getattr(adapter, "motionless", False)),
             bool(getattr(adapter, "gaze", False)),
             origin=origin,
+            known=conditions,
         )
         return replace(declared, wants_obstacles=bool(getattr(adapter, "wants_obstacles", False)))
 
@@ -58,6 +63,7 @@ class Declared:
         gaze: bool = False,
         *,
         origin: str,
+        known: type[StrEnum] = Condition,
     ) -> Declared:
         """Read the same from values of unknown types.
 
@@ -65,7 +71,7 @@ class Declared:
             AdapterError: see :meth:`by`.
         """
         return cls(
-            _conditions(conditions, origin),
+            _conditions(conditions, origin, known),
             _max_frames(max_frames, origin),
             _native_fps(native_fps, origin),
             motionless,
@@ -73,13 +79,13 @@ class Declared:
         )
 
 
-def _conditions(value: object, origin: str) -> frozenset[Condition]:
-    known = [condition.value for condition in Condition]
+def _conditions(value: object, origin: str, kind: type[StrEnum]) -> frozenset[Any]:
+    known = [condition.value for condition in kind]
     if isinstance(value, Iterable) and not isinstance(value, str):
         # A one-shot iterator may be all that a method gives.
         found = list(value)
         if found and all(item in known for item in found):
-            return frozenset(Condition(item) for item in found)
+            return frozenset(kind(item) for item in found)
     raise AdapterError(f"{origin}: expected 'conditions' to be some of {', '.join(sorted(known))}, found {value!r}.")
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint
 
+from prbench.benchmarks import benchmark_of_group
 from prbench.entry_points import ADAPTERS, installed_entries
 from prbench.errors import AdapterError, did_you_mean
-from prbench.methods.names import BUILT_IN_METHODS, has_form, name_problem
+from prbench.methods.names import has_form, name_problem
 from prbench.shown import quoted
 
 _UNKNOWN = "unknown"
@@ -30,9 +31,13 @@ class InstalledAdapter:
     """True if it comes with prbench itself."""
 
 
-def list_adapters() -> list[InstalledAdapter]:
-    """Return all installed methods by name, without importing any; those that cannot be used say why."""
-    return sorted(set(_adapters()))
+def list_adapters(entry_points: str = ADAPTERS) -> list[InstalledAdapter]:
+    """Return all installed methods by name, without importing any; those that cannot be used say why.
+
+    Args:
+        entry_points: Entry-point group, which is that of one benchmark.
+    """
+    return sorted(set(_adapters(entry_points)))
 
 
 def offered_twice(adapters: Iterable[InstalledAdapter]) -> frozenset[str]:
@@ -69,18 +74,19 @@ def _as_program(name: str) -> str:
     return ""
 
 
-def _adapters() -> Iterator[InstalledAdapter]:
-    for entry in installed_entries(ADAPTERS):
+def _adapters(entry_points: str) -> Iterator[InstalledAdapter]:
+    own = benchmark_of_group(entry_points).methods
+    for entry in installed_entries(entry_points):
         name = entry.name or _UNKNOWN
         adapter = InstalledAdapter(name, entry.package, entry.version, entry.target, entry.problem)
-        yield _with_right_to_its_name(adapter, ours=entry.ours)
+        yield _with_right_to_its_name(adapter, ours=entry.ours, own=own)
 
 
-def _with_right_to_its_name(adapter: InstalledAdapter, *, ours: bool) -> InstalledAdapter:
+def _with_right_to_its_name(adapter: InstalledAdapter, *, ours: bool, own: Collection[str]) -> InstalledAdapter:
     """Mark the method as built in, or as refused where its name belongs to prbench or cannot be shown."""
-    if ours and adapter.name in BUILT_IN_METHODS:
+    if ours and adapter.name in own:
         return replace(adapter, built_in=True)
-    problem = adapter.problem or name_problem(adapter.name) or ""
+    problem = adapter.problem or name_problem(adapter.name, own=own) or ""
     # A name that cannot be shown safely is quoted, so that a list stays readable.
     name = adapter.name if has_form(adapter.name) else quoted(adapter.name)
     return replace(adapter, name=name, problem=problem)

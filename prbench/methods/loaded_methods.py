@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import psutil
 
-from prbench.contract import Adapter, Trainable, TrainingRun
+from prbench.benchmarks import benchmark_of_group
+from prbench.contract import Trainable
 from prbench.errors import AdapterError
 from prbench.methods.adapters import load_adapter
+from prbench.methods.groups import MOTIONS, MethodGroup
 from prbench.methods.names import name_problem
-from prbench.methods.remote.adapter import RemoteAdapter
+from prbench.methods.remote.method import RemoteMethod
 from prbench.methods.remote.process import Program
-from prbench.methods.training_split import FIT_SEED, TrainingSplit, temporary_training_copy
+from prbench.methods.training_split import temporary_training_copy
 from prbench.sequences import SequenceTable
 
 
@@ -42,6 +46,10 @@ class MethodSpec:
     """``process`` or ``bubblewrap``, or ``container``, if the user asked for isolation."""
     timeout: float | None = None
     hidden: tuple[Path, ...] = ()
+    group: MethodGroup = MOTIONS
+    """The methods of the run's benchmark."""
+    fit: Callable[[Any, MethodSpec], None] | None = None
+    """Fits the method, once it is made in this process, to ``table_folder``; importable, since it goes to workers."""
 
     def load(self) -> LoadedMethod:
         """Return the method, ready to generate; it is made once a process."""
@@ -53,7 +61,7 @@ class LoadedMethod:
     """A method in this process, or the program that this process has started for it."""
 
     name: str
-    adapter: Adapter
+    adapter: Any
     warmed_up: bool = False
     """True once it has generated a batch, and with it loaded whatever loads on first use."""
 
@@ -64,18 +72,18 @@ class LoadedMethod:
 
     def program_bytes(self) -> int:
         """Return the memory of the method's program and of all that it has started, in bytes; 0 in process."""
-        if not isinstance(self.adapter, RemoteAdapter):
+        if not isinstance(self.adapter, RemoteMethod):
             return 0
         return sum(_resident_bytes(process) for process in psutil.Process().children(recursive=True))
 
     @property
     def restarts(self) -> int:
         """Number of times that the method's program was started again after a crash; 0 in process."""
-        return self.adapter.restarts if isinstance(self.adapter, RemoteAdapter) else 0
+        return self.adapter.restarts if isinstance(self.adapter, RemoteMethod) else 0
 
     def close(self) -> None:
         """End its program, if it has one."""
-        if isinstance(self.adapter, RemoteAdapter):
+        if isinstance(self.adapter, RemoteMethod):
             self.adapter.close()
 
 
@@ -132,10 +140,9 @@ def unload_method() -> None:
 
 
 def _loaded_here(spec: MethodSpec) -> LoadedMethod:
-    adapter = load_adapter(spec.name, spec.weights, dict(spec.options), spec.device)
-    if spec.fit_folder is not None and spec.table_folder is not None and isinstance(adapter, Trainable):
-        run = TrainingRun(folder=spec.fit_folder, seed=FIT_SEED, device=spec.device)
-        adapter.fit(TrainingSplit.open(spec.table_folder), validation=None, run=run)
+    adapter = load_adapter(spec.name, spec.weights, dict(spec.options), spec.device, group=spec.group)
+    if spec.fit is not None:
+        spec.fit(adapter, spec)
     return LoadedMethod(spec.name, adapter)
 
 
@@ -143,7 +150,7 @@ def _loaded_program(spec: MethodSpec, program: Program) -> LoadedMethod:
     weights = spec.weights
     if weights is not None and weights.exists():
         weights = weights.absolute()
-    adapter = RemoteAdapter.start(
+    adapter = spec.group.remote.start(
         program,
         weights=None if weights is None else str(weights),
         options=dict(spec.options),
@@ -167,7 +174,7 @@ def _require_name(name: str, spec: MethodSpec) -> None:
             f"method '{spec.expected_name}': expected the program to introduce itself by this name, found '{name}'."
             " Correct method.name in the TOML file, or start the right program."
         )
-    if problem := name_problem(name):
+    if problem := name_problem(name, own=benchmark_of_group(spec.group.entry_points).methods):
         raise AdapterError(f"program '{spec.name}': {problem}. Let it introduce itself by another name in its hello.")
 
 

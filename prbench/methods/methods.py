@@ -6,14 +6,18 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from prbench.benchmarks import benchmark_of_group
+from prbench.contract import Trainable, TrainingRun
 from prbench.errors import UsageError
 from prbench.methods.adapters import InstalledAdapter, find_adapter
+from prbench.methods.groups import MOTIONS, MethodGroup
 from prbench.methods.isolation import fenced, isolated_environment, worker_program
 from prbench.methods.isolation.isolated import Fit
 from prbench.methods.loaded_methods import HELD, MethodSpec
 from prbench.methods.names import METHOD_CONTROLS
 from prbench.methods.programs import MethodProgram, is_program, own_environment, program_of
 from prbench.methods.remote.process import Program
+from prbench.methods.training_split import FIT_SEED, TrainingSplit
 from prbench.methods.users_environment import users_environment
 from prbench.sequences import SequenceTable
 from prbench.storage import cache_folder, text_digest
@@ -29,6 +33,7 @@ def method_spec(
     isolate: bool = False,
     timeout: float | None = None,
     hidden: tuple[Path, ...] = (),
+    group: MethodGroup = MOTIONS,
 ) -> MethodSpec:
     """Return how to make a method, whatever it is written in.
 
@@ -43,6 +48,7 @@ def method_spec(
         timeout: Seconds until a batch is answered by another process.
         hidden: Folders that an isolated method must not see, where the file system can be withheld; the cache folder
             is always one of them.
+        group: The methods of one benchmark.
 
     Raises:
         AdapterError: if there is no such method, with the nearest one.
@@ -51,11 +57,25 @@ def method_spec(
     """
     hidden = tuple(path.absolute() for path in (*hidden, cache_folder())) if isolate else ()
     spec = MethodSpec(
-        method, weights, tuple(sorted((options or {}).items())), device, threads, timeout=timeout, hidden=hidden
+        method,
+        weights,
+        tuple(sorted((options or {}).items())),
+        device,
+        threads,
+        timeout=timeout,
+        hidden=hidden,
+        group=group,
     )
     if is_program(method):
         return _program_spec(spec, isolate)
-    installed = find_adapter(method, also_known=METHOD_CONTROLS)
+    known = METHOD_CONTROLS if group is MOTIONS else ()
+    installed = find_adapter(method, also_known=known, entry_points=group.entry_points)
+    if isolate and not group.has_worker:
+        about = benchmark_of_group(group.entry_points)
+        raise UsageError(
+            f"--isolate: installed methods of {about.name} cannot be isolated yet. Leave it out, or start the method as"
+            " a program of its own (--method cmd:…), which can."
+        )
     if isolate:
         program = _worker(spec, installed, None)
         return replace(spec, program=program, isolation=program.fence)
@@ -85,11 +105,18 @@ def fitted_to(spec: MethodSpec, table: SequenceTable) -> MethodSpec:
     )
     folder = cache_folder() / "fits" / f"{spec.name}-{key[:16]}"
     if spec.program is None:
-        return replace(spec, fit_folder=folder, table_folder=table.folder)
+        return replace(spec, fit_folder=folder, table_folder=table.folder, fit=fit_to_training_rows)
     # Behind the fence the table itself is hidden, as it holds the test rows.
     copy = HELD.training_copy(table)
     program = _worker(spec, installed, Fit(copy, folder.absolute()))
     return replace(spec, fit_folder=folder, table_folder=copy, program=program)
+
+
+def fit_to_training_rows(adapter: object, spec: MethodSpec) -> None:
+    """Fit a method of prime-and-reach that was made in this process; it finds what an earlier fit has left."""
+    if isinstance(adapter, Trainable) and spec.fit_folder is not None and spec.table_folder is not None:
+        run = TrainingRun(folder=spec.fit_folder, seed=FIT_SEED, device=spec.device)
+        adapter.fit(TrainingSplit.open(spec.table_folder), validation=None, run=run)
 
 
 def _worker(spec: MethodSpec, installed: InstalledAdapter, fit: Fit | None) -> Program:

@@ -7,7 +7,9 @@ A package, a program, a file of motions and a run folder in a leaderboard are as
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 
+from prbench.benchmarks import default_benchmark
 from prbench.shown import quoted
 
 GROUND_TRUTH = "ground-truth"
@@ -37,8 +39,8 @@ METHOD_CONTROLS = (
     NEAREST_NEIGHBOUR,
 )
 """Controls that ``--method`` takes."""
-BUILT_IN_METHODS = ("dart", "dno", "gmd", "mdm", "pr", "static", "wandr")
-"""Methods that come with prbench, installed or not."""
+BUILT_IN_METHODS = default_benchmark().methods
+"""Methods of the default benchmark that come with prbench, installed or not."""
 
 _WORDS = ("all", "prbench", "shuffled", "t2m-evaluator")
 """Words that mean something else in commands and tables."""
@@ -53,18 +55,20 @@ def has_form(name: object) -> bool:
     return isinstance(name, str) and len(name) <= _LONGEST and _FORM.fullmatch(name) is not None
 
 
-def name_problem(name: object) -> str | None:
+def name_problem(name: object, *, own: Collection[str] = ()) -> str | None:
     """Say what is wrong with the name that a package, a program or a file gives its method.
 
     Args:
         name: As it was given.
+        own: Further methods of prbench itself: those of the benchmark in question.
 
     Returns:
         A clause without a full stop, or None if the name can be used.
     """
     if not has_form(name):
         return f"expected a name of {NAME_FORM}, found {quoted(repr(name))}"
-    owner = _OWNERS.get(_bare(str(name)))
+    owners = _OWNERS | {_bare(each): _OWN_METHOD for each in own}
+    owner = owners.get(_bare(str(name)))
     return None if owner is None else f"'{name}' is {owner}; only prbench itself may use this name"
 
 
@@ -73,8 +77,9 @@ def _bare(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.casefold())
 
 
+_OWN_METHOD = "a method of prbench itself"
 _OWNERS = {
     **{_bare(name): "a reserved word of prbench" for name in _WORDS},
-    **{_bare(name): "a method of prbench itself" for name in BUILT_IN_METHODS},
+    **{_bare(name): _OWN_METHOD for name in BUILT_IN_METHODS},
     **{_bare(name): "a control of prbench" for name in (*METHOD_CONTROLS, SHUFFLED_GOAL)},
 }

@@ -60,6 +60,8 @@ class MetricInfo:
 
     False for a condition that a motion has to meet, which no method meets better than a body that stands still.
     """
+    is_detail: bool = False
+    """Stands in files and reports alone, not in printed tables."""
 
     @property
     def scale(self) -> float:

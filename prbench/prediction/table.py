@@ -319,6 +319,16 @@ class WindowsTable:
         require_distinct(windows["window_id"].to_pylist(), f"{folder}, windows")
         return table
 
+    @property
+    def identity(self) -> str:
+        """Digest of which runs and frames there are."""
+        return self.info.identity_digest
+
+    @property
+    def content(self) -> str:
+        """Digest of all values."""
+        return self.info.content_digest
+
     def _refuse(self) -> None:
         raise TableError(f"{self.folder}: streams.parquet was changed after the build. Build the windows again.")
 

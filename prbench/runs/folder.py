@@ -10,6 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from prbench.benchmarks import default_benchmark
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, RunError, StorageError
 from prbench.manifests import BenchmarkProtocol
@@ -19,6 +20,7 @@ from prbench.parquet_files import read_parquet
 from prbench.runs import agreement, record, summary
 from prbench.runs.record import RunRecord
 from prbench.sequences.redistribution import NOTICE_FILE
+from prbench.shown import quoted
 from prbench.storage import inside, remove_half_written, remove_leftovers
 
 
@@ -149,14 +151,24 @@ class RunFolder:
 
     @classmethod
     @foreign_input()
-    def open(cls, path: Path | str) -> RunFolder:
+    def open(cls, path: Path | str, *, any_benchmark: bool = False) -> RunFolder:
         """Open a run for reading.
 
+        Args:
+            path: The folder.
+            any_benchmark: The caller works on runs of every benchmark; without it, those of the default one alone.
+
         Raises:
-            RunError: if the folder holds no run.
+            RunError: if the folder holds no run, or one of a benchmark that the caller does not know.
         """
         path = Path(path)
-        return cls(path, RunRecord.read(path))
+        record = RunRecord.read(path)
+        if not any_benchmark and record.benchmark != default_benchmark().name:
+            raise RunError(
+                f"{path}: is a run of the benchmark {quoted(record.benchmark)}, which this command does not know; it"
+                f" works on runs of {default_benchmark().name}. `prbench run` and `prbench leaderboard` know both."
+            )
+        return cls(path, record)
 
     @property
     def protocol(self) -> BenchmarkProtocol | None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from prbench.runs.record import TableRecord
 from prbench.runs.summary import DatasetSummary, MetricSummary
 
 
@@ -22,6 +23,11 @@ class MeanOverDatasets:
     low: float | None
     """Lower bound of the 95 % interval; None where a dataset has no interval."""
     high: float | None
+
+
+def share_a_mean(tables: Sequence[TableRecord]) -> bool:
+    """Return False where one of several tables has bodies that were estimated from the head, and another has not."""
+    return len({table.estimated_bodies for table in tables}) == 1
 
 
 def means_over_datasets(summaries: Sequence[DatasetSummary]) -> dict[str, MeanOverDatasets]:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
+from prbench.benchmarks import default_benchmark
 from prbench.boundary import foreign_input
 from prbench.bounded import read_whole
 from prbench.errors import RunError
 from prbench.limits import LARGEST_JSON
 from prbench.shown import clean
-from prbench.storage import write_json
+from prbench.storage import text_digest, write_json
 
 FILE_NAME = "run.json"
 Record = TypeVar("Record")
@@ -100,6 +101,8 @@ class TableRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     selection_digest: str
     """Over the ids of the chosen sequences."""
     batch_plan: BatchPlanRecord
+    estimated_bodies: bool = False
+    """Bodies were estimated from whole tracks of the head; never enters one mean with captured ones."""
 
 
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
@@ -128,6 +131,8 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     """Per worker."""
     packages: dict[str, str]
     tables: tuple[TableRecord, ...]
+    benchmark: str = msgspec.field(default_factory=lambda: default_benchmark().name)
+    """Name of the benchmark; not written for the default one, whose runs are older than the key."""
 
     @property
     def is_usual(self) -> bool:
@@ -137,7 +142,24 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     def write(self, folder: Path) -> None:
         """Write ``run.json``."""
-        write_json(folder / FILE_NAME, msgspec.to_builtins(self))
+        write_json(folder / FILE_NAME, self.written)
+
+    @property
+    def written(self) -> dict[str, Any]:
+        """What stands in ``run.json``."""
+        values = msgspec.to_builtins(self)
+        if self.benchmark == default_benchmark().name:
+            del values["benchmark"]
+        return values
+
+    @property
+    def short_digest(self) -> str:
+        """Digest in the name of a run folder that the user did not name."""
+        text = repr(self)
+        if self.benchmark == default_benchmark().name:
+            # Folders of earlier versions, whose records named no benchmark, are to be found again.
+            text = text.replace(f", benchmark={self.benchmark!r}", "")
+        return text_digest(text)[:8]
 
     @classmethod
     @foreign_input()
@@ -164,8 +186,8 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             RunError: naming the first key that differs, with both values.
         """
-        wanted = _flat(msgspec.to_builtins(other))
-        found = _flat(msgspec.to_builtins(self))
+        wanted = _flat(other.written)
+        found = _flat(self.written)
         for key in wanted | found:
             if key.startswith(_VERSIONS) or wanted.get(key) == found.get(key):
                 continue
@@ -184,8 +206,8 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             RunError: naming the first key that differs, with both values.
         """
-        wanted = _flat(msgspec.to_builtins(self))
-        found = _flat(msgspec.to_builtins(other))
+        wanted = _flat(self.written)
+        found = _flat(other.written)
         # In the order of the record, so that the first difference named is the most telling one.
         for key in wanted | found:
             if wanted.get(key) != found.get(key):

@@ -18,25 +18,26 @@ from prbench.storage import atomic_path
 
 RUN_SCHEMA_VERSION = 1
 
-PREDICTIONS = pa.schema(
-    [
+GAZE_COLUMNS = ["gaze_origin", "gaze_direction"]
+"""One ray a frame from between the eyes, of motions that bring gaze; columns are named as in the sequence table."""
+
+
+def predictions_schema(joints: int = N_JOINTS, *, gaze: bool = False) -> pa.Schema:
+    """One generated motion a row, metres, encoded like the sequence table.
+
+    Args:
+        joints: Number of joints.
+        gaze: The motions bring gaze.
+    """
+    fields = [
         pa.field("sequence_id", pa.string(), nullable=False),
         pa.field("sample", pa.int32(), nullable=False),
         pa.field("seed", pa.int64(), nullable=False),
-        pa.field("joints", pa.list_(pa.list_(pa.float32(), N_JOINTS * 3)), nullable=False),
+        pa.field("joints", pa.list_(pa.list_(pa.float32(), joints * 3)), nullable=False),
     ]
-)
-"""One generated motion a row: canonical frame, metres, encoded like the sequence table."""
+    rays = pa.list_(pa.list_(pa.float32(), 3))
+    return pa.schema([*fields, *(pa.field(name, rays, nullable=False) for name in GAZE_COLUMNS if gaze)])
 
-PREDICTIONS_WITH_GAZE = pa.schema(
-    [
-        *PREDICTIONS,
-        pa.field("gaze_origin", pa.list_(pa.list_(pa.float32(), 3)), nullable=False),
-        pa.field("gaze_direction", pa.list_(pa.list_(pa.float32(), 3)), nullable=False),
-    ]
-)
-"""Motions that bring gaze, one ray a frame from between the eyes; columns are named as in the sequence table."""
-GAZE_COLUMNS = PREDICTIONS_WITH_GAZE.names[len(PREDICTIONS) :]
 
 SCORES = pa.schema(
     [

@@ -18,6 +18,14 @@ FILE_NAME = "dataset.json"
 CORPUS_FILE = "corpus.json"
 
 
+_KINDS = {
+    FILE_NAME: "a built dataset",
+    CORPUS_FILE: "a corpus",
+    "windows.json": "a table of windows, which `prbench run --benchmark motion-prediction` takes",
+}
+"""What is built, by the file that describes it, for messages."""
+
+
 class QuarantinedRecording(msgspec.Struct, frozen=True, kw_only=True):
     """A recording that was left out, and why."""
 
@@ -93,6 +101,9 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def _found(folder: Path) -> str:
+    for name, kind in _KINDS.items():
+        if (folder / name).is_file():
+            return kind
     if folder.is_dir():
         return "no such file in it"
     return "a file" if folder.is_file() else "no such folder"

@@ -7,7 +7,7 @@ not, the run is called unverified.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import msgspec
@@ -17,17 +17,17 @@ import pyarrow.compute as pc
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError
+from prbench.evaluation.again import scored_again
 from prbench.evaluation.agreement import agreement_with_people, require_agreement
-from prbench.evaluation.request import silent
-from prbench.evaluation.results import ScoredSet, require_scores, require_summary, summarise
+from prbench.evaluation.benchmark import CaseTable, load_benchmark
+from prbench.evaluation.results import require_scores, require_summary, summary_of
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import RunRecord, TableRecord
 from prbench.runs.scores import read_scores
 from prbench.runs.summary import DatasetSummary
 from prbench.sequences import SequenceTable
 from prbench.shown import quoted
-from prbench.submitted.score_predictions.again import scored_again, scored_sequences
-from prbench.submitted.score_predictions.scored import Work
+from prbench.submitted.score_predictions.again import scored_sequences
 
 _OTHER_PROTOCOL = (
     "it was scored under another protocol than this version's, so metrics and limits that are newer are missing;"
@@ -76,7 +76,7 @@ class ScoredSequences:
 class RunChecker:
     """Checks runs against the tables that are at hand."""
 
-    find_table: Callable[[TableRecord], SequenceTable | None] = lambda _: None
+    find_table: Callable[[TableRecord], CaseTable | None] = lambda _: None
     """Gives the very table that a run was made on, if it is at hand."""
     engine: Engine = field(default_factory=InProcess)
 
@@ -90,31 +90,32 @@ class RunChecker:
         files = run.dataset(record.dataset)
         scores = read_scores(files.scores)
         table = self.find_table(record)
-        recording_of, grouped = _recordings_of(scores, table)
+        recording_of, grouped = _recordings_of(run.record, scores, table)
         made = _require_summary_of(run, record, scores, recording_of, grouped=grouped)
         scored = ScoredSequences(run, record, recording_of)
         if not any(files.predictions.glob("part-*.parquet")):
             _require_agreement_of(run, scores, table)
             return CheckedSummary(made, "its folder holds no motions", scored)
-        if run.protocol is None:
+        if load_benchmark(run.record.benchmark).rules_of(run) is None:
             return CheckedSummary(made, _OTHER_PROTOCOL, scored)
         if table is None:
             why = f"its table of {record.dataset} is not at hand: name it with --data DIR"
             return CheckedSummary(made, why, scored)
-        require_scores(files, scores, scored_again(run, table, Work(self.engine, silent)).scores)
+        require_scores(files, scores, scored_again(run, table, self.engine))
         _require_agreement_of(run, scores, table)
         return CheckedSummary(made, "", scored)
 
 
-def _recordings_of(scores: pa.Table, table: SequenceTable | None) -> tuple[dict[str, str], bool]:
+def _recordings_of(record: RunRecord, scores: pa.Table, table: CaseTable | None) -> tuple[dict[str, str], bool]:
     """Map each sequence that was scored to its recording; False where nothing says which ones belong together."""
     names = sorted(set(scores["sequence_id"].to_pylist()))
+    benchmark = load_benchmark(record.benchmark)
     if table is None:
         # Without the table, ids tell which recording a sequence is of, and so which intervals follow.
-        return {name: recording_key(name) for name in names}, _name_their_recording(names)
-    rows = table.scalars()
-    known = dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
-    return {name: known.get(name, recording_key(name)) for name in names}, all(name in known for name in names)
+        return {name: benchmark.recording_key(name) for name in names}, benchmark.ids_tell_recordings(names)
+    known = benchmark.recordings_of(table)
+    recording_of = {name: known.get(name, benchmark.recording_key(name)) for name in names}
+    return recording_of, all(name in known for name in names)
 
 
 def _require_summary_of(
@@ -127,14 +128,16 @@ def _require_summary_of(
     return made if grouped else DatasetSummary.read(files.path)
 
 
-def _require_agreement_of(run: RunFolder, scores: pa.Table, table: SequenceTable | None) -> None:
+def _require_agreement_of(run: RunFolder, scores: pa.Table, table: CaseTable | None) -> None:
     """Compare the agreement with recorded people with what follows from the scores, where the table is at hand.
 
     Raises:
         RunError: if it says something else, or the scores are of sequences that the run was not made on.
     """
+    if not isinstance(table, SequenceTable):  # other benchmarks have no such file
+        return
     protocol = run.protocol
-    if table is None or protocol is None:
+    if protocol is None:
         return
     files = run.dataset(table.info.dataset)
     selection = scored_sequences(run, table)
@@ -144,37 +147,3 @@ def _require_agreement_of(run: RunFolder, scores: pa.Table, table: SequenceTable
         raise RunError(f"{files.scores}: expected sequences that the run was made on, found {quoted(unknown[0])}.")
     selection = selection.chosen(np.array([name in scored for name in selection.sequence_ids]))
     require_agreement(files, agreement_with_people(selection, scores, protocol=protocol))
-
-
-def summary_of(
-    record: RunRecord, table: TableRecord, scores: pa.Table, recording_of: Mapping[str, str]
-) -> DatasetSummary:
-    """Make ``summary.json`` anew from ``run.json``, the scores and the recording of each sequence."""
-    return summarise(
-        scores,
-        ScoredSet(
-            info=table,
-            recording_of=recording_of,
-            chosen=table.sequences,
-            method=record.method.name,
-            condition=record.condition,
-            control=record.control,
-            split=record.split,
-            samples=record.samples,
-            best_of=record.best_of,
-            gaze=record.method.gaze,
-            obstacles=record.method.wants_obstacles,
-            carry_on=record.carry_on,
-        ),
-    )
-
-
-def _name_their_recording(sequence_ids: Sequence[str]) -> bool:
-    """Return True where ids have all six parts; those of an imported release have three."""
-    parts = {name.count("/") + 1 for name in sequence_ids}
-    return len(parts) == 1 and min(parts) >= 6
-
-
-def recording_key(sequence_id: str) -> str:
-    """Dataset and recording of a sequence: its id without object, action, event and pose source."""
-    return sequence_id.rsplit("/", 4)[0]

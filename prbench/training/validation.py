@@ -22,8 +22,7 @@ from prbench.contract import Adapter, Condition
 from prbench.engine import InProcess
 from prbench.errors import UsageError
 from prbench.evaluation.conditions import ConditionSource, run_salt
-from prbench.evaluation.planning import Selection, plan_batches, select
-from prbench.evaluation.preparation import supported
+from prbench.evaluation.planning import Selection, plan_batches, select, supported
 from prbench.evaluation.scoring import ScoringRules, score_selection
 from prbench.manifests import load_protocol
 from prbench.methods.declared import Declared

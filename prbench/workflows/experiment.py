@@ -13,13 +13,14 @@ from pathlib import Path
 
 import msgspec
 
+from prbench.benchmarks import benchmarks, find_benchmark
 from prbench.boundary import foreign_input
 from prbench.bounded import read_whole
-from prbench.contract import Condition
-from prbench.errors import InputFileError, RunError, UsageError
+from prbench.errors import InputFileError, RunError, UsageError, did_you_mean
 from prbench.evaluation.preparation import DEFAULT_PARENT
-from prbench.evaluation.request import DEFAULT_BATCH_SIZE, RunRequest
+from prbench.evaluation.request import RunRequest
 from prbench.limits import HARMLESS_SIZE
+from prbench.manifests import PROTOCOL_NAME
 from prbench.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.runs import RunFolder, read_scores
 from prbench.runs.record import FILE, FILE_NAME, PROGRAM, UNKNOWN, TableRecord
@@ -36,7 +37,7 @@ class ExperimentMethod(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
     name: str
     """An installed method, a control, ``cmd:`` and a command, or the path of a program's TOML file."""
-    conditions: tuple[Condition, ...] = ()
+    conditions: tuple[str, ...] = ()
     """Each is a run of its own; empty for the only condition that the method takes."""
     weights: str | None = None
     """Name of bundled weights, or a path."""
@@ -56,6 +57,8 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Everything that decides the results of some runs; the defaults are those of ``prbench run``."""
 
     methods: tuple[ExperimentMethod, ...]
+    benchmark: str = PROTOCOL_NAME
+    """What is asked of the methods."""
     data: tuple[str, ...] = ()
     """Folders of tables, which every run is made on; empty for the embedded synthetic datasets."""
     split: str = "test"
@@ -68,14 +71,14 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Single sequences: ids, or parts that fit one id only."""
     seeds: tuple[int, ...] = (0,)
     """Each is a run of its own."""
-    samples: int = 1
-    """Motions kept of each sequence."""
+    samples: int | None = None
+    """Motions kept of each sequence; absent for the benchmark's usual number."""
     best_of: int = 1
     """Motions drawn for each that is kept."""
     carry_on: bool = False
     """Run pairs of a pick and the put that follows it, which starts where the generated pick ends."""
     batch_size: int | None = None
-    """Sequences a batch; absent for 64."""
+    """Sequences a batch; absent for the benchmark's usual number."""
     device: str = "cpu"
     threads: int = 1
     """Threads of each worker."""
@@ -118,9 +121,11 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
                         request = replace(request, out=Path(self.out or DEFAULT_PARENT) / name)
                     yield request
 
-    def _request(self, method: ExperimentMethod, condition: Condition | None, seed: int) -> RunRequest:
+    def _request(self, method: ExperimentMethod, condition: str | None, seed: int) -> RunRequest:
+        about = find_benchmark(self.benchmark)
         return RunRequest(
             method=method.name,
+            benchmark=self.benchmark,
             data=tuple(Path(folder) for folder in self.data),
             condition=condition,
             weights=Path(method.weights) if method.weights else None,
@@ -130,10 +135,10 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             limit=self.limit,
             sequences=self.sequences,
             seed=seed,
-            samples=self.samples,
+            samples=self.samples or about.samples,
             best_of=self.best_of,
             carry_on=self.carry_on,
-            batch_size=self.batch_size or DEFAULT_BATCH_SIZE,
+            batch_size=self.batch_size or about.batch_size,
             device=self.device,
             threads=self.threads,
             control=method.control,
@@ -149,7 +154,7 @@ def _run_name(request: RunRequest, *, several_seeds: bool) -> str:
     if request.control:
         parts.append(request.control)
     if request.condition is not None:
-        parts.append(request.condition.value)
+        parts.append(str(request.condition))
     if several_seeds:
         parts.append(f"seed{request.seed}")
     return "-".join(parts).replace(" ", "_")
@@ -177,14 +182,24 @@ def read_experiment(path: Path) -> Experiment:
     if not experiment.methods or not experiment.seeds:
         key = "seeds" if experiment.methods else "methods"
         raise InputFileError(path, key, expected="one entry or more", found="none")
+    if experiment.benchmark not in benchmarks():
+        raise InputFileError(path, "benchmark", expected=" or ".join(benchmarks()), found=experiment.benchmark)
+    known = find_benchmark(experiment.benchmark).conditions
+    for method in experiment.methods:
+        for condition in method.conditions:
+            if condition not in known:
+                remedy = did_you_mean(condition, known).strip()
+                raise InputFileError(
+                    path, "conditions", expected=f"some of {', '.join(known)}", found=condition, remedy=remedy
+                )
     return experiment
 
 
 def run_of(path: Path) -> RunFolder | None:
     """Open the run that a run folder or its ``run.json`` belongs to; return None for an experiment's file."""
     if path.is_dir():
-        return RunFolder.open(path)
-    return RunFolder.open(path.parent) if path.name == FILE_NAME else None
+        return RunFolder.open(path, any_benchmark=True)
+    return RunFolder.open(path.parent, any_benchmark=True) if path.name == FILE_NAME else None
 
 
 def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path | None) -> Experiment:
@@ -207,13 +222,14 @@ def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path |
         )
     method = ExperimentMethod(
         name=record.method.name,
-        conditions=(Condition(record.condition),),
+        conditions=(record.condition,),
         weights=None if weights is None else str(weights),
         options=dict(record.method.options),
         control=record.control,
     )
     return Experiment(
         methods=(method,),
+        benchmark=record.benchmark,
         data=_tables_of(run, data),
         split=record.split,
         limit=record.limit,

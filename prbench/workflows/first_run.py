@@ -10,12 +10,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import prbench
+from prbench.benchmarks import benchmarks
 from prbench.contract import Condition
 from prbench.engine import Engine
 from prbench.errors import RunError, TableError, UsageError
+from prbench.evaluation.benchmark import CaseTable, load_benchmark
 from prbench.evaluation.controls import GROUND_TRUTH, SCRIPTED
 from prbench.evaluation.request import RunRequest
 from prbench.locks import in_turn
@@ -204,15 +206,18 @@ def _require_table_of(run: RunFolder, table: SequenceTable) -> None:
         )
 
 
-def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], SequenceTable | None]:
+def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], Any]:
     """A function that finds the table of a run among the named ones and those in prbench's own cache.
+
+    Args:
+        data: Folders of tables of any benchmark.
 
     Raises:
         TableError: if a named one cannot be opened; the function raises it for one in the cache.
     """
-    opened = [SequenceTable.open(folder) for folder in data]
+    opened = [open_any_table(folder) for folder in data]
 
-    def find(record: TableRecord) -> SequenceTable | None:
+    def find(record: TableRecord) -> CaseTable | None:
         for table in opened:
             if _is_table_of(record, table):
                 return table
@@ -223,6 +228,16 @@ def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], SequenceTable 
         return None
 
     return find
+
+
+def open_any_table(folder: Path) -> CaseTable:
+    """Open a table of whatever benchmark; a folder that holds none is opened as one of the default benchmark.
+
+    Raises:
+        TableError: if it holds none, or a damaged one.
+    """
+    known = [load_benchmark(name) for name in benchmarks()]
+    return next((each for each in known if (folder / each.table_file).is_file()), known[0]).open_table(folder)
 
 
 def _embedded() -> Iterator[Path]:
@@ -236,6 +251,6 @@ def _embedded() -> Iterator[Path]:
             yield folder
 
 
-def _is_table_of(record: TableRecord, table: SequenceTable) -> bool:
+def _is_table_of(record: TableRecord, table: CaseTable) -> bool:
     # Identity says which sequences, content says which numbers; a rebuilt table may share only the first.
     return (record.identity_digest, record.content_digest) == (table.identity, table.info.content_digest)

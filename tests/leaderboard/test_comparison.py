@@ -21,7 +21,7 @@ from prbench.leaderboard.separation import separate_by_comparison
 from prbench.metrics import METRICS
 from prbench.runs import DatasetSummary, read_scores
 from prbench.runs.folder import RunFolder
-from prbench.submitted.verification import recording_key
+from prbench.sequences.ids import recording_key
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 

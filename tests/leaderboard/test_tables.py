@@ -15,6 +15,7 @@ import pytest
 
 import prbench
 from prbench.errors import RunError, UsageError
+from prbench.evaluation.prime_and_reach.benchmark import PRIME_AND_REACH
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.leaderboard import collect_runs, compare_runs, export, make_leaderboard
@@ -267,7 +268,7 @@ def test_ranks_on_common_sequences_follow_from_these_alone(tmp_path):
     assert {row.entry.method: row.ranks["mpjpe"] for row in common.rows} == {"one": 1, "two": 1, "brief": 1}
     short = {name for name, length in lengths.items() if length <= limit}
     scores = {
-        name: sequence_scores(tmp_path / "runs" / name / "scores.parquet", only=common.common)
+        name: sequence_scores(tmp_path / "runs" / name / "scores.parquet", PRIME_AND_REACH, only=common.common)
         for name in ("one", "two")
     }
     assert set(scores["one"].sequence_ids["mpjpe"]) == short

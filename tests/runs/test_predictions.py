@@ -10,7 +10,7 @@ import pytest
 from prbench.errors import PredictionsError
 from prbench.runs.folder import DatasetFolder
 from prbench.runs.predictions import PredictionRows, Predictions, parquet, write_part
-from prbench.runs.scores import PREDICTIONS, PREDICTIONS_WITH_GAZE
+from prbench.runs.scores import predictions_schema
 
 
 def motions(*lengths: int, start: float = 0.0) -> PredictionRows:
@@ -46,7 +46,7 @@ def test_a_small_cache_changes_nothing(folder, monkeypatch):
 
 def test_files_have_the_columns_of_the_design_and_the_encoding_of_the_table(folder):
     file = pq.ParquetFile(folder.part(0))
-    assert file.schema_arrow.equals(PREDICTIONS, check_metadata=False)
+    assert file.schema_arrow.equals(predictions_schema(), check_metadata=False)
     assert file.read()["seed"].to_pylist() == [1, 2, 3, 4]
     joints = file.metadata.row_group(0).column(3)
     assert joints.compression == "ZSTD"
@@ -79,7 +79,7 @@ def test_gaze_comes_back_with_its_motions(tmp_path):
     write_part(tmp_path / "part-0.parquet", ["b", "a"], [(1, 2), (3, 4)], samples, protocol_version=1)
     predictions = Predictions.open(tmp_path)
     assert predictions.has_gaze
-    assert pq.read_schema(tmp_path / "part-0.parquet").equals(PREDICTIONS_WITH_GAZE, check_metadata=False)
+    assert pq.read_schema(tmp_path / "part-0.parquet").equals(predictions_schema(gaze=True), check_metadata=False)
     found = predictions.motions(["a", "b"], 1).gaze
     assert samples[1].gaze is not None
     assert np.array_equal(found, np.concatenate([samples[1].gaze[2:], samples[1].gaze[:2]]))

@@ -11,6 +11,7 @@ from prbench.cli.main import main
 from prbench.cli.split_dataset import SplitReport
 from prbench.errors import RunError, StorageError, TableError, UsageError
 from prbench.evaluation.request import RunRequest
+from prbench.evaluation.results import summary_of
 from prbench.evaluation.run import run_method
 from prbench.leaderboard.collect import CollectedRuns, collect_runs
 from prbench.leaderboard.merging import merge_folds
@@ -20,7 +21,8 @@ from prbench.runs.scores import read_scores, write_scores
 from prbench.runs.summary import DatasetSummary
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import participant_folds, write_fold
-from prbench.submitted.verification import RunChecker, recording_key, summary_of
+from prbench.sequences.ids import recording_key
+from prbench.submitted.verification import RunChecker
 from prbench.workflows.first_run import table_finder
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset

@@ -16,11 +16,13 @@ import pytest
 from prbench.cli.main import main
 from prbench.errors import RunError
 from prbench.evaluation.request import RunRequest
+from prbench.evaluation.results import summary_of
 from prbench.evaluation.run import run_method
 from prbench.runs.folder import RunFolder
 from prbench.runs.scores import read_scores
 from prbench.sequences import SequenceTable
-from prbench.submitted.verification import RunChecker, recording_key, summary_of
+from prbench.sequences.ids import recording_key
+from prbench.submitted.verification import RunChecker
 from tests.fakes import fake_dataset
 
 

@@ -21,8 +21,7 @@ import torch
 from prbench.contract import Condition, ConditionBatch
 from prbench.errors import PrbenchError, UsageError
 from prbench.evaluation.conditions import ConditionSource, run_salt
-from prbench.evaluation.planning import Selection, select
-from prbench.evaluation.preparation import supported
+from prbench.evaluation.planning import Selection, select, supported
 from prbench.manifests import load_protocol
 from prbench.metrics import UNKNOWN_HAND, MotionBatch, ScoringTargets, score
 from prbench.sequences import SequenceTable

@@ -19,7 +19,7 @@ from prbench.evaluation.planning import rows_of
 from prbench.manifests import load_protocol
 from prbench.methods.declared import Declared
 from prbench.methods.loaded_methods import LoadedMethod, MethodSpec
-from prbench.methods.methods import fitted_to
+from prbench.methods.methods import fit_to_training_rows, fitted_to
 from prbench.methods.motions import native_frames
 from prbench.sequences import SequenceTable
 
@@ -76,7 +76,7 @@ class Subject:
         table = self.cases.train_folder or write_training_table(self.folder / "table")
         self.asking("while it learnt from a table")
         if self.spec.program is None:
-            self.spec = replace(self.spec, fit_folder=self.folder / "fit", table_folder=table)
+            self.spec = replace(self.spec, fit_folder=self.folder / "fit", table_folder=table, fit=fit_to_training_rows)
         else:
             self.spec = fitted_to(self.spec, SequenceTable.open(table).with_sequences())
         return self.spec.load()

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from enum import StrEnum
+from typing import Any, TypeVar
 
 from prbench.contract import Condition, ConditionBatch, Cost, Motions
 from prbench.errors import AdapterError
@@ -16,6 +17,7 @@ from prbench.methods.remote.messages import WIRE_VERSION, Header, motions_of, sh
 
 _SHOWN_TEXT = 2000  # characters of what a program says about its own error
 _TEXT_LIMIT = 100
+_Answer = TypeVar("_Answer")
 
 
 def motions_in(
@@ -35,24 +37,44 @@ def motions_in(
         BrokenProtocol: if it answers something else than it was asked for.
         MemoryError: if it says that the batch does not fit in memory.
     """
-    kind = header["message"]
-    if kind not in ("motions", "error"):
-        raise BrokenProtocol(f"answered with the message {kind[:80]!r}, where 'motions' or 'error' was due")
-    _require_batch(header, number)
-    if kind == "error":
-        raise _reported(header)
-    if payload is None:
-        raise BrokenProtocol("answered without a payload, where 'bytes' and as many bytes of motions were due")
-    try:
-        motions = motions_of(payload, batch, gaze=gaze)
-    except ValueError as error:
-        raise BrokenProtocol(f"sent motions that cannot be used: {error}") from error
+    motions = answer_in(header, payload, number, due="motions", read=lambda sent: motions_of(sent, batch, gaze=gaze))
     passes = header.get("network_passes")
     if passes is None:
         return motions
     if type(passes) is not int or passes < 0:
         raise BrokenProtocol(f"declared {shown_json(passes)} network_passes, where a whole number of 0 or more was due")
     return replace(motions, cost=Cost(passes))
+
+
+def answer_in(
+    header: Header, payload: bytes | None, number: int, *, due: str, read: Callable[[bytes], _Answer]
+) -> _Answer:
+    """Return what an answer holds.
+
+    Args:
+        header: As received.
+        payload: As received.
+        number: Number of the request.
+        due: The message that answers it, ``motions`` or ``futures``.
+        read: Turns the payload into the answer; raises ValueError where it cannot.
+
+    Raises:
+        ReportedError: if the program says that it failed.
+        BrokenProtocol: if it answers something else than it was asked for.
+        MemoryError: if it says that the batch does not fit in memory.
+    """
+    kind = header["message"]
+    if kind not in (due, "error"):
+        raise BrokenProtocol(f"answered with the message {kind[:80]!r}, where '{due}' or 'error' was due")
+    _require_batch(header, number)
+    if kind == "error":
+        raise _reported(header)
+    if payload is None:
+        raise BrokenProtocol(f"answered without a payload, where 'bytes' and as many bytes of {due} were due")
+    try:
+        return read(payload)
+    except ValueError as error:
+        raise BrokenProtocol(f"sent {due} that cannot be used: {error}") from error
 
 
 def error_text(header: Header) -> str:
@@ -86,17 +108,18 @@ class Introduction:
     name: str
     version: str
     declared: Declared
-    weights: Mapping[Condition, RemoteWeights] = field(default_factory=dict)
+    weights: Mapping[StrEnum, RemoteWeights] = field(default_factory=dict)
     trainable: bool = False
     """True if the installed method can be fitted to a table; only prbench's own worker says so."""
 
     @classmethod
-    def read(cls, header: Mapping[str, Any], *, origin: str) -> Introduction:
+    def read(cls, header: Mapping[str, Any], *, origin: str, conditions: type[StrEnum] = Condition) -> Introduction:
         """Read the header of a ``hello``.
 
         Args:
             header: As received.
             origin: Name of the program in messages.
+            conditions: The conditions of its benchmark.
 
         Raises:
             AdapterError: naming the key that is not what the protocol asks for.
@@ -124,8 +147,9 @@ class Introduction:
                 motionless is True,
                 gaze is True,
                 origin=origin,
+                known=conditions,
             ),
-            _weights(header.get("weights"), origin),
+            _weights(header.get("weights"), origin, conditions),
             trainable=header.get("trainable") is True,
         )
 
@@ -188,8 +212,8 @@ def _text(header: Mapping[str, Any], key: str, origin: str) -> str:
     )
 
 
-def _weights(value: object, origin: str) -> dict[Condition, RemoteWeights]:
-    known = {condition.value: condition for condition in Condition}
+def _weights(value: object, origin: str, conditions: type[StrEnum]) -> dict[StrEnum, RemoteWeights]:
+    known = {condition.value: condition for condition in conditions}
     weights = {}
     if value is None:
         return {}

@@ -24,6 +24,7 @@ __all__ = [
     "HEADER_LIMIT",
     "WIRE_VERSION",
     "Header",
+    "arrow_stream",
     "batch_of",
     "conditions_payload",
     "encode_message",
@@ -57,7 +58,7 @@ def conditions_payload(batch: ConditionBatch) -> bytes:
     if batch.goal_location is not None:
         flat = pa.array(np.asarray(batch.goal_location, dtype=np.float64).reshape(-1))
         columns["goal_location"] = pa.FixedSizeListArray.from_arrays(flat, type=_POINT)
-    return _stream(columns)
+    return arrow_stream(columns)
 
 
 def batch_of(header: Mapping[str, Any], payload: bytes) -> ConditionBatch:
@@ -121,7 +122,7 @@ def motions_payload(ids: Sequence[str], motions: Motions) -> bytes:
             values = getattr(motions.gaze, name.removeprefix("gaze_"))
             rays = np.concatenate([ray[:length] for ray, length in zip(values, lengths, strict=True)])
             columns[name] = pa.ListArray.from_arrays(points, pa.array(rays.astype(np.float32).reshape(-1)))
-    return _stream(columns)
+    return arrow_stream(columns)
 
 
 def motions_of(payload: bytes, batch: ConditionBatch, *, gaze: bool = False) -> Motions:
@@ -220,7 +221,8 @@ def read_message(stream: BinaryIO | io.BufferedIOBase) -> tuple[Header, bytes | 
     return header, payload
 
 
-def _stream(columns: Mapping[str, pa.Array]) -> bytes:
+def arrow_stream(columns: Mapping[str, pa.Array]) -> bytes:
+    """Return columns as an Arrow IPC stream of one record batch."""
     rows = pa.record_batch(list(columns.values()), names=list(columns))
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, rows.schema) as writer:

@@ -71,6 +71,40 @@ class ReceivedMotions:
         return Motions(padded(self.joints), n_frames, gaze=gaze)
 
 
+def numbers_by_id(payload: bytes, asked: Sequence[str], *, name: str, size: int) -> Float[np.ndarray, "rows size"]:
+    """Read rows of as many numbers each, in the order asked for.
+
+    Args:
+        payload: As received.
+        asked: Opaque id of each row.
+        name: The column of the numbers, in lists of any nesting.
+        size: Numbers in each row.
+
+    Raises:
+        ValueError: expected, found and what to do, if it holds something else.
+    """
+    rows = _record_batch(payload)
+    wanted = ("opaque_id", name)
+    ids = _texts(_column(rows, "opaque_id", wanted))
+    _require_same_ids(asked, ids)
+    column = _column(rows, name, wanted)
+    ends = np.arange(len(column) + 1)
+    values = column
+    while _is_list(values.type):
+        inner, values = _unwrapped(values)
+        ends = inner[ends]
+    if values is column or values.type not in (pa.float32(), pa.float64()) or values.null_count:
+        raise ValueError(f"expected '{name}' as list<float32> without nulls, found {column.type}")
+    wrong = np.flatnonzero(np.diff(ends) != size)
+    if wrong.size:
+        row = int(wrong[0])
+        raise ValueError(
+            f"expected {size:,} numbers in '{name}' of {ids[row][:64]}, found {ends[row + 1] - ends[row]:,}"
+        )
+    place = {identity: row for row, identity in enumerate(ids)}
+    return values.to_numpy().reshape(len(ids), size)[[place[identity] for identity in asked]]
+
+
 def _record_batch(payload: bytes) -> pa.RecordBatch:
     if payload.startswith(_FILE_MAGIC):
         raise ValueError(

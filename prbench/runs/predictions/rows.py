@@ -11,7 +11,9 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 
-from prbench.runs.scores import GAZE_COLUMNS, PREDICTIONS, PREDICTIONS_WITH_GAZE
+from prbench.errors import InputFileError, PredictionsError
+from prbench.parquet_files import read_parquet
+from prbench.runs.scores import GAZE_COLUMNS, predictions_schema
 from prbench.sequences.write import write_table
 from prbench.skeleton import N_JOINTS
 
@@ -22,8 +24,8 @@ POSE_SIZE = N_JOINTS * 3
 class PredictionRows:
     """Motions of some sequences after one another."""
 
-    values: Float[np.ndarray, "total 22 3"]
-    """Canonical frames, metres."""
+    values: Float[np.ndarray, "total joints 3"]
+    """Metres, in the frame of the question; 22 joints in a canonical frame for prime-and-reach."""
     offsets: Int[np.ndarray, " offsets"]
     """Row at which each motion begins, then the number of all frames."""
     gaze: Float[np.ndarray, "total 2 3"] | None = None
@@ -32,7 +34,7 @@ class PredictionRows:
     @classmethod
     def from_padded(
         cls,
-        joints: Float[np.ndarray, "batch frames 22 3"],
+        joints: Float[np.ndarray, "batch frames joints 3"],
         n_frames: Int[np.ndarray, " batch"],
         gaze: Float[np.ndarray, "batch frames 2 3"] | None = None,
     ) -> PredictionRows:
@@ -134,20 +136,57 @@ def write_part(
     write_table(path, batches, batches[0].schema, protocol_version=protocol_version)
 
 
+def read_part(
+    path: Path, sequence_ids: Sequence[str], *, samples: int, joints: int
+) -> Float[np.ndarray, "batch samples frames joints 3"]:
+    """Read the motions of one batch, which all have the same length.
+
+    Args:
+        path: A file of :func:`write_part`.
+        sequence_ids: Of the batch's rows.
+        samples: Number of samples.
+        joints: Number of joints.
+
+    Raises:
+        PredictionsError: if the file is missing or damaged, or holds other motions.
+    """
+    remedy = "Delete it and run the same command again: it resumes."
+    try:
+        rows = read_parquet(path, verify=True)
+    except (FileNotFoundError, pa.ArrowInvalid, OSError, InputFileError) as error:
+        raise PredictionsError(f"{path}: expected the motions of a batch, found no readable file. {remedy}") from error
+    expected = [(sample, name) for sample in range(samples) for name in sequence_ids]
+    fits = rows.schema.equals(predictions_schema(joints), check_metadata=False)
+    if not fits or list(zip(rows["sample"].to_pylist(), rows["sequence_id"].to_pylist(), strict=True)) != expected:
+        raise PredictionsError(
+            f"{path}: expected {samples} motions of {joints} joints for each of {len(sequence_ids)} sequences, found"
+            f" others. {remedy}"
+        )
+    found = rows["joints"].combine_chunks()
+    lengths = found.value_lengths().to_numpy()
+    values = found.flatten().flatten().to_numpy()
+    if (lengths != lengths[0]).any() or not np.isfinite(values).all():
+        raise PredictionsError(f"{path}: expected finite motions of one length, found others. {remedy}")
+    shape = (samples, len(sequence_ids), int(lengths[0]), joints, 3)
+    return np.swapaxes(values.reshape(shape), 0, 1)
+
+
 def _record_batch(ids: Sequence[str], sample: int, seeds: Sequence[int], motions: PredictionRows) -> pa.RecordBatch:
     values = pa.array(motions.values.astype(np.float32).reshape(-1))
     offsets = pa.array(motions.offsets.astype(np.int32))
-    joints = pa.ListArray.from_arrays(offsets, pa.FixedSizeListArray.from_arrays(values, POSE_SIZE))
+    pose_size = motions.values.shape[1] * 3
+    joints = pa.ListArray.from_arrays(offsets, pa.FixedSizeListArray.from_arrays(values, pose_size))
+    schema = predictions_schema(pose_size // 3, gaze=motions.gaze is not None)
     columns = [
         pa.array(ids, pa.string()),
         pa.array([sample] * len(ids), pa.int32()),
         pa.array(seeds, pa.int64()),
-        joints.cast(PREDICTIONS.field("joints").type),
+        joints.cast(schema.field("joints").type),
     ]
     if motions.gaze is None:
-        return pa.RecordBatch.from_arrays(columns, schema=PREDICTIONS)
+        return pa.RecordBatch.from_arrays(columns, schema=schema)
     for part, name in enumerate(GAZE_COLUMNS):
         rays = pa.array(motions.gaze[:, part].astype(np.float32).reshape(-1))
         frames = pa.ListArray.from_arrays(offsets, pa.FixedSizeListArray.from_arrays(rays, 3))
-        columns.append(frames.cast(PREDICTIONS_WITH_GAZE.field(name).type))
-    return pa.RecordBatch.from_arrays(columns, schema=PREDICTIONS_WITH_GAZE)
+        columns.append(frames.cast(schema.field(name).type))
+    return pa.RecordBatch.from_arrays(columns, schema=schema)

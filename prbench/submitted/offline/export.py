@@ -13,8 +13,7 @@ from prbench.contract import Condition, ConditionBatch
 from prbench.errors import AdapterError, RedistributionError, UsageError
 from prbench.evaluation.conditions import ConditionSource, derangement, run_salt
 from prbench.evaluation.controls import SHUFFLED_GOAL
-from prbench.evaluation.planning import Selection, open_tables, select
-from prbench.evaluation.preparation import supported
+from prbench.evaluation.planning import Selection, open_tables, select, supported
 from prbench.locks import sole_writer
 from prbench.manifests import load_protocol
 from prbench.methods.motions import at_native_rate

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.errors import RunError, UsageError
+from prbench.errors import UsageError
+from prbench.evaluation.again import require_same_table
 from prbench.evaluation.conditions import ConditionSource, derangement
 from prbench.evaluation.controls import RECORDED_MOTION, SHUFFLED_GOAL
-from prbench.evaluation.planning import Selection, select
-from prbench.evaluation.preparation import supported
+from prbench.evaluation.planning import Selection, select, supported
 from prbench.evaluation.scoring import ScoringRules
-from prbench.manifests import BenchmarkProtocol, load_protocol
+from prbench.manifests import BenchmarkProtocol
 from prbench.own_protocol import FILE_NAME, protocol_for
 from prbench.runs import record as run_record
 from prbench.runs.folder import RunFolder
@@ -48,24 +48,13 @@ def score_run(
     )
 
 
-def scored_again(run: RunFolder, table: SequenceTable, work: Work) -> Scored:
-    """The scores that the motions of a run have now, of all sequences that it was made on.
-
-    Raises:
-        RunError: if it is of another table.
-        PredictionsError: if motions are missing, or one cannot be scored.
-    """
-    request = ScoreRequest(predictions=run.path, data=(table.folder,))
-    return _scored(run, table, request, work, run.protocol or load_protocol())
-
-
 def scored_sequences(run: RunFolder, table: SequenceTable) -> Selection:
     """The sequences that a run was scored on.
 
     Raises:
         RunError: if it is of another table.
     """
-    _require_same_table(run, table)
+    require_same_table(run, table)
     return _selections(ScoreRequest(predictions=run.path, data=(table.folder,)), run.record, table)[1]
 
 
@@ -80,7 +69,7 @@ def _protocol_file(run: RunFolder, request: ScoreRequest) -> Path | None:
 def _scored(
     run: RunFolder, table: SequenceTable, request: ScoreRequest, work: Work, protocol: BenchmarkProtocol
 ) -> Scored:
-    _require_same_table(run, table)
+    require_same_table(run, table)
     chosen, selection = _selections(request, run.record, table)
     predictions = Predictions.open(run.dataset(table.info.dataset).predictions)
     wanted = Wanted(
@@ -114,18 +103,6 @@ def _require_plain(request: ScoreRequest) -> None:
             raise UsageError(
                 f"--{name.replace('_', '-')}: {request.predictions} is a run, whose run.json says how its motions were"
                 " made. Leave the option out."
-            )
-
-
-def _require_same_table(run: RunFolder, table: SequenceTable) -> None:
-    run.dataset(table.info.dataset)
-    recorded = next(item for item in run.record.tables if item.dataset == table.info.dataset)
-    for key, found in (("identity_digest", table.identity), ("content_digest", table.content)):
-        expected = getattr(recorded, key)
-        if expected != found:
-            raise RunError(
-                f"{run.path / run_record.FILE_NAME}, tables.{recorded.dataset}.{key}: the run is of table"
-                f" {expected[:12]}…, but {table.folder} is {found[:12]}…. Score it on the table that it was run on."
             )
 
 

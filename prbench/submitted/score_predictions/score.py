@@ -7,8 +7,7 @@ from pathlib import Path
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError, UsageError
-from prbench.evaluation.planning import Selection, open_tables, select
-from prbench.evaluation.preparation import supported
+from prbench.evaluation.planning import Selection, open_tables, select, supported
 from prbench.evaluation.request import ProgressCallback, silent
 from prbench.evaluation.scoring import ScoringRules
 from prbench.locks import sole_writer

@@ -14,10 +14,11 @@ from prbench.errors import StorageError
 from prbench.evaluation.agreement import agreement_with_people
 from prbench.evaluation.planning import Selection
 from prbench.evaluation.preparation import table_record
-from prbench.evaluation.request import ProgressCallback
+from prbench.evaluation.request import ProgressCallback, reported
 from prbench.evaluation.results import ScoredSet, summarise
-from prbench.evaluation.scoring import ScoringRules, reported, score_selection
+from prbench.evaluation.scoring import ScoringRules, score_selection
 from prbench.manifests import BenchmarkProtocol
+from prbench.metrics import METRICS
 from prbench.own_protocol import write_protocol
 from prbench.runs import record as run_record
 from prbench.runs.agreement import DatasetAgreement
@@ -87,9 +88,11 @@ class Scored:
     ) -> Scored:
         """Score the motions of a table and summarise them."""
         windows = score_selection(selection, predictions, samples=samples, rules=rules, engine=work.engine)
-        scores = pa.concat_tables(reported(windows, selection, work.progress)).combine_chunks()
+        dataset = selection.table.info.dataset
+        scores = pa.concat_tables(reported(windows, dataset, len(selection), work.progress)).combine_chunks()
         scored = ScoredSet(
             info=selection.table.info,
+            metrics=METRICS,
             recording_of=dict(zip(selection.sequence_ids, selection.recording_ids)),
             chosen=len(chosen),
             method=about.method,

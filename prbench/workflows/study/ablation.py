@@ -19,7 +19,8 @@ from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.leaderboard import collect_runs, make_leaderboard
 from prbench.leaderboard.collect import Check
-from prbench.leaderboard.tables import MAIN_METRICS, DatasetTable, TableRow, of_all_methods
+from prbench.leaderboard.tables import DatasetTable, TableRow, of_all_methods
+from prbench.metrics import MAIN_METRICS
 from prbench.published import DATASETS, load_published, published_table
 from prbench.runs.record import FILE_NAME as RUN
 from prbench.storage import file_digest

@@ -16,8 +16,7 @@ import pyarrow.compute as pc
 from prbench.errors import UsageError
 from prbench.evaluation.clusters import FEWEST_FOR_TEST
 from prbench.evaluation.intervals import Estimate, metric_interval
-from prbench.leaderboard.tables import MAIN_METRICS
-from prbench.metrics import MetricInfo, exported_unit
+from prbench.metrics import MAIN_METRICS, MetricInfo, exported_unit
 from prbench.runs.scores import read_scores
 from prbench.sequences import SequenceTable
 from prbench.skeleton import Joint

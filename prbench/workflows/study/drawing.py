@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from prbench.errors import UsageError
-from prbench.leaderboard.tables import MAIN_METRICS
-from prbench.metrics import MetricInfo, printed_unit
+from prbench.metrics import MAIN_METRICS, MetricInfo, printed_unit
 from prbench.viewing.study_charts import MOST_RUNS, Bar, BarPanel, CurvePanel, draw_bars, draw_sweeps
 from prbench.workflows.study.breakdown import GroupScore
 from prbench.workflows.study.genuine import GenuineRun

@@ -153,7 +153,7 @@ def _named_by_program(subject: Subject) -> Observation:
 
 def _loads(subject: Subject, **changed: object) -> bool:
     """Return True if the method can be loaded with other settings."""
-    spec = replace(subject.spec, fit_folder=None, table_folder=None, **changed)  # type: ignore[arg-type]
+    spec = replace(subject.spec, fit_folder=None, table_folder=None, fit=None, **changed)  # type: ignore[arg-type]
     try:
         spec.load()
     except (PrbenchError, OSError):

@@ -1,0 +1,1 @@
+"""The motion prediction benchmark: its protocol. Data only."""
