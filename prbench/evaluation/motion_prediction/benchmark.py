@@ -7,8 +7,8 @@ from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 
-from prbench.errors import UsageError
 from prbench.entry_points import PREDICTORS
+from prbench.errors import UsageError
 from prbench.evaluation.benchmark import Benchmark
 from prbench.evaluation.motion_prediction.cases import WindowCases, open_windows, single_windows
 from prbench.evaluation.motion_prediction.metrics import prediction_metrics
