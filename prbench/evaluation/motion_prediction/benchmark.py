@@ -7,7 +7,6 @@ from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 
-from prbench.entry_points import PREDICTORS
 from prbench.errors import UsageError
 from prbench.evaluation.benchmark import Benchmark
 from prbench.evaluation.motion_prediction.cases import WindowCases, open_windows, single_windows
@@ -24,7 +23,7 @@ from prbench.prediction.protocol import PredictionProtocol, load_prediction_prot
 from prbench.prediction.table import FILE_NAME, WindowsTable
 from prbench.runs.record import MethodRecord
 
-_PREDICTORS = MethodGroup(PREDICTORS, Predictor, "name, conditions and predict()", Condition, RemotePredictor)
+_PREDICTORS = MethodGroup("prbench.predictors", Predictor, "name, conditions and predict()", Condition, RemotePredictor)
 
 
 class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
