@@ -44,7 +44,7 @@ def predictor_of(
             raise UsageError(f"{row.method}: expected windows of a training split, found none in {table.folder}.")
         return NearestPast.fit(table.batches(row.condition, train))
     group = load_benchmark("motion-prediction").methods
-    return load_adapter(row.method, _weights_of(row, weights), {}, device, group=group)
+    return load_adapter(row.method, weights_of(row, weights), {}, device, group=group)
 
 
 def samples_of(predictor: Predictor, asked: int) -> int:
@@ -56,7 +56,12 @@ def samples_of(predictor: Predictor, asked: int) -> int:
     return asked
 
 
-def _weights_of(row: TableRow, weights: Path | None) -> Path | None:
+def weights_of(row: TableRow, weights: Path | None) -> Path | None:
+    """The weights file of a row; None for what comes with its predictor.
+
+    Raises:
+        UsageError: for an ablation without weights of its own, or a path that does not exist.
+    """
     require_weights(weights)
     if weights is not None and not weights.is_dir():
         return weights

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import prbench
 from prbench.errors import PrbenchError, UsageError
 from prbench.locks import sole_writer
+from prbench.methods.adapters import weights_digest
 from prbench.prediction.batch import Condition
 from prbench.prediction.folds import Fold, SplitChoice, default_split, folds, share_of
 from prbench.prediction.protocol import load_prediction_protocol
@@ -31,7 +32,7 @@ from prbench.workflows.prediction_tables.charts import horizon_panels, value_pan
 from prbench.workflows.prediction_tables.from_runs import scores_of_runs
 from prbench.workflows.prediction_tables.gaze_value import ValueOfCondition, values_of_conditions
 from prbench.workflows.prediction_tables.layout import PredictionLayout, lay_out
-from prbench.workflows.prediction_tables.predictors import predictor_of, samples_of
+from prbench.workflows.prediction_tables.predictors import predictor_of, samples_of, weights_of
 
 MARKDOWN = "tables.md"
 JSON = "tables.json"
@@ -242,4 +243,8 @@ class _Work:
         return self._request.out / "scores" / f"{row.name}.parquet"
 
     def _digest(self, row: TableRow) -> str:
-        return text_digest(*self._settings, row.name, str(self._request.weights or ""))
+        try:
+            weights = weights_digest(weights_of(row, self._request.weights))
+        except UsageError:
+            weights = None  # the row says why when it is to be scored
+        return text_digest(*self._settings, row.name, weights or "")
