@@ -19,6 +19,7 @@ from prbench.cli.main import main
 from prbench.errors import StorageError
 from prbench.synthetic.egoallo import write_smplh_model
 from tests.fakes import fake_dataset
+from tests.prediction.windows import write as write_windows
 from tests.readers import gimo_sample
 from tests.training.toy import entry_points_of
 
@@ -42,6 +43,7 @@ class Inputs:
         if heavy:
             _make_for_heavy(made)
         fake_dataset(made.table, 6)
+        write_windows(made.windows)
         synthesised = ("synthesize", "adt", "--count", 1, "--events", 2, "--no-verify", "--out", made.adt)
         run(made.folder, *synthesised)
         gimo_sample.write_root(made.gimo, gimo_sample.readings())
@@ -167,6 +169,7 @@ _HEAVY = {
     "run --view",
     "audit --out",
     "run --method all --out",
+    "prediction tables --out",
     "view --out png",
     "view --out html",
     "view --out mp4",
@@ -201,6 +204,15 @@ WRITING = (
     ),
     Writing("build-windows --out", lambda given, out: ("build-windows", "adt", "--root", given.adt, "--out", out)),
     Writing("build-windows --data", lambda given, out: ("build-windows", "--data", given.table, "--out", out)),
+    Writing(
+        "prediction tables --out",
+        lambda given, out: ("prediction", "tables", given.windows, "--samples", 2, "--limit", 4, "--out", out),
+    ),
+    Writing(
+        "prediction view --out",
+        lambda given, out: ("prediction", "view", given.windows, "--method", "zero-velocity", "--out", out),
+        "f.png",
+    ),
     Writing("build-corpus --out", lambda _, out: ("build-corpus", "synthetic", "--count", 1, "--out", out)),
     Writing(
         "synthesize --out",

@@ -13,10 +13,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from prbench.randomness import sequence_generator
 from prbench_adapters.diffusion.sampling import Chain, ddim_factors
 from prbench_adapters.prediction.behaviour import BehaviourAutoencoder, BehaviourConfiguration, PastAutoencoder
 from prbench_adapters.prediction.latent_unet import LatentUNet, UNetConfiguration
+from prbench_adapters.prediction.recurrent import latent_noise
 
 _OFFSET = 1e-4
 _LARGEST_BETA = 0.999
@@ -140,9 +140,7 @@ class BeLFusion(nn.Module):
             seeds: A seed for each sample of each window (``prbench.randomness.noise_seed``); nothing else decides
                 about its noise.
         """
-        size = self.configuration.behaviour
-        draws = [[sequence_generator(seed).standard_normal(size, dtype=np.float32) for seed in row] for row in seeds]
-        start = torch.from_numpy(np.array(draws)).to(observed)
+        start = latent_noise(seeds, self.configuration.behaviour, observed)
         *_, (_, clean) = self.states(start, self.condition(observed))
         return self.decode(observed, clean)
 

@@ -54,7 +54,7 @@ class CoefficientDiffusion(nn.Module):
         kept: Bool[Tensor, " windows"] | None = None,
         gaze_valid: Bool[Tensor, "windows observed"] | None = None,
     ) -> Float[Tensor, ""]:
-        """Mean squared error of the predicted noise.
+        """Mean squared error of the predicted noise, or velocity.
 
         Args:
             motion: Whole windows: joints in metres, and the direction as the last node if the model has one.
@@ -64,12 +64,17 @@ class CoefficientDiffusion(nn.Module):
             gaze_valid: Which observed directions were measured (:func:`~.window_dct.padded`).
         """
         clean = self.transform(motion)
-        known = motion[:, : self.configuration.observed]
-        condition = self.condition(self.transform(padded(known, motion.shape[1], gaze_valid)))
+        known = self.transform(padded(motion[:, : self.configuration.observed], motion.shape[1], gaze_valid))
+        condition = self.condition(known)
+        if self.configuration.residual:
+            clean = clean - known
         level = torch.from_numpy(self.schedule.alphas_cumprod).to(clean)[step][:, None, None]
         noisy = level.sqrt() * clean + (1.0 - level).sqrt() * noise
         predicted = self.denoiser(noisy[:, None], step, self._prepared(condition, kept))
-        return (predicted[:, 0] - noise).square().mean()
+        wanted = noise
+        if self.configuration.predicts == "velocity":
+            wanted = level.sqrt() * noise - (1.0 - level).sqrt() * clean
+        return (predicted[:, 0] - wanted).square().mean()
 
     @torch.no_grad()
     def predict(
@@ -113,7 +118,12 @@ class CoefficientDiffusion(nn.Module):
             chosen = torch.tensor(draws, device=observed.device) < configuration.condition_kept_sampling
             kept = chosen.unflatten(0, (-1, samples))
         known = self.transform(padded(observed, configuration.frames, gaze_valid))
-        *_, final = self.states(known, self.condition(known), noise, kept)
+        condition = self.condition(known)
+        offset = torch.zeros_like(known)
+        if self.configuration.residual:
+            offset = known
+        *_, state = self.states(known - offset, condition, noise, kept)
+        final = state + offset[:, None]
         return self.transform.inverse(final)[:, :, configuration.observed :]
 
     @torch.no_grad()
@@ -127,7 +137,7 @@ class CoefficientDiffusion(nn.Module):
         """Walk from noise to clean coefficients by DDIM (η = 0), completed by the observation after every step.
 
         Args:
-            known: Coefficients of the padded observation.
+            known: Coefficients of the padded observation; zeros if residuals are diffused.
             condition: What :meth:`condition` has made of them.
             noise: Called once for the start and once a step, the noisiest first.
             kept: Which samples keep the condition vector; None if all do.
@@ -146,6 +156,8 @@ class CoefficientDiffusion(nn.Module):
             predicted = self.denoiser(state, index, prepared)
             if without is not None:
                 predicted = torch.lerp(self.denoiser(state, index, without), predicted, guidance)
+            if self.configuration.predicts == "velocity":
+                predicted = math.sqrt(level) * predicted + math.sqrt(1.0 - level) * state
             # √ᾱ' x0 + √(1 - ᾱ') ε with x0 = (x - √(1 - ᾱ) ε) / √ᾱ, collected by x and ε in float64.
             of_state = math.sqrt(cleaner / level)
             of_noise = math.sqrt(1.0 - cleaner) - of_state * math.sqrt(1.0 - level)

@@ -5,6 +5,7 @@ Source: docs/specification/prediction-baselines.md#cvae.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -12,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from prbench_adapters.prediction.recurrent import Perceptron, PoseDecoder, gaussian_kl, last_state
+from prbench_adapters.prediction.recurrent import Perceptron, PoseDecoder, gaussian_kl, last_state, latent_noise
 
 _CONSTANT_EPOCHS = 100
 _EPOCHS = 500
@@ -101,6 +102,18 @@ class CVAE(nn.Module):
         code = torch.cat([past, latent.flatten(0, 1)], dim=1)
         poses = self.decoder(code, past, pose, self.configuration.predicted)
         return poses.unflatten(-1, (-1, 3)).unflatten(0, (-1, samples))
+
+    @torch.no_grad()
+    def predict(
+        self, observed: Float[Tensor, "windows observed joints 3"], seeds: Sequence[Sequence[int]]
+    ) -> Float[Tensor, "windows samples predicted joints 3"]:
+        """Draw continuations in metres.
+
+        Args:
+            observed: Joints, metres.
+            seeds: A seed for each sample of each window; nothing else decides about its noise.
+        """
+        return self.decode(observed, latent_noise(seeds, self.configuration.latent, observed))
 
     def loss(
         self,

@@ -5,6 +5,7 @@ Source: docs/specification/prediction-baselines.md#dlow-sampler.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -13,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from prbench_adapters.prediction.cvae import CVAE
-from prbench_adapters.prediction.recurrent import Perceptron, gaussian_kl, last_state
+from prbench_adapters.prediction.recurrent import Perceptron, gaussian_kl, last_state, latent_noise
 
 _SMALLEST_VARIANCE = 1e-12
 _VALUES_OF_HUMANEVA = 42
@@ -91,6 +92,26 @@ class DLow(nn.Module):
         scale, shift = self.maps(observed)
         return self.cvae.decode(observed, scale * noise[:, None] + shift)
 
+    @torch.no_grad()
+    def predict(
+        self, observed: Float[Tensor, "windows observed joints 3"], seeds: Sequence[Sequence[int]]
+    ) -> Float[Tensor, "windows samples predicted joints 3"]:
+        """Draw all K continuations of each window, metres.
+
+        Args:
+            observed: Joints, metres.
+            seeds: K seeds for each window, of which the first decides: one noise vector makes all samples.
+
+        Raises:
+            ValueError: for another number of samples than K.
+        """
+        wanted = self.configuration.n_samples
+        found = sorted({len(row) for row in seeds})
+        if found != [wanted]:
+            raise ValueError(f"expected {wanted} samples of each window, which are one design, found {found}")
+        noise = latent_noise([row[:1] for row in seeds], self.cvae.configuration.latent, observed)
+        return self.decode(observed, noise[:, 0])
+
     def loss(
         self,
         observed: Float[Tensor, "windows observed joints 3"],
@@ -102,9 +123,7 @@ class DLow(nn.Module):
         predicted = self.cvae.decode(observed, scale * noise[:, None] + shift).flatten(2)
         # A scale of 0 would have no logarithm.
         kl = gaussian_kl(shift, scale.square().clamp_min(_SMALLEST_VARIANCE).log()).mean()
-        first, second = torch.triu_indices(predicted.shape[1], predicted.shape[1], 1, device=predicted.device)
-        apart = (predicted[:, first] - predicted[:, second]).square().sum(dim=-1)
-        diversity = (-apart / self.scale).exp().mean()
+        diversity = (-_squared_distances(predicted) / self.scale).exp().mean()
         best = (predicted - future.flatten(1)[:, None]).square().sum(dim=-1).amin(dim=1).mean()
         weights = self.configuration
         total = weights.kl * kl + weights.diversity * diversity + weights.best_of_k * best
@@ -116,3 +135,14 @@ class DLow(nn.Module):
         if not self.configuration.scale_by_size:
             return self.configuration.scale
         return self.configuration.scale * self.cvae.configuration.values / _VALUES_OF_HUMANEVA
+
+
+def _squared_distances(futures: Float[Tensor, "windows samples values"]) -> Float[Tensor, "windows pairs"]:
+    """Squared distance of every two futures of a window, m², without a difference of every two."""
+    # Seen from their mean, products of futures are not much larger than the distances that they give.
+    centred = futures - futures.mean(dim=1, keepdim=True)
+    products = centred @ centred.transpose(1, 2)
+    squares = products.diagonal(dim1=1, dim2=2)
+    apart = squares[:, :, None] + squares[:, None] - 2.0 * products
+    first, second = torch.triu_indices(futures.shape[1], futures.shape[1], 1, device=futures.device)
+    return apart[:, first, second]

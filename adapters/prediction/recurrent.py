@@ -8,9 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+
+from prbench.randomness import sequence_generator
 
 
 class Perceptron(nn.Sequential):
@@ -58,6 +61,18 @@ class PoseDecoder(nn.Module):
             pose = self.output(self.mlp(state))
             poses.append(pose)
         return torch.stack(poses, dim=1)
+
+
+def latent_noise(seeds: Sequence[Sequence[int]], size: int, like: Tensor) -> Float[Tensor, "windows samples size"]:
+    """Standard normal noise, each sample's from its own seed and nothing else.
+
+    Args:
+        seeds: One for each sample of each window.
+        size: Numbers of a latent vector.
+        like: Tensor whose type and device the noise gets.
+    """
+    draws = [[sequence_generator(seed).standard_normal(size, dtype=np.float32) for seed in row] for row in seeds]
+    return torch.from_numpy(np.array(draws)).to(like)
 
 
 def gaussian_kl(

@@ -41,11 +41,18 @@ def padded(
     if n > frames:
         raise ValueError(f"an observation of {n} frames does not fit into a window of {frames}")
     if gaze_valid is not None:
-        observed = _held(observed, gaze_valid)
+        observed = held(observed, gaze_valid)
     return torch.cat([observed, observed[:, -1:].expand(-1, frames - n, -1, -1)], dim=1)
 
 
-def _held(observed: Tensor, valid: Tensor) -> Tensor:
+def held(
+    observed: Float[Tensor, "windows observed nodes 3"], valid: Bool[Tensor, "windows observed"]
+) -> Float[Tensor, "windows observed nodes 3"]:
+    """Replace the last node where it was not measured by the last measured one before it, at the start by the first.
+
+    Raises:
+        ValueError: if a window has no measured direction.
+    """
     if not bool(valid.any(dim=1).all()):
         window = int((~valid.any(dim=1)).nonzero()[0])
         raise ValueError(f"window {window} of the batch has no valid gaze in any observed frame")

@@ -1,1 +1,1 @@
-"""The motion prediction benchmark: its protocol. Data only."""
+"""The motion prediction benchmark: its protocol, and the rows of its tables. Data only."""

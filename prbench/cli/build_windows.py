@@ -144,8 +144,8 @@ def build_windows(
         return _answer(build_anchored_windows(data, out), out)
     assert dataset is not None
     assert root is not None
-    from prbench.curation.window_building import build_windows as build
     from prbench.engine import engine_for
+    from prbench.workflows.build_windows import build_windows as build
 
     with progress(f"cutting {dataset}") as tell:
         report = build(

@@ -60,6 +60,7 @@ _COMMANDS = {
         "audit": "prbench.cli.audit:audit",
         "error-budget": "prbench.cli.error_budget:error_budget",
         "study": "prbench.cli.study:study",
+        "prediction": "prbench.cli.prediction:prediction",
         "ablation": "prbench.cli.ablation:ablation",
     },
     "look: at tables, events and motions": {

@@ -1,47 +1,39 @@
-"""Build a table of windows from a dataset's native files: one recording after the other, written whole.
+"""Build a table of windows from a dataset's native files: each recording is kept as a part, and the parts are merged.
 
-Source: docs/specification/motion-prediction.md#from-recordings-to-windows.
+A build that is killed goes on where it stopped; what comes out has the same bytes for any number of workers, whether it
+was interrupted or not. Source: docs/specification/motion-prediction.md#from-recordings-to-windows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 
 import prbench
-from prbench.curation.curate import split_of
 from prbench.curation.options import BuildOptions
-from prbench.curation.sources import NativeSource, native_sources
-from prbench.curation.window_runs import runs_of_recording, runs_of_tracks, window_starts
+from prbench.curation.sources import native_sources
+from prbench.curation.window_job import CutRecording, NativeWindows, WindowsJob, WindowSource
+from prbench.curation.window_runs import window_starts
 from prbench.engine import Engine, InProcess
-from prbench.errors import InputFileError, PrbenchError, UsageError
+from prbench.errors import InputFileError, UsageError
 from prbench.locks import sole_writer
-from prbench.manifests import Manifest, digest_of, load_manifest, load_protocol
+from prbench.manifests import Manifest, digest_of, load_manifest
 from prbench.prediction.protocol import PredictionProtocol, load_prediction_protocol
-from prbench.prediction.table import SCHEMA_VERSION, CutRun, WindowsInfo, write_windows
+from prbench.prediction.table import FILE_NAME, SCHEMA_VERSION, WindowsInfo, write_windows
+from prbench.prediction.window_parts import read_cut_runs
 from prbench.readers import SYNTHETIC_PREFIX, PublishedForPrediction, reader_for
 from prbench.recording.pose_origin import is_estimated
 from prbench.sequences.dataset_info import QuarantinedRecording
-from prbench.shown import quoted
-from prbench.storage import text_digest
+from prbench.sequences.parts import work_folder, working_in_parts
+from prbench.storage import require_replaceable, text_digest
 
 JointChoice = Literal["native", "smpl22"]
 """``native``: joints that a study scored, where the reader gives them; ``smpl22``: the 22 joints of every dataset."""
 _IN_PROCESS = InProcess()
-
-
-@dataclass(frozen=True)
-class CutRecording:
-    """The runs of one recording, or the reason why there are none."""
-
-    recording_id: str
-    status: Literal["read", "failed", "skipped"]
-    message: str
-    runs: tuple[CutRun, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -51,57 +43,12 @@ class WindowsReport:
     folder: Path
     info: WindowsInfo
     recordings: tuple[CutRecording, ...]
-    """Every recording that was found, without its runs."""
+    """Every recording that was found, in table order."""
 
-
-@dataclass
-class _Cutter:
-    """Reads one recording and cuts it; picklable, so that an engine can do it in other processes."""
-
-    manifest: Manifest
-    protocol: PredictionProtocol
-    native: bool
-    stop_on_error: bool
-
-    def __call__(self, source: NativeSource) -> CutRecording:
-        if source.skip_reason is not None:
-            return CutRecording(source.recording_id, "skipped", source.skip_reason)
-        try:
-            return CutRecording(source.recording_id, "read", "", tuple(self._runs(source)))
-        except PrbenchError as error:
-            if self.stop_on_error:
-                raise
-            return CutRecording(source.recording_id, "failed", source.without_places(quoted(error)))
-
-    def _runs(self, source: NativeSource) -> Iterator[CutRun]:
-        rules = self.protocol.windows
-        reader = reader_for(source.dataset, dict(source.reader_options))
-        if isinstance(reader, PublishedForPrediction):
-            # Its tracks know which samples were measured; the recording holds and interpolates, also from later ones.
-            recording, tracks = reader.read_published(source.found)
-            if not self.native:
-                tracks = tuple(replace(track, joints=track.body) for track in tracks)
-            published = self.protocol.published_splits.get(source.dataset)
-            yield from runs_of_tracks(
-                recording,
-                tracks,
-                rules,
-                split=self._split(source, recording.split_group),
-                published_split="" if published is None else published.of(source.recording_id),
-            )
-            return
-        recording = reader.read(source.found)
-        yield from runs_of_recording(recording, rules, split=self._split(source, recording.split_group))
-
-    def _split(self, source: NativeSource, group: str) -> str:
-        group = group or source.recording_id
-        return source.split or split_of(source.recording_id, group, self.manifest, load_protocol().splits)
-
-
-@dataclass
-class _Reported:
-    recordings: list[CutRecording] = field(default_factory=list)
-    sources: set[str] = field(default_factory=set)
+    @property
+    def reused(self) -> int:
+        """Recordings taken over from an interrupted build."""
+        return sum(each.reused for each in self.recordings)
 
 
 def build_windows(
@@ -153,24 +100,51 @@ def build_windows(
             remedy="Leave the option out: every dataset has the 22 joints.",
         )
     native = published is not None and joints != "smpl22"
-    protocol = load_prediction_protocol()
-    cutter = _Cutter(manifest, protocol, native, on_error == "fail")
-    seen = _Reported()
-
-    def cut() -> Iterator[CutRun]:
-        for done, each in enumerate(engine.map(cutter, sources), start=1):
-            seen.recordings.append(CutRecording(each.recording_id, each.status, each.message))
-            seen.sources |= {run.run.pose_source for run in each.runs}
-            yield from each.runs
-            if progress is not None:
-                progress(done, len(sources), each.recording_id)
-
-    info = _described(name, manifest, protocol, joint_set=published if published is not None and native else "smpl22")
     chosen = {"joints": "native" if native else "smpl22", "recordings": recordings, "limit": str(limit or "all")}
     chosen |= {f"reader.{key}": value for key, value in reader}
-    with sole_writer(out):
-        info = write_windows(out, info, cut(), finish=lambda now: _finished(now, seen, sources, chosen))
-    return WindowsReport(out, info, tuple(seen.recordings))
+    cut = [NativeWindows(source, manifest, native) for source in sources]
+    return build_from_window_sources(
+        cut, name, manifest, out, options=chosen, on_error=on_error, engine=engine, progress=progress
+    )
+
+
+def build_from_window_sources(
+    sources: Sequence[WindowSource],
+    dataset: str,
+    manifest: Manifest,
+    out: Path,
+    *,
+    options: dict[str, str],
+    on_error: Literal["skip", "fail"],
+    engine: Engine,
+    progress: Callable[[int, int, str], None] | None,
+) -> WindowsReport:
+    """Build a table of windows from any recordings of one dataset with one joint set (see :func:`build_windows`).
+
+    Args:
+        sources: In table order.
+        dataset: Name that the table bears.
+        manifest: Of the dataset.
+        out: Folder of the table.
+        options: What stands in the table's description.
+        on_error: See :func:`build_windows`.
+        engine: See :func:`build_windows`.
+        progress: See :func:`build_windows`.
+    """
+    require_replaceable(out, FILE_NAME, kind="table of windows")
+    protocol = load_prediction_protocol()
+    job = WindowsJob(protocol, on_error == "fail", work_folder(out))
+    info = _described(dataset, manifest, protocol, joint_set=sources[0].joint_set)
+    finished: list[CutRecording] = []
+    with sole_writer(out), working_in_parts(out):
+        for each in engine.map(job, sources, if_full=job.if_full):
+            finished.append(each)
+            if progress is not None:
+                progress(len(finished), len(sources), each.recording_id)
+        info = _finished(info, finished, options)
+        # Last of all: until here an earlier table stands as it was.
+        info = write_windows(out, info, (run for each in finished for run in read_cut_runs(each.folder)))
+    return WindowsReport(out, info, tuple(finished))
 
 
 def published_counts(dataset: str, root: Path | str) -> dict[str, tuple[int, int, int]]:
@@ -232,20 +206,17 @@ def _described(name: str, manifest: Manifest, protocol: PredictionProtocol, *, j
     )
 
 
-def _finished(
-    info: WindowsInfo, seen: _Reported, sources: tuple[NativeSource, ...], options: dict[str, str]
-) -> WindowsInfo:
+def _finished(info: WindowsInfo, recordings: list[CutRecording], options: dict[str, str]) -> WindowsInfo:
     """Provenance with what reading brought up."""
-    read = {each.recording_id for each in seen.recordings if each.status == "read"}
-    parts = [text for each in sources if each.recording_id in read for text in (each.recording_id, each.input_digest())]
+    read = [text for each in recordings if each.status == "read" for text in (each.recording_id, each.input_digest)]
     return msgspec.structs.replace(
         info,
-        input_digest=text_digest(*parts),
+        input_digest=text_digest(*read),
         options=options,
-        estimated_bodies=any(map(is_estimated, seen.sources)),
+        estimated_bodies=any(is_estimated(source) for each in recordings for source in each.pose_sources),
         quarantine=tuple(
             QuarantinedRecording(recording_id=each.recording_id, status=each.status, message=each.message)
-            for each in seen.recordings
+            for each in recordings
             if each.status != "read"
         ),
     )

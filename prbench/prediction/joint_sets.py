@@ -6,7 +6,7 @@ Source: docs/specification/motion-prediction.md#joint-sets.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +26,7 @@ class JointSet:
     wrists: tuple[str, str]
     hips: tuple[str, str]
     shoulders: tuple[str, str]
+    head: str = "head"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -40,6 +41,21 @@ class JointSet:
     def bones(self) -> tuple[tuple[int, int], ...]:
         """(parent, child) of every bone, in the order of the child."""
         return tuple((self.names.index(parent), child) for child, parent in enumerate(self.parents.values()) if parent)
+
+    @property
+    def chains(self) -> tuple[tuple[int, ...], ...]:
+        """Joints in a row from the root, or from where a limb leaves another one, to every end: lines of a drawing."""
+        names = self.names
+        parent = {name: each for name, each in self.parents.items() if each}
+        seen: set[str] = set()
+        found = []
+        for end in reversed([name for name in names if name not in set(parent.values())]):
+            chain = [end]
+            while chain[-1] in parent and chain[-1] not in seen:
+                seen.add(chain[-1])
+                chain.append(parent[chain[-1]])
+            found.append(tuple(names.index(name) for name in reversed(chain)))
+        return tuple(reversed(found))
 
     def last_pose_frame(self, poses: Float[np.ndarray, "batch joints 3"]) -> Float[np.ndarray, "batch 4 4"]:
         """``room_from_batch`` of each pose: its pelvis over the origin, facing +Z; heights stay as they are.
@@ -96,7 +112,10 @@ MOGAZE21 = JointSet(
 )  # fmt: skip
 """The 21 links of MoGaze (docs/specification/mogaze.md#files)."""
 
-JOINT_SETS: Mapping[str, JointSet] = {each.name: each for each in (SMPL22, MOGAZE21)}
+GIMO23 = replace(SMPL22, name="gimo23", parents={**SMPL22.parents, "jaw": "head"})
+"""The 23 joints that GIMO's study scores: joints 0 to 22 of SMPL-X."""
+
+JOINT_SETS: Mapping[str, JointSet] = {each.name: each for each in (SMPL22, MOGAZE21, GIMO23)}
 
 
 def joint_set(name: str) -> JointSet:

@@ -44,11 +44,15 @@ class WindowRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class EvaluationRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What is scored: numbers of samples, horizons in seconds, and the distance of similar pasts in metres."""
+    """What is scored: numbers of samples, horizons in seconds, and the distance of similar pasts in metres.
+
+    ``coefficients`` is the number with which the truncation floor is computed.
+    """
 
     samples: tuple[int, ...]
     horizons: tuple[float, ...]
     similar_past: float
+    coefficients: int
     frame: FrameName
 
 

@@ -6,11 +6,12 @@ Source: docs/specification/motion-prediction.md#metrics.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass, field
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from prbench.errors import UsageError
 from prbench.prediction import metrics
@@ -87,6 +88,33 @@ class Scores:
         """One row a window, named by ``window_id``; the order is the same for every predictor and condition."""
         return pa.table(self.columns)
 
+    @classmethod
+    def of(cls, table: pa.Table) -> Scores:
+        """What :meth:`table` returned, as scores again."""
+        return cls({name: table[name].to_pylist() for name in table.column_names})
+
+    def only(self, keep: Bool[np.ndarray, " windows"]) -> Scores:
+        """The scores of some windows."""
+        return self._at(np.flatnonzero(keep))
+
+    def in_order(self, window_ids: SequenceOf[str]) -> Scores:
+        """The same scores in the order of these windows: batches of another size bring short windows in another one.
+
+        Raises:
+            UsageError: if they are scores of other windows.
+        """
+        place: dict[str, int] = {name: number for number, name in enumerate(self.columns.get("window_id", []))}
+        if place.keys() != set(window_ids) or len(window_ids) != len(self):
+            raise UsageError(f"expected scores of {len(window_ids)} windows, found those of {len(self)} others.")
+        return self._at(np.array([place[name] for name in window_ids]))
+
+    def _at(self, places: Int[np.ndarray, " n"]) -> Scores:
+        chosen = places.tolist()
+        return Scores({name: [values[place] for place in chosen] for name, values in self.columns.items()})
+
+    def __len__(self) -> int:
+        return len(self.columns.get("window_id", ()))
+
     @property
     def metrics(self) -> dict[str, Float[np.ndarray, " windows"]]:
         """Every score by name; NaN where a window has none."""
@@ -133,9 +161,23 @@ def score_predictor(
     scores = Scores()
     for batch, truth in table.batches(condition, chosen, frame=frame or rules.frame, size=size):
         futures = ask(predictor, batch, n_samples=n_samples, seed=seed)
-        for rows, values in score_batch(batch, futures, truth, table.joints, rules, similar=similar):
-            scores.add(_names(truth, rows) | values)
+        add_scores(scores, batch, futures, truth, table.joints, rules, similar=similar)
     return scores
+
+
+def add_scores(
+    scores: Scores,
+    batch: ObservedBatch,
+    futures: Futures,
+    truth: Truth,
+    joints: JointSet,
+    rules: EvaluationRules,
+    *,
+    similar: SimilarPasts | None = None,
+) -> None:
+    """Score the answer to one batch (:func:`score_batch`), and append its rows to the scores of others."""
+    for rows, values in score_batch(batch, futures, truth, joints, rules, similar=similar):
+        scores.add(_names(truth, rows) | values)
 
 
 def _names(truth: Truth, rows: np.ndarray) -> dict[str, list[str]]:

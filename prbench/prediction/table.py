@@ -11,7 +11,7 @@ from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -23,6 +23,7 @@ from prbench.errors import TableError, UsageError
 from prbench.prediction.batch import Condition, ObservedBatch, window_keys
 from prbench.prediction.joint_sets import JointSet, invert_each, joint_set, rotations_alone, transform_each
 from prbench.prediction.protocol import FrameName
+from prbench.recording.pose_origin import is_estimated
 from prbench.sequences.chunk import row_batch
 from prbench.sequences.dataset_info import Provenance
 from prbench.sequences.digests import require_unchanged
@@ -136,6 +137,18 @@ class Window:
             "goal": None if self.goal is None else self.goal.tolist(),
         }
 
+    @classmethod
+    def of(cls, row: Mapping[str, Any]) -> Window:
+        """A row of ``windows`` again, as :meth:`row` wrote it."""
+        return cls(
+            start=row["start"],
+            n_gaze_valid=row["n_gaze_valid"],
+            n_scored=row["n_scored"],
+            exclusion=row["exclusion"],
+            anchor=row["anchor"],
+            goal=None if row["goal"] is None else np.array(row["goal"]),
+        )
+
 
 class WindowsInfo(Provenance, frozen=True, kw_only=True):
     """Provenance of one table of windows; its outcomes count windows by exclusion (``window`` for the others)."""
@@ -186,12 +199,12 @@ def write_windows(
 
     Raises:
         StorageError: if the folder holds something that is no table of windows, or cannot be written.
-        TableError: if there is no window.
+        TableError: if there is no window, or captured bodies stand beside estimated ones.
     """
     require_replaceable(folder, FILE_NAME, kind="table of windows")
     joints = joint_set(info.joint_set)
     schemas = {"streams": streams_schema(joints), "windows": WINDOWS}
-    tally = _Tally(schemas["streams"])
+    tally = _Tally(folder, schemas["streams"])
     with atomic_folder(folder) as temporary:
         tables = {"streams": tally.streams(cut), "windows": tally.windows()}
         # The provenance counts what was written, so it is written once more at the end.
@@ -208,8 +221,10 @@ def write_windows(
 class _Tally:
     """Turns runs into rows, and remembers the windows and counts that are known only at the end."""
 
-    def __init__(self, schema: pa.Schema) -> None:
+    def __init__(self, folder: Path, schema: pa.Schema) -> None:
+        self._folder = folder
         self._schema = schema
+        self._kinds: dict[bool, str] = {}
         self._windows: list[dict[str, object]] = []
         self.runs = 0
         self._frames = 0
@@ -221,6 +236,7 @@ class _Tally:
     def streams(self, cut: Iterable[CutRun]) -> Iterator[pa.RecordBatch]:
         for each in cut:
             run = each.run
+            self._require_one_kind(run)
             self._windows += [window.row(run, self.runs) for window in each.windows]
             for window in each.windows:
                 outcome = window.exclusion or "window"
@@ -231,6 +247,15 @@ class _Tally:
             self._recordings.add(run.recording_id)
             self._participants.add(run.participant_id)
             yield row_batch([run], self._schema)
+
+    def _require_one_kind(self, run: Run) -> None:
+        """Estimated bodies may carry later head motion: they never enter one mean with captured ones."""
+        self._kinds.setdefault(is_estimated(run.pose_source), run.recording_id)
+        if len(self._kinds) > 1:
+            raise TableError(
+                f"{self._folder}: expected captured bodies or estimated ones, found both: {self._kinds[False]} and"
+                f" {self._kinds[True]}. Build a table of each; they never enter one mean."
+            )
 
     def windows(self) -> Iterator[pa.RecordBatch]:
         for start in range(0, len(self._windows), 4096):
@@ -339,7 +364,8 @@ class WindowsTable:
 
     @cached_property
     def _columns(self) -> Mapping[str, np.ndarray]:
-        columns = {name: np.array(self.runs[name].to_pylist()) for name in ("split", "published_split")}
+        short = ("split", "published_split", "recording_id", "participant_id")
+        columns = {name: np.array(self.runs[name].to_pylist()) for name in short}
         row = self.windows["row"].to_numpy()
         return {name: values[row] for name, values in columns.items()} | {
             "row": row,
@@ -355,6 +381,7 @@ class WindowsTable:
         published_split: str | None = None,
         anchor: str | None = None,
         recordings: SequenceOf[str] | None = None,
+        participants: SequenceOf[str] | None = None,
         with_excluded: bool = False,
     ) -> Int[np.ndarray, " n"]:
         """Places of the windows that are scored, the same under every condition, so that conditions can be paired.
@@ -363,7 +390,8 @@ class WindowsTable:
             split: Only this split of the dataset.
             published_split: Only this split of the published evaluation.
             anchor: Only this anchor.
-            recordings: Only these recordings, for splits of one's own such as leaving out a participant.
+            recordings: Only these recordings, for splits of one's own.
+            participants: Only these participants, for leaving one out (:mod:`prbench.prediction.folds`).
             with_excluded: Windows with an invalid body or too little gaze, too: those that the study counts.
 
         Raises:
@@ -374,9 +402,9 @@ class WindowsTable:
         for name, wanted in (("split", split), ("published_split", published_split), ("anchor", anchor)):
             if wanted is not None:
                 keep &= columns[name] == wanted
-        if recordings is not None:
-            of_run = np.array(self.runs["recording_id"].to_pylist())[columns["row"]]
-            keep &= np.isin(of_run, list(recordings))
+        for name, some in (("recording_id", recordings), ("participant_id", participants)):
+            if some is not None:
+                keep &= np.isin(columns[name], list(some))
         if not with_excluded:
             keep &= columns["exclusion"] == ""
             if self.info.has_gaze:
@@ -406,7 +434,7 @@ class WindowsTable:
                     if here:
                         batch = file.read_row_group(group)
                         for row in here:
-                            yield row, _run_of(batch.slice(row - first, 1))
+                            yield row, run_of(batch.slice(row - first, 1))
                     first += count
 
     def batches(
@@ -503,8 +531,9 @@ class WindowsTable:
         )
 
 
-def _run_of(table: pa.Table) -> Run:
-    row = table.combine_chunks().to_batches()[0]
+def run_of(rows: pa.Table | pa.RecordBatch) -> Run:
+    """The only row of ``streams`` that is given, as a run."""
+    row = rows if isinstance(rows, pa.RecordBatch) else rows.combine_chunks().to_batches()[0]
 
     def frames(name: str, size: int) -> np.ndarray:
         flat = row.column(name).flatten()

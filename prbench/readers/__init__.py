@@ -162,8 +162,12 @@ class PublishedForPrediction(Reader, Protocol):
         """Name of the study's joint set (docs/specification/motion-prediction.md#joint-sets)."""
         ...
 
-    def read_published(self, found: RecordingFiles) -> tuple[Recording, tuple[PublishedTrack, ...]]:
+    def read_published(self, found: RecordingFiles, *, native: bool) -> tuple[Recording, tuple[PublishedTrack, ...]]:
         """Read one recording with the pieces of it that the study used, at 30 frames a second.
+
+        Args:
+            found: The recording's files.
+            native: Whether the pieces have the study's joints, or the 22 of every dataset.
 
         Raises:
             PrbenchError: as :meth:`Reader.read`.

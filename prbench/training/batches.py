@@ -14,7 +14,8 @@ from torch.utils.data import DataLoader
 from prbench.errors import UsageError
 from prbench.randomness import named_generator
 from prbench.training.dataset import SequenceDataset
-from prbench.training.items import MotionBatch, collate
+from prbench.training.items import MotionBatch
+from prbench.training.windows import WindowBatch, WindowsDataset
 
 Draw = tuple[int, int]
 """Index of an item, and the epoch that it is drawn for."""
@@ -47,7 +48,7 @@ class LengthBatches:
 
     def __init__(
         self,
-        dataset: SequenceDataset,
+        dataset: SequenceDataset | WindowsDataset,
         batch_size: int,
         seed: int = 0,
         rank: int = 0,
@@ -128,8 +129,8 @@ class LengthBatches:
 
 
 def load_batches(
-    dataset: SequenceDataset, batches: LengthBatches, *, workers: int = 0, pinned: bool = False
-) -> Iterator[MotionBatch]:
+    dataset: SequenceDataset | WindowsDataset, batches: LengthBatches, *, workers: int = 0, pinned: bool = False
+) -> Iterator[MotionBatch] | Iterator[WindowBatch]:
     """The batches that a sampler plans, made into tensors; without end, the same ones for any number of workers.
 
     Args:
@@ -147,7 +148,7 @@ def load_batches(
     loader = DataLoader(
         dataset,
         batch_sampler=batches,  # pyright: ignore[reportArgumentType]  # items are drawn by (index, epoch)
-        collate_fn=collate,
+        collate_fn=dataset.collate,
         num_workers=workers,
         pin_memory=pinned,
         multiprocessing_context="spawn" if workers else None,

@@ -18,7 +18,7 @@ from prbench.sequences.table import SPLITS
 from prbench.storage import cache_folder
 from prbench.training.configuration import TrainingConfiguration
 from prbench.training.feature_store import FeatureStore
-from prbench.training.items import ConditionStatistics, Goal, MotionItem, condition_statistics
+from prbench.training.items import ConditionStatistics, Goal, MotionItem, collate, condition_statistics
 from prbench.training.motions import (
     REFIT,
     Motion,
@@ -68,6 +68,8 @@ class SequenceDataset(Dataset[MotionItem]):
         UsageError: if a value is not one of those above, or a table is given twice.
         TableError: if a table cannot be read, has no usable row of this split, or the tables differ in frame rate.
     """
+
+    collate = staticmethod(collate)
 
     def __init__(
         self,

@@ -7,12 +7,13 @@ the method's entry point names makes it, and the method needs no second line.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench.contract import ENTRY_POINT_GROUP as METHODS
+from prbench.entry_points import ADAPTERS, PREDICTORS
 from prbench.errors import AdapterError, PrbenchError, did_you_mean
 from prbench.methods.installed import entry_points_of, list_adapters
 
@@ -29,7 +30,7 @@ _DEFINITION = re.compile(rf"^def {_BESIDE_THE_METHOD}\b", re.MULTILINE)
 def list_tasks() -> tuple[str, ...]:
     """Names of all installed tasks, without importing any of them."""
     named = {point.name for point in entry_points_of(ENTRY_POINT_GROUP)}
-    beside = {point.name for point in entry_points_of(METHODS) if _defines_a_task(point)}
+    beside = {point.name for point in _methods() if _defines_a_task(point)}
     return tuple(sorted(named | beside))
 
 
@@ -58,7 +59,7 @@ def load_task(name: str) -> TrainingTask:
 def _find(name: str) -> EntryPoint:
     found = [point for point in entry_points_of(ENTRY_POINT_GROUP) if point.name == name]
     if not found:
-        found = [_beside(point) for point in entry_points_of(METHODS) if point.name == name and _defines_a_task(point)]
+        found = [_beside(point) for point in _methods() if point.name == name and _defines_a_task(point)]
     if len({point.value for point in found}) > 1:
         offers = ", ".join(point.value for point in found)
         raise AdapterError(f"training task '{name}' is offered more than once: {offers}. Uninstall all but one.")
@@ -71,6 +72,12 @@ def _find(name: str) -> EntryPoint:
             )
         raise AdapterError(f"nothing to train is called '{name}'.{hint} There are: {', '.join(known) or 'none'}.")
     return found[0]
+
+
+def _methods() -> Iterator[EntryPoint]:
+    """The entry points of all methods, of whichever benchmark."""
+    yield from entry_points_of(ADAPTERS)
+    yield from entry_points_of(PREDICTORS)
 
 
 def _beside(method: EntryPoint) -> EntryPoint:

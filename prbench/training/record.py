@@ -25,6 +25,7 @@ from prbench.storage import read_json, remove_leftovers, write_json
 from prbench.training.configuration import TrainingConfiguration
 from prbench.training.motions import parts_of
 from prbench.training.state import Row, TrainingState
+from prbench.training.windows import WindowsDataset
 
 RECORD = "training.json"
 SCHEMA_VERSION = 1
@@ -78,6 +79,22 @@ def table_records(tables: Iterable[SequenceTable | CorpusTable], *, split: str) 
             fold=table.info.options.get(OPTION) if isinstance(table, SequenceTable) else None,
         )
         for table in tables
+    )
+
+
+def window_records(data: WindowsDataset) -> tuple[TableRecord, ...]:
+    """Describe each table of windows for the card; its sequences are the stretches that windows are drawn from."""
+    return tuple(
+        TableRecord(
+            dataset=table.info.dataset,
+            title=table.info.title,
+            synthetic=table.info.synthetic,
+            licence=table.info.licence,
+            identity_digest=table.info.identity_digest,
+            content_digest=table.info.content_digest,
+            sequences=count,
+        )
+        for table, count in zip(data.tables, data.counts, strict=True)
     )
 
 

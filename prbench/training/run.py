@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import torch
@@ -29,11 +29,19 @@ from prbench.training.motions import REFIT
 from prbench.training.outputs import WEIGHTS
 from prbench.training.precision import chosen_precision
 from prbench.training.processes import make_fabric
-from prbench.training.record import TrainingRecord, require_same_training, table_records, training_card, write_record
+from prbench.training.record import (
+    TrainingRecord,
+    require_same_training,
+    table_records,
+    training_card,
+    window_records,
+    write_record,
+)
 from prbench.training.state import Row, TrainingState
-from prbench.training.task import TrainingData, TrainingModule, TrainingTask
+from prbench.training.task import TrainingData, TrainingModule, TrainingTask, WindowsTask
 from prbench.training.validation import Validation
 from prbench.training.weights import read_weights
+from prbench.training.windows import WindowsDataset
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
@@ -167,11 +175,11 @@ def _run(
     report: Callable[[Progress], None],
 ) -> TrainReport:
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
-        data = configured_dataset(_folders(request), configuration, split=_split(request))
+        data = _data(request, task, configuration)
         record = _record(request, stage, configuration, data)
         require_same_training(request.out, record)
         module = _module(request, task, stage, configuration, data)
-        validation = Validation.prepare(data.tables, configuration) if fabric.is_global_zero else None
+        validation = _validation(data, configuration) if fabric.is_global_zero else None
     fabric.barrier()  # nobody may find the folder half made
     if fabric.is_global_zero:
         write_record(request.out, record)  # now that everything fits together
@@ -203,6 +211,27 @@ def _run(
     return TrainReport(request.out / WEIGHTS, state.step, state.seconds, state.waiting, fabric.is_global_zero)
 
 
+def _data(
+    request: TrainRequest, task: TrainingTask, configuration: TrainingConfiguration
+) -> SequenceDataset | WindowsDataset:
+    """The split that is learnt from: sequences, or windows for a task that chooses some."""
+    if not hasattr(task, "window_choice"):
+        return configured_dataset(_folders(request), configuration, split=_split(request))
+    if request.fold is not None:
+        raise UsageError(
+            "--fold: windows have no folds of participants; leave participants out with"
+            " --set 'model.windows.left_out=[\"P1\"]'."
+        )
+    choice = cast(WindowsTask, task).window_choice(configuration.model)
+    return WindowsDataset(request.data, split=_split(request), choice=choice, seed=configuration.training.seed)
+
+
+def _validation(data: SequenceDataset | WindowsDataset, configuration: TrainingConfiguration) -> Validation | None:
+    if isinstance(data, WindowsDataset):
+        return Validation.of_windows(data, configuration)
+    return Validation.prepare(data.tables, configuration)
+
+
 def _folders(request: TrainRequest) -> tuple[Path, ...]:
     """The tables to learn from: those that were named, or a fold of each."""
     if request.fold is None:
@@ -221,13 +250,20 @@ def _split(request: TrainRequest) -> str:
 
 
 def _record(
-    request: TrainRequest, stage: str, configuration: TrainingConfiguration, data: SequenceDataset
+    request: TrainRequest,
+    stage: str,
+    configuration: TrainingConfiguration,
+    data: SequenceDataset | WindowsDataset,
 ) -> TrainingRecord:
+    if isinstance(data, WindowsDataset):
+        records = window_records(data)
+    else:
+        records = table_records(data.tables, split=_split(request))
     return TrainingRecord(
         method=request.method,
         stage=stage,
         configuration=configuration,
-        data=table_records(data.tables, split=_split(request)),
+        data=records,
         initial_weights_sha256=read_weights(request.initial).digest if request.initial else None,
         devices=request.devices,
         refit=request.refit,
@@ -239,18 +275,26 @@ def _module(
     task: TrainingTask,
     stage: str,
     configuration: TrainingConfiguration,
-    data: SequenceDataset,
+    data: SequenceDataset | WindowsDataset,
 ) -> TrainingModule:
     """The task's module, initialised from the seed alone."""
-    given = TrainingData(data, mode=configuration.data.mode, max_frames=configuration.data.max_frames, fps=data.fps)
+    initial = request.initial
+    model = configuration.model
     # What a process drew before must not decide the initial weights.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(configuration.training.seed)
-        return task.build(configuration.model, data=given, initial=request.initial, stage=stage)
+        if isinstance(data, WindowsDataset):
+            return cast(WindowsTask, task).build(model, data=data, initial=initial, stage=stage)
+        given = TrainingData(data, mode=configuration.data.mode, max_frames=configuration.data.max_frames, fps=data.fps)
+        return task.build(model, data=given, initial=initial, stage=stage)
 
 
 def _batches(
-    data: SequenceDataset, configuration: TrainingConfiguration, fabric: Fabric, start: int, workers: int
+    data: SequenceDataset | WindowsDataset,
+    configuration: TrainingConfiguration,
+    fabric: Fabric,
+    start: int,
+    workers: int,
 ) -> Iterable[Any]:
     settings = configuration.training
     order = LengthBatches(

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from prbench.contract import Adapter
     from prbench.training.dataset import SequenceDataset
     from prbench.training.items import MotionBatch
+    from prbench.training.windows import WindowChoice, WindowsDataset
 
 Networks = TypeVar("Networks", bound=msgspec.Struct)
 Objective = TypeVar("Objective", bound=msgspec.Struct)
@@ -142,8 +143,10 @@ class TrainingModule(nn.Module):
 class TrainingTask(Protocol):
     """A kind of network that ``prbench train --method NAME`` can train.
 
-    One optional attribute is honoured: ``stages``, a tuple of the names that ``--stage`` may have here (by default
-    ``("pretrain", "finetune")``; the first is the default of the command line).
+    Two optional attributes are honoured: ``stages``, a tuple of the names that ``--stage`` may have here (by default
+    ``("pretrain", "finetune")``; the first is the default of the command line), and ``window_choice``, which takes the
+    table ``[model]`` and returns a :class:`~prbench.training.windows.WindowChoice`. A task with it is fed windows of
+    motion prediction (:class:`WindowsTask`).
     """
 
     name: str
@@ -163,6 +166,27 @@ class TrainingTask(Protocol):
 
         Raises:
             PrbenchError: if the table does not describe a model, or the initial weights do not fit it.
+        """
+        ...
+
+
+class WindowsTask(Protocol):
+    """A training task that is fed windows of motion prediction; see :class:`TrainingTask` for what else it has."""
+
+    def window_choice(self, model: Mapping[str, Any]) -> WindowChoice:
+        """Return which windows the network of the table ``[model]`` is shown.
+
+        Raises:
+            UsageError: if the table holds no such choice.
+        """
+        ...
+
+    def build(
+        self, model: Mapping[str, Any], *, data: WindowsDataset, initial: Path | None, stage: str
+    ) -> TrainingModule:
+        """Make the module in its state before the first step, as :meth:`TrainingTask.build` does.
+
+        Its batches are :class:`~prbench.training.windows.WindowBatch`.
         """
         ...
 

@@ -10,7 +10,7 @@ import contextlib
 import math
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,10 +33,11 @@ from prbench.sequences import SequenceTable
 from prbench.sequences.table import by_share
 from prbench.training.configuration import TrainingConfiguration
 from prbench.training.dataset import SequenceDataset, configured_dataset
-from prbench.training.items import collate
+from prbench.training.items import MotionBatch
 from prbench.training.motions import Table
 from prbench.training.state import Row
 from prbench.training.task import TrainingModule
+from prbench.training.windows import WindowBatch, WindowsDataset
 
 _SPLIT = "validation"
 _SCORES = tuple(info.id for info in MAIN_METRICS)
@@ -46,7 +47,7 @@ _SCORES = tuple(info.id for info in MAIN_METRICS)
 class Validation:
     """Chosen sequences and settings of a validation, the same at every step of a training."""
 
-    data: SequenceDataset
+    data: SequenceDataset | WindowsDataset
     places: tuple[int, ...]
     """Places of the chosen items in ``data``, by length."""
     selections: tuple[Selection, ...]
@@ -83,6 +84,26 @@ class Validation:
             configuration.training.seed,
         )
 
+    @classmethod
+    def of_windows(cls, train: WindowsDataset, configuration: TrainingConfiguration) -> Validation | None:
+        """Choose windows of the split ``validation`` of the tables that are learnt from.
+
+        Raises:
+            UsageError: if a condition for generated motions is asked for.
+            TableError: if a table has no validation windows.
+        """
+        wanted = configuration.validation
+        if not wanted.every:
+            return None
+        if wanted.condition is not None:
+            raise UsageError(
+                "validation.condition: generates prime-and-reach motions; a network of motion prediction validates by"
+                " its losses and errors. Leave it out."
+            )
+        data = WindowsDataset(train.tables, split=_SPLIT, choice=train.choice, seed=configuration.training.seed)
+        seed = configuration.training.seed
+        return cls(data, data.spread(wanted.sequences), (), None, wanted.batch_size, seed)
+
     @torch.no_grad()
     def measure(
         self, module: TrainingModule, device: torch.device, autocast: AbstractContextManager | None = None
@@ -105,11 +126,16 @@ class Validation:
         totals: dict[str, float] = defaultdict(float)
         for number, start in enumerate(range(0, len(self.places), self.batch_size)):
             places = self.places[start : start + self.batch_size]
-            batch = collate([self.data[place] for place in places]).to(device)
+            batch = self._batch(places).to(device)
             # Negative steps draw the same noise at every validation and none that training has drawn.
             for name, loss in module(batch, -1 - number).items():
                 totals[name] += float(loss) * len(places)
         return {name: total / len(self.places) for name, total in totals.items()}
+
+    def _batch(self, places: Sequence[int]) -> MotionBatch | WindowBatch:
+        if isinstance(self.data, WindowsDataset):
+            return self.data.collate([self.data[place] for place in places])
+        return self.data.collate([self.data[place] for place in places])
 
     def _metrics(self, adapter: Adapter) -> Row:
         """Mean of every metric over the sequences of all tables."""

@@ -19,10 +19,15 @@ from prbench.manifests import MetricConstants
 from prbench.shown import figure_text
 from prbench.skeleton import CHAINS, Joint, head_forward
 from prbench.viewing.figures import (
+    draw_chains,
     flattened,
     horizontal_direction,
     new_figure,
     require_drawable,
+    shades,
+    side_by_side,
+    square_limits,
+    without_frame,
     write_figure,
 )
 
@@ -119,11 +124,7 @@ def _foot(fan: Fan) -> str:
 
 def _shades(group: FanGroup) -> list[tuple[float, float, float]]:
     """One colour a motion: the group's own, from dark to light."""
-    from matplotlib.colors import to_rgb
-
-    base = np.array(to_rgb(group.colour))
-    lightness = np.linspace(0.0, 0.62, len(group.motions.joints))
-    return [tuple(base + (1 - base) * share) for share in lightness]
+    return shades(group.colour, len(group.motions.joints))
 
 
 def _draw_bodies(axes: Axes, fan: Fan, group: FanGroup) -> None:
@@ -134,30 +135,26 @@ def _draw_bodies(axes: Axes, fan: Fan, group: FanGroup) -> None:
     primes = np.round(timing(motions, fan.constants).prime * motions.fps).astype(int)
     last = motions.joints.shape[1] - 1
     frames = (np.zeros_like(primes), primes, np.full_like(primes, last))
-    shown: list[np.ndarray] = []
-    right = 0.0
-    for moment, chosen in zip(_MOMENTS, frames, strict=True):
-        poses = motions.joints[np.arange(len(chosen)), chosen]
-        flat = [flattened(pose, start, sideways, 0.0) for pose in poses]
-        points = np.concatenate(flat)
-        # Bodies of two moments never overlap: each moment begins behind the one before it.
-        shift = right - points[:, 0].min() + (_SPACING if shown else 0.0)
+    bodies = [motions.joints[np.arange(len(chosen)), chosen] for chosen in frames]
+    clouds = [flattened(poses.reshape(-1, 3), start, sideways, 0.0) for poses in bodies]
+    goal = flattened(motions.goal[None], start, sideways, 0.0)
+    if fan.shows_goal:
+        clouds = [clouds[0], *(np.concatenate([points, goal]) for points in clouds[1:])]
+    # Bodies of two moments never overlap: each moment begins behind the one before it.
+    shifts = side_by_side(clouds, spacing=_SPACING)
+    for moment, poses, points, shift in zip(_MOMENTS, bodies, clouds, shifts, strict=True):
         for pose, colour in reversed(list(zip(poses, _shades(group), strict=True))):
             _draw_pose(axes, fan, pose, start, sideways, shift, colour)
         if fan.shows_goal and moment != _MOMENTS[0]:
-            goal = flattened(motions.goal[None], start, sideways, shift)[0]
-            axes.plot(*goal, "o", color=_GOAL, markersize=9, alpha=0.8, zorder=4)
-            points = np.concatenate([points, goal[None] - np.array([shift, 0.0])])
+            axes.plot(goal[0, 0] + shift, goal[0, 1], "o", color=_GOAL, markersize=9, alpha=0.8, zorder=4)
         centre = float(points[:, 0].mean()) + shift
         axes.text(centre, -0.12, moment, fontsize=7, ha="center", va="top", color="0.35")
-        right = float(points[:, 0].max()) + shift
-        shown.append(points + np.array([shift, 0.0]))
-    everything = np.concatenate(shown)
+    everything = np.concatenate([points + np.array([shift, 0.0]) for points, shift in zip(clouds, shifts, strict=True)])
     axes.set_xlim(everything[:, 0].min() - _MARGIN, everything[:, 0].max() + _MARGIN)
     axes.set_ylim(-0.32, everything[:, 1].max() + 0.15)
     axes.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
     axes.set_aspect("equal")
-    _without_frame(axes)
+    without_frame(axes)
 
 
 def _draw_pose(
@@ -170,8 +167,7 @@ def _draw_pose(
     colour: tuple[float, float, float],
 ) -> None:
     flat = flattened(pose, start, sideways, shift)
-    for chain in CHAINS:
-        axes.plot(*flat[list(chain)].T, color=colour, linewidth=1.5, solid_capstyle="round")
+    draw_chains(axes, flat, CHAINS, colour)
     forward, _ = head_forward(pose, fan.groups[0].motions.head_tilt_deg)
     tip = flattened((pose[Joint.HEAD] + _LOOK * forward)[None], start, sideways, shift)[0]
     axes.plot(*np.stack([flat[Joint.HEAD], tip]).T, color=colour, linewidth=0.9, linestyle="--")
@@ -229,16 +225,4 @@ def _limits_from_above(fan: Fan) -> tuple[tuple[float, float], tuple[float, floa
     points = [group.motions.joints[:, :, [Joint.PELVIS, Joint.HEAD]].reshape(-1, 3)[:, [0, 2]] for group in fan.groups]
     if fan.shows_goal:
         points.append(fan.groups[0].motions.goal[None, [0, 2]])
-    everything = np.concatenate(points)
-    low = everything.min(axis=0)
-    high = everything.max(axis=0)
-    half = float((high - low).max()) / 2 + _MARGIN
-    x, z = (low + high) / 2
-    return (float(x) - half, float(x) + half), (float(z) - half, float(z) + half)
-
-
-def _without_frame(axes: Axes) -> None:
-    axes.set_xticks([])
-    axes.set_yticks([])
-    for side in ("top", "right", "left", "bottom"):
-        axes.spines[side].set_visible(False)
+    return square_limits(np.concatenate(points), margin=_MARGIN)

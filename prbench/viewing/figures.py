@@ -5,6 +5,7 @@ matplotlib is imported when something is drawn, so that commands which draw noth
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -139,6 +140,59 @@ def draw_figure(
     tip = flattened((joints[Joint.HEAD] + _HEAD_LINE * forward)[None], pelvis, sideways, at)[0]
     axes.plot(*np.stack([flat[Joint.HEAD], tip]).T, color="tab:green", linewidth=0.8)
     axes.plot(*flat[Joint.HEAD], "o", color="0.25", markersize=3.0)
+
+
+def draw_chains(
+    axes: Axes, flat: Float[np.ndarray, "n 2"], chains: Sequence[Sequence[int]], colour: Any, **style: Any
+) -> None:
+    """Draw one pose that is already flat as a line a chain of joints, in one colour.
+
+    Args:
+        axes: Panel to draw into.
+        flat: Picture coordinates of the joints, metres.
+        chains: Joints of each line.
+        colour: Of all lines.
+        style: Further arguments of a matplotlib line.
+    """
+    for chain in chains:
+        axes.plot(*flat[list(chain)].T, **{"color": colour, "linewidth": 1.5, "solid_capstyle": "round", **style})
+
+
+def side_by_side(clouds: Sequence[Float[np.ndarray, "_n 2"]], *, spacing: float) -> list[float]:
+    """Return how far each cloud of points is moved so that it begins ``spacing`` metres behind the one before it."""
+    shifts = []
+    right = -spacing
+    for points in clouds:
+        shifts.append(right + spacing - float(points[:, 0].min()))
+        right = float(points[:, 0].max()) + shifts[-1]
+    return shifts
+
+
+def shades(colour: str, n: int) -> list[tuple[float, float, float]]:
+    """Return ``n`` shades of a colour, from dark to light."""
+    from matplotlib.colors import to_rgb
+
+    base = np.array(to_rgb(colour))
+    return [tuple(base + (1 - base) * share) for share in np.linspace(0.0, 0.62, n)]
+
+
+def square_limits(
+    points: Float[np.ndarray, "n 2"], *, margin: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the limits of a square panel around points, so that panels with the same ones compare; metres."""
+    low = points.min(axis=0)
+    high = points.max(axis=0)
+    half = float((high - low).max()) / 2 + margin
+    x, z = (low + high) / 2
+    return (float(x) - half, float(x) + half), (float(z) - half, float(z) + half)
+
+
+def without_frame(axes: Axes) -> None:
+    """Take ticks and frame from a panel."""
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for side in ("top", "right", "left", "bottom"):
+        axes.spines[side].set_visible(False)
 
 
 def flattened(

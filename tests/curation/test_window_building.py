@@ -63,6 +63,26 @@ def test_other_processes_change_nothing(root, tmp_path):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
+class _Killed:
+    """Ends after one recording, as a process that is killed does."""
+
+    def map(self, function, items, *, if_full=None):
+        yield function(next(iter(items)))
+        raise KeyboardInterrupt
+
+
+def test_a_build_that_was_killed_goes_on_and_ends_in_equal_bytes(root, tmp_path):
+    build_windows("mogaze", root, tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        build_windows("mogaze", root, tmp_path / "windows", engine=_Killed())
+    assert not (tmp_path / "windows").exists()
+    report = build_windows("mogaze", root, tmp_path / "windows")
+    assert report.reused == 1
+    for name in ("streams.parquet", "windows.parquet", "windows.json"):
+        assert (tmp_path / "windows" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert {path.name for path in tmp_path.iterdir()} <= {"mogaze", "whole", "windows"}
+
+
 def test_a_damaged_recording_is_left_out_and_named(root, tmp_path):
     (root / "p7_1_gaze_data.hdf5").write_bytes(b"\x89HDF")
     info = build_windows("mogaze", root, tmp_path / "windows").info

@@ -117,6 +117,13 @@ def test_a_table_that_was_edited_is_refused(tmp_path, name):
         WindowsTable.open(folder)
 
 
+def test_captured_bodies_never_stand_beside_estimated_ones(tmp_path):
+    estimated = replace(windows.walking("b", 120), pose_source="egoallo")
+    with pytest.raises(TableError, match="found both: a and b"):
+        windows.write(tmp_path / "w", windows.walking("a", 120), estimated)
+    assert not (tmp_path / "w").exists()
+
+
 def test_equal_runs_make_equal_bytes(tmp_path):
     one, other = windows.write(tmp_path / "one"), windows.write(tmp_path / "other")
     for name in ("streams.parquet", "windows.parquet", "windows.json"):

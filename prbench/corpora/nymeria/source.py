@@ -115,7 +115,7 @@ class NymeriaSource:
         clean = clean_suit(read_suit(path), self._manifest.thresholds, path=path)
         offset, messages = self._offset(clean, narrations)
         read = recording_clips(
-            self.identity, self._body(clean), narrations, offset, self.limits, self._manifest.thresholds
+            self.identity, self.body(clean), narrations, offset, self.limits, self._manifest.thresholds
         )
         message = "; ".join(part for part in (*self._without_texts(narrations), *messages, read.message) if part)
         return replace(read, message=self.without_places(message))
@@ -136,7 +136,8 @@ class NymeriaSource:
         lacking = [nymeria.NARRATION_FILES[kind] for kind in self.options.chosen_kinds if kind not in held]
         return (f"no text in {' and '.join(lacking)}, or no such file",) if lacking else ()
 
-    def _body(self, clean: CleanSuit) -> BodyMotion:
+    def body(self, clean: CleanSuit) -> BodyMotion:
+        """The 22 joints by the way that the options name."""
         manifest = self._manifest
         thresholds = self._manifest.thresholds
         if self.options.body == "xsens":

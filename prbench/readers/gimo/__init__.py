@@ -11,7 +11,7 @@ from prbench.readers import AnnotationLine
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.published import published_lengths, published_track
+from prbench.readers.gimo.published import GIMO23, native_joints, published_lengths, published_track
 from prbench.readers.gimo.readings import read_readings
 from prbench.readers.gimo.segments import GimoOptions, extents, find_segments, row_of
 from prbench.readers.gimo.to_recording import recording_from_gimo
@@ -40,14 +40,16 @@ class GimoReader:
 
     @property
     def native_joints(self) -> str:
-        """See :class:`prbench.readers.PublishedForPrediction`: the study's jaw, its 23rd joint, is not read."""
-        return "smpl22"
+        """See :class:`prbench.readers.PublishedForPrediction`; the jaw needs a body model (option smplx_model)."""
+        return native_joints(self.options)
 
     @foreign_input()
-    def read_published(self, found: RecordingFiles) -> tuple[Recording, tuple[PublishedTrack, ...]]:
+    def read_published(self, found: RecordingFiles, *, native: bool) -> tuple[Recording, tuple[PublishedTrack, ...]]:
         """See :class:`prbench.readers.PublishedForPrediction`."""
         readings, recording = self._read(found)
-        return recording, (published_track(readings, recording),)
+        has_jaw = native and self.native_joints == GIMO23
+        track = published_track(readings, recording, load_manifest("gimo"), with_jaw=has_jaw)
+        return recording, (track,)
 
     @foreign_input()
     def published_lengths(self, root: Path) -> dict[str, tuple[int, ...]]:

@@ -33,6 +33,8 @@ class SmplxModel:
     faces: Int[np.ndarray, "f 3"]
     regressor: Float[np.ndarray, "22 v"]
     """Joints as weighted vertices: the first 22 of the model's 55."""
+    jaw_regressor: Float[np.ndarray, " v"] | None = None
+    """Weights of the jaw, the model's next joint; None where the file holds no more than 22."""
 
     @property
     def rest_joints(self) -> Float[np.ndarray, "22 3"]:
@@ -80,7 +82,9 @@ def read_smplx_model(path: Path) -> SmplxModel:
             found=f"{template.shape}, {faces.shape} and {regressor.shape}",
             remedy="This is the model of another body.",
         )
-    return SmplxModel(template.astype(np.float64), faces, regressor[:N_JOINTS].astype(np.float64))
+    regressor = regressor.astype(np.float64)
+    jaw = regressor[N_JOINTS] if len(regressor) > N_JOINTS else None
+    return SmplxModel(template.astype(np.float64), faces, regressor[:N_JOINTS], jaw)
 
 
 def _arrays(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:

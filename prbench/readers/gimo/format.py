@@ -145,6 +145,8 @@ class LocalJoints:
     joints: Float[np.ndarray, "n 22 3"]
     """Suit frame, metres."""
     route: Literal["smplx", "mesh"]
+    jaw: Float[np.ndarray, "n 3"] | None = None
+    """Joint 22 of SMPL-X, suit frame, metres; None where the model's file does not tell it."""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from prbench.readers.files import must_exist
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.body_model import PoseDecoder, SmplxModel
 from prbench.readers.gimo.pickled_tensors import load_tensors
+from prbench.skeleton import PARENTS, Joint
 
 _SIZES = {"orient": 3, "trans": 3, "latent": gimo.N_LATENT}
 _SHAPE_KEYS = ("beta", "expression")
@@ -71,7 +72,25 @@ def joints_from_parameters(poses: gimo.SmplxPoses, decoder: PoseDecoder, model: 
     joints = forward_kinematics(
         rest, poses.trans.astype(np.float64) + rest[0], root, local.reshape(len(poses.frames), -1, 4)
     )
-    return gimo.LocalJoints(poses.frames, joints, "smplx")
+    jaw = None
+    if model.jaw_regressor is not None:
+        # The jaw's own pose is zero in every file, so that it moves with the head.
+        offset = model.jaw_regressor @ model.template - rest[Joint.HEAD]
+        jaw = joints[:, Joint.HEAD] + _head_rotation(root, local.reshape(len(poses.frames), -1, 4)).apply(offset)
+    return gimo.LocalJoints(poses.frames, joints, "smplx", jaw)
+
+
+def _head_rotation(root: Float[np.ndarray, "n 4"], local: Float[np.ndarray, "n 21 4"]) -> Rotation:
+    """Orientation of the head in the suit frame, from those of the joints from the pelvis to it."""
+    chain = []
+    joint = int(Joint.HEAD)
+    while joint > 0:
+        chain.append(joint)
+        joint = PARENTS[joint]
+    head = Rotation.from_quat(root, scalar_first=True)
+    for joint in reversed(chain):
+        head = head * Rotation.from_quat(local[:, joint - 1], scalar_first=True)
+    return head
 
 
 def joints_from_meshes(
@@ -91,12 +110,17 @@ def joints_from_meshes(
     """
     frames = sorted(files)
     joints = np.empty((len(frames), len(model.regressor), 3))
+    jaw = np.empty((len(frames), 3))
     for row, frame in enumerate(frames):
         vertices, faces = read_obj(files[frame])
         canonical = _canonical_vertices(files[frame], vertices, faces, model, largest_spread=largest_spread)
         _require_edges(files[frame], canonical, model, largest_edge_error)
         joints[row] = model.regressor @ canonical
-    return gimo.LocalJoints(np.array(frames, dtype=np.int64), joints, "mesh")
+        if model.jaw_regressor is not None:
+            jaw[row] = model.jaw_regressor @ canonical
+    return gimo.LocalJoints(
+        np.array(frames, dtype=np.int64), joints, "mesh", jaw if model.jaw_regressor is not None else None
+    )
 
 
 def _canonical_vertices(

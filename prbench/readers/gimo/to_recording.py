@@ -125,7 +125,7 @@ def _body(readings: gimo.GimoReadings, manifest: Manifest) -> tuple[BodyStream, 
         if not laid.is_sure:
             remarks.append("the pelvis hardly moves, so the skeleton's start is a guess")
     wanted = readings.segment.frames
-    joints, valid = _filled(frames, local, wanted, longest=round(manifest.thresholds["longest_filled_gap"]))
+    joints, valid = filled(frames, local, wanted, longest=round(manifest.thresholds["longest_filled_gap"]))
     missing = len(wanted) - len(frames)
     if missing:
         remarks.append(
@@ -135,13 +135,13 @@ def _body(readings: gimo.GimoReadings, manifest: Manifest) -> tuple[BodyStream, 
     return BodyStream(frame_times(wanted), in_room, valid), route, remarks
 
 
-def _filled(
+def filled(
     frames: Int[np.ndarray, " n"],
-    joints: Float[np.ndarray, "n 22 3"],
+    joints: Float[np.ndarray, "n joints 3"],
     wanted: Int[np.ndarray, " m"],
     *,
     longest: int,
-) -> tuple[Float[np.ndarray, "m 22 3"], Bool[np.ndarray, " m"]]:
+) -> tuple[Float[np.ndarray, "m joints 3"], Bool[np.ndarray, " m"]]:
     """Joints on the wanted frames: interpolated across at most ``longest`` missing ones, else held and invalid."""
     # Between two frames that are n + 1 apart n are missing.
     known = frames.astype(np.float64)

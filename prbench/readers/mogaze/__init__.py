@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from prbench.boundary import foreign_input
@@ -57,11 +57,12 @@ class MogazeReader:
         return "mogaze21"
 
     @foreign_input()
-    def read_published(self, found: RecordingFiles) -> tuple[Recording, tuple[PublishedTrack, ...]]:
+    def read_published(self, found: RecordingFiles, *, native: bool) -> tuple[Recording, tuple[PublishedTrack, ...]]:
         """See :class:`prbench.readers.PublishedForPrediction`."""
         readings, recording = self._read(found)
         least = load_manifest("mogaze").thresholds["gaze_confidence"]
-        return recording, published_tracks(readings, recording, least_confidence=least)
+        tracks = published_tracks(readings, recording, least_confidence=least)
+        return recording, tracks if native else tuple(replace(track, joints=track.body) for track in tracks)
 
     def published_lengths(self, root: Path) -> None:  # noqa: ARG002 - a protocol
         """See :class:`prbench.readers.PublishedForPrediction`: gaze decides, which every recording has in its files."""

@@ -7,10 +7,11 @@ An overlay that explains the scene is put into that page.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from prbench.errors import MissingExtraError
 from prbench.locks import sole_writer
@@ -51,29 +52,64 @@ def write_page(scenes: Sequence[Scene], path: Path, progress: Progress) -> None:
         MissingExtraError: if viser is not installed.
         StorageError: if the file cannot be written.
     """
-    with _server() as server:
+    with viewer() as server:
         set_up_scene(server, scenes)
-        stages = [PageStage(server, number, scene) for number, scene in enumerate(scenes)]
-        recording = server.get_scene_serializer()
-        done = 0
-        total = sum(scene.n_frames for scene in scenes)
-        for stage, scene in zip(stages, scenes, strict=True):
-            stage.show(True)
-            for frame in range(scene.n_frames):
-                stage.set_frame(frame)
-                recording.insert_sleep(1.0 / scene.fps)
-                done += 1
-                progress(done, total, scene.sequence_id)
-            recording.insert_sleep(HOLD)
-            stage.show(False)
-        page = recording.as_html()
+        acts = [
+            Act(PageStage(server, number, scene), scene.n_frames, scene.fps, scene.sequence_id)
+            for number, scene in enumerate(scenes)
+        ]
+        page = recorded_page(server, acts, progress)
     content = with_overlay(page, scenes, hold=HOLD)
     with sole_writer(path):
         write_text(path, content)
 
 
+class Stage(Protocol):
+    """What stands in the viewer's scene for one act."""
+
+    def show(self, visible: bool) -> None:
+        """Let it appear or vanish."""
+        ...
+
+    def set_frame(self, frame: int) -> None:
+        """Move everything to a frame."""
+        ...
+
+
+@dataclass(frozen=True)
+class Act:
+    """A part of a page's time line."""
+
+    stage: Stage
+    n_frames: int
+    fps: float
+    name: str
+
+    @property
+    def seconds(self) -> float:
+        """How long it moves."""
+        return self.n_frames / self.fps
+
+
+def recorded_page(server: ViserServer, acts: Sequence[Act], progress: Progress) -> str:
+    """Set every frame of every act once, each act held at its end, and return the viewer's page of it."""
+    recording = server.get_scene_serializer()
+    done = 0
+    total = sum(act.n_frames for act in acts)
+    for act in acts:
+        act.stage.show(True)
+        for frame in range(act.n_frames):
+            act.stage.set_frame(frame)
+            recording.insert_sleep(1.0 / act.fps)
+            done += 1
+            progress(done, total, act.name)
+        recording.insert_sleep(HOLD)
+        act.stage.show(False)
+    return recording.as_html()
+
+
 @contextmanager
-def _server() -> Iterator[ViserServer]:
+def viewer() -> Iterator[ViserServer]:
     """Start viser's server, which keeps the scene; it listens on this machine only, while the page is made."""
     try:
         from viser import ViserServer
@@ -96,11 +132,15 @@ def with_overlay(page: str, scenes: Sequence[Scene], *, hold: float) -> str:
         scenes: Scenes that the page shows, in order.
         hold: Seconds that the last frame of each stays.
     """
+    return with_box(page, _overlay(scenes, hold))
+
+
+def with_box(page: str, box: str) -> str:
+    """Put a box (:func:`overlay_box`) into a page, and give the page our title."""
     # The last one, in case the viewer's own scripts hold that text, too.
     cut = page.rindex("</body>")
-    title = "<title>prbench view</title>"
-    marked = page[:cut] + _overlay(scenes, hold) + page[cut:]
-    return marked.replace("<title>Viser</title>", title, 1)
+    marked = page[:cut] + box + page[cut:]
+    return marked.replace("<title>Viser</title>", "<title>prbench view</title>", 1)
 
 
 def _overlay(scenes: Sequence[Scene], hold: float) -> str:
@@ -111,29 +151,40 @@ def _overlay(scenes: Sequence[Scene], hold: float) -> str:
         parts.append(_sequence(scene, start, end))
         # The time line of the viewer runs through all sequences, each held at its end.
         start = end + hold
-    notices = dict.fromkeys(scene.notice for scene in scenes if scene.notice)
-    notice = "".join(f'<p class="notice">{html(text)}</p>' for text in notices)
+    return overlay_box([scene.notice for scene in scenes], _key(scenes), parts)
+
+
+def overlay_box(notices: Iterable[str], key: Iterable[tuple[str, str]], parts: Iterable[str]) -> str:
+    """The box that explains a page.
+
+    Args:
+        notices: Sentences that licences ask for; empty ones are left out, repeated ones stand there once.
+        key: What a colour means, and the colour (``#rrggbb``).
+        parts: HTML of what is shown.
+    """
+    notice = "".join(f'<p class="notice">{html(text)}</p>' for text in dict.fromkeys(notices) if text)
+    lines = "".join(f"<div>{swatch(colour)}{html(text)}</div>" for text, colour in key)
+    hint = "<div>Drag turns, wheel zooms, right drag moves; play and time line are the viewer's own.</div>"
     return (
         f"<style>{_STYLE}</style>"
-        f'<div id="prbench"><details open><summary>prbench view</summary>{notice}{_key(scenes)}{"".join(parts)}'
+        f'<div id="prbench"><details open><summary>prbench view</summary>{notice}{lines}{hint}{"".join(parts)}'
         "</details></div>"
     )
 
 
-def _key(scenes: Sequence[Scene]) -> str:
+def _key(scenes: Sequence[Scene]) -> list[tuple[str, str]]:
     entries = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", MARK_COLOUR)]
     if any(motion.gaze is not None for scene in scenes for motion in scene.motions):
         entries.append(("gaze", GAZE_COLOUR))
     if any(scene.goal is not None for scene in scenes):
         entries.append(("goal and its box", GOAL_COLOUR))
-    lines = "".join(f"<div>{_swatch(colour)}{html(text)}</div>" for text, colour in entries)
-    return f"{lines}<div>Drag turns, wheel zooms, right drag moves; play and time line are the viewer's own.</div>"
+    return entries
 
 
 def _sequence(scene: Scene, start: float, end: float) -> str:
     prime = start + scene.prime_time
     motions = "".join(
-        f"<div>{_swatch(motion.colour)}<b>{html(motion.label)}</b>:"
+        f"<div>{swatch(motion.colour)}<b>{html(motion.label)}</b>:"
         f" {html(score_sentence(scene, motion) or 'not scored')}</div>"
         for motion in scene.motions
     )
@@ -141,5 +192,6 @@ def _sequence(scene: Scene, start: float, end: float) -> str:
     return f'<h2>{html(scene.title)} ({when})</h2><div class="id">{html(scene.sequence_id)}</div>{motions}'
 
 
-def _swatch(colour: str) -> str:
+def swatch(colour: str) -> str:
+    """A short line in a colour, as HTML."""
     return f'<span class="swatch" style="background:{colour}"></span>'

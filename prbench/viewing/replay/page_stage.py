@@ -35,6 +35,12 @@ _LEAST_LANE = 1.0
 
 def set_up_scene(server: ViserServer, scenes: Sequence[Scene]) -> None:
     """Add a floor, and a camera that sees the first sequence from the side of its goal."""
+    set_up_floor(server)
+    place_camera(server, *camera_of(scenes[0]))
+
+
+def set_up_floor(server: ViserServer) -> None:
+    """Add a floor at height 0, and let Y point up."""
     server.scene.set_up_direction("+y")
     server.scene.add_grid(
         "/floor",
@@ -46,7 +52,10 @@ def set_up_scene(server: ViserServer, scenes: Sequence[Scene]) -> None:
         cell_color=(228, 228, 228),
         section_color=(200, 200, 200),
     )
-    place, look_at = camera_of(scenes[0])
+
+
+def place_camera(server: ViserServer, place: Float[np.ndarray, "3"], look_at: Float[np.ndarray, "3"]) -> None:
+    """Put the camera that a page opens with."""
     server.initial_camera.position = (float(place[0]), float(place[1]), float(place[2]))
     server.initial_camera.look_at = (float(look_at[0]), float(look_at[1]), float(look_at[2]))
     server.initial_camera.up = (0.0, 1.0, 0.0)

@@ -8,6 +8,8 @@ import torch
 from prbench.randomness import noise_seed
 from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion
 from prbench_adapters.prediction.configuration import PRESETS, preset
+from prbench_adapters.prediction.denoiser import PreparedCondition
+from prbench_adapters.prediction.window_dct import padded
 
 TINY = {
     "n_joints": 4,
@@ -189,3 +191,50 @@ def test_other_observations_and_no_samples_are_refused():
         model.predict(torch.zeros(1, 15, 4, 3), [[1]])
     with pytest.raises(ValueError, match="at least one sample"):
         model.predict(torch.zeros(1, 15, 5, 3), [[]])
+
+
+class _Oracle(torch.nn.Module):
+    """Knows the clean coefficients, and answers with the noise or the velocity that belongs to them."""
+
+    def __init__(self, clean, levels, predicts):
+        super().__init__()
+        self.clean, self.levels, self.predicts = clean[:, None], torch.from_numpy(levels).float(), predicts
+
+    def prepare(self, condition, kept):
+        return PreparedCondition(condition.mean(dim=1)[:, None], ())
+
+    def forward(self, state, step, prepared):
+        level = self.levels[step]
+        noise = (state - level.sqrt() * self.clean) / (1.0 - level).sqrt()
+        if self.predicts == "noise":
+            return noise
+        return level.sqrt() * noise - (1.0 - level).sqrt() * self.clean
+
+
+@pytest.mark.parametrize("residual", [False, True])
+@pytest.mark.parametrize("predicts", ["noise", "velocity"])
+def test_whoever_knows_the_future_predicts_it(predicts, residual):
+    model = _tiny("humanmac", predicts=predicts, residual=residual, n_joints=2)
+    frames = torch.arange(75)[:, None, None] / 30.0
+    motion = torch.tensor([0.3, 0.1, 0.2]) * frames * torch.ones(1, 75, 2, 3)
+    observed = motion[:, :15]
+    clean = model.transform(motion)
+    if residual:
+        clean = clean - model.transform(padded(observed, 75))
+    model.denoiser = _Oracle(clean, model.schedule.alphas_cumprod, predicts)
+    predicted = model.predict(observed, _seeds(1, 2))
+    # Ten coefficients and the noise that the last level keeps leave centimetres.
+    assert float((predicted - motion[:, None, 15:]).abs().max()) < 0.08
+
+
+@pytest.mark.parametrize("residual", [False, True])
+@pytest.mark.parametrize("predicts", ["noise", "velocity"])
+def test_whoever_knows_the_future_has_no_loss(predicts, residual):
+    model = _tiny("humanmac", predicts=predicts, residual=residual, n_joints=2)
+    motion = torch.randn(1, 75, 2, 3, generator=torch.Generator().manual_seed(2))
+    clean = model.transform(motion)
+    if residual:
+        clean = clean - model.transform(padded(motion[:, :15], 75))
+    model.denoiser = _Oracle(clean, model.schedule.alphas_cumprod, predicts)
+    loss = model.loss(motion, torch.tensor([7]), torch.randn(clean.shape))
+    assert float(loss) < 1e-8

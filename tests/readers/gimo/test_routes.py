@@ -14,7 +14,7 @@ from prbench.errors import InputFileError
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.body_model import SmplxModel, read_pose_decoder, read_smplx_model
 from prbench.readers.gimo.routes import joints_from_meshes, joints_from_parameters, read_obj
-from prbench.skeleton import N_JOINTS, PARENTS
+from prbench.skeleton import N_JOINTS, PARENTS, Joint
 from tests.fakes import STANDING
 from tests.readers import gimo_sample as sample
 
@@ -85,7 +85,7 @@ def test_route_a_follows_the_network_and_the_kinematic_tree(network, vposer, smp
         RNG.normal(size=(n, 32)).astype(np.float32),
     )
     model = read_smplx_model(smplx)
-    found = joints_from_parameters(poses, read_pose_decoder(vposer), model).joints
+    found = joints_from_parameters(poses, read_pose_decoder(vposer), model)
     with torch.no_grad():
         local = network.double()(torch.tensor(poses.latent, dtype=torch.float64)).numpy()
     rest = model.regressor @ model.template
@@ -98,7 +98,12 @@ def test_route_a_follows_the_network_and_the_kinematic_tree(network, vposer, smp
             step[:3, 3] = rest[joint] - (0 if parent < 0 else rest[parent])
             world[joint] = step if parent < 0 else world[parent] @ step
             expected = world[joint][:3, 3] + poses.trans[frame]
-            np.testing.assert_allclose(found[frame, joint], expected, atol=1e-9)
+            np.testing.assert_allclose(found.joints[frame, joint], expected, atol=1e-9)
+        assert model.jaw_regressor is not None
+        assert found.jaw is not None
+        offset = model.jaw_regressor @ model.template - rest[Joint.HEAD]
+        jaw = (world[Joint.HEAD] @ [*offset, 1.0])[:3] + poses.trans[frame]
+        np.testing.assert_allclose(found.jaw[frame], jaw, atol=1e-9)
 
 
 def test_moving_the_body_moves_trans_by_more_than_the_rotation_of_trans(vposer, smplx) -> None:

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from prbench.viewing.replay.page import HOLD, _server, with_overlay, write_page
+from prbench.viewing.replay.page import HOLD, viewer, with_overlay, write_page
 from prbench.viewing.replay.page_stage import camera_of, lane_offsets
 from prbench.viewing.replay.parts import bone_segments
 from tests.viewing.replay.scenes import a_scene
@@ -90,6 +90,6 @@ def test_lanes_lie_beside_one_another_and_the_camera_sees_them():
 
 
 def test_viser_announces_no_server_on_the_terminal(capfd) -> None:
-    with _server():
+    with viewer():
         pass
     assert capfd.readouterr().out == ""

@@ -1,0 +1,243 @@
+"""The trained networks as predictors of :mod:`prbench.prediction`: observed frames in, K futures out.
+
+Each sample draws its noise from a seed that depends on the run's seed, the window's key and the sample's number alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from prbench.errors import AdapterError, UsageError
+from prbench.prediction.batch import Condition, Futures, ObservedBatch, sample_generator
+from prbench.prediction.joint_sets import invert_each, rotations_alone, transform_each
+from prbench.training.weights import read_weights
+from prbench_adapters.diffusion.bundled import bundled_names, bundled_weights, resolve
+from prbench_adapters.diffusion.model import torch_device
+from prbench_adapters.diffusion.options import choice, number, require_known, whole_number
+from prbench_adapters.prediction.configuration import DiffusionConfiguration
+from prbench_adapters.prediction.dlow import DLow
+from prbench_adapters.prediction.records import (
+    RECORDS,
+    DiffusionRecord,
+    PredictorNetwork,
+    PredictorRecord,
+    SeenWindows,
+    network_of,
+)
+from prbench_adapters.prediction.window_dct import held
+
+_MOST_TOGETHER = 512
+"""Samples that go through a network together: more take more memory and hardly less time."""
+_PRECISIONS = {"float32": torch.float32, "float64": torch.float64}
+_SAME_TIME = 1e-6  # seconds
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """One weights file in use."""
+
+    path: Path
+    windows: SeenWindows
+    network: PredictorNetwork
+
+
+class LearnedPredictor:
+    """Draws futures with a trained network, one for each condition that there are weights for.
+
+    Args:
+        name: What tables call it.
+        loaded: The networks, in evaluation mode.
+    """
+
+    def __init__(self, name: str, loaded: Sequence[Loaded]) -> None:
+        self.name = name
+        self._loaded = {each.windows.condition: each for each in loaded}
+        self.conditions = frozenset(self._loaded)
+
+    def weights_for(self, condition: Condition) -> Path:
+        """The weights file in use under a condition."""
+        return self._loaded[condition].path
+
+    def predict(self, batch: ObservedBatch, *, n_samples: int, seed: int) -> Futures:
+        """See :class:`prbench.prediction.batch.Predictor`.
+
+        Windows of another rate than the network's are interpolated in time to its own, and its futures back, where both
+        last as long.
+
+        Raises:
+            UsageError: for another number of samples than DLow's K, which are one design.
+            AdapterError: for other joints or another duration than the network was trained on, and for windows without
+                any measured gaze.
+        """
+        loaded = self._loaded[batch.condition]
+        self._require_fit(batch, loaded, n_samples)
+        seen = loaded.windows
+        frames = np.tile(np.eye(4), (len(batch), 1, 1))
+        if seen.frame == "last-pose":
+            frames = seen.joints.last_pose_frame(batch.observed_joints[:, -1])
+        observed = self._observed(batch, seen, invert_each(frames))
+        drawn = self._drawn(loaded.network, observed, batch.key, n_samples=n_samples, seed=seed)
+        joints = drawn[:, :, :, : seen.n_joints]
+        if batch.fps != seen.fps:
+            last = np.broadcast_to(observed[:, None, -1:, : seen.n_joints], (*joints.shape[:2], 1, *joints.shape[3:]))
+            # A quicker rate than the network's begins between the last observed frame and the first predicted one.
+            whole = np.concatenate([last, joints], axis=2).swapaxes(1, 2)
+            own_times = np.arange(seen.predicted + 1) / seen.fps
+            joints = _at_times(whole, own_times, np.arange(1, batch.n_future + 1) / batch.fps).swapaxes(1, 2)
+        return Futures(joints=transform_each(frames, joints).astype(np.float32))
+
+    def _observed(
+        self, batch: ObservedBatch, seen: SeenWindows, own_from_batch: Float[np.ndarray, "batch 4 4"]
+    ) -> Float[np.ndarray, "batch observed nodes 3"]:
+        """The observed nodes in the network's frame and at its rate."""
+        # The last observed frame is at 0 at either rate.
+        times = np.arange(1 - batch.shape[1], 1) / batch.fps
+        own_times = np.arange(1 - seen.observed, 1) / seen.fps
+        joints = transform_each(own_from_batch, batch.observed_joints)
+        if batch.fps != seen.fps:
+            joints = _at_times(joints, times, own_times)
+        if batch.gaze is None:
+            return joints
+        direction = self._direction(batch, own_from_batch, times, own_times)
+        return np.concatenate([joints, direction], axis=2)
+
+    def _drawn(
+        self,
+        network: PredictorNetwork,
+        observed: Float[np.ndarray, "batch observed nodes 3"],
+        key: Sequence[int],
+        *,
+        n_samples: int,
+        seed: int,
+    ) -> Float[np.ndarray, "batch samples predicted nodes 3"]:
+        weight = next(network.parameters())
+        together = max(_MOST_TOGETHER // n_samples, 1)
+        parts = []
+        for first in range(0, len(observed), together):
+            rows = range(first, min(first + together, len(observed)))
+            seeds = [[_sample_seed(seed, key[row], sample) for sample in range(n_samples)] for row in rows]
+            seen = torch.from_numpy(observed[rows.start : rows.stop]).to(weight)
+            parts.append(network.predict(seen, seeds).double().cpu().numpy())
+        return np.concatenate(parts)
+
+    def _direction(
+        self,
+        batch: ObservedBatch,
+        own_from_batch: Float[np.ndarray, "batch 4 4"],
+        times: Float[np.ndarray, " frames"],
+        own_times: Float[np.ndarray, " own_frames"],
+    ) -> Float[np.ndarray, "batch own_frames 1 3"]:
+        """The observed directions in the network's frame and at its rate; never one of a later frame."""
+        assert batch.gaze is not None and batch.gaze_valid is not None  # noqa: PT018
+        turned = transform_each(rotations_alone(own_from_batch), batch.gaze)[:, :, None]
+        try:
+            measured = held(torch.from_numpy(turned), torch.from_numpy(batch.gaze_valid.copy())).numpy()
+        except ValueError as error:
+            raise AdapterError(
+                f"{self.name}: {error}. Choose windows with measured gaze, or another condition."
+            ) from error
+        latest = np.searchsorted(times, own_times + _SAME_TIME, side="right") - 1
+        return measured[:, np.maximum(latest, 0)]
+
+    def _require_fit(self, batch: ObservedBatch, loaded: Loaded, n_samples: int) -> None:
+        seen = loaded.windows
+        if batch.joint_names != seen.joints.names:
+            raise AdapterError(
+                f"{self.name}: {loaded.path.name} was trained on the {seen.n_joints} joints of {seen.joint_set}, these"
+                f" windows have {len(batch.joint_names)} others. Choose weights that were trained on such windows."
+            )
+        expected = (seen.observed / seen.fps, seen.predicted / seen.fps)
+        found = (batch.shape[1] / batch.fps, batch.n_future / batch.fps)
+        # Half a frame of the slower rate: 10 frames at 20 and 15 at 30 a second last half a second both.
+        if max(abs(a - b) for a, b in zip(expected, found, strict=True)) > 0.5 / min(batch.fps, seen.fps):
+            raise AdapterError(
+                f"{self.name}: {loaded.path.name} sees {expected[0]:g} s and predicts {expected[1]:g} s, these windows"
+                f" have {found[0]:g} s and {found[1]:g} s. Choose weights that were trained on such windows."
+            )
+        network = loaded.network
+        if isinstance(network, DLow) and n_samples != network.configuration.n_samples:
+            wanted = network.configuration.n_samples
+            raise UsageError(
+                f"{self.name}: its {wanted} samples are one design, of which fewer are no part; expected {wanted}"
+                f" samples, found {n_samples}. Ask for {wanted}, or train one with"
+                f" --set model.n_samples={n_samples}."
+            )
+
+
+def load_predictor(name: str, weights: Path | None, *, options: Mapping[str, str], device: str) -> LearnedPredictor:
+    """Load the networks of a method.
+
+    Options: ``precision`` (float32, float64); of GazeMoDiff and HumanMAC also ``steps`` of sampling, which must divide
+    those of the training, and ``guidance``.
+
+    Args:
+        name: Of the method.
+        weights: File, folder or name of bundled weights; None for those that come with prbench, ``<method>-small-…``,
+            one for each condition.
+        options: See above.
+        device: ``cpu``, ``cuda`` …
+
+    Raises:
+        AdapterError: if there is no such device, or no such weights.
+        InputFileError: if a file holds no weights of this method.
+        ValueError: for options that are unknown or have impossible values.
+    """
+    known = ("precision", "steps", "guidance") if RECORDS[name] is DiffusionRecord else ("precision",)
+    require_known(options, known)
+    precision = _PRECISIONS[choice(options, "precision", tuple(_PRECISIONS))]
+    where = torch_device(device)
+    loaded = []
+    for path in _paths(name, weights):
+        file = read_weights(path, kind=name)
+        record = _with_options(file.configuration(RECORDS[name]), options)
+        loaded.append(Loaded(path, record.windows, network_of(file, record).to(where, precision)))
+    return LearnedPredictor(name, loaded)
+
+
+def _paths(name: str, weights: Path | None) -> list[Path]:
+    folder = Path(str(files("prbench_adapters"))) / "prediction" / "weights"
+    own = [each for each in bundled_names(folder) if each.startswith(f"{name}-small")]
+    if weights is not None:
+        return [resolve(weights, name, folder=folder)]
+    if not own:
+        raise AdapterError(
+            f"{name}: no weights come with this version of prbench. Train some (`prbench train --method {name}"
+            " --config small --data WINDOWS… --out DIR`) and give --weights."
+        )
+    return [bundled_weights(each, folder) for each in own]
+
+
+def _with_options(record: PredictorRecord, options: Mapping[str, str]) -> PredictorRecord:
+    """The record with another number of sampling steps or guidance, which change no tensor."""
+    if not isinstance(record, DiffusionRecord):
+        return record
+    network = record.network
+    steps = whole_number(options, "steps", most=network.diffusion_steps) or network.sampling_steps
+    changed: DiffusionConfiguration = msgspec.structs.replace(
+        network, sampling_steps=steps, guidance=number(options, "guidance", network.guidance)
+    )
+    return msgspec.structs.replace(record, network=changed)
+
+
+def _sample_seed(seed: int, key: int, sample: int) -> int:
+    return int(sample_generator(seed, key, sample).integers(2**63 - 1))
+
+
+def _at_times(
+    values: Float[np.ndarray, "batch frames *shape"],
+    times: Float[np.ndarray, " frames"],
+    wanted: Float[np.ndarray, " others"],
+) -> Float[np.ndarray, "batch others *shape"]:
+    """Values at other times, interpolated linearly, and before the first or after the last one extrapolated."""
+    right = np.clip(np.searchsorted(times, wanted - _SAME_TIME), 1, len(times) - 1)
+    share = (wanted - times[right - 1]) / (times[right] - times[right - 1])
+    share = share.reshape(1, -1, *(1,) * (values.ndim - 2))
+    return values[:, right - 1] * (1.0 - share) + values[:, right] * share

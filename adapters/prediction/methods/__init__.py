@@ -1,0 +1,1 @@
+"""The entry points of the predictors; nothing heavy is imported before one is loaded."""

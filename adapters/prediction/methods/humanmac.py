@@ -1,0 +1,25 @@
+"""The method ``humanmac``: diffusion of windows that are completed by what was observed (docs/methods/humanmac.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from prbench_adapters.prediction.adapter import LearnedPredictor
+    from prbench_adapters.prediction.task import PredictorTask
+
+
+def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> LearnedPredictor:
+    """Entry point ``humanmac``: :func:`prbench_adapters.prediction.adapter.load_predictor`, imported when needed."""
+    from prbench_adapters.prediction.adapter import load_predictor
+
+    return load_predictor("humanmac", weights, options=options, device=device)
+
+
+def training_task() -> PredictorTask:
+    """Make the task that ``prbench train --method humanmac`` trains."""
+    from prbench_adapters.prediction.task import PredictorTask, diffusion
+
+    return PredictorTask("humanmac", diffusion)

@@ -1,0 +1,164 @@
+"""Headers of the predictors' weights files: the windows that they learnt from, and the sizes of the networks."""
+
+from __future__ import annotations
+
+import msgspec
+import torch
+from torch import nn
+
+from prbench.prediction.batch import Condition
+from prbench.prediction.joint_sets import JointSet, joint_set
+from prbench.prediction.protocol import FrameName
+from prbench.training.weights import Weights, weights_header
+from prbench.training.windows import WindowsDataset
+from prbench_adapters.prediction.behaviour import BehaviourAutoencoder, BehaviourConfiguration, PastAutoencoder
+from prbench_adapters.prediction.belfusion import BeLFusion
+from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion
+from prbench_adapters.prediction.configuration import DiffusionConfiguration
+from prbench_adapters.prediction.cvae import CVAE, CVAEConfiguration
+from prbench_adapters.prediction.dlow import DLow, DLowConfiguration
+from prbench_adapters.prediction.latent_unet import UNetConfiguration
+
+PredictorNetwork = CoefficientDiffusion | CVAE | DLow | BeLFusion
+
+
+class SeenWindows(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The windows that a network was trained on, and the only ones that it can predict."""
+
+    condition: Condition
+    frame: FrameName
+    joint_set: str
+    fps: float
+    observed: int
+    predicted: int
+
+    @classmethod
+    def of(cls, data: WindowsDataset) -> SeenWindows:
+        """Return those of a training split."""
+        return cls(
+            condition=data.choice.condition,
+            frame=data.choice.frame,
+            joint_set=data.shape.joint_set,
+            fps=data.shape.fps,
+            observed=data.shape.observed,
+            predicted=data.shape.predicted,
+        )
+
+    @property
+    def joints(self) -> JointSet:
+        """The joints by name."""
+        return joint_set(self.joint_set)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return len(self.joints.names)
+
+    @property
+    def direction(self) -> bool:
+        """Whether a direction stands behind the joints."""
+        return self.condition is not Condition.POSE
+
+    @property
+    def nodes(self) -> int:
+        """Joints, and the direction if there is one."""
+        return self.n_joints + self.direction
+
+
+class DiffusionRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """GazeMoDiff or HumanMAC."""
+
+    windows: SeenWindows
+    network: DiffusionConfiguration
+
+    def build(self) -> CoefficientDiffusion:
+        """Make the network."""
+        return CoefficientDiffusion(self.network)
+
+
+class CVAERecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """CVAE."""
+
+    windows: SeenWindows
+    network: CVAEConfiguration
+
+    def build(self) -> CVAE:
+        """Make the network."""
+        return CVAE(self.network)
+
+
+class DLowRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """DLow's sampler and the CVAE that it was made for."""
+
+    windows: SeenWindows
+    network: DLowConfiguration
+    cvae: CVAEConfiguration
+
+    def build(self) -> DLow:
+        """Make the network."""
+        return DLow(self.network, CVAE(self.cvae))
+
+
+class AutoencodersRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The two autoencoders of BeLFusion, its first stage."""
+
+    windows: SeenWindows
+    network: BehaviourConfiguration
+
+    def build(self) -> Autoencoders:
+        """Make the networks."""
+        return Autoencoders(self.network)
+
+
+class BeLFusionRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """BeLFusion whole."""
+
+    windows: SeenWindows
+    network: UNetConfiguration
+    behaviour: BehaviourConfiguration
+    decoded_weight: float = 5.0
+
+    def build(self) -> BeLFusion:
+        """Make the networks."""
+        return BeLFusion(self.behaviour, self.network, decoded_weight=self.decoded_weight)
+
+
+class Autoencoders(nn.Module):
+    """Both autoencoders of BeLFusion side by side; neither sees the other."""
+
+    def __init__(self, configuration: BehaviourConfiguration) -> None:
+        super().__init__()
+        self.configuration = configuration
+        self.past = PastAutoencoder(configuration)
+        self.behaviour = BehaviourAutoencoder(configuration)
+
+
+Record = DiffusionRecord | CVAERecord | DLowRecord | AutoencodersRecord | BeLFusionRecord
+PredictorRecord = DiffusionRecord | CVAERecord | DLowRecord | BeLFusionRecord
+
+AUTOENCODERS = "belfusion-autoencoders"
+RECORDS: dict[str, type[PredictorRecord]] = {
+    "gazemodiff": DiffusionRecord,
+    "humanmac": DiffusionRecord,
+    "cvae": CVAERecord,
+    "dlow": DLowRecord,
+    "belfusion": BeLFusionRecord,
+}
+"""Maps each method, which is the kind of its weights, to what their header holds."""
+
+
+def contents(kind: str, record: Record, network: nn.Module) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+    """Tensors and header entries of a network, frozen parts with it: a weights file needs no other."""
+    header = weights_header(kind, record, f"windows/{record.windows.joint_set}")
+    return {f"network.{name}": tensor for name, tensor in network.state_dict().items()}, header
+
+
+def network_of(weights: Weights, record: PredictorRecord) -> PredictorNetwork:
+    """The network that a file holds, in evaluation mode.
+
+    Raises:
+        InputFileError: if the tensors do not fit the record in the header.
+    """
+    network = record.build()
+    weights.load_into(network, "network")
+    return network.eval().requires_grad_(False)
