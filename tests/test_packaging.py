@@ -35,9 +35,7 @@ def _tree() -> set[str]:
 
 def _is_program(path: Path) -> bool:
     """True for timings, simulations and measurements, which are of use beside the source only."""
-    return any(
-        path.is_relative_to(ROOT / "benchmarks" / name) for name in ("choices", "speed", "statistics")
-    )
+    return any(path.is_relative_to(ROOT / "benchmarks" / name) for name in ("choices", "speed", "statistics"))
 
 
 @pytest.fixture(scope="module")
