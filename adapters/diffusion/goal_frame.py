@@ -145,6 +145,19 @@ class GoalFrame:
             pose = self._reaching(pose, n_frames, fps)
         return self._turned(self._joints(pose), back=True) + self.origin[:, None, None]
 
+    def led_to_goal(
+        self, joints: Float[Tensor, "batch frames 22 3"], n_frames: Int[Tensor, " batch"], fps: float
+    ) -> Float[Tensor, "batch frames 22 3"]:
+        """Finished canonical joints on the bones of the initial pose, with the nearer wrist led up to the goal.
+
+        Args:
+            joints: Metres.
+            n_frames: Valid frames of each row.
+            fps: Frames per second.
+        """
+        pose = self._reaching(self._pose_features(joints), n_frames, fps)
+        return self._turned(self._joints(pose), back=True) + self.origin[:, None, None]
+
     def _pose(self, features: Tensor, n_frames: Tensor, fps: float) -> Float[Tensor, "batch frames 66"]:
         """Smooth features of unit directions, with the frames that are given."""
         features = smoothed(features[..., :N_POSE_FEATURES], n_frames)

@@ -33,7 +33,7 @@ _MODES = ("fast", "paper", "off")
 _BONES = ("predicted", "initial")
 _OBSTACLES = ("ignore", "avoid")
 _GAZE = ("head", "eyes")
-_SAMPLING_ALONE = ("sampler", "steps", "reach", "feet")
+_SAMPLING_ALONE = ("sampler", "steps", "feet")
 _OF_GOAL_FRAMES = {"reach": "goal", "feet": "predicted"}  # choices that other features do not have
 
 
@@ -135,9 +135,9 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
 
     Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the other
     ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`; without optimisation
-    ``sampler`` (ddpm, ddim, or one-pass for weights of one to four steps, which needs no ``optimise=off``), ``steps``,
-    ``reach`` (predicted, or goal: a wrist is led to a goal location at the end) and ``feet`` (steps: they stand or
-    swing; or predicted: as the network has them); ``guidance`` (1); ``bones``
+    ``sampler`` (ddpm, ddim, or one-pass for weights of one to four steps, which needs no ``optimise=off``), ``steps``
+    and ``feet`` (steps: they stand or swing; or predicted: as the network has them); ``reach`` (predicted, or goal: a
+    wrist is led to a goal location at the end); ``guidance`` (1); ``bones``
     (predicted, or initial for the initial pose's lengths); ``obstacles`` (ignore, or avoid: finished motions are led
     around the scene's boxes); ``text-path`` (files of the text encoder, if the weights need one that has some);
     ``gaze`` (head, or eyes: motions with gaze) and ``gaze-weights`` (file or folder that ``prbench train --method pr
@@ -158,7 +158,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     from prbench_adapters.diffusion.noise_optimisation.settings import PRIME_AND_REACH_OPTIONS
     from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known
 
-    own = ("optimise", "text-path", "reach", "feet", "obstacles", "gaze", "gaze-weights")
+    own = ("optimise", "text-path", "feet", "obstacles", "gaze", "gaze-weights")
     require_known(options, (*own, *SAMPLING_OPTIONS, *PRIME_AND_REACH_OPTIONS))
     if weights is None:
         paths = {condition: resolve(None, name) for condition, name in DEFAULT_WEIGHTS.items()}
@@ -289,7 +289,7 @@ def _generation(options: Mapping[str, str], configuration: DenoiserConfiguration
         options = _of_one_pass(options)
     mode = choice(options, "optimise", _MODES)
     if mode == "off":
-        idle = [key for key in PRIME_AND_REACH_OPTIONS if key in options and key not in ("bones", "precision")]
+        idle = [key for key in PRIME_AND_REACH_OPTIONS if key in options and key not in ("bones", "precision", "reach")]
         if idle:
             raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=fast or paper.")
         samplers = (*SAMPLERS, ONE_PASS)

@@ -269,7 +269,7 @@ def test_bones_can_keep_the_lengths_of_the_initial_pose(weights, options):
         ({"optimise": "off", "hand": "left"}, "'hand' belongs to noise optimisation"),
         ({"optimise": "fast", "sampler": "ddim"}, "'sampler' belongs to sampling without noise optimisation"),
         ({"steps": "5"}, "'steps' belongs to sampling without noise optimisation"),
-        ({"reach": "predicted"}, "'reach' belongs to sampling without noise optimisation"),
+        ({"feet": "steps"}, "'feet' belongs to sampling without noise optimisation"),
         ({"optimise": "off", "sampler": "heun"}, "expected ddpm or ddim or one-pass, found 'heun'"),
         ({"optimise": "slow"}, "option 'optimise': expected"),
         ({"hand": "both"}, "option 'hand': expected"),

@@ -12,7 +12,7 @@ from prbench.contract import ConditionBatch, Cost, Motions
 from prbench_adapters.diffusion.batches import ModelBodies, bone_lengths, parts_of_similar_length, start_noise
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.generation import require_lengths
-from prbench_adapters.diffusion.model import MotionModel
+from prbench_adapters.diffusion.model import MotionModel, led_to_goal
 from prbench_adapters.diffusion.noise_optimisation.decoder import FrozenModel, OnOwnBones, UnrolledChain
 from prbench_adapters.diffusion.noise_optimisation.objective import ObjectiveFromSettings, Targets, prime_and_reach
 from prbench_adapters.diffusion.noise_optimisation.optimise import History, NoiseDecoder, OptimisedMotions, optimise
@@ -108,8 +108,11 @@ def generate_optimised(
     require_lengths(batch, model.configuration.max_frames)
     bodies = ModelBodies.of(batch, model.configuration)
     found = optimise_batch(model, bodies.batch, settings, objective=objective, texts=texts)
+    joints = found.joints
+    if settings.reach == "goal" and batch.goal_location is not None:
+        joints = led_to_goal(model, joints, model.encode(bodies.batch, texts=texts), found.n_frames)
     cost = Cost(network_passes=int(found.network_passes.sum()))
-    return Motions(bodies.own(found.joints.cpu().numpy()), batch.n_frames, cost)
+    return Motions(bodies.own(joints.cpu().numpy()), batch.n_frames, cost)
 
 
 def optimise_batch(

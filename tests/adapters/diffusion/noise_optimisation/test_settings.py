@@ -72,7 +72,8 @@ def test_every_option_changes_something():
     other = {
         "ddim-steps": "3", "iterations": "9", "learning-rate": "1", "alpha": "2", "decorrelation": "3",
         "initial-velocity-weight": "4", "initial-frames": "2", "hand": "left", "bones": "initial", "keep": "best",
-        "stop-below": "1", "spacing": "trailing", "checkpointing": "2", "precision": "bfloat16", "compile": "true",
+        "stop-below": "1", "reach": "goal", "spacing": "trailing", "checkpointing": "2", "precision": "bfloat16",
+        "compile": "true",
     }  # fmt: skip
     assert set(other) == {*KEYFRAME_OPTIONS, *PRIME_AND_REACH_OPTIONS}
     preset = OptimisationSettings()
