@@ -40,7 +40,7 @@ class PlannedRow:
     def condition(self) -> Condition:
         """The condition that it is run under."""
         assert self.run.condition is not None, "every row names its condition"
-        return self.run.condition
+        return Condition(self.run.condition)
 
     @property
     def is_control(self) -> bool:
