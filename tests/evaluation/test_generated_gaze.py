@@ -22,6 +22,7 @@ from prbench.runs.agreement import DatasetAgreement
 from prbench.runs.record import RunRecord
 from prbench.runs.scores import read_scores
 from prbench.submitted.score_predictions import ScoreRequest, score_predictions
+from prbench.workflows.view import ViewRequest, scenes_of
 from tests.fakes import fake_dataset, fake_sequence
 from tests.method_fixtures import adapter_source
 
@@ -61,6 +62,17 @@ def test_gaze_is_scored_beside_the_head_and_the_run_is_marked(table, tmp_path, s
         assert summary.metric(name).mean == 1.0
         assert summary.metric(name).sequences == 15
     assert Predictions.open(tmp_path / "run/predictions").has_gaze
+
+
+def test_a_view_shows_the_gaze_of_each_motion(table, tmp_path, seeing):
+    run_method(request(table, tmp_path / "run"))
+    wanted = ViewRequest(out=tmp_path / "view.png", runs=(tmp_path / "run",), data=(table.folder,), limit=1)
+    (scene,) = scenes_of(wanted)
+    recorded, generated = scene.motions
+    assert recorded.gaze is not None
+    assert generated.gaze is not None
+    assert np.allclose(generated.gaze.origin, generated.joints[:, 15] + (0, 0, 0.1), atol=1e-5)
+    assert np.allclose(np.linalg.norm(generated.gaze.direction, axis=-1), 1.0, atol=1e-5)
 
 
 def test_another_process_sends_the_same_gaze(table, tmp_path, seeing):

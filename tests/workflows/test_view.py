@@ -182,7 +182,7 @@ def test_recorded_motion_gaze_and_goal_of_none_are_left_out(place, tmp_path):
     (scene,) = scenes_of(ViewRequest(out=Path("a.png"), runs=(method,), data=data, limit=1))
     assert [motion.label for motion in scene.motions] == ["made-up, goal-loc"]
     assert scene.goal is None
-    assert scene.gaze is None
+    assert all(motion.gaze is None for motion in scene.motions)
     assert "left out here" in scene.notice
     permitted = ViewRequest(out=Path("a.png"), runs=(method,), data=data, limit=1, permitted=("synthetic-adt",))
     (scene,) = scenes_of(permitted)
