@@ -133,7 +133,10 @@ def _landing(wanted: Float[np.ndarray, "frames 2"], stop: int, length: int) -> F
 def _ending_as_wanted(
     swings: list[list[_Swing]], wanted: Float[np.ndarray, "frames 2 2"], fps: float
 ) -> list[list[_Swing]]:
-    """Swings of which the last one of each foot lands where the toe is wanted in the last frame."""
+    """Swings of which the last one of each foot lands where the toe is wanted in the last frame.
+
+    A foot that has stood all the time and ends no farther away than it may lag gets none: it turns on the floor.
+    """
     n = len(wanted)
     length = max(round(SWING * fps), 2)
     ending = []
@@ -142,13 +145,15 @@ def _ending_as_wanted(
         if own:
             ending.append([*own[:-1], replace(own[-1], target=place)])
             continue
+        if np.hypot(*(place - wanted[0, foot])) <= LAG:
+            ending.append([])
+            continue
         # A foot that has stood all the time goes as late as it can while the other one stands.
-        other = swings[1 - foot]
+        other = ending[0] if ending else swings[1]
         stop = n - 1
         if other and other[-1].stop > n - 1 - length and other[-1].start >= length:
             stop = other[-1].start
-        moves = not np.array_equal(wanted[0, foot], place)
-        ending.append([_Swing(max(stop - length, 0), stop, wanted[0, foot], place)] if moves else [])
+        ending.append([_Swing(max(stop - length, 0), stop, wanted[0, foot], place)])
     return ending
 
 
@@ -172,8 +177,10 @@ def _way(
             way[flies, ::2] = swing.source + _eased(share)[:, None] * (swing.target - swing.source)
             way[flies, 1] += LIFT * np.sin(np.pi * share)
         way[swing.stop :, ::2] = swing.target
+    if keeps_last and not swings:
+        way[:, ::2] += _eased(frames / max(n - 1, 1))[:, None] * (wanted[-1, ::2] - wanted[0, ::2])
     if keeps_last:
-        way[:, 1] += _fading(n - 1 - frames, fps) * (wanted[-1, 1] - way[-1, 1])
+        way[:, 1] += _fading(n - 1 - frames, fps, within=n - 1) * (wanted[-1, 1] - way[-1, 1])
     return way
 
 
@@ -192,9 +199,12 @@ def _flight(
     return way
 
 
-def _fading(frames: np.ndarray, fps: float) -> Float[np.ndarray, "frames"]:
-    """1 in frame 0, 0 after :data:`_RETURN`."""
-    return np.clip(1 - frames / (_RETURN * fps), 0, 1)
+def _fading(frames: np.ndarray, fps: float, *, within: int | None = None) -> Float[np.ndarray, "frames"]:
+    """1 in frame 0, 0 after :data:`_RETURN`, or after fewer frames."""
+    over = _RETURN * fps
+    if within is not None:
+        over = max(min(over, within), 1)
+    return np.clip(1 - frames / over, 0, 1)
 
 
 def _eased(share: np.ndarray) -> np.ndarray:

@@ -121,3 +121,21 @@ def test_a_longer_motion_at_another_rate_steps_as_often():
     ]
     counts = [int((np.diff((toes[..., 1] > LOW).astype(int), axis=0) > 0).sum()) for toes in found]
     assert abs(counts[0] - counts[1]) <= 1
+
+
+def test_feet_that_end_close_to_where_they_stand_turn_on_the_floor():
+    toes = gliding(speed=0.0)
+    toes[-1, :, 0] += (0.04, -0.02)
+    found = stepped(toes, nowhere(toes), FPS, keeps_last=True)
+    assert found[..., 1].max() < LOW
+    assert not slides(found).any()
+    assert found[-1] == pytest.approx(toes[-1])
+
+
+def test_of_two_feet_that_stand_and_end_elsewhere_one_is_always_on_the_floor():
+    toes = gliding(speed=0.0)
+    toes[-1, :, 2] += 0.3
+    found = stepped(toes, nowhere(toes), FPS, keeps_last=True)
+    assert found[..., 1].max(axis=0) == pytest.approx([0.02 + LIFT] * 2, abs=0.01)
+    assert (found[..., 1].min(axis=1) < LOW).all()
+    assert found[-1] == pytest.approx(toes[-1])
