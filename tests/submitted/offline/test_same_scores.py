@@ -13,8 +13,9 @@ import pytest
 
 from prbench.contract import GIVEN, Condition, ConditionBatch
 from prbench.errors import PredictionsError, RunError, UsageError
-from prbench.evaluation import generation, planning
+from prbench.evaluation import planning
 from prbench.evaluation.conditions import opaque_ids, run_salt
+from prbench.evaluation.prime_and_reach import question
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.leaderboard import tables as tables_of_board
@@ -144,13 +145,13 @@ class Elsewhere:
 def seen_in_a_run(monkeypatch) -> list[ConditionBatch]:
     """Every batch that a method is given from now on."""
     seen: list[ConditionBatch] = []
-    ask = generation.generate_checked
+    ask = question.generate_checked
 
     def watched(adapter, batch, **rest):
         seen.append(batch)
         return ask(adapter, batch, **rest)
 
-    monkeypatch.setattr(generation, "generate_checked", watched)
+    monkeypatch.setattr(question, "generate_checked", watched)
     return seen
 
 
