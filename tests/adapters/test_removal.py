@@ -132,7 +132,8 @@ def _linked(source: str, target: str) -> None:
 
 def _copy_without(method: str, site: Path) -> None:
     """The package as it is installed once the folder, or the file, and the line of a method are deleted."""
-    shutil.copytree(ROOT / "prbench", site / "prbench", copy_function=_linked)
+    for folder, package in (("prbench", "prbench"), ("benchmarks", "prbench_benchmarks")):
+        shutil.copytree(ROOT / folder, site / package, copy_function=_linked)
     shutil.copytree(
         ADAPTERS,
         site / "prbench_adapters",

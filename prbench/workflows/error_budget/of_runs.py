@@ -15,7 +15,7 @@ from prbench.manifests import load_protocol
 from prbench.runs import RunFolder
 from prbench.runs.record import TableRecord
 from prbench.sequences import SequenceTable
-from prbench.storage import atomic_path
+from prbench.storage import atomic_path, remove_leftovers
 from prbench.workflows.error_budget.budget import RATES, Motions, gains, groups, paired_outcomes, parts
 from prbench.workflows.error_budget.motions import BESIDE, METHOD, PEOPLE, diagnosed_motions
 from prbench.workflows.error_budget.report import Beside, ErrorBudgetReport, RunBudget
@@ -128,8 +128,9 @@ def _comparisons(other: RunFolder, run: RunFolder, motions: Motions) -> list[Bes
 
 def _write(folder: Path, table: pa.Table) -> None:
     """Write one row a motion as Parquet and CSV."""
+    writers = {"motions.parquet": pq.write_table, "motions.csv": pyarrow.csv.write_csv}
     with sole_writer(folder):
-        with atomic_path(folder / "motions.parquet") as path:
-            pq.write_table(table, path)
-        with atomic_path(folder / "motions.csv") as path:
-            pyarrow.csv.write_csv(table, path)
+        for name, write in writers.items():
+            remove_leftovers(folder / name)  # of a process that was killed while it wrote
+            with atomic_path(folder / name) as path:
+                write(table, path)
