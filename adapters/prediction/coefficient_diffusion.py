@@ -43,7 +43,7 @@ class CoefficientDiffusion(nn.Module):
     def condition(
         self, observed: Float[Tensor, "windows coefficients values"]
     ) -> Float[Tensor, "windows coefficients values"]:
-        """What the denoiser is told of the coefficients of padded observations."""
+        """Encode the coefficients of padded observations for the denoiser; without an encoder they stay as they are."""
         return observed if self.encoder is None else self.encoder(observed)
 
     def loss(

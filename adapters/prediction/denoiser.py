@@ -87,7 +87,7 @@ class CoefficientDenoiser(nn.Module):
         condition: Float[Tensor, "windows coefficients values"],
         kept: Bool[Tensor, "windows samples"] | None = None,
     ) -> PreparedCondition:
-        """What the condition contributes to each pass.
+        """Compute what the condition contributes to every pass.
 
         Args:
             condition: Fused features, or the coefficients of the padded observation.
@@ -134,7 +134,7 @@ class _Block(nn.Module):
         return stream + self.feed_forward_style(self.contract(hidden), time)
 
     def memory(self, condition: Float[Tensor, "windows coefficients values"]) -> _Memory | None:
-        """What cross-attention makes of the condition, if there is any."""
+        """Compute keys and values of the condition; None without cross-attention."""
         return None if self.cross is None else self.cross.memory(condition)
 
     @property
@@ -161,6 +161,13 @@ class _CrossAttention(nn.Module):
         time: Float[Tensor, "rows samples_or_1 width"],
         memory: _Memory,
     ) -> Float[Tensor, "windows samples coefficients width"]:
+        """Look at the coefficients of the condition, from each coefficient of each sample.
+
+        Args:
+            stream: Of the samples.
+            time: Embedding of the diffusion step, a row for each sample or one for all.
+            memory: See :meth:`memory`.
+        """
         scored, values = memory
         scores = (self.norm(stream).flatten(1, 2) @ scored).unflatten(-1, (self.heads, -1)).transpose(1, 2)
         shares = functional.dropout(scores.softmax(dim=-1), self.dropout, self.training)

@@ -191,6 +191,7 @@ class _Attention(nn.Module):
         stream: Float[Tensor, "batch channels height width"],
         embedding: Float[Tensor, "batch embedding"],  # noqa: ARG002 - called like a block
     ) -> Float[Tensor, "batch channels height width"]:
+        """Let each place of the stream look at all others; the embedding of the diffusion step has no part in it."""
         places = self.query_key_value(self.norm(stream).flatten(2))
         query, key, value = places.unflatten(1, (3, self.heads, -1)).movedim(1, 0).transpose(-1, -2)
         attended = functional.scaled_dot_product_attention(query, key, value)

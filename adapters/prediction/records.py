@@ -56,7 +56,7 @@ class SeenWindows(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     @property
     def direction(self) -> bool:
-        """Whether a direction stands behind the joints."""
+        """True if a direction stands behind the joints."""
         return self.condition is not Condition.POSE
 
     @property

@@ -49,7 +49,7 @@ class CutRecording:
 
     @property
     def status(self) -> Status:
-        """Whether it was read."""
+        """It was read, skipped, or it failed."""
         return self.receipt.status
 
     @property
@@ -64,7 +64,7 @@ class CutRecording:
 
     @property
     def pose_sources(self) -> tuple[str, ...]:
-        """Where its bodies come from."""
+        """Kinds of measurement that its bodies come from."""
         return self.receipt.pose_sources
 
 

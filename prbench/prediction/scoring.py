@@ -90,7 +90,7 @@ class Scores:
 
     @classmethod
     def of(cls, table: pa.Table) -> Scores:
-        """What :meth:`table` returned, as scores again."""
+        """Read scores from what :meth:`table` returned."""
         return cls({name: table[name].to_pylist() for name in table.column_names})
 
     def only(self, keep: Bool[np.ndarray, " windows"]) -> Scores:

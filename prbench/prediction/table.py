@@ -234,6 +234,7 @@ class _Tally:
         self._participants: set[str] = set()
 
     def streams(self, cut: Iterable[CutRun]) -> Iterator[pa.RecordBatch]:
+        """Yield rows of ``streams.parquet``, one a run, and count what they hold."""
         for each in cut:
             run = each.run
             self._require_one_kind(run)
@@ -258,14 +259,17 @@ class _Tally:
             )
 
     def windows(self) -> Iterator[pa.RecordBatch]:
+        """Yield rows of ``windows.parquet`` for the runs that were counted."""
         for start in range(0, len(self._windows), 4096):
             yield pa.RecordBatch.from_pylist(self._windows[start : start + 4096], schema=WINDOWS)
 
     @property
     def windows_found(self) -> int:
+        """Number of windows so far."""
         return len(self._windows)
 
     def filled_in(self, info: WindowsInfo) -> WindowsInfo:
+        """Put the counts into the description of the table."""
         return msgspec.structs.replace(
             info,
             runs=self.runs,

@@ -146,7 +146,7 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def written(self) -> dict[str, Any]:
-        """What stands in ``run.json``."""
+        """The values of ``run.json``: a run of the default benchmark does not name it."""
         values = msgspec.to_builtins(self)
         if self.benchmark == default_benchmark().name:
             del values["benchmark"]

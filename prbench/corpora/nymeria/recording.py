@@ -35,7 +35,7 @@ class SuitRecording:
 
     @foreign_input()
     def input_digest(self) -> str:
-        """Of all files of the sequence, and of the gaze beside its trajectory."""
+        """Digest of all files of the sequence, and of the gaze beside its trajectory."""
         gaze = self._gaze_file()
         return text_digest(self.source.input_digest(), "" if gaze is None else file_digest(gaze))
 
