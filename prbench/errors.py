@@ -110,7 +110,7 @@ class RunError(PrbenchError):
 class ShardError(PrbenchError):
     """Shards are missing, overlap, are of different builds or runs, or one of them is unfinished or damaged."""
 
-    exit_code = 13
+    exit_code = 14
 
 
 class StorageError(PrbenchError):

@@ -71,7 +71,7 @@ def test_a_corpus_in_shards_has_the_bytes_of_one_build(tmp_path, capsys):
     other = ["build-corpus", "synthetic", "--count", "3", "--seed", "3", "--out", str(tmp_path / "other")]
     assert main([*other, "--shard", "2/2"]) == 0
     words = ["merge", folders[0], str(tmp_path / "other"), "--out", str(tmp_path / "mixed")]
-    refused(words, capsys, code=13, message="options.source.1.1: expected 2, found 3, unlike")
+    refused(words, capsys, code=14, message="options.source.1.1: expected 2, found 3, unlike")
 
 
 def test_a_run_in_shards_is_scored_by_the_merge(tmp_path, capsys):
@@ -132,9 +132,9 @@ def test_a_wrong_merge_is_refused_before_anything_is_written(recordings, tmp_pat
     folders = shards_of(tmp_path, words, 2)
     capsys.readouterr()
     out = ["--out", str(tmp_path / "merged")]
-    refused(["merge", folders[0], *out], capsys, code=13, message="expected all 2 shards, found 1: 2/2 missing")
-    refused(["merge", folders[0], folders[0], *out], capsys, code=13, message="Name each shard once")
-    refused(["merge", str(recordings), *out], capsys, code=13, message="expected a shard (a folder with shard.json")
+    refused(["merge", folders[0], *out], capsys, code=14, message="expected all 2 shards, found 1: 2/2 missing")
+    refused(["merge", folders[0], folders[0], *out], capsys, code=14, message="Name each shard once")
+    refused(["merge", str(recordings), *out], capsys, code=14, message="expected a shard (a folder with shard.json")
     refused(["merge", *folders, "--out", folders[1]], capsys, code=2, message="is one of the shards")
     refused(["merge", *folders, *out, "--data", "x"], capsys, code=2, message="--data: belongs to shards of a run")
     assert not (tmp_path / "merged").exists()
