@@ -78,6 +78,7 @@ def run_shard(
             ]
             try:
                 made = sum(generate_all(parts, folder, engine))
+                remove_half_written(out)  # by workers that were killed
             except Exception:
                 _discard_if_empty(out)
                 raise
@@ -121,7 +122,7 @@ def merge_run_shards(
     folder, shard = shards[0]
     record = msgspec.convert(shard.settings, RunRecord)
     request = _request(folder, shard, record, data, out)
-    prepared = prepare_recorded(request, record.method)
+    prepared = prepare_recorded(request, record, out)
     require_settings(
         folder,
         shard,

@@ -197,6 +197,7 @@ def test_a_merge_stopped_at_any_of_its_writes_ends_with_the_same_bytes(table, tm
     folders = make_shards(tmp_path, 2, lambda out: request(table, out, "scripted", limit=4, batch_size=2))
     expected = run_bytes(merged(folders, tmp_path / "whole"))
     replace = Path.replace
+    stop_at = 0
     for stop_at in range(1, 100):
         writes = 0
 
