@@ -107,6 +107,12 @@ class RunError(PrbenchError):
     exit_code = 7
 
 
+class ShardError(PrbenchError):
+    """Shards are missing, overlap, are of different builds or runs, or one of them is unfinished or damaged."""
+
+    exit_code = 14
+
+
 class StorageError(PrbenchError):
     """Writing failed: the disk is full, the folder is not writable, or a file is in the way."""
 

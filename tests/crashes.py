@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import itertools
 import os
+import signal
 import subprocess
 import sys
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,9 +27,9 @@ os.fsync = lambda _file: None  # as in conftest.py, in the interpreters that tes
 Work = Callable[[Path], object]
 
 
-def tried_by(module: str, folder: Path) -> int:
+def tried_by(module: str, folder: Path, *, check: str = "check") -> int:
     """Run a module's ``check(folder)`` in an interpreter of its own: the number of crashes that it has tried."""
-    script = f"import sys, pathlib, {module} as killed; print(killed.check(pathlib.Path(sys.argv[1])))"
+    script = f"import sys, pathlib, {module} as killed; print(killed.{check}(pathlib.Path(sys.argv[1])))"
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     done = subprocess.run(
         [sys.executable, "-c", script, str(folder)], cwd=ROOT, env=environment, capture_output=True, text=True
@@ -83,6 +85,31 @@ def in_a_child(work: Work, folder: Path, *, dies_before: int = 0) -> bool:
     if status not in (0, _DIED):
         raise RuntimeError(f"{folder}: ended with {status}")
     return status == _DIED
+
+
+def killed_after(work: Work, folder: Path, seconds: float) -> bool:
+    """Whether the work was killed (SIGKILL) some time after it began, anywhere, within Arrow's own writing too.
+
+    Raises:
+        RuntimeError: if it failed by itself.
+    """
+    pa.set_cpu_count(1)
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            work(folder)
+            status = 0
+        except BaseException:  # see in_a_child
+            traceback.print_exc()
+        finally:
+            os._exit(status)
+    time.sleep(seconds)
+    os.kill(child, signal.SIGKILL)  # not yet waited for, so that the number is still this child's
+    status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if status not in (0, -signal.SIGKILL):
+        raise RuntimeError(f"{folder}: ended with {status}")
+    return status == -signal.SIGKILL
 
 
 def _die_before(operation: int, folder: str) -> None:

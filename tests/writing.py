@@ -54,6 +54,9 @@ class Inputs:
         for fold in (1, 2):
             chosen = ("--data", made.table, "--split", "participants", "--fold", f"{fold}/2")
             run(made.folder, *_STATIC, *chosen, "--out", folder / f"fold-{fold}")
+        for kind, command in _sharded(made).items():
+            for number, out in enumerate(_shards(made, kind), start=1):
+                run(made.folder, *command, "--shard", f"{number}/2", "--out", out)
         run(made.folder, "export-release", made.table, "--out", made.release)
         run(made.folder, *_CONDITIONS, "--data", made.table, "--out", folder / "conditions.npz")
         _make_bodiless(made)
@@ -160,6 +163,16 @@ _STATIC = ("run", "--method", "static", "--condition", "none", "--limit", 2)
 _CONDITIONS = ("export-conditions", "--condition", "goal-loc", "--limit", 2)
 _TRAIN = ("train", "--method", "toy", "--set", "training.steps=2", "--set", "training.save_every=1")
 
+
+def _sharded(given: Inputs) -> dict[str, tuple[object, ...]]:
+    """Commands that are tried in two shards."""
+    return {"table": ("build-dataset", "adt", "--root", given.adt), "run": (*_RUN, "--data", given.table)}
+
+
+def _shards(given: Inputs, kind: str) -> list[Path]:
+    return [given.folder / f"{kind}-shard-{number}" for number in (1, 2)]
+
+
 _RECORDING = "Apartment_release_synthetic_seed0_seq000_M1292"
 _HEAVY = {
     "build-dataset all --out",
@@ -228,6 +241,21 @@ WRITING = (
         "synthesize --histograms",
         lambda _, out: ("synthesize", "adt", "--count", 1, "--histograms", out),
         "h.png",
+    ),
+    Writing(
+        "build-dataset --out, a shard",
+        lambda given, out: (*_sharded(given)["table"], "--shard", "1/2", "--out", out),
+    ),
+    Writing(
+        "run --out, a shard",
+        lambda given, out: (*_sharded(given)["run"], "--shard", "1/2", "--out", out),
+        varies=("batch-00000.json",),
+    ),
+    Writing("merge --out", lambda given, out: ("merge", *_shards(given, "table"), "--out", out)),
+    Writing(
+        "merge --out, of a run",
+        lambda given, out: ("merge", *_shards(given, "run"), "--out", out),
+        varies=("cost.json",),
     ),
     Writing("run --out", lambda given, out: (*_RUN, "--data", given.table, "--out", out), varies=("cost.json",)),
     Writing(

@@ -13,6 +13,7 @@ from prbench.cli.builds import (
     BuiltTable,
     Stage,
     built_table,
+    made_shard,
     note_unread,
     planned,
     print_plan,
@@ -32,9 +33,11 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.progress import progress
+from prbench.cli.shards import chosen_shard, shard_answer, shard_option
 
 if TYPE_CHECKING:
     from prbench.corpora import CorpusOptions, CorpusReport
+    from prbench.shards import Shard
 
 _SYNTHETIC = "synthetic"
 """Corpus that is generated on the spot."""
@@ -59,6 +62,7 @@ _SYNTHETIC = "synthetic"
 @on_error_option()
 @reader_options("corpus'")
 @workers_option()
+@shard_option("the groups of recordings")
 def build_corpus(
     *,
     corpus: str,
@@ -75,6 +79,7 @@ def build_corpus(
     on_error: Literal["skip", "fail"],
     options: tuple[tuple[str, str], ...],
     workers: int,
+    shard: str | None,
 ) -> Answer:
     """Turn text-motion data into a corpus for pre-training.
 
@@ -82,6 +87,7 @@ def build_corpus(
     """
     from prbench.corpora import CorpusOptions
 
+    part = chosen_shard(shard, replace=replace, dry_run=dry_run)
     chosen = CorpusOptions(
         fps=fps,
         max_frames=max_frames,
@@ -97,6 +103,8 @@ def build_corpus(
         from prbench.errors import UsageError
 
         raise UsageError("--out DIR is needed: the folder of the corpus. (--dry-run does without.)")
+    if part is not None:
+        return _build_shard(corpus, root, out, part, chosen, workers)
     return _build(corpus, root, out, chosen, workers)
 
 
@@ -130,6 +138,28 @@ def _build(corpus: str, root: Path | None, out: Path, options: CorpusOptions, wo
 
     with progress(f"building {corpus}") as tell:
         report = build(corpus, root, out, options=options, engine=engine_for(workers), progress=tell)
+    return corpus_answer(report)
+
+
+def _build_shard(
+    corpus: str, root: Path | None, out: Path, shard: Shard, options: CorpusOptions, workers: int
+) -> Answer:
+    from prbench.corpora.build import build_corpus_shard
+    from prbench.engine import engine_for
+
+    with progress(f"building shard {shard} of {corpus}") as tell:
+        report = build_corpus_shard(
+            corpus, root, out, shard, options=options, engine=engine_for(workers), progress=tell
+        )
+    note_unread(report.records, reused=report.reused)
+    made = made_shard(report, made_of=len(shard.places(report.planned)))
+    failed = any(record.status == "failed" for record in report.records)
+    answer = BuildsReport(built=[], not_built=[], planned=[], shard=made)
+    return shard_answer(answer, made, unit="groups of recordings", exit_code=NOT_EVERYTHING if failed else 0)
+
+
+def corpus_answer(report: CorpusReport) -> Answer:
+    """Answer a command that has written a corpus."""
     note_unread(report.records, reused=report.reused)
     table = built_table(report, _stages(report))
     return Answer(

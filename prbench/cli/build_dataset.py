@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -14,6 +15,7 @@ from prbench.cli.builds import (
     NotBuilt,
     Stage,
     built_table,
+    made_shard,
     note_cut_short,
     note_fruitless,
     note_unread,
@@ -33,11 +35,14 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.progress import progress
+from prbench.cli.shards import chosen_shard, shard_answer, shard_option
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.curation import BuildReport
     from prbench.curation.options import BuildOptions
+    from prbench.sequences import RecordingRecord
+    from prbench.shards import Shard
 
 EVERYTHING = "all"
 """Stands in place of a dataset's name for whatever is found."""
@@ -91,6 +96,7 @@ EVERYTHING = "all"
 )
 @reader_options()
 @workers_option()
+@shard_option("the dataset's recordings")
 def build_dataset(
     *,
     dataset: str,
@@ -111,6 +117,7 @@ def build_dataset(
     poses: str | None,
     options: tuple[tuple[str, str], ...],
     workers: int,
+    shard: str | None,
 ) -> Answer:
     """Turn a dataset's recordings into a table of prime-and-reach sequences.
 
@@ -119,6 +126,7 @@ def build_dataset(
     from prbench.curation.options import BuildOptions, CurationOptions
     from prbench.own_protocol import read_protocol
 
+    part = chosen_shard(shard, replace=replace, dry_run=dry_run, everything=dataset == EVERYTHING)
     source = _meshes(dataset, in_hand=in_hand, occlusion=occlusion) | dict(options)
     if poses is not None:
         source["poses"] = poses
@@ -144,6 +152,8 @@ def build_dataset(
         from prbench.errors import UsageError
 
         raise UsageError("--out DIR is needed: the folder of the table. (--dry-run does without.)")
+    if part is not None:
+        return _build_shard(dataset, root, out, part, chosen, workers)
     if dataset == EVERYTHING:
         return _build_all(root, out, chosen, workers)
     return _build_one(dataset, root, out, chosen, workers)
@@ -196,6 +206,32 @@ def _build_one(dataset: str, root: Path, out: Path, options: BuildOptions, worke
             engine=engine_for(workers),
             progress=lambda step: tell(step.done, step.total, step.record.recording_id),
         )
+    return table_answer(report)
+
+
+def _build_shard(dataset: str, root: Path, out: Path, shard: Shard, options: BuildOptions, workers: int) -> Answer:
+    from prbench.curation.build import build_dataset_shard
+    from prbench.engine import engine_for
+
+    with progress(f"building shard {shard} of {dataset}") as tell:
+        report = build_dataset_shard(
+            dataset,
+            root,
+            out,
+            shard,
+            options=options,
+            engine=engine_for(workers),
+            progress=lambda step: tell(step.done, step.total, step.record.recording_id),
+        )
+    _note_recordings(report.records, reused=report.reused)
+    made = made_shard(report, made_of=len(report.records))
+    complete = all(record.status != "failed" and not record.shortfalls for record in report.records)
+    answer = BuildsReport(built=[], not_built=[], planned=[], shard=made)
+    return shard_answer(answer, made, unit="recordings", exit_code=0 if complete else NOT_EVERYTHING)
+
+
+def table_answer(report: BuildReport) -> Answer:
+    """Answer a command that has written one table."""
     table = _built(report)
     counts = report.info.counts
     complete = not counts.recordings_failed and not counts.recordings_cut_short
@@ -246,12 +282,18 @@ def _built(report: BuildReport) -> BuiltTable:
     """Report one table, and note what of its recordings is missing from it."""
     from prbench.curation.provenance import funnel_rows
 
-    note_unread(report.records, reused=report.reused)
-    note_cut_short(report.records)
-    note_fruitless(report.records)
+    _note_recordings(report.records, reused=report.reused)
     rows = funnel_rows(report.info)
     stages = [Stage(stage=row.stage, kept=row.kept, dropped=row.dropped, why=row.reason) for row in rows]
     return built_table(report, stages)
+
+
+def _note_recordings(records: Iterable[RecordingRecord], *, reused: int) -> None:
+    """Tell what of the recordings is missing from a table or shard."""
+    records = list(records)
+    note_unread(records, reused=reused)
+    note_cut_short(records)
+    note_fruitless(records)
 
 
 def _print_table(table: BuiltTable) -> None:

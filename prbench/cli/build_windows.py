@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 import msgspec
 
-from prbench.cli.builds import NOT_EVERYTHING
+from prbench.cli.builds import NOT_EVERYTHING, made_shard
 from prbench.cli.commands import Answer, command, note
 from prbench.cli.options import (
     PATH,
@@ -20,6 +20,7 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.progress import progress
+from prbench.cli.shards import MadeShard, chosen_shard, shard_answer, shard_option
 from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
 
@@ -85,12 +86,14 @@ class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
     """The work of ``build-windows``, done or counted.
 
     Attributes:
-        built: The table that was written; null with ``--dry-run``.
+        built: The table that was written; null with ``--dry-run`` and ``--shard``.
         counted: One entry for each split of the study, with ``--dry-run``.
+        shard: The shard that was made, with ``--shard``; else null.
     """
 
     built: WindowsBuilt | None
     counted: list[PublishedCount]
+    shard: MadeShard | None = None
 
 
 @command(
@@ -112,6 +115,7 @@ class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
 @on_error_option()
 @reader_options()
 @workers_option()
+@shard_option("the dataset's recordings")
 def build_windows(
     *,
     dataset: str | None,
@@ -125,6 +129,7 @@ def build_windows(
     on_error: Literal["skip", "fail"],
     options: tuple[tuple[str, str], ...],
     workers: int,
+    shard: str | None,
 ) -> Answer:
     """Cut recordings into windows for motion prediction: half a second to observe, two seconds to predict.
 
@@ -132,6 +137,7 @@ def build_windows(
     """
     if (data is None) is (dataset is None) or (dataset is None) is not (root is None):
         raise UsageError("expected either DATASET with --root DIR, or --data DIR alone.")
+    part = chosen_shard(shard, dry_run=dry_run, data=data)
     if dry_run:
         return _counted(dataset, root)
     if out is None:
@@ -141,29 +147,32 @@ def build_windows(
 
         if joints or recordings != "*" or max_recordings or options:
             raise UsageError("--data: a built table has its recordings and joints; leave the other options out.")
-        return _answer(build_anchored_windows(data, out), out)
+        return windows_answer(build_anchored_windows(data, out), out)
     assert dataset is not None
     assert root is not None
+    from prbench.curation.window_building import build_planned_windows, build_windows_shard
     from prbench.engine import engine_for
-    from prbench.workflows.build_windows import build_windows as build
+    from prbench.workflows.build_windows import plan_windows
 
-    with progress(f"cutting {dataset}") as tell:
-        report = build(
-            dataset,
-            root,
-            out,
-            joints=joints,
-            recordings=recordings,
-            limit=max_recordings,
-            reader=options,
-            on_error=on_error,
-            engine=engine_for(workers),
-            progress=tell,
-        )
-    return _answer(report.info, out)
+    plan = plan_windows(dataset, root, joints=joints, recordings=recordings, limit=max_recordings, reader=options)
+    engine = engine_for(workers)
+    if part is None:
+        with progress(f"cutting {dataset}") as tell:
+            report = build_planned_windows(plan, out, on_error=on_error, engine=engine, progress=tell)
+        return windows_answer(report.info, out)
+    with progress(f"cutting shard {part} of {dataset}") as tell:
+        done = build_windows_shard(plan, out, part, on_error=on_error, engine=engine, progress=tell)
+    for each in done.records:
+        if each.status != "read":
+            note(f"{each.recording_id}: {each.status}: {each.message}")
+    made = made_shard(done, made_of=len(done.records))
+    failed = any(each.status == "failed" for each in done.records)
+    answer = WindowsReport(built=None, counted=[], shard=made)
+    return shard_answer(answer, made, unit="recordings", exit_code=NOT_EVERYTHING if failed else 0)
 
 
-def _answer(info: WindowsInfo, folder: Path) -> Answer:
+def windows_answer(info: WindowsInfo, folder: Path) -> Answer:
+    """Answer a command that has written a table of windows."""
     built = WindowsBuilt(
         **{name: getattr(info, name) for name in WindowsBuilt.__struct_fields__ if hasattr(info, name)},
         folder=folder,

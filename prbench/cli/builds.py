@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from prbench.cli.commands import note
+from prbench.cli.shards import MadeShard
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from prbench.curation import BuildPlan, BuildReport
     from prbench.sequences import RecordingRecord
     from prbench.sequences.corpus import CorpusRecord
+    from prbench.sequences.shard_parts import ShardReport
 
 NOT_EVERYTHING = 3
 """Exit code of a command that finished, but had to leave out something that could not be read."""
@@ -124,11 +126,13 @@ class BuildsReport(msgspec.Struct, frozen=True, kw_only=True):
         built: One entry for each table that was written.
         not_built: Datasets that were found and gave no table; only of ``build-dataset all``.
         planned: One entry for each table that would be written, with ``--dry-run``.
+        shard: The shard that was made, with ``--shard``; else null.
     """
 
     built: list[BuiltTable]
     not_built: list[NotBuilt]
     planned: list[Plan]
+    shard: MadeShard | None = None
 
 
 def planned(plan: BuildPlan | CorpusPlan, workers: int, *, dataset: str, root: Path | None) -> Plan:
@@ -163,6 +167,22 @@ def print_plan(plan: Plan, *, unfit: str) -> None:
     print(
         f"estimated: {duration} with {plan.workers} worker{'s' if plan.workers > 1 else ''},"
         f" {plan.estimated_disk_bytes / 1e6:,.1f} MB on disk"
+    )
+
+
+def made_shard(report: ShardReport[Any], *, made_of: int) -> MadeShard:
+    """Put the report of one shard of a build into its documented shape.
+
+    Args:
+        report: Of the shard.
+        made_of: Number of its items.
+    """
+    return MadeShard(
+        shard=str(report.shard),
+        folder=report.folder,
+        made_of=made_of,
+        planned=report.planned,
+        taken_over=report.reused,
     )
 
 

@@ -49,6 +49,7 @@ _COMMANDS = {
         "export-conditions": "prbench.cli.export_conditions:export_conditions",
         "score": "prbench.cli.score:score",
         "evaluate-text": "prbench.cli.evaluate_text:evaluate_text",
+        "merge": "prbench.cli.merge:merge",
     },
     "train: networks": {
         "train": "prbench.cli.train:train",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,6 +37,7 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.progress import progress
+from prbench.cli.shards import MadeShard, chosen_shard, shard_answer, shard_option
 from prbench.cli.summaries import (
     DatasetScores,
     dataset_scores,
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from prbench.evaluation.run import RunReport
     from prbench.runs import RunFolder
     from prbench.runs.agreement import DatasetAgreement
+    from prbench.shards import Shard
     from prbench.workflows.experiment import Experiment, ExperimentMethod
 
 _FIRST_RUN_WORKERS = 2
@@ -103,12 +105,14 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
         companions: Runs of other methods that a first run is shown beside.
         view: The picture, film or page, if one was asked for.
         table_two: What ``--method all`` made; null for other methods.
+        shards: One entry for each run of which a shard was made, with ``--shard``; then there are no runs.
     """
 
     runs: list[MadeRun]
     companions: list[MadeRun]
     view: Path | None
     table_two: TableTwoAnswer | None
+    shards: list[MadeShard] = []
 
 
 @command(
@@ -197,6 +201,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
     help="For each batch, of a program or with --isolate (default 600); a program that is late is stopped.",
 )
 @workers_option(None, help="Processes to use (default 1; without --data and with all: 2); changes no result.")
+@shard_option("the batches")
 def run(
     config: Path | None,
     show_config: bool,
@@ -204,6 +209,7 @@ def run(
     permission: tuple[str, ...],
     workers: int | None,
     minutes: int | None,
+    shard: str | None,
     **given: Any,
 ) -> Answer | int:
     """Run a method over tables and score what it generates.
@@ -212,7 +218,9 @@ def run(
     With --benchmark motion-prediction, --data names tables of `prbench build-windows`.
     """
     _require_fits_benchmark({**given, "config": config})
-    if ALL in (given["method"], given["condition"]):
+    of_table_two = ALL in (given["method"], given["condition"])
+    part = chosen_shard(shard, view=view, table_two=of_table_two)
+    if of_table_two:
         _refuse_with_all(config=config, show_config=show_config, view=view, permission=permission)
         made = run_table_two(given, minutes=minutes, workers=workers)
         return replace(made, report=RunAnswer(runs=[], companions=[], view=None, table_two=made.report))
@@ -234,7 +242,7 @@ def run(
                 from prbench.cli.main import main
 
                 return supervised(main, sys.argv[1:], method=method.name)
-    return _run_all(experiment, repeated, view=view, permission=permission, workers=workers)
+    return _run_all(experiment, repeated, view=view, permission=permission, workers=workers, shard=part)
 
 
 def _require_fits_benchmark(given: Mapping[str, Any]) -> None:
@@ -348,9 +356,12 @@ def _run_all(
     view: Path | None,
     permission: tuple[str, ...],
     workers: int | None,
+    shard: Shard | None,
 ) -> Answer:
     from prbench.engine import engine_for
 
+    if shard is not None:
+        chosen_shard(str(shard), first_run=not experiment.data)
     if view is not None:
         from prbench.viewing.replay.write import file_kind
 
@@ -366,6 +377,8 @@ def _run_all(
     requests = [replace(request, repeats=repeated and repeated.record) for request in experiment.requests()]
     if view is not None and len(requests) > 1:
         raise UsageError("--view: belongs to one run; `prbench view RUN RUN … --out FILE` shows several.")
+    if shard is not None:
+        return _shard_answer([_generated_shard(request, shard, engine) for request in requests])
     reports = [_generated(request, engine) for request in requests]
     if repeated is not None:
         _tell_repetition(repeated, reports[0].folder)
@@ -373,20 +386,10 @@ def _run_all(
     notices = _view(view, reports[0].folder.path, requests[0], permission) if view is not None else ()
     if first_run and not experiment.sequences:
         _tell_limit(requests[0])
-    answer = RunAnswer(
-        runs=[_made(report) for report in reports],
-        companions=[_made(report) for report in companions],
-        view=view,
-        table_two=None,
-    )
+    answer = run_answer(reports, companions, view=view, single=bool(experiment.sequences))
 
     def show() -> None:
-        for report in reports:
-            _print_run(report, single=bool(experiment.sequences))
-        if companions:
-            _print_company([reports[0], *companions])
-        for report in reports:
-            print(f"run folder: {report.folder.path}")
+        answer.show()
         for line in notices:
             print(line)
         if view is not None:
@@ -395,7 +398,71 @@ def _run_all(
             few = "" if experiment.sequences else "--limit 1 "
             print(f"look at it: prbench view {reports[0].folder.path} {few}--out motions.png")
 
+    return replace(answer, show=show)
+
+
+def run_answer(
+    reports: list[RunReport], companions: Sequence[RunReport] = (), *, view: Path | None = None, single: bool
+) -> Answer:
+    """Answer a command that has made runs.
+
+    Args:
+        reports: The runs asked for.
+        companions: Runs of other methods that a first run is shown beside.
+        view: The picture of the runs, if one was asked for.
+        single: The runs are of single sequences, whose scores are shown one by one.
+    """
+
+    def show() -> None:
+        for report in reports:
+            _print_run(report, single=single)
+        if companions:
+            _print_company([reports[0], *companions])
+        for report in reports:
+            print(f"run folder: {report.folder.path}")
+
+    answer = RunAnswer(
+        runs=[_made(report) for report in reports],
+        companions=[_made(report) for report in companions],
+        view=view,
+        table_two=None,
+    )
     return Answer(answer, show)
+
+
+def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> MadeShard:
+    from prbench.evaluation.sharded import run_shard
+
+    if request.isolate:
+        _tell_isolation(request.method)
+    with progress(f"running shard {shard} of {request.method_label}") as show:
+        report = run_shard(
+            request,
+            shard,
+            engine=engine,
+            progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
+        )
+    if report.batches_found:
+        note(f"{report.batches_found} batches were taken over from an earlier run.")
+    return MadeShard(
+        shard=str(shard),
+        folder=report.folder,
+        made_of=report.batches_made + report.batches_found,
+        planned=report.planned,
+        taken_over=report.batches_found,
+    )
+
+
+def _shard_answer(made: list[MadeShard]) -> Answer:
+    """Answer a command that has made one shard of each run."""
+    report = RunAnswer(runs=[], companions=[], view=None, table_two=None, shards=made)
+    answers = [shard_answer(report, each, unit="batches") for each in made]
+
+    def show() -> None:
+        for answer in answers:
+            answer.show()
+
+    return Answer(report, show)
 
 
 def _require_runnable(method: ExperimentMethod, device: str) -> None:

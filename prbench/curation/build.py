@@ -6,25 +6,31 @@ was interrupted or not. A dry run says what a build would read, and about how lo
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from prbench.curation.job import CurationJob
+import msgspec
+
+from prbench.curation.job import CurationJob, PartReceipt, part_receipt
 from prbench.curation.options import NO_OPTIONS, BuildOptions
 from prbench.curation.provenance import describe
 from prbench.curation.sources import RecordingSource, native_sources
 from prbench.engine import Engine, InProcess
 from prbench.errors import InputFileError, StorageError, TableError
 from prbench.locks import sole_writer
-from prbench.manifests import BuildEstimate, load_manifest, load_protocol
+from prbench.manifests import BuildEstimate, digest_of, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.parts import read_batches, work_folder, working_in_parts
 from prbench.sequences.sequence import RecordingRecord
+from prbench.sequences.shard_parts import ShardReport, finish_shard, making_shard, shard_parts
 from prbench.sequences.write import write_dataset
+from prbench.shards import Shard, ShardRecord, require_settings
 from prbench.storage import require_replaceable
 
 _IN_PROCESS = InProcess()
@@ -105,34 +111,166 @@ def build_from_sources(
     """
     out = Path(out).expanduser().absolute()
     require_replaceable(out, FILE_NAME, kind="dataset")
-    # With the slash, because sequence ids go on with one: the table comes out sorted by id.
-    sources = sorted(sources, key=lambda source: f"{source.recording_id}/")
-    _require_distinct(sources)
+    sources = _in_table_order(sources)
     dataset = sources[0].dataset
     _require_same_dataset(out, dataset)
+    with sole_writer(out), working_in_parts(out):
+        receipts = _make_parts(sources, work_folder(out), options, engine, progress)
+        return _write_table(dataset, receipts, out, options, extra_options or {})
+
+
+def build_dataset_shard(
+    dataset: str,
+    root: Path | str,
+    out: Path | str,
+    shard: Shard,
+    *,
+    options: BuildOptions = NO_OPTIONS,
+    engine: Engine = _IN_PROCESS,
+    progress: Callable[[Progress], None] | None = None,
+) -> ShardReport[RecordingRecord]:
+    """Make one shard of a build, for :func:`merge_dataset_shards`; goes on where it was interrupted.
+
+    Args:
+        dataset: See :func:`build_dataset`, whose errors these are.
+        root: See :func:`build_dataset`.
+        out: Folder of the shard.
+        shard: Which one it is.
+        options: See :func:`build_dataset`.
+        engine: See :func:`build_dataset`.
+        progress: See :func:`build_dataset`.
+
+    Raises:
+        ShardError: if ``out`` holds another shard.
+    """
+    sources = native_sources(dataset, root, options)
+    return build_shard_from_sources(sources, out, shard, options=options, engine=engine, progress=progress)
+
+
+def build_shard_from_sources(
+    sources: SequenceOf[RecordingSource],
+    out: Path | str,
+    shard: Shard,
+    *,
+    options: BuildOptions = NO_OPTIONS,
+    engine: Engine = _IN_PROCESS,
+    progress: Callable[[Progress], None] | None = None,
+) -> ShardReport[RecordingRecord]:
+    """Make one shard of any recordings of one dataset (see :func:`build_dataset_shard`).
+
+    Args:
+        sources: Those of all shards; sorted here.
+        out: See :func:`build_dataset_shard`.
+        shard: See :func:`build_dataset_shard`.
+        options: See :func:`build_dataset_shard`.
+        engine: See :func:`build_dataset_shard`.
+        progress: See :func:`build_dataset_shard`.
+    """
+    out = Path(out).expanduser().absolute()
+    sources = _in_table_order(sources)
+    record = ShardRecord(
+        kind="dataset",
+        number=shard.number,
+        count=shard.count,
+        settings=_settings(sources[0].dataset, options),
+        plan=tuple(source.recording_id for source in sources),
+    )
+    mine = [sources[place] for place in shard.places(len(sources))]
+    with making_shard(out, record) as work:
+        receipts = _make_parts(mine, work, options, engine, progress)
+        finish_shard(out, record, [receipt.folder for receipt in receipts])
+    reused = sum(receipt.reused for receipt in receipts)
+    return ShardReport(out, shard, len(sources), tuple(receipt.record for receipt in receipts), reused)
+
+
+def merge_dataset_shards(shards: SequenceOf[tuple[Path, ShardRecord]], out: Path, *, replace: bool) -> BuildReport:
+    """Write the table of an unsharded build from all of its shards, with the same bytes.
+
+    Args:
+        shards: All of them (:func:`prbench.shards.require_whole`).
+        out: See :func:`build_dataset`.
+        replace: Replace a table that holds recordings which the shards lack.
+
+    Raises:
+        ShardError: if one is unfinished or damaged, or the manifests differ from today's.
+        StorageError: see :func:`build_dataset`.
+        RecordingsWouldBeLost: see :func:`build_dataset`.
+    """
+    folder, record = shards[0]
+    dataset = record.settings["dataset"]
+    options = dataclasses.replace(msgspec.convert(record.settings["options"], BuildOptions), replace=replace)
+    require_settings(folder, record, _settings(dataset, options))
+    out = out.expanduser().absolute()
+    require_replaceable(out, FILE_NAME, kind="dataset")
+    _require_same_dataset(out, dataset)
+    with sole_writer(out):
+        receipts = [part_receipt(part, entries, reused=False) for part, entries in shard_parts(shards)]
+        return _write_table(dataset, receipts, out, options, {})
+
+
+def _settings(dataset: str, options: BuildOptions) -> dict[str, Any]:
+    """What decides a table beside its recordings, as JSON knows it."""
+    chosen = dataclasses.replace(options, replace=False, on_error="skip")
+    return {
+        "dataset": dataset,
+        "options": msgspec.to_builtins(chosen),
+        "manifest": digest_of(load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))),
+        "protocol": (options.protocol or load_protocol()).digest,
+    }
+
+
+def _in_table_order(sources: SequenceOf[RecordingSource]) -> list[RecordingSource]:
+    # With the slash, because sequence ids go on with one: the table comes out sorted by id.
+    ordered = sorted(sources, key=lambda source: f"{source.recording_id}/")
+    _require_distinct(ordered)
+    return ordered
+
+
+def _make_parts(
+    sources: SequenceOf[RecordingSource],
+    work: Path,
+    options: BuildOptions,
+    engine: Engine,
+    progress: Callable[[Progress], None] | None,
+) -> list[PartReceipt]:
+    """Make the parts of some recordings of one dataset, in their order."""
+    if not sources:
+        return []
+    manifest = load_manifest(sources[0].dataset.removeprefix(SYNTHETIC_PREFIX))
+    options.curation.require_fits(manifest)
+    protocol = options.protocol or load_protocol()
+    job = CurationJob(manifest, protocol, options.curation, options.on_error == "fail", work)
+    receipts = []
+    for receipt in engine.map(job, sources, if_full=job.if_full):
+        receipts.append(receipt)
+        if progress is not None:
+            progress(Progress(len(receipts), len(sources), receipt.record, receipt.reused))
+    return receipts
+
+
+def _write_table(
+    dataset: str,
+    receipts: SequenceOf[PartReceipt],
+    out: Path,
+    options: BuildOptions,
+    extra_options: dict[str, str],
+) -> BuildReport:
+    """Write the table of all parts of a build."""
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
     protocol = options.protocol or load_protocol()
-    options.curation.require_fits(manifest)
-    job = CurationJob(manifest, protocol, options.curation, options.on_error == "fail", work_folder(out))
-    with sole_writer(out), working_in_parts(out):
-        receipts = []
-        for receipt in engine.map(job, sources, if_full=job.if_full):
-            receipts.append(receipt)
-            if progress is not None:
-                progress(Progress(len(receipts), len(sources), receipt.record, receipt.reused))
-        info = describe(dataset, manifest, protocol, options, receipts, extra_options or {})
-        folders = [receipt.folder for receipt in receipts]
-        info = write_dataset(
-            out,
-            info,
-            sequences=read_batches(folders, "sequences"),
-            events=read_batches(folders, "events"),
-            recordings=read_batches(folders, "recordings"),
-            scenes=read_batches(folders, "scenes"),
-            replace=options.replace,
-            incomplete=[receipt.record.recording_id for receipt in receipts if receipt.record.shortfalls],
-            protocol=protocol,
-        )
+    info = describe(dataset, manifest, protocol, options, receipts, extra_options)
+    folders = [receipt.folder for receipt in receipts]
+    info = write_dataset(
+        out,
+        info,
+        sequences=read_batches(folders, "sequences"),
+        events=read_batches(folders, "events"),
+        recordings=read_batches(folders, "recordings"),
+        scenes=read_batches(folders, "scenes"),
+        replace=options.replace,
+        incomplete=[receipt.record.recording_id for receipt in receipts if receipt.record.shortfalls],
+        protocol=protocol,
+    )
     reused = sum(receipt.reused for receipt in receipts)
     return BuildReport(out, info, tuple(receipt.record for receipt in receipts), reused)
 

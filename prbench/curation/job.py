@@ -5,8 +5,10 @@ Parts are described in :mod:`prbench.sequences.parts`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -33,6 +35,11 @@ class PartReceipt:
     """True if an earlier, interrupted build had made it."""
 
 
+def part_receipt(folder: Path, entries: Mapping[str, Any], *, reused: bool) -> PartReceipt:
+    """Turn what stands in a finished part into its description."""
+    return PartReceipt(folder, entries["input_digest"], msgspec.convert(entries["record"], RecordingRecord), reused)
+
+
 @dataclass(frozen=True)
 class CurationJob:
     """Reads and curates one recording and writes its part, unless that part is there already."""
@@ -53,9 +60,9 @@ class CurationJob:
         folder = self._folder(source, digest)
         entries = parts.read_receipt(folder)
         if entries is not None:
-            record = msgspec.convert(entries["record"], RecordingRecord)
-            if record.status != "failed":  # a failure may have passed: try again
-                return PartReceipt(folder, entries["input_digest"], record, reused=True)
+            found = part_receipt(folder, entries, reused=True)
+            if found.record.status != "failed":  # a failure may have passed: try again
+                return found
         return self._write(source, self._curated(source), digest)
 
     def if_full(self, source: RecordingSource, error: PrbenchError) -> PartReceipt:

@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
 import prbench
 from prbench.curation.options import BuildOptions
 from prbench.curation.sources import native_sources
-from prbench.curation.window_job import CutRecording, NativeWindows, WindowsJob, WindowSource
+from prbench.curation.window_job import CutRecording, NativeWindows, WindowsJob, WindowSource, WindowsReceipt
 from prbench.curation.window_runs import window_starts
 from prbench.engine import Engine, InProcess
 from prbench.errors import InputFileError, UsageError
@@ -29,6 +29,8 @@ from prbench.readers import SYNTHETIC_PREFIX, PublishedForPrediction, reader_for
 from prbench.recording.pose_origin import is_estimated
 from prbench.sequences.dataset_info import QuarantinedRecording
 from prbench.sequences.parts import work_folder, working_in_parts
+from prbench.sequences.shard_parts import ShardReport, finish_shard, making_shard, shard_parts
+from prbench.shards import Shard, ShardRecord, require_settings
 from prbench.storage import require_replaceable, text_digest
 
 JointChoice = Literal["native", "smpl22"]
@@ -84,9 +86,37 @@ def build_windows(
         TableError: if no recording yields a window.
         StorageError: if ``out`` cannot be written or holds something else.
     """
-    out = Path(out).expanduser().absolute()
-    options = BuildOptions(recordings=recordings, limit=limit, reader=reader, on_error=on_error)
-    sources = native_sources(dataset, root, options)
+    plan = plan_windows(dataset, root, joints=joints, recordings=recordings, limit=limit, reader=reader)
+    return build_planned_windows(plan, Path(out), on_error=on_error, engine=engine, progress=progress)
+
+
+@dataclass(frozen=True)
+class WindowsPlan:
+    """Recordings of one dataset with one joint set, and what stands in the description of their table."""
+
+    dataset: str
+    """Name that the table bears."""
+    sources: tuple[WindowSource, ...]
+    """At least one, in table order."""
+    options: dict[str, str]
+
+    @property
+    def joint_set(self) -> str:
+        """Name of the joints."""
+        return self.sources[0].joint_set
+
+
+def plan_windows(
+    dataset: str,
+    root: Path | str,
+    *,
+    joints: JointChoice | None,
+    recordings: str,
+    limit: int | None,
+    reader: tuple[tuple[str, str], ...],
+) -> WindowsPlan:
+    """Find the recordings of :func:`build_windows`, whose arguments and errors these are."""
+    sources = native_sources(dataset, root, BuildOptions(recordings=recordings, limit=limit, reader=reader))
     name = sources[0].dataset
     manifest = load_manifest(name.removeprefix(SYNTHETIC_PREFIX))
     found = reader_for(name, dict(reader))
@@ -102,48 +132,132 @@ def build_windows(
     native = published is not None and joints != "smpl22"
     chosen = {"joints": "native" if native else "smpl22", "recordings": recordings, "limit": str(limit or "all")}
     chosen |= {f"reader.{key}": value for key, value in reader}
-    cut = [NativeWindows(source, manifest, native) for source in sources]
-    return build_from_window_sources(
-        cut, name, manifest, out, options=chosen, on_error=on_error, engine=engine, progress=progress
-    )
+    return WindowsPlan(name, tuple(NativeWindows(source, manifest, native) for source in sources), chosen)
 
 
-def build_from_window_sources(
-    sources: Sequence[WindowSource],
-    dataset: str,
-    manifest: Manifest,
+def build_planned_windows(
+    plan: WindowsPlan,
     out: Path,
     *,
-    options: dict[str, str],
     on_error: Literal["skip", "fail"],
     engine: Engine,
     progress: Callable[[int, int, str], None] | None,
 ) -> WindowsReport:
-    """Build a table of windows from any recordings of one dataset with one joint set (see :func:`build_windows`).
+    """Build a table of windows from any recordings (see :func:`build_windows`).
 
     Args:
-        sources: In table order.
-        dataset: Name that the table bears.
-        manifest: Of the dataset.
+        plan: What to read.
         out: Folder of the table.
-        options: What stands in the table's description.
         on_error: See :func:`build_windows`.
         engine: See :func:`build_windows`.
         progress: See :func:`build_windows`.
     """
+    out = out.expanduser().absolute()
     require_replaceable(out, FILE_NAME, kind="table of windows")
-    protocol = load_prediction_protocol()
-    job = WindowsJob(protocol, on_error == "fail", work_folder(out))
-    info = _described(dataset, manifest, protocol, joint_set=sources[0].joint_set)
-    finished: list[CutRecording] = []
     with sole_writer(out), working_in_parts(out):
-        for each in engine.map(job, sources, if_full=job.if_full):
-            finished.append(each)
-            if progress is not None:
-                progress(len(finished), len(sources), each.recording_id)
-        info = _finished(info, finished, options)
-        # Last of all: until here an earlier table stands as it was.
-        info = write_windows(out, info, (run for each in finished for run in read_cut_runs(each.folder)))
+        finished = _cut(plan.sources, work_folder(out), on_error, engine, progress)
+        return _write_table(plan.dataset, plan.joint_set, plan.options, finished, out)
+
+
+def build_windows_shard(
+    plan: WindowsPlan,
+    out: Path,
+    shard: Shard,
+    *,
+    on_error: Literal["skip", "fail"],
+    engine: Engine,
+    progress: Callable[[int, int, str], None] | None,
+) -> ShardReport[CutRecording]:
+    """Make one shard of a build, for :func:`merge_windows_shards`; goes on where it was interrupted.
+
+    Args:
+        plan: Of the whole build.
+        out: Folder of the shard.
+        shard: Which one it is.
+        on_error: See :func:`build_windows`.
+        engine: See :func:`build_windows`.
+        progress: See :func:`build_windows`.
+
+    Raises:
+        ShardError: if ``out`` holds another shard.
+    """
+    out = out.expanduser().absolute()
+    record = ShardRecord(
+        kind="windows",
+        number=shard.number,
+        count=shard.count,
+        settings=_settings(plan.dataset, plan.joint_set, plan.options),
+        plan=tuple(source.recording_id for source in plan.sources),
+    )
+    mine = [plan.sources[place] for place in shard.places(len(plan.sources))]
+    with making_shard(out, record) as work:
+        finished = _cut(mine, work, on_error, engine, progress)
+        finish_shard(out, record, [each.folder for each in finished])
+    return ShardReport(out, shard, len(plan.sources), tuple(finished), sum(each.reused for each in finished))
+
+
+def merge_windows_shards(shards: Sequence[tuple[Path, ShardRecord]], out: Path) -> WindowsReport:
+    """Write the table of an unsharded build from all of its shards, with the same bytes.
+
+    Args:
+        shards: All of them (:func:`prbench.shards.require_whole`).
+        out: See :func:`build_windows`.
+
+    Raises:
+        ShardError: if one is unfinished or damaged, or the manifests differ from today's.
+        StorageError: see :func:`build_windows`.
+        TableError: see :func:`build_windows`.
+    """
+    folder, record = shards[0]
+    dataset, joints, options = (record.settings[name] for name in ("dataset", "joint_set", "options"))
+    require_settings(folder, record, _settings(dataset, joints, options))
+    out = out.expanduser().absolute()
+    require_replaceable(out, FILE_NAME, kind="table of windows")
+    with sole_writer(out):
+        finished = [
+            CutRecording(name, msgspec.convert(entries, WindowsReceipt), part, reused=False)
+            for name, (part, entries) in zip(record.plan, shard_parts(shards), strict=True)
+        ]
+        return _write_table(dataset, joints, options, finished, out)
+
+
+def _settings(dataset: str, joints: str, options: dict[str, str]) -> dict[str, Any]:
+    """What decides a table beside its recordings, as JSON knows it."""
+    return {
+        "dataset": dataset,
+        "joint_set": joints,
+        "options": options,
+        "manifest": digest_of(load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))),
+        "protocol": load_prediction_protocol().digest,
+    }
+
+
+def _cut(
+    sources: Sequence[WindowSource],
+    work: Path,
+    on_error: Literal["skip", "fail"],
+    engine: Engine,
+    progress: Callable[[int, int, str], None] | None,
+) -> list[CutRecording]:
+    """Make the parts of some recordings, in their order."""
+    job = WindowsJob(load_prediction_protocol(), on_error == "fail", work)
+    finished: list[CutRecording] = []
+    for each in engine.map(job, sources, if_full=job.if_full):
+        finished.append(each)
+        if progress is not None:
+            progress(len(finished), len(sources), each.recording_id)
+    return finished
+
+
+def _write_table(
+    dataset: str, joints: str, options: dict[str, str], finished: list[CutRecording], out: Path
+) -> WindowsReport:
+    """Write the table of all parts of a build."""
+    manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
+    described = _described(dataset, manifest, load_prediction_protocol(), joint_set=joints)
+    info = _finished(described, finished, options)
+    # Last of all: until here an earlier table stands as it was.
+    info = write_windows(out, info, (run for each in finished for run in read_cut_runs(each.folder)))
     return WindowsReport(out, info, tuple(finished))
 
 

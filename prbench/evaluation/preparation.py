@@ -107,6 +107,31 @@ def prepare_run(request: RunRequest) -> PreparedRun:
     return PreparedRun(request, benchmark, record, datasets, request.out or _default_folder(record), rules)
 
 
+def prepare_recorded(request: RunRequest, earlier: RunRecord, out: Path) -> PreparedRun:
+    """:func:`prepare_run` for motions that are there: the method is not loaded, and nothing of it is needed.
+
+    Args:
+        request: The run.
+        earlier: What is recorded about it, of which method and condition are taken over.
+        out: The run folder.
+
+    Raises:
+        TableError: see :func:`prepare_run`.
+        UsageError: see :func:`prepare_run`.
+    """
+    benchmark = load_benchmark(request.benchmark)
+    request = benchmark.settled(request)
+    tables = benchmark.open_tables(request)
+    rules = benchmark.rules(request, tables)
+    condition = benchmark.condition(earlier.condition)
+    datasets = tuple(
+        _dataset(benchmark, request, chosen, None, earlier.method, condition, rules)
+        for chosen in benchmark.choose(request, tables)
+    )
+    record = _record(request, condition, earlier.method, datasets, rules)
+    return PreparedRun(request, benchmark, record, datasets, out, rules)
+
+
 def _spec(request: RunRequest, benchmark: Benchmark) -> MethodSpec:
     require_weights(request.weights)
     return method_spec(

@@ -69,12 +69,12 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
         try:
             prepared = prepare_run(request)
             held.enter_context(sole_writer(prepared.out))
-            folder = _prepared_folder(prepared)
-            parts = [_Part(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
-            made = _generate_all(parts, folder, engine)
+            folder = prepared_folder(prepared)
+            parts = [RunPart(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
+            made = generate_all(parts, folder, engine)
         except Exception:
             if request.isolate:
-                _remove_empty(request.out or DEFAULT_PARENT)  # made so that it could be withheld
+                remove_empty(request.out or DEFAULT_PARENT)  # made so that it could be withheld
             raise
         finally:
             forget_loaded_methods()  # no program outlives the run, however it ends
@@ -96,26 +96,35 @@ def missing_batches(request: RunRequest, *, engine: Engine) -> Iterator[BatchTas
         engine: Where the batches will be made.
     """
     prepared = prepare_run(request)
-    folder = _prepared_folder(prepared)
+    folder = prepared_folder(prepared)
     if not isinstance(engine, InProcess):
         unload_method()  # every worker loads its own
     for dataset in prepared.datasets:
-        part = _Part(prepared, dataset, folder.dataset(dataset.name), engine, silent)
+        part = RunPart(prepared, dataset, folder.dataset(dataset.name), engine, silent)
         yield from part.tasks(frozenset(part.missing()))
 
 
-def _prepared_folder(prepared: PreparedRun) -> RunFolder:
+def prepared_folder(prepared: PreparedRun) -> RunFolder:
     """Make the run folder, with a copy of the protocol where it is the user's own."""
     return RunFolder.prepare(prepared.out, prepared.record, prepared.benchmark.copied_rules(prepared.rules))
 
 
-def _generate_all(parts: list[_Part], folder: RunFolder, engine: Engine) -> list[int]:
-    """Make what is missing of every dataset; returns how many batches each took."""
+def generate_all(parts: list[RunPart], folder: RunFolder, engine: Engine) -> list[int]:
+    """Make what is missing of every dataset; a folder without a single batch is removed where that fails.
+
+    Args:
+        parts: The work on each dataset.
+        folder: The run folder.
+        engine: Where batches are made.
+
+    Returns:
+        How many batches each took.
+    """
     if not isinstance(engine, InProcess):
         unload_method()  # every worker loads its own
     try:
         missing = [part.missing() for part in parts]
-        done = {part.dataset.name: len(part.plan) - len(own) for part, own in zip(parts, missing, strict=True)}
+        done = {part.dataset.name: len(part.batches) - len(own) for part, own in zip(parts, missing, strict=True)}
         numbers = {part.dataset.work.round_of(index) for part, own in zip(parts, missing, strict=True) for index in own}
         for number in sorted(numbers):
             rounds = [
@@ -144,13 +153,14 @@ def _generate_all(parts: list[_Part], folder: RunFolder, engine: Engine) -> list
     return [len(wanted) for wanted in missing]
 
 
-def _remove_empty(folder: Path) -> None:
+def remove_empty(folder: Path) -> None:
+    """Remove a folder that holds nothing."""
     if folder.is_dir() and not any(folder.iterdir()):
         folder.rmdir()
 
 
 @dataclass(frozen=True)
-class _Part:
+class RunPart:
     """The work of a run on one of its datasets."""
 
     prepared: PreparedRun
@@ -158,25 +168,31 @@ class _Part:
     files: DatasetFolder
     engine: Engine
     progress: ProgressCallback
+    chosen: frozenset[int] | None = None
+    """The batches of a shard; None for all."""
 
     @property
     def plan(self) -> list[Int[np.ndarray, "_"]]:
         """The places of the cases of each batch."""
         return self.dataset.work.plan
 
+    @property
+    def batches(self) -> list[int]:
+        """Numbers of the batches that are to be made."""
+        return [index for index in range(len(self.plan)) if self.chosen is None or index in self.chosen]
+
     def tell(self, done: dict[str, int]) -> None:
         """Report how many batches of this dataset are done."""
-        self.progress(Progress(self.dataset.name, "generate", done[self.dataset.name], len(self.plan)))
+        self.progress(Progress(self.dataset.name, "generate", done[self.dataset.name], len(self.batches)))
 
     def missing(self) -> list[int]:
         """Batches that no earlier call has made."""
         self.files.require_no_other_parts(len(self.plan))
-        samples = self.prepared.request.samples
-        return [
-            index
-            for index, rows in enumerate(self.plan)
-            if not self.files.has_part(index, self.dataset.ids(rows), samples)
-        ]
+        return [index for index in self.batches if not self.has(index, self.files)]
+
+    def has(self, index: int, files: DatasetFolder) -> bool:
+        """Return True if a batch of this dataset is in a folder, whole."""
+        return files.has_part(index, self.dataset.ids(self.plan[index]), self.prepared.request.samples)
 
     def tasks(self, wanted: frozenset[int]) -> Iterator[BatchTask]:
         """The work on some batches, in the order of the plan."""

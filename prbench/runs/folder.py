@@ -10,6 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from prbench import shards
 from prbench.benchmarks import default_benchmark
 from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, RunError, StorageError
@@ -162,6 +163,8 @@ class RunFolder:
             RunError: if the folder holds no run, or one of a benchmark that the caller does not know.
         """
         path = Path(path)
+        if (path / shards.FILE_NAME).is_file():
+            raise RunError(f"{path}: is a shard of a run; `prbench merge` puts all of them together.")
         record = RunRecord.read(path)
         if not any_benchmark and record.benchmark != default_benchmark().name:
             raise RunError(

@@ -22,6 +22,7 @@ _KINDS = {
     FILE_NAME: "a built dataset",
     CORPUS_FILE: "a corpus",
     "windows.json": "a table of windows, which `prbench run --benchmark motion-prediction` takes",
+    "shard.json": "a shard, which `prbench merge` puts together with the others",
 }
 """What is built, by the file that describes it, for messages."""
 

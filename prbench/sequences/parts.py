@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 from collections.abc import Iterable, Iterator, Mapping
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-import prbench
+from prbench.shards import code_digest
 from prbench.storage import atomic_folder, read_json, remove_folder, remove_leftovers, text_digest, write_json
 
 _RECEIPT = "receipt.json"
@@ -26,18 +24,7 @@ def work_folder(out: Path) -> Path:
 
 def part_folder(work: Path, name: str, input_digest: str, settings: str) -> Path:
     """Return the folder of one part: another input, option or version of the code is another folder."""
-    return work / text_digest(name, input_digest, settings, _code_digest())[:32]
-
-
-@cache
-def _code_digest() -> str:
-    """Digest of the package's source files, so that parts made by other code are never taken over."""
-    root = Path(prbench.__file__).parent
-    # The version alone would not do: a working copy changes between releases.
-    digest = hashlib.sha256(prbench.__version__.encode())
-    for path in sorted(root.rglob("*.py")):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()
+    return work / text_digest(name, input_digest, settings, code_digest())[:32]
 
 
 def write_part(folder: Path, batches: Mapping[str, pa.RecordBatch], receipt: Mapping[str, object]) -> None:

@@ -11,8 +11,8 @@ from typing import Literal
 from prbench.corpora.nymeria.recording import SuitRecording
 from prbench.corpora.nymeria.source import CORPUS, NymeriaSource
 from prbench.corpora.sources import CorpusOptions
-from prbench.curation.window_building import JointChoice, WindowsReport, build_from_window_sources
-from prbench.curation.window_building import build_windows as build_of_reader
+from prbench.curation.window_building import JointChoice, WindowsPlan, WindowsReport, build_planned_windows
+from prbench.curation.window_building import plan_windows as plan_of_reader
 from prbench.curation.window_runs import runs_of_recording
 from prbench.engine import Engine
 from prbench.errors import InputFileError, UsageError
@@ -67,38 +67,23 @@ class NymeriaWindows:
         yield from runs_of_recording(recording, protocol.windows, split=self.source.identity.split)
 
 
-def build_windows(
+def plan_windows(
     dataset: str,
     root: Path,
-    out: Path,
     *,
     joints: JointChoice | None,
     recordings: str,
     limit: int | None,
     reader: tuple[tuple[str, str], ...],
-    on_error: Literal["skip", "fail"],
-    engine: Engine,
-    progress: Callable[[int, int, str], None] | None = None,
-) -> WindowsReport:
-    """See :func:`prbench.curation.window_building.build_windows`; Nymeria besides, whose joints are the 22.
+) -> WindowsPlan:
+    """See :func:`prbench.curation.window_building.plan_windows`; Nymeria besides, whose joints are the 22.
 
     Raises:
         UsageError: as there, and for native joints of Nymeria.
         InputFileError: as there.
     """
     if dataset != NYMERIA:
-        return build_of_reader(
-            dataset,
-            root,
-            out,
-            joints=joints,
-            recordings=recordings,
-            limit=limit,
-            reader=reader,
-            on_error=on_error,
-            engine=engine,
-            progress=progress,
-        )
+        return plan_of_reader(dataset, root, joints=joints, recordings=recordings, limit=limit, reader=reader)
     if joints == "native":
         raise UsageError("--joints native: no study of prediction published joints of nymeria; leave the option out.")
     found = CORPUS.find(root, CorpusOptions(source=reader))
@@ -114,13 +99,22 @@ def build_windows(
     chosen = sorted(chosen, key=lambda each: f"{each.identity.recording_id}/")[:limit]
     options = {"joints": SMPL22.name, "recordings": recordings, "limit": str(limit or "all")}
     options |= {f"reader.{name}": text for name, text in described_options(chosen[0].options).items()}
-    return build_from_window_sources(
-        [NymeriaWindows(each) for each in chosen],
-        chosen[0].identity.dataset,
-        CORPUS.manifest,
-        Path(out).expanduser().absolute(),
-        options=options,
-        on_error=on_error,
-        engine=engine,
-        progress=progress,
-    )
+    return WindowsPlan(chosen[0].identity.dataset, tuple(map(NymeriaWindows, chosen)), options)
+
+
+def build_windows(
+    dataset: str,
+    root: Path,
+    out: Path,
+    *,
+    joints: JointChoice | None,
+    recordings: str,
+    limit: int | None,
+    reader: tuple[tuple[str, str], ...],
+    on_error: Literal["skip", "fail"],
+    engine: Engine,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> WindowsReport:
+    """See :func:`prbench.curation.window_building.build_windows`, and :func:`plan_windows`."""
+    plan = plan_windows(dataset, root, joints=joints, recordings=recordings, limit=limit, reader=reader)
+    return build_planned_windows(plan, out, on_error=on_error, engine=engine, progress=progress)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import shutil
 import sys
 import time
@@ -12,11 +13,24 @@ from pathlib import Path
 import pyarrow as pa
 
 from prbench.locks import sole_writer
-from tests.crashes import in_a_child, operations
+from tests.crashes import in_a_child, killed_after, operations
 from tests.writing import WRITING, Inputs, Writing, run
 
 PLACES = "PRBENCH_FUZZ"
 """Variable that says before how many of its operations each command is killed, the heavy ones too."""
+KILLS = "PRBENCH_KILLS"
+"""Variable that says how many kills at random moments are tried."""
+SEED = "PRBENCH_FUZZ_SEED"
+_FEW_KILLS = "12"
+_AT_RANDOM = (
+    "build-dataset --out",
+    "build-dataset --out, a shard",
+    "merge --out",
+    "run --out",
+    "run --out, a shard",
+    "merge --out, of a run",
+)
+"""Commands that are killed at random moments; :data:`ONLY` chooses others."""
 _STRIDE = 37
 """Commands begin at different places, so that a few kills see different moments."""
 _ONLY_ONCE = 3
@@ -36,6 +50,50 @@ def check(folder: Path) -> int:
         _check(writing, inputs, folder / f"{number}", int(asked) if asked else 1, number)
         for number, writing in enumerate(chosen)
     )
+
+
+def check_at_random(folder: Path) -> int:
+    """Commands that are killed at random moments, some of them twice, end with the bytes of an undisturbed call.
+
+    Returns:
+        How many kills hit.
+    """
+    pa.set_cpu_count(1)
+    wanted_kills = int(os.environ.get(KILLS, _FEW_KILLS))
+    chance = random.Random(int(os.environ.get(SEED, "0")))
+    only = os.environ.get(ONLY)
+    chosen = [each for each in WRITING if (only in each.name if only else each.name in _AT_RANDOM)]
+    inputs = Inputs.make(folder / "inputs", heavy=any(writing.heavy for writing in chosen))
+    hits = 0
+    for number, writing in enumerate(chosen):
+        share = wanted_kills // len(chosen) + (number < wanted_kills % len(chosen))
+        hit = _kill_at_random(writing, inputs, folder / f"{number}", share, chance) if share else 0
+        sys.stderr.write(f"{writing.name}: {hit} kills\n")
+        hits += hit
+    return hits
+
+
+def _kill_at_random(writing: Writing, inputs: Inputs, folder: Path, kills: int, chance: random.Random) -> int:
+    work = partial(writing.work, inputs)
+    for name in ("undisturbed", "timed"):  # the first call of a process loads what later ones find loaded
+        started = time.monotonic()
+        work(_made(folder / name))
+        seconds = time.monotonic() - started
+    wanted = writing.same(folder / "undisturbed")
+    hits = 0
+    while hits < kills:
+        left = _made(folder / "killed")
+        before = hits
+        for _ in range(chance.choice((1, 1, 2))):
+            hits += killed_after(work, left, chance.random() * seconds)
+        in_a_child(work, left)
+        found = writing.same(left)
+        differing = sorted(name for name in found.keys() | wanted.keys() if found.get(name) != wanted.get(name))
+        assert not differing, f"{writing.name}, kill {hits} of seed {os.environ.get(SEED, '0')}: {differing}"
+        shutil.rmtree(left)
+        if hits == before:
+            seconds *= 0.9  # the machine has become faster
+    return hits
 
 
 def _check(writing: Writing, inputs: Inputs, folder: Path, places: int, number: int) -> int:

@@ -21,6 +21,12 @@ def test_every_command_that_writes_is_killed_before_some_of_its_file_operations(
     assert tried_by("tests.cli.killed_commands", tmp_path) >= 18
 
 
+@pytest.mark.fuzz
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="crashes are tried in forked processes")
+def test_builds_runs_shards_and_merges_are_killed_at_random_moments(tmp_path: Path) -> None:
+    assert tried_by("tests.cli.killed_commands", tmp_path, check="check_at_random") >= 12
+
+
 def test_no_command_that_writes_is_forgotten() -> None:
     tried = {
         " ".join(word for word in writing.name.split(",")[0].split() if word not in _VARIANTS) for writing in WRITING

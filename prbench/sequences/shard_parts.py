@@ -1,0 +1,161 @@
+"""A shard of a build on disk: the parts of its recordings, and a list of them that is written last.
+
+Parts are those of :mod:`prbench.sequences.parts`, kept in the shard's own folder. While the list is missing, the shard
+is unfinished, and the same command goes on. Source: docs/cluster.md#what-a-shard-holds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import msgspec
+
+from prbench.boundary import foreign_input
+from prbench.bounded import read_whole
+from prbench.errors import ShardError
+from prbench.limits import LARGEST_JSON
+from prbench.locks import sole_writer
+from prbench.sequences.parts import read_receipt
+from prbench.shards import FILE_NAME, Shard, ShardRecord, begin_shard
+from prbench.storage import file_digest, inside, remove_leftovers, require_replaceable, write_json
+
+Record = TypeVar("Record")
+_PARTS = "parts"
+_FINISHED = "finished.json"
+
+
+@dataclass(frozen=True)
+class ShardReport(Generic[Record]):
+    """The result of one shard of a build."""
+
+    folder: Path
+    shard: Shard
+    planned: int
+    """Recordings, or groups of them, of all shards."""
+    records: tuple[Record, ...]
+    """Recordings of this shard."""
+    reused: int
+    """Recordings taken over from an interrupted call."""
+
+
+class _KeptPart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One part of a finished shard."""
+
+    place: int
+    """Place of its item in the plan."""
+    name: str
+    folder: str
+    files: dict[str, str]
+    """SHA-256 of each file in the folder by its name."""
+
+
+class _Finished(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The whole of ``finished.json``."""
+
+    parts: tuple[_KeptPart, ...]
+
+
+@contextlib.contextmanager
+def making_shard(out: Path, record: ShardRecord) -> Iterator[Path]:
+    """Hold the folder of a shard while its parts are made; yields the folder that they go to.
+
+    The caller calls :func:`finish_shard` in the end.
+
+    Raises:
+        StorageError: if the folder holds something else, cannot be written, or another process writes there.
+        ShardError: if it holds another shard.
+    """
+    with sole_writer(out):
+        for name in (FILE_NAME, _FINISHED):
+            remove_leftovers(out / name)
+        require_replaceable(out, FILE_NAME, kind="shard")
+        begin_shard(out, record)
+        # A part that is made again must not look changed to a merge.
+        (out / _FINISHED).unlink(missing_ok=True)
+        yield out / _PARTS
+
+
+def finish_shard(out: Path, record: ShardRecord, folders: Sequence[Path]) -> None:
+    """Put down that all parts of a shard are there; whatever else lies among them goes.
+
+    Args:
+        out: The shard.
+        record: What it is.
+        folders: Of its parts, in the order of its items.
+    """
+    places = record.shard.places(len(record.plan))
+    kept = tuple(
+        _KeptPart(place=place, name=record.plan[place], folder=folder.name, files=_digests(folder))
+        for place, folder in zip(places, folders, strict=True)
+    )
+    names = {part.folder for part in kept}
+    for left in (out / _PARTS).iterdir() if (out / _PARTS).is_dir() else ():
+        if left.name not in names:
+            shutil.rmtree(left, ignore_errors=True)
+    write_json(out / _FINISHED, msgspec.to_builtins(_Finished(parts=kept)))
+
+
+def shard_parts(shards: Iterable[tuple[Path, ShardRecord]]) -> list[tuple[Path, dict]]:
+    """Return folder and receipt of the parts of all shards of a build, in the order of its plan.
+
+    Args:
+        shards: All of them (:func:`prbench.shards.require_whole`).
+
+    Raises:
+        ShardError: if one is unfinished, or a file of it is missing or changed.
+    """
+    found: dict[int, Path] = {}
+    for folder, record in shards:
+        parts = _read_finished(folder, record)
+        expected = [(place, record.plan[place]) for place in record.shard.places(len(record.plan))]
+        if [(part.place, part.name) for part in parts] != expected:
+            raise ShardError(f"{folder / _FINISHED}: does not list the parts of shard {record.shard}. {_again(record)}")
+        for part in parts:
+            place = inside(folder / _PARTS, part.folder)
+            for name, digest in part.files.items():
+                _require_unchanged(inside(place, name), digest, record)
+            found[part.place] = place
+    return [(found[place], _receipt(found[place])) for place in sorted(found)]
+
+
+def _receipt(folder: Path) -> dict:
+    entries = read_receipt(folder)
+    if entries is None:
+        raise ShardError(f"{folder}: expected a finished part, found one without receipt. Make its shard again.")
+    return entries
+
+
+@foreign_input()
+def _read_finished(folder: Path, record: ShardRecord) -> tuple[_KeptPart, ...]:
+    path = folder / _FINISHED
+    try:
+        return msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=_Finished).parts
+    except FileNotFoundError as error:
+        raise ShardError(f"{folder}: shard {record.shard} is not finished. {_again(record)}") from error
+    except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ShardError(f"{path}: not a valid {path.name}: {error}. {_again(record)}") from error
+
+
+def _require_unchanged(path: Path, digest: str, record: ShardRecord) -> None:
+    try:
+        found = file_digest(path)
+    except FileNotFoundError:
+        found = "no file"
+    if found != digest:
+        raise ShardError(
+            f"{path}: expected the file that shard {record.shard} has written (SHA-256 {digest[:12]}…), found"
+            f" {found[:12]}{'…' if len(found) > 12 else ''}. Copy the shard again; or {_again(record).lower()}"
+        )
+
+
+def _again(record: ShardRecord) -> str:
+    return f"Run its command (--shard {record.shard}) again."
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    return {path.name: file_digest(path) for path in sorted(folder.iterdir())}
