@@ -19,9 +19,11 @@ from prbench.cli.builds import (
     print_stages,
 )
 from prbench.cli.commands import Answer, command
+from prbench.cli.engines import opened
 from prbench.cli.options import (
     POSITIVE,
     count_option,
+    engine_options,
     on_error_option,
     out_folder_option,
     reader_options,
@@ -29,12 +31,13 @@ from prbench.cli.options import (
     replace_option,
     root_option,
     seed_option,
-    workers_option,
 )
 from prbench.cli.progress import progress
 
 if TYPE_CHECKING:
     from prbench.corpora import CorpusOptions, CorpusReport
+    from prbench.engine import Engine
+    from prbench.engine.choice import EngineChoice
 
 _SYNTHETIC = "synthetic"
 """Corpus that is generated on the spot."""
@@ -58,7 +61,7 @@ _SYNTHETIC = "synthetic"
 @click.option("--dry-run", is_flag=True, help="Say what would be read, and write nothing.")
 @on_error_option()
 @reader_options("corpus'")
-@workers_option()
+@engine_options()
 def build_corpus(
     *,
     corpus: str,
@@ -74,7 +77,7 @@ def build_corpus(
     dry_run: bool,
     on_error: Literal["skip", "fail"],
     options: tuple[tuple[str, str], ...],
-    workers: int,
+    engine: EngineChoice,
 ) -> Answer:
     """Turn text-motion data into a corpus for pre-training.
 
@@ -92,12 +95,13 @@ def build_corpus(
         replace=replace,
     )
     if dry_run:
-        return _plan(corpus, root, chosen, workers)
+        return _plan(corpus, root, chosen, engine.workers or 1)
     if out is None:
         from prbench.errors import UsageError
 
         raise UsageError("--out DIR is needed: the folder of the corpus. (--dry-run does without.)")
-    return _build(corpus, root, out, chosen, workers)
+    roots = () if root is None else (root,)
+    return _build(corpus, root, out, chosen, opened(engine, reads=roots, writes=(out,)))
 
 
 def _source_options(corpus: str, given: dict[str, str], *, count: int | None, seed: int) -> tuple[tuple[str, str], ...]:
@@ -124,12 +128,11 @@ def _plan(corpus: str, root: Path | None, options: CorpusOptions, workers: int) 
     return Answer(BuildsReport(built=[], not_built=[], planned=[plan]), lambda: print_plan(plan, unfit="unfit"))
 
 
-def _build(corpus: str, root: Path | None, out: Path, options: CorpusOptions, workers: int) -> Answer:
+def _build(corpus: str, root: Path | None, out: Path, options: CorpusOptions, engine: Engine) -> Answer:
     from prbench.corpora import build_corpus as build
-    from prbench.engine import engine_for
 
     with progress(f"building {corpus}") as tell:
-        report = build(corpus, root, out, options=options, engine=engine_for(workers), progress=tell)
+        report = build(corpus, root, out, options=options, engine=engine, progress=tell)
     note_unread(report.records, reused=report.reused)
     table = built_table(report, _stages(report))
     return Answer(

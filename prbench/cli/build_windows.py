@@ -10,20 +10,22 @@ import msgspec
 
 from prbench.cli.builds import NOT_EVERYTHING
 from prbench.cli.commands import Answer, command, note
+from prbench.cli.engines import opened
 from prbench.cli.options import (
     PATH,
+    engine_options,
     on_error_option,
     out_folder_option,
     reader_options,
     recordings_options,
     root_option,
-    workers_option,
 )
 from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
+    from prbench.engine.choice import EngineChoice
     from prbench.prediction.table import WindowsInfo
 
 
@@ -111,7 +113,7 @@ class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
 @recordings_options
 @on_error_option()
 @reader_options()
-@workers_option()
+@engine_options()
 def build_windows(
     *,
     dataset: str | None,
@@ -124,7 +126,7 @@ def build_windows(
     max_recordings: int | None,
     on_error: Literal["skip", "fail"],
     options: tuple[tuple[str, str], ...],
-    workers: int,
+    engine: EngineChoice,
 ) -> Answer:
     """Cut recordings into windows for motion prediction: half a second to observe, two seconds to predict.
 
@@ -144,7 +146,6 @@ def build_windows(
         return _answer(build_anchored_windows(data, out), out)
     assert dataset is not None
     assert root is not None
-    from prbench.engine import engine_for
     from prbench.workflows.build_windows import build_windows as build
 
     with progress(f"cutting {dataset}") as tell:
@@ -157,7 +158,7 @@ def build_windows(
             limit=max_recordings,
             reader=options,
             on_error=on_error,
-            engine=engine_for(workers),
+            engine=opened(engine, reads=(root,), writes=(out,)),
             progress=tell,
         )
     return _answer(report.info, out)

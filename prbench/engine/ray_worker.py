@@ -1,0 +1,47 @@
+"""The worker of :mod:`prbench.engine.on_ray`: one process on a node, which works on one item at a time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Any, cast
+
+from prbench.engine.base import Full, answer
+from prbench.engine.cluster import Answered, Raised
+from prbench.errors import PrbenchError
+from prbench.shown import quoted
+
+
+class RayWorker:
+    """Keeps the function of the last item, and with it what that function has loaded."""
+
+    def __init__(self, folder: str) -> None:
+        if os.path.isdir(folder):  # noqa: PTH112 - relative paths mean there what they mean here
+            os.chdir(folder)
+        self._packed = b""
+        self._function: Callable[[Any], Any] | None = None
+
+    def hello(self) -> int:
+        """Answer as soon as the worker is ready, with its process id."""
+        return os.getpid()
+
+    def work(self, function: bytes, item: bytes) -> bytes:
+        """Work on an item; packed here, so that Ray neither wraps errors nor keeps views of its store."""
+        from ray import cloudpickle as packing
+
+        cloudpickle = cast(Any, packing)  # whose names Ray's own types do not export
+
+        outcome: Answered | Full | Raised
+        try:
+            if self._function is None or self._packed != function:
+                self._packed, self._function = function, cloudpickle.loads(function)
+            found = answer(cast(Callable, self._function), cloudpickle.loads(item))
+            outcome = found if isinstance(found, Full) else Answered(found)
+        except Exception as error:
+            outcome = Raised(error)
+        try:
+            return cloudpickle.dumps(outcome)
+        except Exception as error:
+            what = outcome.error if isinstance(outcome, Raised) else error
+            problem = PrbenchError(f"a result cannot leave its process: {type(what).__name__}: {quoted(what)}")
+            return cloudpickle.dumps(Raised(problem))
