@@ -94,11 +94,10 @@ class RayEngine:
     def _connected(self) -> Staff:
         if self._staff is None:
             ray = _import_ray(self._address)
-            if threading.current_thread() is threading.main_thread():
-                self._undo.callback(signal.signal, signal.SIGTERM, signal.getsignal(signal.SIGTERM))
-            _connect(ray, self._address, self._undo)
-            _stop_by_sigterm()  # Ray has just put a handler of its own there, which leaves at once
-            cluster = RayCluster(ray, *self._resources, needs=self._needs, tell=self._tell)
+            with _sigterm_noted():
+                _connect(ray, self._address, self._undo)  # which puts a handler there that leaves at once
+            stop = self._undo.enter_context(_sigterm_noted())
+            cluster = RayCluster(ray, *self._resources, needs=self._needs, tell=self._tell, stop=stop)
             cluster.require_fit()
             staff = Staff(cluster, self._rules, self._tell)
             # Last in, first out: workers end before the Ray that they belong to.
@@ -110,12 +109,22 @@ class RayEngine:
 class RayCluster:
     """What the rules of spreading need, by Ray: see :class:`prbench.engine.cluster.Cluster`."""
 
-    def __init__(self, ray: ModuleType, cpus: int, gpus: float, *, needs: Needs, tell: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        ray: ModuleType,
+        cpus: int,
+        gpus: float,
+        *,
+        needs: Needs,
+        tell: Callable[[str], None],
+        stop: threading.Event,
+    ) -> None:
         self._ray = ray
         self._cpus = cpus
         self._gpus = gpus
         self._needs = needs
         self._tell = tell
+        self._stop = stop
         self._fit: dict[str, bool] = {}
         """Whether a node, by its id, may be given work."""
         self._environment = {name: text for name, text in os.environ.items() if name.startswith("PRBENCH_")}
@@ -226,9 +235,8 @@ class RayCluster:
             "max_restarts": 0,
             "max_task_retries": 0,
             "scheduling_strategy": self._on(node.id),
-            "runtime_env": {"env_vars": self._environment},
         }
-        worker = self._ray.remote(RayWorker).options(**options).remote(str(Path.cwd()))
+        worker = self._ray.remote(RayWorker).options(**options).remote(str(Path.cwd()), self._environment)
         return worker, worker.hello.remote()
 
     def submit(self, worker: Any, function: bytes, item: bytes) -> Hashable:
@@ -248,7 +256,16 @@ class RayCluster:
             self._ray.kill(worker, no_restart=True)
 
     def finished(self, tickets: Collection[Hashable], seconds: float) -> Collection[Hashable]:
-        """See :meth:`Cluster.finished`."""
+        """See :meth:`Cluster.finished`.
+
+        Raises:
+            WorkStopped: after SIGTERM, once.
+        """
+        if self._stop.is_set():
+            self._stop.clear()  # the workers still have to be ended
+            raise WorkStopped(
+                "asked to stop by SIGTERM; finished parts are kept, the same command goes on where it resumes."
+            )
         waiting = list(tickets)
         due, rest = self._ray.wait(waiting, num_returns=1, timeout=seconds)
         if due and rest:
@@ -354,14 +371,27 @@ def _host_and_port(address: str) -> tuple[str, int | None]:
     return host.strip("[]") or address, int(port) if port.isdecimal() and int(port) < 65536 else None
 
 
-def _stop_by_sigterm() -> None:
-    """Turn SIGTERM into an exception, so that workers are ended before the process."""
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, _stopped)
+@contextlib.contextmanager
+def _sigterm_noted() -> Iterator[threading.Event]:
+    """Note SIGTERM, so that workers are ended before the process; a second one is obeyed at once.
 
+    It is not turned into an exception where it arrives: Ray's own functions do not stand that.
+    """
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    before = signal.getsignal(signal.SIGTERM)
 
-def _stopped(*_: object) -> None:
-    raise WorkStopped("asked to stop by SIGTERM; finished parts are kept, the same command goes on where it resumes.")
+    def note(*_: object) -> None:
+        stop.set()
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+    signal.signal(signal.SIGTERM, note)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _name(node: dict[str, Any]) -> str:

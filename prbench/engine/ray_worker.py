@@ -15,7 +15,9 @@ from prbench.shown import quoted
 class RayWorker:
     """Keeps the function of the last item, and with it what that function has loaded."""
 
-    def __init__(self, folder: str) -> None:
+    def __init__(self, folder: str, environment: dict[str, str]) -> None:
+        # Not by Ray's runtime environments: for each of those every worker would be started anew.
+        os.environ.update(environment)
         if os.path.isdir(folder):  # noqa: PTH112 - relative paths mean there what they mean here
             os.chdir(folder)
         self._packed = b""
