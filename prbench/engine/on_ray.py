@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import inspect
 import logging
 import os
@@ -219,9 +220,7 @@ class RayCluster:
         return self._ray.remote(tell_facts).options(**options).remote(source, asked.wanted)
 
     def _on(self, node: str) -> Any:
-        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
-
-        return NodeAffinitySchedulingStrategy(node, soft=False)
+        return self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node, soft=False)
 
     def packed(self, what: object) -> bytes:
         """See :meth:`Cluster.packed`."""
@@ -305,12 +304,11 @@ def _import_ray(address: str | None) -> ModuleType:
         # listen; this setting keeps it, and has to be there before Ray is imported.
         os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
     try:
-        import ray
-        import ray.cloudpickle
-        import ray.exceptions
+        for name in ("cloudpickle", "exceptions", "util.scheduling_strategies"):
+            importlib.import_module(f"ray.{name}")
+        return importlib.import_module("ray")
     except ImportError as error:
         raise MissingExtraError("ray", "ray", "--engine ray") from error
-    return ray
 
 
 def _connect(ray: ModuleType, address: str | None, undo: contextlib.ExitStack) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Callable
 from typing import Any, cast
@@ -29,9 +30,7 @@ class RayWorker:
 
     def work(self, function: bytes, item: bytes) -> bytes:
         """Work on an item; packed here, so that Ray neither wraps errors nor keeps views of its store."""
-        from ray import cloudpickle as packing
-
-        cloudpickle = cast(Any, packing)  # whose names Ray's own types do not export
+        cloudpickle = importlib.import_module("ray.cloudpickle")
 
         outcome: Answered | Full | Raised
         try:

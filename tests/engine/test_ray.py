@@ -171,7 +171,7 @@ from prbench.cli.main import main
 from prbench.curation import build
 from tests.curation.sources import some_sources
 build.native_sources = lambda *_: some_sources(40, seconds=0.5)
-sys.exit(main(["-v", "build-dataset", "adt", "--root", ".", "--out", *sys.argv[1:2], "--engine", "ray", *sys.argv[2:]]))
+sys.exit(main(["build-dataset", "adt", "--root", ".", "--out", *sys.argv[1:2], "--engine", "ray", *sys.argv[2:]]))
 """
 
 
@@ -182,14 +182,14 @@ def test_a_driver_that_is_asked_to_stop_ends_its_workers_and_keeps_what_is_finis
         cwd=ROOT, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     for line in process.stderr:
-        if "building adt: 2/" in line:
+        if "building adt: 1/" in line:
             break
     process.send_signal(number)
     said = process.stderr.read()
     assert process.wait(timeout=30) == code, said
     assert "finished parts are kept" in said
     assert "Traceback" not in said
-    assert len(list((tmp_path / ".out.work").glob("*/receipt.json"))) >= 2
+    assert len(list((tmp_path / ".out.work").glob("*/receipt.json"))) >= 1
     until = time.monotonic() + 10
     while _workers() and time.monotonic() < until:
         time.sleep(0.2)
