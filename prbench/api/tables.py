@@ -71,7 +71,7 @@ class Table:
         require_positive(limit=limit)
         if split is None and limit is None:
             return tuple(sequence_ids(self._table))
-        rows = self._table.scalars(split=split)
+        rows = self._table.scalars(split=split, columns=["sequence_id", "recording_id"])
         ids = rows["sequence_id"].to_pylist()
         if limit is None:
             return tuple(ids)
@@ -223,7 +223,7 @@ class Table:
         remarks = [f"licence: {self.info.licence}", f"folder: {self.folder}"]
         if not len(self):
             remarks.insert(0, why_no_sequences(self.info))
-        scalars = self._table.scalars().select(list(_SHOWN_COLUMNS))
+        scalars = self._table.scalars(columns=_SHOWN_COLUMNS)
         if scalars.num_rows > _SHOWN_ROWS:
             remarks.insert(0, f"the first {_SHOWN_ROWS} of {scalars.num_rows} rows; .to_pandas() gives all")
         return notebook_table(title, frame_of(scalars.slice(0, _SHOWN_ROWS)), remarks)

@@ -15,7 +15,7 @@ from prbench.contract import Condition, Gaze, Motions
 from prbench.errors import UsageError
 from prbench.evaluation.best_of import WITH_GOAL
 from prbench.evaluation.conditions import ConditionSource
-from prbench.evaluation.pairs import Pair, find_pairs
+from prbench.evaluation.pairs import COLUMNS, Pair, find_pairs
 from prbench.evaluation.planning import Selection
 from prbench.rates_of_people import CarriedOn
 from prbench.runs.predictions import Predictions
@@ -37,7 +37,7 @@ class Carrying:
     def of(cls, selection: Selection) -> Carrying:
         """Find the pairs of a selection."""
         place = {name: row for row, name in enumerate(selection.sequence_ids)}
-        rows = selection.table.scalars(split=selection.split)
+        rows = selection.table.scalars(split=selection.split, columns=COLUMNS)
         pairs = tuple(pair for pair in find_pairs(rows) if pair.pick in place and pair.put in place)
         parts = [
             chunk.vectors("world_from_canonical").reshape(-1, 4, 4)

@@ -15,6 +15,7 @@ import pyarrow as pa
 from jaxtyping import Int
 
 from prbench.errors import TableError, UsageError
+from prbench.evaluation.pairs import COLUMNS as PAIR_COLUMNS
 from prbench.evaluation.pairs import Pair, require_pairs
 from prbench.methods.motions import native_frames
 from prbench.sequences.chunk import SequenceChunk
@@ -118,7 +119,8 @@ def select(table: SequenceTable, *, split: str, limit: int | None, carry_on: boo
         raise UsageError(f"--limit: expected 1 or more sequences, found {limit}.")
     if table.info.why_not_scored is not None:
         raise TableError(f"{table.folder}: cannot be scored: {table.info.why_not_scored}.")
-    rows = table.scalars(split=split)
+    columns = ["sequence_id", "n_frames", "recording_id", "fps"]
+    rows = table.scalars(split=split, columns=list(dict.fromkeys([*columns, *PAIR_COLUMNS])) if carry_on else columns)
     if not rows.num_rows:
         counts = _split_counts(table)
         raise TableError(
@@ -208,7 +210,7 @@ def select_sequences(tables: SequenceOf[SequenceTable], wanted: SequenceOf[str],
 
 
 def _split_of_each(table: SequenceTable) -> list[tuple[str, str]]:
-    rows = table.scalars()
+    rows = table.scalars(columns=["sequence_id", "split"])
     return list(zip(rows["sequence_id"].to_pylist(), rows["split"].to_pylist(), strict=True))
 
 
@@ -238,5 +240,5 @@ def _joined(batches: list[pa.RecordBatch]) -> pa.RecordBatch:
 
 
 def _split_counts(table: SequenceTable) -> str:
-    splits = table.scalars()["split"].to_pylist()
+    splits = table.scalars(columns=["split"])["split"].to_pylist()
     return ", ".join(f"{name} {splits.count(name)}" for name in SPLITS)
