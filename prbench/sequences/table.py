@@ -54,7 +54,7 @@ class BuiltTable(Generic[Info]):
     optional: ClassVar[Mapping[str, pa.Schema]] = {}
     """Columns of the tables that not every folder has."""
     identity_columns: ClassVar[tuple[str, ...]]
-    """Columns of the main table that make its identity, in the order of :func:`prbench.sequences.digests.identity_digest`."""
+    """Columns of the main table that make its identity (:func:`prbench.sequences.digests.identity_of_rows`)."""
     check: ClassVar[Callable[..., None]]
     """Refuses a file with other columns, or of an unknown version."""
 

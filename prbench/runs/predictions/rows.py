@@ -48,8 +48,12 @@ class PredictionRows:
 class MotionStore(Protocol):
     """Reads single motions. Goes to worker processes, so it holds paths, not open files."""
 
-    def make_ready(self) -> None:
-        """Do once what every process would have to do: call it before the store goes to others."""
+    def make_ready(self, order: Sequence[int] = ()) -> None:
+        """Do once what every process would have to do: call it before the store goes to others.
+
+        Args:
+            order: Rows in about the order in which they will be asked for, as far as that is known.
+        """
         ...
 
     def motions(self, rows: Sequence[int]) -> list[Float[np.ndarray, "_ 22 3"]]:
