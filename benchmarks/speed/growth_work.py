@@ -14,9 +14,6 @@ from prbench.sequences import SequenceTable
 from prbench.sequences.rows import open_parquet
 from prbench.sequences.write import write_dataset, write_table
 
-_SWAY = 0.03
-"""Metres by which a repeated motion is moved aside, so that it is not the recorded one."""
-
 
 def repeat_table(source: str, out: str, sequences: str) -> None:
     """Write a table of the test split that holds the sequences of another one again and again under new ids.
@@ -41,29 +38,36 @@ def repeat_table(source: str, out: str, sequences: str) -> None:
 
 
 def repeat_motions(table: str, out: str) -> None:
-    """Write a file of finished motions for a table: the recorded ones, moved aside a little.
+    """Write a file of finished motions for a table: every joint goes straight from its first to its last place.
 
     Args:
         table: Folder of a built table.
         out: The Parquet file.
     """
     opened = SequenceTable.open(table)
+    schema = predictions_schema()
+    kind = schema.field("joints").type
 
     def batches() -> Iterator[pa.RecordBatch]:
-        schema = predictions_schema()
         for chunk in opened.chunks(columns=["joints"]):
-            joints = chunk.frames("joints") + np.float32(_SWAY)
-            poses = pa.FixedSizeListArray.from_arrays(
-                pa.array(joints.reshape(-1)), type=schema.field("joints").type.value_type
-            )
-            motions = pa.ListArray.from_arrays(
-                pa.array(chunk.offsets.astype(np.int32)), poses, type=schema.field("joints").type
-            )
+            joints = _straight(chunk.frames("joints"), chunk.offsets)
+            poses = pa.FixedSizeListArray.from_arrays(pa.array(joints.reshape(-1)), type=kind.value_type)
+            motions = pa.ListArray.from_arrays(pa.array(chunk.offsets.astype(np.int32)), poses, type=kind)
             zeros = np.zeros(len(chunk), dtype=np.int64)
             columns = [chunk.batch.column("sequence_id"), pa.array(zeros.astype(np.int32)), pa.array(zeros), motions]
             yield pa.RecordBatch.from_arrays(columns, schema=schema)
 
-    write_table(Path(out), batches(), predictions_schema(), protocol_version=opened.info.protocol_version)
+    write_table(Path(out), batches(), schema, protocol_version=opened.info.protocol_version)
+
+
+def _straight(poses: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Return poses (total, 66) on the straight way from the first to the last one of each motion."""
+    n_frames = np.diff(offsets)
+    row = np.repeat(np.arange(len(n_frames)), n_frames)
+    share = (np.arange(len(poses)) - offsets[row]) / (n_frames[row] - 1)
+    first = poses[offsets[:-1]][row]
+    last = poses[offsets[1:] - 1][row]
+    return (first + share[:, None] * (last - first)).astype(np.float32)
 
 
 def iterate(folder: str) -> None:

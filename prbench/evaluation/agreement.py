@@ -158,8 +158,10 @@ def _same(expected: object, found: object) -> bool:
 
 def _rates(scores: CodedScores, selection: Selection) -> Iterator[tuple[MetricInfo, _Rows]]:
     """Yield the rates that the scores hold, in printed order."""
-    place_of = {name: row for row, name in enumerate(selection.sequence_ids)}
-    places = np.array([place_of[name] for name in scores.sequence_ids], dtype=np.int64)
+    places = np.arange(len(selection))
+    if scores.sequence_ids != selection.sequence_ids:
+        place_of = {name: row for row, name in enumerate(selection.sequence_ids)}
+        places = np.array([place_of[name] for name in scores.sequence_ids], dtype=np.int64)
     for info in RATES:
         rows = scores.rows_of(info.id)
         if rows.size:

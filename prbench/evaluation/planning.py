@@ -62,11 +62,11 @@ class Selection:
             rows += len(chunk)
             # Windows count chosen rows, not rows of the file, so the layout of the table leaves no trace.
             while rows >= WINDOW:
-                joined = _joined(pending)
-                yield slice(start, start + WINDOW), SequenceChunk(joined.slice(0, WINDOW))
-                start = start + WINDOW
+                window, pending = _parted(pending)
                 rows = rows - WINDOW
-                pending = [joined.slice(WINDOW)]
+                yield slice(start, start + WINDOW), SequenceChunk(window)
+                del window  # before the next one is read
+                start = start + WINDOW
         if rows:
             yield slice(start, start + rows), SequenceChunk(_joined(pending))
 
@@ -145,7 +145,7 @@ def select(table: SequenceTable, *, split: str, limit: int | None, carry_on: boo
         split,
         tuple(ids),
         n_frames,
-        tuple(rows["recording_id"].to_pylist()),
+        _shared(rows["recording_id"]),
         rates.pop(),
     )
     if carry_on:
@@ -154,6 +154,13 @@ def select(table: SequenceTable, *, split: str, limit: int | None, carry_on: boo
         return everything
     kept = set(by_share(ids, everything.recording_ids)[:limit])
     return everything.chosen(np.array([name in kept for name in ids]))
+
+
+def _shared(column: pa.ChunkedArray) -> tuple[str, ...]:
+    """Return texts of which many are equal; equal ones are one object."""
+    encoded = column.combine_chunks().dictionary_encode()
+    texts = encoded.dictionary.to_pylist()
+    return tuple(texts[place] for place in encoded.indices.to_pylist())
 
 
 def _of_pairs(everything: Selection, pairs: SequenceOf[Pair], limit: int | None) -> Selection:
@@ -233,6 +240,14 @@ def plan_batches(n_frames: Int[np.ndarray, " n"], batch_size: int) -> list[Int[n
 def plan_digest(sequence_ids: tuple[str, ...], batches: list[Int[np.ndarray, "_"]]) -> str:
     """Over the ids of every batch, in order."""
     return text_digest(*(text_digest(*(sequence_ids[row] for row in batch)) for batch in batches))
+
+
+def _parted(batches: list[pa.RecordBatch]) -> tuple[pa.RecordBatch, list[pa.RecordBatch]]:
+    """Return the first :data:`WINDOW` rows, and the others; these share no memory with the window."""
+    last = batches.pop()
+    within = WINDOW - sum(batch.num_rows for batch in batches)
+    window = _joined([*batches, last.slice(0, within)])
+    return window, [last.slice(within)] if within < last.num_rows else []
 
 
 def _joined(batches: list[pa.RecordBatch]) -> pa.RecordBatch:

@@ -244,6 +244,8 @@ def _metrics(scores: CodedScores, scored: ScoredSet) -> tuple[MetricSummary, ...
 
 def _ranks(names: Sequence[str]) -> Int[np.ndarray, " names"]:
     """Return the place of each name among the different names, sorted."""
+    if all(first < second for first, second in itertools.pairwise(names)):
+        return np.arange(len(names))
     place = {name: number for number, name in enumerate(sorted(set(names)))}
     return np.array([place[name] for name in names], dtype=np.int64)
 

@@ -112,7 +112,7 @@ def score_selection(
         PredictionsError: if a motion has another length than the recorded one, or NaN; names sequence and frame.
     """
     opened = Predictions.open(predictions) if isinstance(predictions, Path) else predictions
-    opened.make_ready(_asked_names(selection, opened, rules))
+    opened.make_ready(_asked_together(selection, opened, rules))
     if len(selection) <= WINDOW:
         # One window gains nothing from workers, whose start takes longer than a few hundred sequences.
         engine = InProcess()
@@ -154,9 +154,11 @@ def score_recorded(
     return {name: np.concatenate([part[name] for part in parts]) for name in wanted}, np.concatenate(goals)
 
 
-def _asked_names(selection: Selection, predictions: Predictions, rules: ScoringRules) -> Sequence[str]:
-    """Return ids of the chosen sequences as the predictions have them, in the order in which they are scored."""
-    return _namer(selection, predictions, rules)(selection.sequence_ids)
+def _asked_together(selection: Selection, predictions: Predictions, rules: ScoringRules) -> Iterator[Sequence[str]]:
+    """Yield the ids of each window as the predictions have them."""
+    names_of = _namer(selection, predictions, rules)
+    for start in range(0, len(selection), WINDOW):
+        yield names_of(selection.sequence_ids[start : start + WINDOW])
 
 
 def _namer(

@@ -19,7 +19,7 @@ _NO_FLAG = -1
 
 @dataclass(frozen=True, eq=False)
 class CodedScores:
-    """Rows of ``scores.parquet`` in their order: 22 bytes a row, where the texts would take 150.
+    """Rows of ``scores.parquet`` in their order: 16 bytes a row, where the texts would take 150.
 
     Each text stands once, in the order in which texts first appear; the rows hold its number.
     """
@@ -49,11 +49,8 @@ class CodedScores:
             for name in SCORES.names:
                 column = table.column(name)
                 column = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
-                if name in texts:
-                    kind = np.int32 if name == "sequence_id" else np.int16
-                    parts[name].append(_codes(column, texts[name]).astype(kind))
-                else:
-                    parts[name].append(column.to_numpy())
+                numbers = _codes(column, texts[name]) if name in texts else column.to_numpy()
+                parts[name].append(numbers if name == "value" else _narrow(numbers))
 
         def joined(name: str) -> np.ndarray:
             empty = SCORES.field(name).type.to_pandas_dtype() if name not in texts else np.int32
@@ -98,11 +95,11 @@ class CodedScores:
     def long_form(self, rows: slice = slice(None)) -> pa.Table:
         """Return rows as ``scores.parquet`` has them."""
         flags = pa.array((*self.flags, None), pa.string())
-        flag = pa.array(np.where(self.flag[rows] == _NO_FLAG, len(self.flags), self.flag[rows]))
+        flag = pa.array(np.where(self.flag[rows] == _NO_FLAG, len(self.flags), self.flag[rows].astype(np.int64)))
         columns = [
             pa.array(self.sequence_ids, pa.string()).take(pa.array(self.sequence[rows])),
             pa.array(self.datasets, pa.string()).take(pa.array(self.dataset[rows])),
-            pa.array(self.sample[rows]),
+            pa.array(self.sample[rows].astype(np.int32)),
             pa.array(self.metrics, pa.string()).take(pa.array(self.metric[rows])),
             pa.array(self.value[rows]),
             flags.take(flag),
@@ -133,7 +130,7 @@ class CodedScores:
             self.datasets,
             self.metrics,
             self.flags,
-            (np.cumsum(kept) - 1)[self.sequence[rows]].astype(np.int32),
+            (np.cumsum(kept) - 1)[self.sequence[rows]],
             self.dataset[rows],
             self.sample[rows],
             self.metric[rows],
@@ -148,3 +145,9 @@ def _codes(column: pa.Array, known: dict[str, int]) -> Int[np.ndarray, " rows"]:
     numbers = [known.setdefault(text, len(known)) for text in encoded.dictionary.to_pylist()]
     places = encoded.indices.fill_null(len(numbers)).to_numpy()
     return np.array([*numbers, _NO_FLAG], dtype=np.int32)[places]
+
+
+def _narrow(numbers: Int[np.ndarray, " rows"]) -> Int[np.ndarray, " rows"]:
+    """Return whole numbers in the shortest type that holds them."""
+    largest = int(np.abs(numbers).max(initial=0))
+    return numbers.astype(next(kind for kind in (np.int8, np.int16, np.int32) if largest <= np.iinfo(kind).max))

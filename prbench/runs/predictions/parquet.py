@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -20,11 +20,9 @@ from prbench.runs.predictions.unpacked import UnpackedFrames
 from prbench.runs.scores import GAZE_COLUMNS
 from prbench.skeleton import N_JOINTS
 
-_CACHED_BYTES = 32 * 1024**2
+_CACHED_BYTES = 16 * 1024**2
 _READ_AGAIN = 4
 """Times that row groups are read at most, on average, before the motions are unpacked instead."""
-_ASKED_TOGETHER = 1024
-"""About as many rows as are asked for together."""
 _JOINTS_FORM = f"a list of frames, each {POSE_SIZE} numbers (22 joints, x y z)"
 
 
@@ -77,11 +75,9 @@ class ParquetMotions:
     _cache: OrderedDict[_RowGroup, PredictionRows] = field(default_factory=OrderedDict, repr=False)
     _unpacked: dict[str, UnpackedFrames] = field(default_factory=dict, repr=False)
 
-    def make_ready(self, order: Sequence[int] = ()) -> None:
-        """Unpack all motions into a temporary file if the order would have row groups read again and again."""
-        groups = np.searchsorted(self._starts, np.asarray(order, dtype=np.int64), side="right")
-        together = (groups[start : start + _ASKED_TOGETHER] for start in range(0, len(groups), _ASKED_TOGETHER))
-        reads = sum(len(np.unique(part)) for part in together)
+    def make_ready(self, together: Iterable[Sequence[int]] = ()) -> None:
+        """Unpack all motions into a temporary file if row groups would be read again and again."""
+        reads = sum(len(np.unique(np.searchsorted(self._starts, rows, side="right"))) for rows in together)
         if reads <= _READ_AGAIN * len(self.groups) or self._unpacked:
             return
         self._unpacked["joints"] = UnpackedFrames.of(self._all_joints(), POSE_SIZE)

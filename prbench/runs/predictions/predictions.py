@@ -51,7 +51,7 @@ class _NumberedMotions:
 
     paths: tuple[Path, ...]
 
-    def make_ready(self, order: Sequence[int] = ()) -> None:
+    def make_ready(self, together: Iterable[Sequence[int]] = ()) -> None:
         """Nothing has to be done."""
 
     def motions(self, rows: Sequence[int]) -> list[np.ndarray]:
@@ -104,14 +104,15 @@ class Predictions(IndexedRows):
         return sum(map(len, self._row_of.values())) < len(self.ids)
 
     @foreign_input()
-    def make_ready(self, order: Iterable[str] = ()) -> None:
+    def make_ready(self, together: Iterable[Sequence[str]] = ()) -> None:
         """Unpack what single motions cannot be read from; call it before the motions go to several processes.
 
         Args:
-            order: Ids in the order in which they will be asked for, as far as that is known.
+            together: Ids whose motions of one sample will be asked for together, as far as that is known.
         """
-        first = next(iter(self._row_of.values()), {})
-        self.store.make_ready([first[name] for name in order if name in first])
+        self.store.make_ready(
+            [row_of[name] for name in names] for names in together for row_of in self._row_of.values()
+        )
 
     def length(self, name: str, sample: int) -> int | None:
         """Frames of a motion, if they are known without reading it."""
