@@ -27,7 +27,13 @@ def open_parquet(path: Path, *, verify: bool = False) -> pq.ParquetFile:
         OSError: if it is missing or cannot be read.
     """
     require_size(path, largest=LARGEST_ARCHIVE)
-    file = pq.ParquetFile(path, page_checksum_verification=verify, thrift_string_size_limit=LARGEST_HEADER)
+    file = pq.ParquetFile(
+        path,
+        page_checksum_verification=verify,
+        thrift_string_size_limit=LARGEST_HEADER,
+        # Reading ahead keeps every row group that was streamed in memory until the file is closed.
+        pre_buffer=False,
+    )
     excess = _excess(file.metadata)
     if excess:
         raise pa.ArrowInvalid(excess)

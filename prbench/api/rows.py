@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from prbench.boundary import foreign_input
@@ -26,7 +27,9 @@ def _ids(path: Path) -> list[str]:
 
 @foreign_input()
 def read_row(table: SequenceTable, wanted: str) -> SequenceChunk:
-    """Read one row; of the file only the group of 256 rows that it stands in is read.
+    """Read one row; of the files only the footers and the group of 256 rows that it stands in are read.
+
+    Where no sequence has the very id that was given, the ids of all are read to find the one that is meant.
 
     Args:
         table: The table.
@@ -39,16 +42,45 @@ def read_row(table: SequenceTable, wanted: str) -> SequenceChunk:
         UsageError: if no sequence fits, or several do.
         TableError: if the file is damaged.
     """
-    ids_of_part = {path: _ids(path) for path in table.part_paths("sequences")}
-    known = [name for ids in ids_of_part.values() for name in ids]
-    name = find_sequence_id(wanted, known, among=table.info.dataset)
-    path = next(path for path, ids in ids_of_part.items() if name in ids)
-    row = ids_of_part[path].index(name)
-    file = open_parquet(path)
-    group = 0
-    while row >= file.metadata.row_group(group).num_rows:
-        row -= file.metadata.row_group(group).num_rows
-        group += 1
-    with naming(path):
-        rows = file.read_row_group(group, columns=SEQUENCES.names)
-    return SequenceChunk(rows.slice(row, 1).combine_chunks().to_batches()[0])
+    found = next(_rows_of(table, wanted), None)
+    if found is None:
+        name = find_sequence_id(wanted, sequence_ids(table), among=table.info.dataset)
+        found = next(_rows_of(table, name))
+    return found
+
+
+def holds(table: SequenceTable, sequence_id: str) -> bool:
+    """Return True if a sequence has this very id; of the files only the groups of rows that may hold it are read."""
+    return any(table.chunks(columns=["sequence_id"], ids=frozenset({sequence_id})))
+
+
+def row_count(table: SequenceTable) -> int:
+    """Return the number of sequences, as the footers tell it."""
+    return sum(open_parquet(path).metadata.num_rows for path in table.part_paths("sequences"))
+
+
+@foreign_input()
+def read_place(table: SequenceTable, place: int) -> SequenceChunk:
+    """Read the row at a place, counted from 0; of the files only its group of rows is read.
+
+    Args:
+        table: The table.
+        place: Below :func:`row_count`.
+
+    Raises:
+        TableError: if the file is damaged.
+    """
+    for path in table.part_paths("sequences"):
+        file = open_parquet(path)
+        for number in range(file.num_row_groups):
+            rows = file.metadata.row_group(number).num_rows
+            if place < rows:
+                with naming(path):
+                    group = file.read_row_group(number, columns=SEQUENCES.names)
+                return SequenceChunk(group.slice(place, 1).combine_chunks().to_batches()[0])
+            place -= rows
+    raise IndexError("a place beyond the last row")
+
+
+def _rows_of(table: SequenceTable, sequence_id: str) -> Iterator[SequenceChunk]:
+    return table.chunks(ids=frozenset({sequence_id}))

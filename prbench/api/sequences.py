@@ -6,9 +6,10 @@ Columns and units: docs/table.md; frames: docs/specification/sequence-table.md#e
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping
+import weakref
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,7 +19,7 @@ from prbench.api.frames import frozen
 from prbench.api.pictures import Picture, Replay, picture_of, replay_of
 from prbench.api.rows import read_row
 from prbench.sequences import SequenceChunk, SequenceTable
-from prbench.skeleton import Joint, invert_rigid, transform_points
+from prbench.skeleton import N_JOINTS, Joint, invert_rigid, transform_points
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,6 +41,23 @@ class Goal:
     """Lower end of the box along x, y and z of the world, metres (column ``goal_box_world_min``)."""
     box_world_max: Float[np.ndarray, "3"]
     """Upper end of the box along x, y and z of the world, metres (column ``goal_box_world_max``)."""
+
+    @classmethod
+    def of(cls, location: np.ndarray, low: np.ndarray, high: np.ndarray, world_from_canonical: np.ndarray) -> Goal:
+        """Return a goal whose corners are computed when they are first asked for."""
+        goal = object.__new__(cls)
+        goal.__dict__.update(location=location, box_world_min=low, box_world_max=high, _placed=world_from_canonical)
+        return goal
+
+    def __getattr__(self, name: str) -> Any:
+        """Compute the corners; they are asked for the first time."""
+        if name != "box_corners" or "_placed" not in self.__dict__:
+            raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
+        ends = zip(self.box_world_min, self.box_world_max, strict=True)
+        corners = np.array(list(itertools.product(*ends)), dtype=np.float64)
+        found = frozen(transform_points(invert_rigid(self.__dict__["_placed"]), corners))
+        self.__dict__[name] = found  # frozen for everybody else
+        return found
 
     def __repr__(self) -> str:
         x, y, z = self.location
@@ -145,6 +163,27 @@ class Sequence:
     extra: Mapping[str, str] = field(default_factory=dict)
     """What only this dataset has, by name."""
     _table: SequenceTable | None = field(default=None, init=False)
+
+    def __getattr__(self, name: str) -> Any:
+        """Take a value from the rows that the sequence was read with; it is asked for the first time."""
+        source = self.__dict__.get("_source")
+        if source is None or name not in _FIELDS:
+            raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
+        rows, row = source
+        value = rows.value(name, row)
+        self.__dict__[name] = value  # frozen for everybody else
+        return value
+
+    def __getstate__(self) -> dict[str, Any]:
+        self._take_everything()
+        return self.__dict__
+
+    def _take_everything(self) -> None:
+        """Take all values, so that the rows that were read together can be forgotten."""
+        if "_source" in self.__dict__:
+            for name in _FIELDS:
+                getattr(self, name)
+            del self.__dict__["_source"]
 
     @property
     def times(self) -> Float[np.ndarray, " n"]:
@@ -260,54 +299,103 @@ _PLAIN = (
 """Columns that hold one plain value a row and have a field of the same name."""
 
 
-def sequences_of(chunk: SequenceChunk, table: SequenceTable) -> Iterable[Sequence]:
-    """Yield the rows of a chunk as sequences; each holds copies, so that keeping one does not keep the chunk.
+_ARRAYS = ("joints", "previous_joints", "next_joints", "goal", "gaze", "head", "world_from_canonical")
+"""Fields that are made of columns of numbers."""
+_SHAPES = {
+    "previous_joints": (-1, N_JOINTS, 3),
+    "next_joints": (-1, N_JOINTS, 3),
+    "world_from_canonical": (-1, 4, 4),
+    "goal_location": (-1, 3),
+    "goal_box_world_min": (-1, 3),
+    "goal_box_world_max": (-1, 3),
+}
+"""Shapes of the columns with one vector a row."""
+_FIELDS = (*_PLAIN, *_ARRAYS, "extra")
+
+
+def sequences_of(chunk: SequenceChunk, table: SequenceTable) -> Iterator[Sequence]:
+    """Yield the rows of a chunk as sequences; none that is kept keeps the chunk.
+
+    A sequence takes a copy of a value when it is first asked for it, because most callers look at a few of 35. Those
+    that are still there after the last one, or when the caller stops, take copies of all that is left.
 
     Args:
         chunk: Rows with all columns.
         table: The table that they come from.
     """
-    for row in range(len(chunk)):
-        one = SequenceChunk(chunk.batch.slice(row, 1))
-        plain = {name: one.batch.column(name)[0].as_py() for name in _PLAIN}
-        extra = {pair["key"]: pair["value"] for pair in one.batch.column("extra")[0].as_py() or ()}
-        sequence = Sequence(
-            **plain,
-            joints=_copied(one.joints),
-            previous_joints=_copied(one.poses("previous_joints")[0]),
-            next_joints=_copied(one.poses("next_joints")[0]),
-            goal=_goal(one),
-            gaze=Gaze(
-                _copied(one.frames("gaze_origin")),
-                _copied(one.frames("gaze_direction")),
-                _copied(one.frames("gaze_valid")).astype(bool, copy=False),
-            ),
-            head=_head(one),
-            world_from_canonical=_copied(one.vectors("world_from_canonical").reshape(4, 4)),
-            extra=extra,
-        )
-        object.__setattr__(sequence, "_table", table)  # frozen for everybody else
-        yield sequence
+    rows = _Rows(chunk)
+    given: list[weakref.ref[Sequence]] = []
+    try:
+        for row in range(len(chunk)):
+            sequence = object.__new__(Sequence)
+            sequence.__dict__["_source"] = (rows, row)
+            sequence.__dict__["_table"] = table
+            given.append(weakref.ref(sequence))
+            yield sequence
+            del sequence
+    finally:
+        for reference in given:
+            kept = reference()
+            if kept is not None:
+                kept._take_everything()
+
+
+class _Rows:
+    """The columns of a chunk, each unpacked once when a row is first asked for it."""
+
+    def __init__(self, chunk: SequenceChunk) -> None:
+        self._chunk = chunk
+        self._unpacked: dict[str, Any] = {}
+
+    def value(self, name: str, row: int) -> Any:
+        """Return a copy of what a field of :class:`Sequence` holds in one row."""
+        if name in _PLAIN:
+            return self._column(name, lambda: self._chunk.batch.column(name).to_pylist())[row]
+        if name == "extra":
+            return {pair["key"]: pair["value"] for pair in self._chunk.batch.column("extra")[row].as_py() or ()}
+        if name == "joints":
+            return self._frames(name, row)
+        if name in ("previous_joints", "next_joints", "world_from_canonical"):
+            return self._vector(name, row)
+        if name == "goal":
+            return self._goal(row)
+        if name == "gaze":
+            return Gaze(
+                self._frames("gaze_origin", row), self._frames("gaze_direction", row), self._frames("gaze_valid", row)
+            )
+        return self._head(row)
+
+    def _column(self, name: str, unpack: Callable[[], Any]) -> Any:
+        if name not in self._unpacked:
+            self._unpacked[name] = unpack()
+        return self._unpacked[name]
+
+    def _frames(self, name: str, row: int) -> np.ndarray:
+        values, offsets = self._column(name, lambda: (self._values(name), self._offsets(name)))
+        return _copied(values[offsets[row] : offsets[row + 1]])
+
+    def _values(self, name: str) -> np.ndarray:
+        return self._chunk.joints if name == "joints" else self._chunk.frames(name)
+
+    def _offsets(self, name: str) -> list[int]:
+        """Return the first frame of each row; rows without a value have none."""
+        lengths = self._chunk.batch.column(name).value_lengths().fill_null(0).to_numpy(zero_copy_only=False)
+        return [0, *np.cumsum(lengths).tolist()]
+
+    def _vector(self, name: str, row: int) -> np.ndarray:
+        return _copied(self._column(name, lambda: self._chunk.vectors(name).reshape(_SHAPES[name]))[row])
+
+    def _goal(self, row: int) -> Goal:
+        names = ("goal_location", "goal_box_world_min", "goal_box_world_max", "world_from_canonical")
+        return Goal.of(*(self._vector(name, row) for name in names))
+
+    def _head(self, row: int) -> Head | None:
+        names = ("head_position", "head_rotation")
+        known = self._column("head", lambda: [self._chunk.batch.column(name).is_valid().to_pylist() for name in names])
+        if not all(valid[row] for valid in known):
+            return None
+        return Head(*(self._frames(name, row) for name in names))
 
 
 def _copied(values: np.ndarray) -> np.ndarray:
     return frozen(np.array(values))
-
-
-def _goal(row: SequenceChunk) -> Goal:
-    low = row.vectors("goal_box_world_min")[0]
-    high = row.vectors("goal_box_world_max")[0]
-    corners = np.array(list(itertools.product(*zip(low, high, strict=True))), dtype=np.float64)
-    canonical_from_world = invert_rigid(row.vectors("world_from_canonical").reshape(4, 4))
-    return Goal(
-        _copied(row.vectors("goal_location")[0]),
-        frozen(transform_points(canonical_from_world, corners)),
-        _copied(low),
-        _copied(high),
-    )
-
-
-def _head(row: SequenceChunk) -> Head | None:
-    if row.batch.column("head_position").null_count or row.batch.column("head_rotation").null_count:
-        return None
-    return Head(_copied(row.frames("head_position")), _copied(row.frames("head_rotation")))

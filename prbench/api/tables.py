@@ -13,7 +13,7 @@ from prbench.api.events import Events, Recordings, Story, require_event
 from prbench.api.frames import frame_of, notebook_table
 from prbench.api.pictures import Picture
 from prbench.api.progress import progress
-from prbench.api.rows import read_row, sequence_ids
+from prbench.api.rows import holds, read_place, read_row, row_count, sequence_ids
 from prbench.api.sequences import Sequence, sequences_of
 from prbench.errors import UsageError
 from prbench.sequences import DatasetInfo, SequenceTable
@@ -71,7 +71,7 @@ class Table:
         require_positive(limit=limit)
         if split is None and limit is None:
             return tuple(sequence_ids(self._table))
-        rows = self._table.scalars(split=split)
+        rows = self._table.scalars(split=split, columns=["sequence_id", "recording_id"])
         ids = rows["sequence_id"].to_pylist()
         if limit is None:
             return tuple(ids)
@@ -111,7 +111,7 @@ class Table:
             UsageError: if no sequence fits (names the nearest ids), or several do (names them).
             TableError: if the file is damaged.
         """
-        return next(iter(sequences_of(read_row(self._table, wanted), self._table)))
+        return next(sequences_of(read_row(self._table, wanted), self._table))
 
     @property
     def events(self) -> Events:
@@ -187,15 +187,13 @@ class Table:
         return self.recordings.to_pandas()
 
     def __len__(self) -> int:
-        from prbench.sequences.rows import open_parquet
-
-        return sum(open_parquet(path).metadata.num_rows for path in self._table.part_paths("sequences"))
+        return row_count(self._table)
 
     def __iter__(self) -> Iterator[Sequence]:
         return self.sequences()
 
     def __contains__(self, sequence_id: object) -> bool:
-        return sequence_id in sequence_ids(self._table)
+        return isinstance(sequence_id, str) and holds(self._table, sequence_id)
 
     @overload
     def __getitem__(self, key: int | str) -> Sequence: ...
@@ -204,12 +202,12 @@ class Table:
     def __getitem__(self, key: int | str | slice) -> Sequence | list[Sequence]:
         if isinstance(key, str):
             return self.sequence(key)
-        ids = sequence_ids(self._table)
+        count = len(self)
         if isinstance(key, slice):
-            return [self.sequence(name) for name in ids[key]]
-        if not -len(ids) <= key < len(ids):
-            raise IndexError(f"{self.folder}: expected a number below {len(ids)}, found {key}")
-        return self.sequence(ids[key])
+            return [self[place] for place in range(count)[key]]
+        if not -count <= key < count:
+            raise IndexError(f"{self.folder}: expected a number below {count}, found {key}")
+        return next(sequences_of(read_place(self._table, key % count), self._table))
 
     def __repr__(self) -> str:
         return f"<Table {self.info.title}: {len(self)} sequences, {self.folder}>"
@@ -223,7 +221,7 @@ class Table:
         remarks = [f"licence: {self.info.licence}", f"folder: {self.folder}"]
         if not len(self):
             remarks.insert(0, why_no_sequences(self.info))
-        scalars = self._table.scalars().select(list(_SHOWN_COLUMNS))
+        scalars = self._table.scalars(columns=_SHOWN_COLUMNS)
         if scalars.num_rows > _SHOWN_ROWS:
             remarks.insert(0, f"the first {_SHOWN_ROWS} of {scalars.num_rows} rows; .to_pandas() gives all")
         return notebook_table(title, frame_of(scalars.slice(0, _SHOWN_ROWS)), remarks)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import pyarrow as pa
-
 from prbench.engine import Engine
 from prbench.errors import RunError
 from prbench.evaluation.benchmark import CaseTable, load_benchmark
 from prbench.evaluation.request import RunRequest
 from prbench.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.runs import record as run_record
+from prbench.runs.coded_scores import CodedScores
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import RunRecord
 
 
-def scored_again(run: RunFolder, table: CaseTable, engine: Engine) -> pa.Table:
+def scored_again(run: RunFolder, table: CaseTable, engine: Engine) -> CodedScores:
     """Return the rows of ``scores.parquet`` that the answers of a run have now.
 
     Args:
@@ -35,7 +34,7 @@ def scored_again(run: RunFolder, table: CaseTable, engine: Engine) -> pa.Table:
     cases = benchmark.answerable(request, chosen, record.method)
     condition = benchmark.condition(record.condition)
     work = benchmark.work(request, cases, method=record.method, condition=condition, rules=rules)
-    return pa.concat_tables(work.scores(run.dataset(table.info.dataset), engine)).combine_chunks()
+    return CodedScores.of(work.scores(run.dataset(table.info.dataset), engine))
 
 
 def _request_of(run: RunFolder, table: CaseTable) -> RunRequest:

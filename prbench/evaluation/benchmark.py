@@ -29,6 +29,7 @@ from prbench.manifests import BenchmarkProtocol
 from prbench.methods.groups import MethodGroup
 from prbench.methods.loaded_methods import LoadedMethod, MethodSpec
 from prbench.metrics import MetricInfo
+from prbench.runs.coded_scores import CodedScores
 from prbench.runs.folder import DatasetFolder, RunFolder
 from prbench.runs.predictions import PredictionRows
 from prbench.runs.record import MethodRecord
@@ -182,11 +183,11 @@ class CaseWork(ABC):
             engine: Where to score.
         """
 
-    def write_beside(self, files: DatasetFolder, scores: pa.Table) -> None:
+    def write_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
         """Write the benchmark's own files beside the scores, where it has some."""
         del files, scores
 
-    def require_beside(self, files: DatasetFolder, scores: pa.Table) -> None:
+    def require_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
         """Compare the benchmark's own files with what follows from the scores.
 
         Raises:

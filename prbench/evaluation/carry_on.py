@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 from jaxtyping import Float, Int
 
 from prbench.contract import Condition, Gaze, Motions
 from prbench.errors import UsageError
 from prbench.evaluation.best_of import WITH_GOAL
 from prbench.evaluation.conditions import ConditionSource
-from prbench.evaluation.pairs import Pair, find_pairs
+from prbench.evaluation.pairs import COLUMNS, Pair, find_pairs
 from prbench.evaluation.planning import Selection
 from prbench.rates_of_people import CarriedOn
+from prbench.runs.coded_scores import CodedScores
 from prbench.runs.predictions import Predictions
 from prbench.skeleton import canonical_frame, invert_rigid, transform_points
 
@@ -37,7 +37,7 @@ class Carrying:
     def of(cls, selection: Selection) -> Carrying:
         """Find the pairs of a selection."""
         place = {name: row for row, name in enumerate(selection.sequence_ids)}
-        rows = selection.table.scalars(split=selection.split)
+        rows = selection.table.scalars(split=selection.split, columns=COLUMNS)
         pairs = tuple(pair for pair in find_pairs(rows) if pair.pick in place and pair.put in place)
         parts = [
             chunk.vectors("world_from_canonical").reshape(-1, 4, 4)
@@ -140,7 +140,9 @@ def _placed_points(
     return np.stack([transform_points(place, own.astype(np.float64)) for place, own in rows]).astype(np.float32)
 
 
-def measure_carried(selection: Selection, predictions: Path, scores: pa.Table, *, samples: Sequence[int]) -> CarriedOn:
+def measure_carried(
+    selection: Selection, predictions: Path, scores: CodedScores, *, samples: Sequence[int]
+) -> CarriedOn:
     """Measure the seams of a run, and the scores of its two halves.
 
     Args:
@@ -197,9 +199,7 @@ def _recorded_changes(selection: Selection, picks: frozenset[str]) -> list[float
     return found
 
 
-def _means(scores: pa.Table, halves: Mapping[str, str], half: str) -> dict[str, float]:
-    names = scores["sequence_id"].to_pylist()
-    of_half = np.array([halves.get(name) == half for name in names], dtype=bool)
-    metrics = np.array(scores["metric"].to_pylist(), dtype=object)
-    values = scores["value"].to_numpy()
-    return {name: float(values[of_half & (metrics == name)].mean()) for name in dict.fromkeys(metrics[of_half])}
+def _means(scores: CodedScores, halves: Mapping[str, str], half: str) -> dict[str, float]:
+    own = scores.only(lambda name: halves.get(name) == half)
+    found = dict.fromkeys(own.metric.tolist())
+    return {own.metrics[number]: float(own.value[own.metric == number].mean()) for number in found}

@@ -78,7 +78,7 @@ def retrieved_motions(
 
 
 def _training_rows(table: SequenceTable) -> Selection:
-    if not table.scalars(split=_TRAINING).num_rows:
+    if not table.scalars(split=_TRAINING, columns=["split"]).num_rows:
         raise TableError(
             f"{table.folder}: expected training sequences, which nearest-neighbour retrieves from, found none in split"
             f" '{_TRAINING}'. Build more recordings, or leave this control out."

@@ -34,9 +34,11 @@ class SolidBoxes:
     @cached_property
     def _by_recording(self) -> dict[str, Boxes]:
         rows = self.table.scenes()
-        names = np.array(rows["recording_id"].to_pylist(), dtype=object)
-        solid = is_solid(rows)
-        return {name: _boxes(rows.filter(pa.array(solid & (names == name)))) for name in sorted(set(names[solid]))}
+        solid = np.flatnonzero(is_solid(rows))
+        places: dict[str, list[int]] = {}
+        for name, place in zip(rows["recording_id"].take(pa.array(solid)).to_pylist(), solid.tolist(), strict=True):
+            places.setdefault(name, []).append(place)
+        return {name: _boxes(rows.take(pa.array(places[name]))) for name in sorted(places)}
 
     def around(self, chunk: SequenceChunk) -> Boxes:
         """The solid boxes of each sequence of a chunk with :data:`SCENE_COLUMNS`, in its canonical frame."""

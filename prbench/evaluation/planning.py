@@ -15,6 +15,7 @@ import pyarrow as pa
 from jaxtyping import Int
 
 from prbench.errors import TableError, UsageError
+from prbench.evaluation.pairs import COLUMNS as PAIR_COLUMNS
 from prbench.evaluation.pairs import Pair, require_pairs
 from prbench.methods.motions import native_frames
 from prbench.sequences.chunk import SequenceChunk
@@ -61,11 +62,11 @@ class Selection:
             rows += len(chunk)
             # Windows count chosen rows, not rows of the file, so the layout of the table leaves no trace.
             while rows >= WINDOW:
-                joined = _joined(pending)
-                yield slice(start, start + WINDOW), SequenceChunk(joined.slice(0, WINDOW))
-                start = start + WINDOW
+                window, pending = _parted(pending)
                 rows = rows - WINDOW
-                pending = [joined.slice(WINDOW)]
+                yield slice(start, start + WINDOW), SequenceChunk(window)
+                del window  # before the next one is read
+                start = start + WINDOW
         if rows:
             yield slice(start, start + rows), SequenceChunk(_joined(pending))
 
@@ -118,7 +119,8 @@ def select(table: SequenceTable, *, split: str, limit: int | None, carry_on: boo
         raise UsageError(f"--limit: expected 1 or more sequences, found {limit}.")
     if table.info.why_not_scored is not None:
         raise TableError(f"{table.folder}: cannot be scored: {table.info.why_not_scored}.")
-    rows = table.scalars(split=split)
+    columns = ["sequence_id", "n_frames", "recording_id", "fps"]
+    rows = table.scalars(split=split, columns=list(dict.fromkeys([*columns, *PAIR_COLUMNS])) if carry_on else columns)
     if not rows.num_rows:
         counts = _split_counts(table)
         raise TableError(
@@ -143,7 +145,7 @@ def select(table: SequenceTable, *, split: str, limit: int | None, carry_on: boo
         split,
         tuple(ids),
         n_frames,
-        tuple(rows["recording_id"].to_pylist()),
+        _shared(rows["recording_id"]),
         rates.pop(),
     )
     if carry_on:
@@ -152,6 +154,13 @@ def select(table: SequenceTable, *, split: str, limit: int | None, carry_on: boo
         return everything
     kept = set(by_share(ids, everything.recording_ids)[:limit])
     return everything.chosen(np.array([name in kept for name in ids]))
+
+
+def _shared(column: pa.ChunkedArray) -> tuple[str, ...]:
+    """Return texts of which many are equal; equal ones are one object."""
+    encoded = column.combine_chunks().dictionary_encode()
+    texts = encoded.dictionary.to_pylist()
+    return tuple(texts[place] for place in encoded.indices.to_pylist())
 
 
 def _of_pairs(everything: Selection, pairs: SequenceOf[Pair], limit: int | None) -> Selection:
@@ -208,7 +217,7 @@ def select_sequences(tables: SequenceOf[SequenceTable], wanted: SequenceOf[str],
 
 
 def _split_of_each(table: SequenceTable) -> list[tuple[str, str]]:
-    rows = table.scalars()
+    rows = table.scalars(columns=["sequence_id", "split"])
     return list(zip(rows["sequence_id"].to_pylist(), rows["split"].to_pylist(), strict=True))
 
 
@@ -233,10 +242,18 @@ def plan_digest(sequence_ids: tuple[str, ...], batches: list[Int[np.ndarray, "_"
     return text_digest(*(text_digest(*(sequence_ids[row] for row in batch)) for batch in batches))
 
 
+def _parted(batches: list[pa.RecordBatch]) -> tuple[pa.RecordBatch, list[pa.RecordBatch]]:
+    """Return the first :data:`WINDOW` rows, and the others; these share no memory with the window."""
+    last = batches.pop()
+    within = WINDOW - sum(batch.num_rows for batch in batches)
+    window = _joined([*batches, last.slice(0, within)])
+    return window, [last.slice(within)] if within < last.num_rows else []
+
+
 def _joined(batches: list[pa.RecordBatch]) -> pa.RecordBatch:
     return pa.Table.from_batches(batches).combine_chunks().to_batches()[0]
 
 
 def _split_counts(table: SequenceTable) -> str:
-    splits = table.scalars()["split"].to_pylist()
+    splits = table.scalars(columns=["split"])["split"].to_pylist()
     return ", ".join(f"{name} {splits.count(name)}" for name in SPLITS)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 import pyarrow as pa
+from jaxtyping import Int
 
 from prbench.errors import RunError
 from prbench.evaluation.benchmark import load_benchmark
@@ -17,6 +19,7 @@ from prbench.evaluation.intervals import CONFIDENCE, metric_interval, uncertaint
 from prbench.metrics import MetricInfo
 from prbench.metrics.scoring import LENGTH_MISMATCH
 from prbench.runs import summary as run_summary
+from prbench.runs.coded_scores import CodedScores
 from prbench.runs.folder import DatasetFolder
 from prbench.runs.record import RunRecord, TableRecord
 from prbench.runs.summary import DatasetSummary, MetricSummary
@@ -56,23 +59,20 @@ def require_summary(files: DatasetFolder, made: DatasetSummary, *, grouped: bool
         )
 
 
-def require_scores(files: DatasetFolder, stored: pa.Table, made: pa.Table) -> None:
+def require_scores(files: DatasetFolder, stored: CodedScores, made: CodedScores) -> None:
     """Compare ``scores.parquet`` with what the motions score now.
 
     Raises:
         RunError: naming the first row that differs.
     """
     # Keys first: values can only be compared where both tables hold the same rows.
-    if not stored.select(_KEYS).equals(made.select(_KEYS)):
-        pairs = zip(*(zip(*table.select(_KEYS).to_pydict().values()) for table in (stored, made)))
-        common = min(stored.num_rows, made.num_rows)
-        row = next((number for number, (found, expected) in enumerate(pairs) if found != expected), common)
+    if (row := _first_other_key(stored, made)) is not None:
         raise RunError(
             f"{files.scores}, row {row}: expected {_row(made, row)} from the motions and their table, found"
-            f" {_row(stored, row)} ({made.num_rows} and {stored.num_rows} rows). The file was edited. {_AGAIN}"
+            f" {_row(stored, row)} ({len(made)} and {len(stored)} rows). The file was edited. {_AGAIN}"
         )
-    expected = made["value"].to_numpy()
-    found = stored["value"].to_numpy()
+    expected = made.value
+    found = stored.value
     # Written as "not within", so that NaN counts as different.
     wrong = np.flatnonzero(~(np.abs(found - expected) <= _VALUES_WITHIN * np.maximum(np.abs(expected), 1.0)))
     if wrong.size:
@@ -84,10 +84,26 @@ def require_scores(files: DatasetFolder, stored: pa.Table, made: pa.Table) -> No
         )
 
 
-def _row(table: pa.Table, row: int) -> str:
-    if row >= table.num_rows:
+def _first_other_key(stored: CodedScores, made: CodedScores) -> int | None:
+    """Return the first row of which two scores differ in sequence, sample, metric or flag; None without any."""
+    start = 0
+    for expected, found in itertools.zip_longest(made.pieces(), stored.pieces()):
+        if expected is None or found is None:
+            return start
+        keys = [table.select(_KEYS) for table in (found, expected)]
+        if not keys[0].equals(keys[1]):
+            rows = zip(*(table.to_pylist() for table in keys))
+            common = min(table.num_rows for table in keys)
+            return start + next((number for number, (one, other) in enumerate(rows) if one != other), common)
+        start += expected.num_rows
+    return None
+
+
+def _row(scores: CodedScores, row: int) -> str:
+    if row >= len(scores):
         return "no row"
-    sequence_id, sample, metric, flag = (table[name][row].as_py() for name in _KEYS)
+    key = scores.long_form(slice(row, row + 1)).to_pylist()[0]
+    sequence_id, sample, metric, flag = (key[name] for name in _KEYS)
     return f"{sequence_id}, sample {sample}, {metric}{f', {flag}' if flag else ''}"
 
 
@@ -154,14 +170,14 @@ class ScoredSet:
     """Every put starts where the generated pick before it ends."""
 
 
-def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
+def summarise(scores: CodedScores | pa.Table, scored: ScoredSet) -> DatasetSummary:
     """``summary.json`` of one dataset.
 
     Args:
         scores: Rows of ``scores.parquet``.
         scored: What they are of.
     """
-    metrics = _metrics(scores, scored)
+    metrics = _metrics(CodedScores.of([scores]) if isinstance(scores, pa.Table) else scores, scored)
     mismatched = max((metric.flags.get(LENGTH_MISMATCH, 0) for metric in metrics), default=0)
     return DatasetSummary(
         dataset=scored.info.dataset,
@@ -186,7 +202,7 @@ def summarise(scores: pa.Table, scored: ScoredSet) -> DatasetSummary:
 
 
 def summary_of(
-    record: RunRecord, table: TableRecord, scores: pa.Table, recording_of: Mapping[str, str]
+    record: RunRecord, table: TableRecord, scores: CodedScores | pa.Table, recording_of: Mapping[str, str]
 ) -> DatasetSummary:
     """Make ``summary.json`` anew from ``run.json``, the scores and the recording of each case."""
     return summarise(
@@ -214,25 +230,41 @@ def _titled(title: str, *, synthetic: bool) -> str:
     return f"{title} (synthetic)" if synthetic and "synthetic" not in title.lower() else title
 
 
-def _metrics(scores: pa.Table, scored: ScoredSet) -> tuple[MetricSummary, ...]:
-    names = np.array(scores["metric"].to_pylist(), dtype=object)
-    present = set(names)
+def _metrics(scores: CodedScores, scored: ScoredSet) -> tuple[MetricSummary, ...]:
     ranked = sum(info.main and info.ranked for info in scored.metrics)
+    # Numbers in the order of the names take the place of the names, which are sorted many times.
+    sequences = _ranks(scores.sequence_ids)
+    recordings = _ranks([scored.recording_of[name] for name in scores.sequence_ids])
     return tuple(
-        _summarised(info, scores.take(pa.array(np.flatnonzero(names == info.id))), scored.recording_of, ranked)
+        _summarised(info, scores, scores.rows_of(info.id), sequences, recordings, ranked)
         for info in scored.metrics
-        if info.id in present
+        if info.id in scores.metrics
     )
 
 
-def _summarised(info: MetricInfo, rows: pa.Table, recording_of: Mapping[str, str], ranked: int) -> MetricSummary:
-    sequence_ids = rows["sequence_id"].to_pylist()
-    recording_ids = [recording_of[name] for name in sequence_ids]
-    values = rows["value"].to_numpy()
+def _ranks(names: Sequence[str]) -> Int[np.ndarray, " names"]:
+    """Return the place of each name among the different names, sorted."""
+    if all(first < second for first, second in itertools.pairwise(names)):
+        return np.arange(len(names))
+    place = {name: number for number, name in enumerate(sorted(set(names)))}
+    return np.array([place[name] for name in names], dtype=np.int64)
+
+
+def _summarised(
+    info: MetricInfo,
+    scores: CodedScores,
+    rows: Int[np.ndarray, " rows"],
+    sequences: Int[np.ndarray, " sequences"],
+    recordings: Int[np.ndarray, " sequences"],
+    ranked: int,
+) -> MetricSummary:
+    sequence_ids = sequences[scores.sequence[rows]]
+    recording_ids = recordings[scores.sequence[rows]]
+    values = scores.value[rows]
     estimate = metric_interval(info, values, recording_ids, sequence_ids)
     sources = uncertainty_sources(values, recording_ids, sequence_ids)
     shares = {"recordings": sources.recordings, "sequences": sources.sequences, "samples": sources.samples}
-    flags = Counter(flag for text in rows["flag"].to_pylist() if text for flag in text.split(";"))
+    flags = _counted_flags(scores, rows)
     return MetricSummary(
         metric=info.id,
         title=info.title,
@@ -249,3 +281,13 @@ def _summarised(info: MetricInfo, rows: pa.Table, recording_of: Mapping[str, str
         detectable=smallest_detectable_unpaired(values, recording_ids, sequence_ids, comparisons=ranked),
         uncertainty={name: round(share, 4) for name, share in shares.items()},
     )
+
+
+def _counted_flags(scores: CodedScores, rows: Int[np.ndarray, " rows"]) -> Counter[str]:
+    """Count the rows that carry each flag; a row may carry several."""
+    found: Counter[str] = Counter()
+    flag = scores.flag[rows]
+    for number, count in enumerate(np.bincount(flag[flag >= 0], minlength=len(scores.flags)).tolist()):
+        for name in scores.flags[number].split(";") if count and scores.flags[number] else ():
+            found[name] += count
+    return found

@@ -27,10 +27,11 @@ from prbench.evaluation.request import Progress, ProgressCallback, RunRequest, r
 from prbench.evaluation.results import require_scores, require_summary, summary_of
 from prbench.locks import sole_writer
 from prbench.methods.loaded_methods import forget_loaded_methods, unload_method
+from prbench.runs.coded_scores import CodedScores
 from prbench.runs.cost import read_batch_costs, total_cost
 from prbench.runs.folder import DatasetFolder, RunFolder
 from prbench.runs.record import PACKAGE
-from prbench.runs.scores import read_scores, write_scores
+from prbench.runs.scores import write_scores
 from prbench.runs.summary import DatasetSummary
 from prbench.sequences.redistribution import run_notice
 from prbench.storage import remove_half_written, write_text
@@ -220,8 +221,8 @@ class RunPart:
         files = self.files
         work = self.dataset.work
         if files.finished and files.has_scores():
-            stored = read_scores(files.scores)
-            require_scores(files, stored, pa.concat_tables(self._scores()))
+            stored = CodedScores.read(files.scores)
+            require_scores(files, stored, CodedScores.of(self._scores()))
             require_summary(files, self._summary(stored))
             work.require_beside(files, stored)
         else:
@@ -229,14 +230,14 @@ class RunPart:
             measured = files.batch_costs()
             if measured or not files.cost.is_file():  # else only scores were lost, and what was measured still holds
                 total_cost(read_batch_costs(measured), batches=len(self.plan)).write(files.cost)
-            stored = read_scores(files.scores)
+            stored = CodedScores.read(files.scores)
             work.write_beside(files, stored)
             # The summary comes last: where it stands, everything else does.
             self._summary(stored).write(files.path)
         files.forget_batch_costs()
         return DatasetSummary.read(files.path)
 
-    def _summary(self, scores: pa.Table) -> DatasetSummary:
+    def _summary(self, scores: CodedScores) -> DatasetSummary:
         record = self.prepared.record
         table = next(table for table in record.tables if table.dataset == self.dataset.name)
         cases = self.dataset.cases

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -112,7 +112,7 @@ def score_selection(
         PredictionsError: if a motion has another length than the recorded one, or NaN; names sequence and frame.
     """
     opened = Predictions.open(predictions) if isinstance(predictions, Path) else predictions
-    opened.make_ready()
+    opened.make_ready(_asked_together(selection, opened, rules))
     if len(selection) <= WINDOW:
         # One window gains nothing from workers, whose start takes longer than a few hundred sequences.
         engine = InProcess()
@@ -154,15 +154,31 @@ def score_recorded(
     return {name: np.concatenate([part[name] for part in parts]) for name in wanted}, np.concatenate(goals)
 
 
+def _asked_together(selection: Selection, predictions: Predictions, rules: ScoringRules) -> Iterator[Sequence[str]]:
+    """Yield the ids of each window as the predictions have them."""
+    names_of = _namer(selection, predictions, rules)
+    for start in range(0, len(selection), WINDOW):
+        yield names_of(selection.sequence_ids[start : start + WINDOW])
+
+
+def _namer(
+    selection: Selection, predictions: Predictions, rules: ScoringRules
+) -> Callable[[Sequence[str]], Sequence[str]]:
+    """Return what turns ids of sequences into those that the predictions have."""
+    if predictions.id_column != "opaque_id":
+        return lambda names: names
+    salt = run_salt(rules.id_seed, selection.table.identity)
+    return lambda names: opaque_ids(names, salt)
+
+
 def _windows(
     selection: Selection, predictions: Predictions, samples: tuple[int, ...], rules: ScoringRules
 ) -> Iterator[_Window]:
-    opaque = predictions.id_column == "opaque_id"
-    salt = run_salt(rules.id_seed, selection.table.identity) if opaque else b""
+    names_of = _namer(selection, predictions, rules)
     scene = SolidBoxes.of(selection.table)
     columns = COLUMNS + (_GAZE_COLUMNS if rules.recorded_motion else []) + (SCENE_COLUMNS if scene else [])
     for place, chunk in selection.windows(columns):
-        names = opaque_ids(chunk.sequence_ids, salt) if opaque else chunk.sequence_ids
+        names = names_of(chunk.sequence_ids)
         goals = chunk.vectors("goal_location") if rules.other_goals is None else rules.other_goals[place]
         dataset = selection.table.info.dataset
         boxes = scene.around(chunk) if scene else None

@@ -6,15 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow.compute as pc
 
 from prbench.errors import RunError
 from prbench.evaluation.benchmark import Benchmark, load_benchmark
 from prbench.evaluation.comparisons import Comparison, PairedValues, compare
 from prbench.metrics import MetricInfo
+from prbench.runs.coded_scores import CodedScores
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import TableRecord
-from prbench.runs.scores import read_scores
 from prbench.submitted.verification import RunChecker
 
 
@@ -99,7 +98,7 @@ def _common_sequences(first: RunFolder, second: RunFolder, dataset: str) -> froz
     tables = [_table_of(run, dataset) for run in (first, second)]
     if not any(table.unsupported for table in tables) or len({table.selection_digest for table in tables}) > 1:
         return None
-    scored = [set(read_scores(run.dataset(dataset).scores)["sequence_id"].to_pylist()) for run in (first, second)]
+    scored = [set(CodedScores.read(run.dataset(dataset).scores).sequence_ids) for run in (first, second)]
     common = frozenset(scored[0] & scored[1])
     if not common:
         raise RunError(f"{first.path} and {second.path}: there is no sequence of {dataset} that both generated.")
@@ -164,18 +163,25 @@ def sequence_scores(path: Path, benchmark: Benchmark, *, only: frozenset[str] | 
     Raises:
         RunError: if the file is missing or damaged.
     """
-    # Several samples of a sequence are averaged first: they are no further sequences.
-    scores = read_scores(path)
+    scores = CodedScores.read(path)
     if only is not None:
-        scores = scores.filter(pc.field("sequence_id").isin(sorted(only)))
-    means = scores.group_by(["sequence_id", "metric"]).aggregate([("value", "mean")])
+        scores = scores.only(only.__contains__)
+    everything = sorted(scores.sequence_ids)
+    place_of = {name: place for place, name in enumerate(everything)}
+    places = np.array([place_of[name] for name in scores.sequence_ids], dtype=np.int64)
     names: dict[str, list[str]] = {}
     values: dict[str, np.ndarray] = {}
     for metric in (info.id for info in benchmark.main_metrics):
-        rows = means.filter(pc.field("metric") == metric).sort_by("sequence_id")
-        if rows.num_rows:
-            names[metric] = rows["sequence_id"].to_pylist()
-            values[metric] = np.asarray(rows["value_mean"])
+        rows = scores.rows_of(metric)
+        if rows.size:
+            # Several samples of a sequence are averaged first: they are no further sequences.
+            place = places[scores.sequence[rows]]
+            counts = np.bincount(place, minlength=len(everything))
+            sums = np.bincount(place, weights=scores.value[rows], minlength=len(everything))
+            there = np.flatnonzero(counts)
+            # One list for all metrics that all sequences have.
+            names[metric] = everything if len(there) == len(everything) else [everything[i] for i in there]
+            values[metric] = sums[there] / counts[there]
     return SequenceScores(names, values)
 
 

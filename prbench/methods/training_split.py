@@ -44,13 +44,13 @@ class TrainingSplit(SequenceTable):
         """
         return super().chunks(split=_of_training(split), columns=columns, ids=ids, rows=rows)
 
-    def scalars(self, *, split: str | None = None) -> pa.Table:
+    def scalars(self, *, split: str | None = None, columns: Sequence[str] | None = None) -> pa.Table:
         """Short values of the training rows.
 
         Raises:
             AdapterError: if another split is asked for.
         """
-        return super().scalars(split=_of_training(split))
+        return super().scalars(split=_of_training(split), columns=columns)
 
     def events(self) -> pa.Table:
         """Return the events of the training recordings; the others would tell where the goals of test rows are."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import pyarrow as pa
@@ -11,7 +12,7 @@ import pyarrow.parquet as pq
 
 from prbench.boundary import foreign_input
 from prbench.errors import RunError
-from prbench.parquet_files import read_parquet
+from prbench.parquet_files import open_parquet
 from prbench.shown import quoted
 from prbench.skeleton import N_JOINTS
 from prbench.storage import atomic_path
@@ -58,14 +59,28 @@ def write_scores(path: Path, tables: Iterable[pa.Table]) -> None:
     Raises:
         StorageError: if the disk is full or the folder cannot be written.
     """
+    with _writer(path) as (writer, schema):
+        for table in tables:
+            writer.write_table(table.cast(schema))
+
+
+def write_scores_together(path: Path, pieces: Iterable[pa.Table]) -> None:
+    """Write the long form in row groups of a million rows, however it comes in pieces; see :func:`write_scores`."""
+    with _writer(path) as (writer, schema):
+        for piece in pieces:
+            for batch in piece.cast(schema).to_batches():
+                writer.write_batch(batch)
+
+
+@contextlib.contextmanager
+def _writer(path: Path) -> Iterator[tuple[pq.ParquetWriter, pa.Schema]]:
     schema = SCORES.with_metadata({"prbench_run_schema_version": str(RUN_SCHEMA_VERSION)})
     with (
         atomic_path(path) as temporary,
         open(temporary, "wb") as file,
         pq.ParquetWriter(file, schema, compression="zstd", use_dictionary=True) as writer,
     ):
-        for table in tables:
-            writer.write_table(table.cast(schema))
+        yield writer, schema
 
 
 @foreign_input()
@@ -75,22 +90,38 @@ def read_scores(path: Path) -> pa.Table:
     Raises:
         RunError: if the file is missing, damaged, or has other columns.
     """
+    with open_scores(path) as file:
+        table = file.read()
+    # Repeated rows would enter a mean twice.
+    keys = table.group_by(["dataset", "sequence_id", "sample", "metric"]).aggregate([([], "count_all")])
+    if len(keys) < len(table):
+        raise repeated_row(path, keys.filter(pc.field("count_all") > 1).slice(0, 1).to_pylist()[0])
+    return table
+
+
+@contextlib.contextmanager
+def open_scores(path: Path) -> Iterator[pq.ParquetFile]:
+    """Open the long form, to be read while the block runs.
+
+    Raises:
+        RunError: if the file is missing, damaged, or has other columns.
+    """
     try:
-        table = read_parquet(path)
+        file = open_parquet(path)
+        columns = file.schema_arrow
+        if columns.equals(SCORES, check_metadata=False):
+            yield file
+            return
     except FileNotFoundError as error:
         raise RunError(
             f"{path}: expected the scores of a run, found no file. Run the method again: it resumes."
         ) from error
     except (pa.ArrowInvalid, OSError) as error:
         raise RunError(f"{path}: not a readable Parquet file ({error}).") from error
-    if not table.schema.equals(SCORES, check_metadata=False):
-        raise RunError(
-            f"{path}: expected the columns {', '.join(SCORES.names)}, found {', '.join(table.column_names)}."
-        )
-    # Repeated rows would enter a mean twice.
-    keys = table.group_by(["dataset", "sequence_id", "sample", "metric"]).aggregate([([], "count_all")])
-    if len(keys) < len(table):
-        row = keys.filter(pc.field("count_all") > 1).slice(0, 1).to_pylist()[0]
-        name = f"{row['dataset']}, {row['sequence_id']}, sample {row['sample']}, {row['metric']}"
-        raise RunError(f"{path}: expected one value for each sequence, sample and metric, found more: {quoted(name)}.")
-    return table
+    raise RunError(f"{path}: expected the columns {', '.join(SCORES.names)}, found {', '.join(columns.names)}.")
+
+
+def repeated_row(path: Path, row: Mapping[str, object]) -> RunError:
+    """Return the error of a file that scores one motion twice under one metric."""
+    name = f"{row['dataset']}, {row['sequence_id']}, sample {row['sample']}, {row['metric']}"
+    return RunError(f"{path}: expected one value for each sequence, sample and metric, found more: {quoted(name)}.")

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from prbench.errors import TableError
 from prbench.sequences.schema import SEQUENCES, SEQUENCES_VERSION
@@ -31,11 +32,29 @@ def identity_digest(
     sequence_ids: list[str], splits: list[str], actions: list[str], n_frames: Iterable[int], *, protocol_version: int
 ) -> str:
     """Digest what two laboratories with the same licensed data share: sorted ids with split, action and length."""
+    columns = [pa.array(list(column), pa.string()) for column in (sequence_ids, splits, actions, map(str, n_frames))]
+    rows = pa.Table.from_arrays(columns, ["sequence_id", "split", "action", "n_frames"])
+    return identity_of_rows(rows, protocol_version=protocol_version)
+
+
+def identity_of_rows(rows: pa.Table, *, protocol_version: int) -> str:
+    """Return :func:`identity_digest` of rows with its four columns, in its order."""
     digest = hashlib.sha256(f"prbench schema {SEQUENCES_VERSION} protocol {protocol_version}\n".encode())
-    # Sorted: two laboratories may have built the same rows in another order.
-    for row in sorted(zip(sequence_ids, splits, actions, (str(n) for n in n_frames))):
+    ids = rows.column(0)
+    in_order: Iterable[tuple] = _tuples(rows)
+    # Sorted: two laboratories may have built the same rows in another order. A table is sorted already, so its rows
+    # need not all become Python's objects.
+    if not pc.all(pc.less(ids.slice(0, max(len(ids) - 1, 0)), ids.slice(1))).as_py():
+        in_order = sorted(in_order)
+    for row in in_order:
         digest.update("\t".join(row).encode() + b"\n")
     return digest.hexdigest()
+
+
+def _tuples(rows: pa.Table) -> Iterator[tuple[str, ...]]:
+    for batch in rows.to_batches(max_chunksize=1024):
+        *texts, numbers = (column.to_pylist() for column in batch.columns)
+        yield from zip(*texts, map(str, numbers))
 
 
 class RowDigests:
@@ -48,19 +67,21 @@ class RowDigests:
 
     def __init__(self, columns: SequenceOf[str], identity_columns: SequenceOf[str]) -> None:
         self.content = ContentDigest(columns)
-        self._identifying: dict[str, list] = {name: [] for name in identity_columns}
+        self._identity_columns = list(identity_columns)
+        self._identifying: list[pa.RecordBatch] = []
 
     def pass_on(self, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
         """Yield the batches unchanged; the digests are those of what was taken so far."""
         for batch in batches:
             self.content.update(batch)
-            for name, values in self._identifying.items():
-                values.extend(batch.column(name).to_pylist())
+            self._identifying.append(batch.select(self._identity_columns))
             yield batch
 
     def identity(self, protocol_version: int) -> str:
         """The identity digest of all rows that were passed on."""
-        return identity_digest(*self._identifying.values(), protocol_version=protocol_version)
+        if not self._identifying:
+            return identity_digest([], [], [], [], protocol_version=protocol_version)
+        return identity_of_rows(pa.Table.from_batches(self._identifying), protocol_version=protocol_version)
 
 
 class ContentDigest:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
 from pathlib import Path
 
@@ -51,17 +52,48 @@ def stream_chunks(
     """
     needed = [name for name, chosen in (("split", split), ("sequence_id", ids)) if chosen is not None]
     read = list(dict.fromkeys([*columns, *needed]))
-    of_split = pa.array([split], type=pa.string())
-    known = pa.array(sorted(ids or ()), type=pa.string())
+    wanted: dict[str, list[str]] = {}
+    if split is not None:
+        wanted["split"] = [split]
+    if ids is not None:
+        wanted["sequence_id"] = sorted(ids)
     for path in paths:
         with naming(path):
-            for batch in open_parquet(path).iter_batches(batch_size=rows, columns=read):
+            file = open_parquet(path)
+            groups = groups_that_may_hold(file.metadata, wanted)
+            for batch in file.iter_batches(batch_size=rows, row_groups=groups, columns=read):
                 if split is not None:
-                    batch = _kept(batch, "split", of_split)
+                    batch = _kept(batch, pc.equal(batch.column("split"), split))
                 if ids is not None:
-                    batch = _kept(batch, "sequence_id", known)
+                    # Not Arrow's is_in, which builds its table of all ids anew for every batch.
+                    batch = _kept(batch, pa.array([name in ids for name in batch.column("sequence_id").to_pylist()]))
                 if batch.num_rows:
                     yield SequenceChunk(batch.select(columns))
+
+
+def groups_that_may_hold(metadata: pq.FileMetaData, wanted: Mapping[str, SequenceOf[str]]) -> list[int]:
+    """Return the numbers of the row groups that may hold wanted rows, as the footer of a Parquet file tells.
+
+    Args:
+        metadata: The footer. It holds the smallest and the largest text of each column of every row group.
+        wanted: Maps names of text columns to sorted values; a row is wanted if it has one of them in each column.
+    """
+    paths = [metadata.schema.column(place).path for place in range(metadata.num_columns)]
+    places = {paths.index(name): values for name, values in wanted.items() if name in paths}
+    return [
+        number
+        for number in range(metadata.num_row_groups)
+        if all(_may_hold(metadata.row_group(number).column(place), values) for place, values in places.items())
+    ]
+
+
+def _may_hold(column: pq.ColumnChunkMetaData, values: SequenceOf[str]) -> bool:
+    """Return False where no value lies between the smallest and the largest text; a file may lack these."""
+    statistics = column.statistics
+    if statistics is None or not statistics.has_min_max or not isinstance(statistics.min, str):
+        return True
+    place = bisect_left(values, statistics.min)
+    return place < len(values) and values[place] <= statistics.max
 
 
 @contextlib.contextmanager
@@ -113,9 +145,29 @@ def require_distinct(ids: SequenceOf[str], where: Path | str) -> None:
         )
 
 
-def _kept(batch: pa.RecordBatch, column: str, values: pa.Array) -> pa.RecordBatch:
-    """The rows whose ``column`` is one of ``values``; without a copy where these are all."""
-    wanted = pc.call_function("is_in", [batch.column(column)], pc.SetLookupOptions(values))
+def require_distinct_rows(paths: SequenceOf[Path], column: str, where: Path | str) -> None:
+    """Refuse rows of one id in a column of Parquet files; sorted rows are looked at a batch at a time.
+
+    Raises:
+        TableError: naming the first repeated id, or the file that is missing or damaged.
+    """
+    last = ""
+    for name in _texts(paths, column):
+        if name <= last:  # not sorted, so that any two rows have to be compared
+            require_distinct(list(_texts(paths, column)), where)
+            return
+        last = name
+
+
+def _texts(paths: SequenceOf[Path], column: str) -> Iterator[str]:
+    for path in paths:
+        with naming(path):
+            for batch in open_parquet(path).iter_batches(batch_size=1024, columns=[column]):
+                yield from batch.column(0).to_pylist()
+
+
+def _kept(batch: pa.RecordBatch, wanted: pa.BooleanArray) -> pa.RecordBatch:
+    """The wanted rows; without a copy where these are all."""
     return batch if wanted.true_count == len(wanted) else batch.filter(wanted)
 
 

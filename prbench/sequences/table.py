@@ -20,13 +20,14 @@ from prbench.errors import TableError, UsageError
 from prbench.own_protocol import DescribedTable
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.dataset_info import DatasetInfo, Provenance
-from prbench.sequences.digests import ContentDigest, identity_digest, require_unchanged
+from prbench.sequences.digests import ContentDigest, identity_of_rows, require_unchanged
 from prbench.sequences.rows import (
     is_bulky,
     naming,
     open_parquet,
     read_parquet,
     require_distinct,
+    require_distinct_rows,
     stream_chunks,
     table_parts,
 )
@@ -53,7 +54,7 @@ class BuiltTable(Generic[Info]):
     optional: ClassVar[Mapping[str, pa.Schema]] = {}
     """Columns of the tables that not every folder has."""
     identity_columns: ClassVar[tuple[str, ...]]
-    """Columns of the main table that make its identity, in the order of :func:`identity_digest`."""
+    """Columns of the main table that make its identity (:func:`prbench.sequences.digests.identity_of_rows`)."""
     check: ClassVar[Callable[..., None]]
     """Refuses a file with other columns, or of an unknown version."""
 
@@ -102,13 +103,19 @@ class BuiltTable(Generic[Info]):
         return stream_chunks(self.part_paths(self.main), wanted, split=split, ids=ids, rows=rows)
 
     @foreign_input()
-    def scalars(self, *, split: str | None = None) -> pa.Table:
-        """Read all columns of the main table that hold one short value a row (no per-frame values, no poses)."""
-        names = [field.name for field in self.schemas[self.main] if self._is_short(field)]
-        table = pa.concat_tables(read_parquet(path, names) for path in self.part_paths(self.main))
+    def scalars(self, *, split: str | None = None, columns: SequenceOf[str] | None = None) -> pa.Table:
+        """Read the columns of the main table that hold one short value a row (no per-frame values, no poses).
+
+        Args:
+            split: Only this split.
+            columns: Only these columns; all by default, which takes 1 kB a row.
+        """
+        names = list(columns or (field.name for field in self.schemas[self.main] if self._is_short(field)))
+        read = list(dict.fromkeys([*names, "split"] if split is not None else names))
+        table = pa.concat_tables(read_parquet(path, read) for path in self.part_paths(self.main))
         if split is not None:
             table = table.filter(pc.field("split") == split)
-        return table.combine_chunks()
+        return table.select(names).combine_chunks()
 
     def _is_short(self, field: pa.Field) -> bool:
         return not is_bulky(field.type)
@@ -120,9 +127,8 @@ class BuiltTable(Generic[Info]):
 
     def identity_under(self, protocol_version: int) -> str:
         """Return the identity digest that these rows have in a table of that version of the protocol."""
-        rows = self.scalars()
-        columns = (rows[name].to_pylist() for name in self.identity_columns)
-        return identity_digest(*columns, protocol_version=protocol_version)
+        rows = self.scalars(columns=self.identity_columns)
+        return identity_of_rows(rows.select(self.identity_columns), protocol_version=protocol_version)
 
     @cached_property
     def content(self) -> str:
@@ -179,9 +185,7 @@ class SequenceTable(BuiltTable[DatasetInfo]):
             check_schema(open_parquet(path).schema_arrow, SEQUENCES, source=str(path))
         # Before ids are read: a damaged file is reported as such, not as a wrong id.
         table.require_unchanged()
-        paths = table.part_paths("sequences")
-        ids = [name for path in paths for name in read_parquet(path, ["sequence_id"])["sequence_id"].to_pylist()]
-        require_distinct(ids, f"{folder}, sequences")
+        require_distinct_rows(table.part_paths("sequences"), "sequence_id", f"{folder}, sequences")
         return table
 
     def with_sequences(self) -> SequenceTable:

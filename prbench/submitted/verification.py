@@ -12,8 +12,6 @@ from dataclasses import dataclass, field
 
 import msgspec
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError
@@ -21,9 +19,9 @@ from prbench.evaluation.again import scored_again
 from prbench.evaluation.agreement import agreement_with_people, require_agreement
 from prbench.evaluation.benchmark import CaseTable, load_benchmark
 from prbench.evaluation.results import require_scores, require_summary, summary_of
+from prbench.runs.coded_scores import CodedScores
 from prbench.runs.folder import RunFolder
 from prbench.runs.record import RunRecord, TableRecord
-from prbench.runs.scores import read_scores
 from prbench.runs.summary import DatasetSummary
 from prbench.sequences import SequenceTable
 from prbench.shown import quoted
@@ -66,8 +64,7 @@ class ScoredSequences:
         Args:
             ids: Sequences that were scored.
         """
-        scores = read_scores(self.run.dataset(self.record.dataset).scores)
-        kept = scores.filter(pc.field("sequence_id").isin(sorted(ids)))
+        kept = CodedScores.read(self.run.dataset(self.record.dataset).scores).only(ids.__contains__)
         record = msgspec.structs.replace(self.record, sequences=len(ids), unsupported=0)
         return summary_of(self.run.record, record, kept, {name: self.recording_of[name] for name in ids})
 
@@ -88,7 +85,7 @@ class RunChecker:
                 file and the first value that differs.
         """
         files = run.dataset(record.dataset)
-        scores = read_scores(files.scores)
+        scores = CodedScores.read(files.scores)
         table = self.find_table(record)
         recording_of, grouped = _recordings_of(run.record, scores, table)
         made = _require_summary_of(run, record, scores, recording_of, grouped=grouped)
@@ -106,9 +103,9 @@ class RunChecker:
         return CheckedSummary(made, "", scored)
 
 
-def _recordings_of(record: RunRecord, scores: pa.Table, table: CaseTable | None) -> tuple[dict[str, str], bool]:
+def _recordings_of(record: RunRecord, scores: CodedScores, table: CaseTable | None) -> tuple[dict[str, str], bool]:
     """Map each sequence that was scored to its recording; False where nothing says which ones belong together."""
-    names = sorted(set(scores["sequence_id"].to_pylist()))
+    names = sorted(scores.sequence_ids)
     benchmark = load_benchmark(record.benchmark)
     if table is None:
         # Without the table, ids tell which recording a sequence is of, and so which intervals follow.
@@ -119,7 +116,7 @@ def _recordings_of(record: RunRecord, scores: pa.Table, table: CaseTable | None)
 
 
 def _require_summary_of(
-    run: RunFolder, record: TableRecord, scores: pa.Table, recording_of: Mapping[str, str], *, grouped: bool
+    run: RunFolder, record: TableRecord, scores: CodedScores, recording_of: Mapping[str, str], *, grouped: bool
 ) -> DatasetSummary:
     """The summary that follows from the scores; the stored one where nothing says which sequences belong together."""
     files = run.dataset(record.dataset)
@@ -128,7 +125,7 @@ def _require_summary_of(
     return made if grouped else DatasetSummary.read(files.path)
 
 
-def _require_agreement_of(run: RunFolder, scores: pa.Table, table: CaseTable | None) -> None:
+def _require_agreement_of(run: RunFolder, scores: CodedScores, table: CaseTable | None) -> None:
     """Compare the agreement with recorded people with what follows from the scores, where the table is at hand.
 
     Raises:
@@ -141,7 +138,7 @@ def _require_agreement_of(run: RunFolder, scores: pa.Table, table: CaseTable | N
         return
     files = run.dataset(table.info.dataset)
     selection = scored_sequences(run, table)
-    scored = frozenset(scores["sequence_id"].to_pylist())
+    scored = frozenset(scores.sequence_ids)
     unknown = sorted(scored - frozenset(selection.sequence_ids))
     if unknown:
         raise RunError(f"{files.scores}: expected sequences that the run was made on, found {quoted(unknown[0])}.")

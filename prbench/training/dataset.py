@@ -220,7 +220,7 @@ def _filled_parts(table: Table, split: str) -> list[str]:
     parts = parts_of(split)
     if len(parts) == 1:
         return list(parts)
-    present = set(table.scalars()["split"].to_pylist())
+    present = set(table.scalars(columns=["split"])["split"].to_pylist())
     return [part for part in parts if part in present]
 
 

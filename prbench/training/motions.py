@@ -167,7 +167,7 @@ def frame_rate(table: Table, split: str) -> float:
     Raises:
         TableError: if the split has no rows, or rows of several rates.
     """
-    scalars = table.scalars()
+    scalars = table.scalars(columns=["split", "fps"])
     splits = np.array(scalars["split"].to_pylist())
     rates = np.unique(scalars["fps"].to_numpy()[np.isin(splits, parts_of(split))])
     if not len(rates):
@@ -183,7 +183,7 @@ def frame_rate(table: Table, split: str) -> float:
 
 def holds_mirrored(table: Table) -> bool:
     """Return True for a corpus that brings mirrored copies of its own."""
-    return isinstance(table, CorpusTable) and bool(np.any(table.scalars()["mirrored"].to_numpy()))
+    return isinstance(table, CorpusTable) and bool(np.any(table.scalars(columns=["mirrored"])["mirrored"].to_numpy()))
 
 
 def _rows(chunk: SequenceChunk, *, corpus: bool) -> list[Row]:

@@ -75,7 +75,7 @@ def table_records(tables: Iterable[SequenceTable | CorpusTable], *, split: str) 
             licence=table.info.licence,
             identity_digest=table.info.identity_digest,
             content_digest=table.info.content_digest,
-            sequences=sum(table.scalars(split=part).num_rows for part in parts_of(split)),
+            sequences=sum(table.scalars(split=part, columns=["split"]).num_rows for part in parts_of(split)),
             fold=table.info.options.get(OPTION) if isinstance(table, SequenceTable) else None,
         )
         for table in tables

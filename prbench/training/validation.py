@@ -71,7 +71,7 @@ class Validation:
         wanted = configuration.validation
         if not wanted.every:
             return None
-        usable = [table for table in tables if table.scalars(split=_SPLIT).num_rows]
+        usable = [table for table in tables if table.scalars(split=_SPLIT, columns=["split"]).num_rows]
         if not usable:
             raise UsageError(
                 "no table has sequences in split 'validation'. Build more recordings, or train without:"
@@ -190,7 +190,7 @@ def _chosen(dataset: SequenceDataset, tables: Iterable[Table], limit: int) -> tu
     """Places of the rows of each table that the limit takes up, in order of length."""
     chosen: set[str] = set()
     for table in tables:
-        rows = table.scalars(split=_SPLIT)
+        rows = table.scalars(split=_SPLIT, columns=["sequence_id", "recording_id"])
         chosen.update(by_share(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist())[:limit])
     places = [place for place, name in enumerate(dataset.sequence_ids) if name in chosen]
     return tuple(sorted(places, key=lambda place: (int(dataset.lengths[place]), place)))

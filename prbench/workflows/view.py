@@ -156,7 +156,7 @@ def _opened(
 
 def _chosen(request: ViewRequest, shown: Sequence[Shown]) -> list[list[str]]:
     """Ids of each table: those asked for, else a few that every run holds."""
-    rows = [part.table.scalars() for part in shown]
+    rows = [part.table.scalars(columns=["sequence_id", "recording_id"]) for part in shown]
     known = [table["sequence_id"].to_pylist() for table in rows]
     if not request.sequences:
         held = [_held_by_all(part.runs, ids) for part, ids in zip(shown, known, strict=True)]
@@ -204,7 +204,7 @@ def _require_in_run(run: RunMotions, table: SequenceTable, sequence_ids: Sequenc
 
 def _why_left_out(run: RunMotions, table: SequenceTable, name: str) -> str:
     record = run.run.record
-    rows = table.scalars()
+    rows = table.scalars(columns=["sequence_id", "split", "n_frames"])
     row = rows["sequence_id"].to_pylist().index(name)
     split = rows["split"][row].as_py()
     n_frames = rows["n_frames"][row].as_py()

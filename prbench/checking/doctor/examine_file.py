@@ -112,7 +112,7 @@ def _from_table(motions: Sequence[NamedMotion], folders: Sequence[Path], *, seed
     found: dict[str, Expected] = {}
     for folder in folders:
         table = SequenceTable.open(folder).with_sequences()
-        ids = table.scalars()["sequence_id"].to_pylist()
+        ids = table.scalars(columns=["sequence_id"])["sequence_id"].to_pylist()
         names = {name: name for name in ids if name in wanted}
         if not names:
             opaque = opaque_ids(ids, run_salt(seed, table.identity))

@@ -133,7 +133,7 @@ class PrimeAndReach(Benchmark[SequenceTable, Selection]):
 
     def recordings_of(self, table: SequenceTable) -> dict[str, str]:
         """See :meth:`Benchmark.recordings_of`."""
-        rows = table.scalars()
+        rows = table.scalars(columns=["sequence_id", "recording_id"])
         return dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
 
     def ids_tell_recordings(self, sequence_ids: Sequence[str]) -> bool:

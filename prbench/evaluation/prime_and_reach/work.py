@@ -23,6 +23,7 @@ from prbench.evaluation.request import RunRequest
 from prbench.evaluation.scoring import ScoringRules, score_selection
 from prbench.manifests import BenchmarkProtocol
 from prbench.runs.carry_on import write_carried_on
+from prbench.runs.coded_scores import CodedScores
 from prbench.runs.folder import DatasetFolder
 from prbench.runs.predictions import Predictions
 from prbench.runs.record import MethodRecord
@@ -133,12 +134,12 @@ class MotionWork(CaseWork):
         samples = range(self._request.samples)
         yield from score_selection(self._selection, files.predictions, samples=samples, rules=rules, engine=engine)
 
-    def write_beside(self, files: DatasetFolder, scores: pa.Table) -> None:
+    def write_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
         """Write the agreement with recorded people and, where puts carry on, the seams."""
         agreement_with_people(self._selection, scores, protocol=self._protocol).write(files.path)
         self._write_carried(files, scores)
 
-    def require_beside(self, files: DatasetFolder, scores: pa.Table) -> None:
+    def require_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
         """Compare the agreement with what follows from the scores; written anew where an earlier version wrote none."""
         agreement = agreement_with_people(self._selection, scores, protocol=self._protocol)
         require_agreement(files, agreement)
@@ -146,7 +147,7 @@ class MotionWork(CaseWork):
             agreement.write(files.path)
         self._write_carried(files, scores)
 
-    def _write_carried(self, files: DatasetFolder, scores: pa.Table) -> None:
+    def _write_carried(self, files: DatasetFolder, scores: CodedScores) -> None:
         if self._carrying is not None:
             samples = range(self._request.samples)
             found = measure_carried(self._selection, files.predictions, scores, samples=samples)

@@ -10,7 +10,7 @@ import contextlib
 import math
 import re
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -61,8 +61,9 @@ class ColumnMotions:
         default_factory=lambda: {name: _Unpacked() for name in GAZE_COLUMNS}, repr=False
     )
 
-    def make_ready(self) -> None:
+    def make_ready(self, together: Iterable[Sequence[int]] = ()) -> None:
         """Check the arrays' checksums; compressed ones are unpacked into temporary files."""
+        del together
         with _as_predictions_error():
             self._unpacked.prepare(self.archive, "joints")
             for name, unpacked in self._rays.items():
@@ -99,7 +100,7 @@ class NamedMotions:
     """Of each row."""
     samples: tuple[int, ...]
 
-    def make_ready(self) -> None:
+    def make_ready(self, together: Iterable[Sequence[int]] = ()) -> None:
         """Nothing has to be done."""
 
     def motions(self, rows: Sequence[int]) -> list[np.ndarray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -16,10 +16,13 @@ import pyarrow.parquet as pq
 from prbench.errors import PredictionsError
 from prbench.parquet_files import open_parquet
 from prbench.runs.predictions.rows import POSE_SIZE, IndexedRows, PredictionRows, as_float32
+from prbench.runs.predictions.unpacked import UnpackedFrames
 from prbench.runs.scores import GAZE_COLUMNS
 from prbench.skeleton import N_JOINTS
 
-_CACHED_BYTES = 512 * 1024**2
+_CACHED_BYTES = 16 * 1024**2
+_READ_AGAIN = 4
+"""Times that row groups are read at most, on average, before the motions are unpacked instead."""
 _JOINTS_FORM = f"a list of frames, each {POSE_SIZE} numbers (22 joints, x y z)"
 
 
@@ -49,7 +52,9 @@ def index_parquet(paths: tuple[Path, ...]) -> IndexedRows:
             groups.append(_RowGroup(part, number, len(ids), len(ids) - before))
             ids += rows[id_column].to_pylist()
             samples += rows["sample"].to_pylist() if "sample" in columns else [0] * rows.num_rows
-    return IndexedRows(paths, id_column, tuple(ids), tuple(samples), None, ParquetMotions(tuple(groups)), has_gaze)
+    return IndexedRows(
+        paths, id_column, tuple(ids), tuple(samples), None, ParquetMotions(tuple(groups), has_gaze), has_gaze
+    )
 
 
 @dataclass(frozen=True)
@@ -66,13 +71,33 @@ class ParquetMotions:
     """Reads motions a row group at a time; the last ones stay in memory."""
 
     groups: tuple[_RowGroup, ...]
+    has_gaze: bool = False
     _cache: OrderedDict[_RowGroup, PredictionRows] = field(default_factory=OrderedDict, repr=False)
+    _unpacked: dict[str, UnpackedFrames] = field(default_factory=dict, repr=False)
 
-    def make_ready(self) -> None:
-        """Nothing has to be done."""
+    def make_ready(self, together: Iterable[Sequence[int]] = ()) -> None:
+        """Unpack all motions into a temporary file if row groups would be read again and again."""
+        reads = sum(len(np.unique(np.searchsorted(self._starts, rows, side="right"))) for rows in together)
+        if reads <= _READ_AGAIN * len(self.groups) or self._unpacked:
+            return
+        self._unpacked["joints"] = UnpackedFrames.of(self._all_joints(), POSE_SIZE)
+        if self.has_gaze:
+            self._unpacked["gaze"] = UnpackedFrames.of(self._all_gaze(), 6)
+
+    def _all_joints(self) -> Iterator[np.ndarray]:
+        for group in self.groups:
+            rows = self._read(group, {})
+            yield from np.split(rows.values, rows.offsets[1:-1])
+
+    def _all_gaze(self) -> Iterator[np.ndarray]:
+        for group in self.groups:
+            rows = _open(group.path).metadata.row_group(group.number).num_rows
+            yield from self.gaze(range(group.start, group.start + rows))
 
     def motions(self, rows: Sequence[int]) -> list[np.ndarray]:
         """See :class:`MotionStore`; every row group is read once, whatever the order of the rows."""
+        if "joints" in self._unpacked:
+            return [frames.reshape(-1, N_JOINTS, 3) for frames in self._unpacked["joints"].rows(rows)]
         found: list[np.ndarray] = [np.empty(0)] * len(rows)
         opened: dict[Path, pq.ParquetFile] = {}
         # In the order of the file, so that no row group is read twice.
@@ -85,6 +110,8 @@ class ParquetMotions:
 
     def gaze(self, rows: Sequence[int]) -> list[np.ndarray]:
         """See :class:`MotionStore`."""
+        if "gaze" in self._unpacked:
+            return [rays.reshape(-1, 2, 3) for rays in self._unpacked["gaze"].rows(rows)]
         found: list[np.ndarray] = [np.empty(0)] * len(rows)
         by_group: dict[_RowGroup, list[int]] = {}
         for place, row in enumerate(rows):

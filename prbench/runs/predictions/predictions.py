@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -51,7 +51,7 @@ class _NumberedMotions:
 
     paths: tuple[Path, ...]
 
-    def make_ready(self) -> None:
+    def make_ready(self, together: Iterable[Sequence[int]] = ()) -> None:
         """Nothing has to be done."""
 
     def motions(self, rows: Sequence[int]) -> list[np.ndarray]:
@@ -87,25 +87,40 @@ class Predictions(IndexedRows):
         return cls(**vars(_indexed(Path(path), numbering)))
 
     @cached_property
-    def _row_of(self) -> dict[tuple[str, int], int]:
-        """Maps (id, sample) to the row; of repeated ones to the last."""
-        return {key: row for row, key in enumerate(zip(self.ids, self.samples))}
+    def _row_of(self) -> dict[int, dict[str, int]]:
+        """Maps a sample, then an id to the row; of repeated ones to the last."""
+        rows: dict[int, dict[str, int]] = {}
+        for row, (name, sample) in enumerate(zip(self.ids, self.samples)):
+            rows.setdefault(sample, {})[name] = row
+        return rows
 
     def __contains__(self, key: tuple[str, int]) -> bool:
-        return key in self._row_of
+        name, sample = key
+        return name in self._row_of.get(sample, ())
+
+    @property
+    def repeats(self) -> bool:
+        """True if several motions have the same id and sample."""
+        return sum(map(len, self._row_of.values())) < len(self.ids)
 
     @foreign_input()
-    def make_ready(self) -> None:
-        """Unpack what single motions cannot be read from; call it before the motions go to several processes."""
-        self.store.make_ready()
+    def make_ready(self, together: Iterable[Sequence[str]] = ()) -> None:
+        """Unpack what single motions cannot be read from; call it before the motions go to several processes.
+
+        Args:
+            together: Ids whose motions of one sample will be asked for together, as far as that is known.
+        """
+        self.store.make_ready(
+            [row_of[name] for name in names] for names in together for row_of in self._row_of.values()
+        )
 
     def length(self, name: str, sample: int) -> int | None:
         """Frames of a motion, if they are known without reading it."""
-        return None if self.n_frames is None else int(self.n_frames[self._row_of[name, sample]])
+        return None if self.n_frames is None else int(self.n_frames[self._row_of[sample][name]])
 
     def where(self, name: str, sample: int) -> str:
         """The file that a motion stands in and its place there, for messages."""
-        return self.store.where(self._row_of[name, sample])
+        return self.store.where(self._row_of[sample][name])
 
     @foreign_input()
     def motions(self, ids: Sequence[str], sample: int) -> PredictionRows:
@@ -115,7 +130,7 @@ class Predictions(IndexedRows):
             PredictionsError: if a motion is empty, damaged, a frame does not have 22 joints, or gaze has other frames
                 than the joints.
         """
-        rows = [self._row_of[name, sample] for name in ids]
+        rows = [self._row_of[sample][name] for name in ids]
         found = self.store.motions(rows)
         lengths = [len(motion) for motion in found]
         if 0 in lengths:

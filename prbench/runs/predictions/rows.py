@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -48,8 +48,12 @@ class PredictionRows:
 class MotionStore(Protocol):
     """Reads single motions. Goes to worker processes, so it holds paths, not open files."""
 
-    def make_ready(self) -> None:
-        """Do once what every process would have to do: call it before the store goes to others."""
+    def make_ready(self, together: Iterable[Sequence[int]] = ()) -> None:
+        """Do once what every process would have to do: call it before the store goes to others.
+
+        Args:
+            together: Rows that will be asked for together, as far as that is known.
+        """
         ...
 
     def motions(self, rows: Sequence[int]) -> list[Float[np.ndarray, "_ 22 3"]]:

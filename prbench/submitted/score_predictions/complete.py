@@ -46,6 +46,10 @@ def require_complete(predictions: Predictions, wanted: Wanted) -> list[int]:
         PredictionsError: naming sequences that are missing, repeated or unknown.
     """
     names = [_names(predictions, selection, wanted.seed) for selection in wanted.selections]
+    # Every sequence needs the same samples, or means over them would weigh sequences differently.
+    samples = sorted(set(predictions.samples)) if wanted.samples is None else list(range(wanted.samples))
+    if _is_complete(predictions, names, samples):
+        return samples
     splits = {(one.table.folder, one.split): one for one in wanted.selections}
     # The whole split is known, not only what --limit chose: a complete file may be scored in part.
     known = {
@@ -53,8 +57,6 @@ def require_complete(predictions: Predictions, wanted: Wanted) -> list[int]:
         for one in splits.values()
         for name in _names(predictions, select(one.table, split=one.split, limit=None), wanted.seed)
     }
-    # Every sequence needs the same samples, or means over them would weigh sequences differently.
-    samples = sorted(set(predictions.samples)) if wanted.samples is None else list(range(wanted.samples))
     counts = Counter(zip(predictions.ids, predictions.samples))
     sequence_of = dict(
         zip(itertools.chain(*names), itertools.chain(*(selection.sequence_ids for selection in wanted.selections)))
@@ -76,6 +78,17 @@ def require_complete(predictions: Predictions, wanted: Wanted) -> list[int]:
         f" missing {_listed(missing)}, repeated {_listed(repeated)}, unknown {_listed(unknown)}"
         f"{f', samples that were not asked for {surplus[:_NAMED]}' if surplus else ''}."
         f" {_remedy(predictions, wanted, names, unknown, repeated)}"
+    )
+
+
+def _is_complete(predictions: Predictions, names: Sequence[Sequence[str]], samples: Sequence[int]) -> bool:
+    """Return True if the predictions are exactly those of some sequences, which takes no table of counts to see."""
+    asked = sum(map(len, names))
+    return (
+        len(predictions.ids) == asked * len(samples)
+        and not predictions.repeats
+        and all((name, sample) in predictions for sample in samples for each in names for name in each)
+        and len(set(itertools.chain.from_iterable(names))) == asked
     )
 
 

@@ -12,6 +12,7 @@ from prbench.contract import Condition
 from prbench.errors import PredictionsError, UsageError
 from prbench.methods.names import SHUFFLED_GOAL, name_problem
 from prbench.runs.agreement import DatasetAgreement
+from prbench.runs.coded_scores import CodedScores
 from prbench.runs.predictions import Predictions
 from prbench.runs.summary import DatasetSummary
 from prbench.sequences import SequenceTable
@@ -87,7 +88,7 @@ class GivenMotions:
 class ScoreReport:
     """Scores of one dataset in long form, and their summary."""
 
-    scores: pa.Table
+    coded: CodedScores
     summary: DatasetSummary
     folder: Path | None
     """Folder that they were written to; None if nowhere."""
@@ -97,6 +98,11 @@ class ScoreReport:
     """Agreement with recorded people, and rates by the goal's place."""
     motionless: bool = False
     """The run declares that its motions stand still, so that Foot Skating says nothing."""
+
+    @property
+    def scores(self) -> pa.Table:
+        """The rows of ``scores.parquet``."""
+        return self.coded.long_form()
 
 
 @dataclass(frozen=True)

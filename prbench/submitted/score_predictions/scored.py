@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import pyarrow as pa
-
 import prbench
 from prbench.engine import Engine
 from prbench.errors import StorageError
@@ -22,11 +20,12 @@ from prbench.metrics import METRICS
 from prbench.own_protocol import write_protocol
 from prbench.runs import record as run_record
 from prbench.runs.agreement import DatasetAgreement
+from prbench.runs.coded_scores import CodedScores
 from prbench.runs.cost import total_cost
 from prbench.runs.folder import RunFolder
 from prbench.runs.predictions import Predictions
 from prbench.runs.record import FILE, BatchPlanRecord, MethodRecord, RunRecord
-from prbench.runs.scores import RUN_SCHEMA_VERSION, write_scores
+from prbench.runs.scores import RUN_SCHEMA_VERSION, write_scores_together
 from prbench.runs.summary import DatasetSummary
 from prbench.storage import file_digest, remove_half_written, text_digest
 from prbench.submitted.score_predictions.request import Stated
@@ -69,7 +68,7 @@ class Scored:
     """The sequences of split and limit."""
     selection: Selection
     """The chosen sequences that were scored."""
-    scores: pa.Table
+    scores: CodedScores
     summary: DatasetSummary
     agreement: DatasetAgreement
 
@@ -89,7 +88,7 @@ class Scored:
         """Score the motions of a table and summarise them."""
         windows = score_selection(selection, predictions, samples=samples, rules=rules, engine=work.engine)
         dataset = selection.table.info.dataset
-        scores = pa.concat_tables(reported(windows, dataset, len(selection), work.progress)).combine_chunks()
+        scores = CodedScores.of(reported(windows, dataset, len(selection), work.progress))
         scored = ScoredSet(
             info=selection.table.info,
             metrics=METRICS,
@@ -177,7 +176,7 @@ def write_submission(
     run = RunFolder.prepare(folder, record, protocol)
     parts = [run.dataset(one.summary.dataset) for one in scored]
     for part, one in zip(parts, scored):
-        write_scores(part.scores, [one.scores])
+        write_scores_together(part.scores, one.scores.pieces())
         total_cost([], batches=0).write(part.cost)  # nothing was measured
         one.agreement.write(part.path)
         one.summary.write(part.path)
@@ -194,7 +193,7 @@ def write_plain(folder: Path, scored: tuple[Scored, ...], protocol: BenchmarkPro
     remove_half_written(folder)
     parts = [folder if len(scored) == 1 else folder / one.summary.dataset for one in scored]
     for part, one in zip(parts, scored):
-        write_scores(part / "scores.parquet", [one.scores])
+        write_scores_together(part / "scores.parquet", one.scores.pieces())
         one.agreement.write(part)
         one.summary.write(part)
     write_protocol(folder, protocol)

@@ -1,0 +1,153 @@
+"""Scores of many sequences in little memory: rows of ``scores.parquet`` with numbers in place of their texts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float, Int
+
+from prbench.boundary import foreign_input
+from prbench.runs.scores import SCORES, open_scores, repeated_row
+
+_ROWS_AT_ONCE = 64 * 1024
+_NO_FLAG = -1
+
+
+@dataclass(frozen=True, eq=False)
+class CodedScores:
+    """Rows of ``scores.parquet`` in their order: 16 bytes a row, where the texts would take 150.
+
+    Each text stands once, in the order in which texts first appear; the rows hold its number.
+    """
+
+    sequence_ids: tuple[str, ...]
+    datasets: tuple[str, ...]
+    metrics: tuple[str, ...]
+    flags: tuple[str, ...]
+    sequence: Int[np.ndarray, " rows"]
+    """Number of each row's sequence among ``sequence_ids``."""
+    dataset: Int[np.ndarray, " rows"]
+    sample: Int[np.ndarray, " rows"]
+    metric: Int[np.ndarray, " rows"]
+    value: Float[np.ndarray, " rows"]
+    flag: Int[np.ndarray, " rows"]
+    """Number of each row's flag among ``flags``, or -1."""
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+    @classmethod
+    def of(cls, tables: Iterable[pa.Table | pa.RecordBatch]) -> CodedScores:
+        """Take up rows in long form, some at a time."""
+        texts: dict[str, dict[str, int]] = {name: {} for name in ("sequence_id", "dataset", "metric", "flag")}
+        parts: dict[str, list[np.ndarray]] = {name: [] for name in SCORES.names}
+        for table in tables:
+            for name in SCORES.names:
+                column = table.column(name)
+                column = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+                numbers = _codes(column, texts[name]) if name in texts else column.to_numpy()
+                parts[name].append(numbers if name == "value" else _narrow(numbers))
+
+        def joined(name: str) -> np.ndarray:
+            empty = SCORES.field(name).type.to_pandas_dtype() if name not in texts else np.int32
+            return np.concatenate(parts.pop(name) or [np.empty(0, dtype=empty)])
+
+        return cls(
+            tuple(texts["sequence_id"]),
+            tuple(texts["dataset"]),
+            tuple(texts["metric"]),
+            tuple(texts["flag"]),
+            joined("sequence_id"),
+            joined("dataset"),
+            joined("sample"),
+            joined("metric"),
+            joined("value"),
+            joined("flag"),
+        )
+
+    @classmethod
+    @foreign_input()
+    def read(cls, path: Path) -> CodedScores:
+        """Read ``scores.parquet`` a part at a time.
+
+        Raises:
+            RunError: if the file is missing, damaged, has other columns, or several values for one sequence, sample and
+                metric.
+        """
+        with open_scores(path) as file:
+            scores = cls.of(file.iter_batches(batch_size=_ROWS_AT_ONCE))
+        key = scores.dataset.astype(np.int64)
+        for numbers, texts in ((scores.sequence, scores.sequence_ids), (scores.metric, scores.metrics)):
+            key = key * len(texts) + numbers
+        samples, sample = np.unique(scores.sample, return_inverse=True)
+        key = key * len(samples) + sample
+        ordered = np.sort(key)
+        twice = ordered[1:][ordered[1:] == ordered[:-1]]
+        if twice.size:  # repeated rows would enter a mean twice
+            first = int(np.flatnonzero(np.isin(key, twice))[0])
+            raise repeated_row(path, scores.long_form(slice(first, first + 1)).to_pylist()[0])
+        return scores
+
+    def long_form(self, rows: slice = slice(None)) -> pa.Table:
+        """Return rows as ``scores.parquet`` has them."""
+        flags = pa.array((*self.flags, None), pa.string())
+        flag = pa.array(np.where(self.flag[rows] == _NO_FLAG, len(self.flags), self.flag[rows].astype(np.int64)))
+        columns = [
+            pa.array(self.sequence_ids, pa.string()).take(pa.array(self.sequence[rows])),
+            pa.array(self.datasets, pa.string()).take(pa.array(self.dataset[rows])),
+            pa.array(self.sample[rows].astype(np.int32)),
+            pa.array(self.metrics, pa.string()).take(pa.array(self.metric[rows])),
+            pa.array(self.value[rows]),
+            flags.take(flag),
+        ]
+        return pa.Table.from_arrays(columns, schema=SCORES)
+
+    def pieces(self) -> Iterator[pa.Table]:
+        """Yield all rows as ``scores.parquet`` has them, some at a time."""
+        for start in range(0, len(self), _ROWS_AT_ONCE):
+            yield self.long_form(slice(start, start + _ROWS_AT_ONCE))
+
+    def rows_of(self, metric: str) -> Int[np.ndarray, " _"]:
+        """Return the places of the rows of one metric."""
+        if metric not in self.metrics:
+            return np.empty(0, dtype=np.int64)
+        return np.flatnonzero(self.metric == self.metrics.index(metric))
+
+    def only(self, wanted: Callable[[str], bool]) -> CodedScores:
+        """Return the rows of some sequences.
+
+        Args:
+            wanted: Says of the id of a sequence whether its rows are kept.
+        """
+        kept = np.array([wanted(name) for name in self.sequence_ids], dtype=bool)
+        rows = np.flatnonzero(kept[self.sequence])
+        return CodedScores(
+            tuple(name for name in self.sequence_ids if wanted(name)),
+            self.datasets,
+            self.metrics,
+            self.flags,
+            (np.cumsum(kept) - 1)[self.sequence[rows]],
+            self.dataset[rows],
+            self.sample[rows],
+            self.metric[rows],
+            self.value[rows],
+            self.flag[rows],
+        )
+
+
+def _codes(column: pa.Array, known: dict[str, int]) -> Int[np.ndarray, " rows"]:
+    """Return the number of each row's text; texts that were not known get the next numbers."""
+    encoded = column.dictionary_encode()
+    numbers = [known.setdefault(text, len(known)) for text in encoded.dictionary.to_pylist()]
+    places = encoded.indices.fill_null(len(numbers)).to_numpy()
+    return np.array([*numbers, _NO_FLAG], dtype=np.int32)[places]
+
+
+def _narrow(numbers: Int[np.ndarray, " rows"]) -> Int[np.ndarray, " rows"]:
+    """Return whole numbers in the shortest type that holds them."""
+    largest = int(np.abs(numbers).max(initial=0))
+    return numbers.astype(next(kind for kind in (np.int8, np.int16, np.int32) if largest <= np.iinfo(kind).max))
