@@ -28,7 +28,7 @@ def opened(text: str, path: Path) -> Iterator[None]:
         yield
     finally:
         if before is None:
-            del os.environ[VARIABLE]
+            os.environ.pop(VARIABLE, None)
         else:
             os.environ[VARIABLE] = before
 

@@ -224,9 +224,13 @@ class Store:
             yield
         except PrbenchError:
             raise
-        except FileNotFoundError as error:
+        except (
+            FileNotFoundError,
+            NotADirectoryError,
+            FileExistsError,
+        ) as error:  # a file where a folder was looked for
             if not absent:
-                raise
+                raise FileNotFoundError(*error.args) from error
             raise ObjectStoreError(f"{self.url}: cannot {doing}: {absent}. Make it, or correct the URL.") from error
         except OSError as error:
             if error.errno in _OF_THIS_DISK:  # whoever writes the local file tells that
@@ -236,8 +240,10 @@ class Store:
             raise self._told(doing.strip(), error) from error
 
     def _told(self, doing: str, error: Exception) -> ObjectStoreError:
-        reason = quoted(_QUERY.sub("", str(error) or type(error).__name__))
-        if isinstance(error, PermissionError) or _DENIED.search(f"{type(error).__name__} {error}"):
+        reason = _QUERY.sub("", str(error) or type(error).__name__)
+        denied = isinstance(error, PermissionError) or _DENIED.search(f"{type(error).__name__} {reason}")
+        reason = quoted(reason)
+        if denied:
             return ObjectStoreError(
                 f"{self.url}: cannot {doing}: access is denied ({reason}). Check the credentials of the protocol's"
                 " library and the rights of their account (docs/object-stores.md#credentials)."

@@ -51,8 +51,9 @@ class StoreUrl:
         """
         protocol, _, rest = text.partition("://")
         server, slash, path = rest.partition("/")
-        where = server.rpartition("@")[2] if protocol not in _ACCOUNT_BEHIND_AT else server.rpartition(":")[2]
-        shown = f"{clean(protocol)}://{quoted((where + slash + path).partition('?')[0].partition('#')[0])}"
+        # The container of abfs stands where the password might.
+        place = re.split(r"[?#]", server.rpartition("@")[2] + slash + path)[0]
+        shown = f"{clean(protocol)}://{quoted(place)}"
         if "::" in protocol:
             raise UsageError(f"{shown}: expected one protocol, found several joined by '::'.")
         if ("@" in server and protocol not in _ACCOUNT_BEHIND_AT) or ":" in server.rpartition("@")[0]:
