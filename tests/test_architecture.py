@@ -21,7 +21,7 @@ LAYERS = {
     **dict.fromkeys(("boundary", "bounded", "datasets", "meshes", "ranges", "timelines", "workers"), 2),
     **dict.fromkeys(("manifests", "storage", "parquet_files", "numpy_files", "engine", "recording"), 3),
     **dict.fromkeys(("benchmarks", "locks", "own_protocol", "shards"), 4),
-    **dict.fromkeys(("metrics", "sequences", "representation", "text"), 5),
+    **dict.fromkeys(("metrics", "object_stores", "sequences", "representation", "text"), 5),
     **dict.fromkeys(("contract", "prediction", "readers", "runs"), 6),
     **dict.fromkeys(("curation", "corpora", "methods", "release"), 7),
     **dict.fromkeys(("evaluation", "synthetic"), 8),

@@ -2,23 +2,108 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Iterable, Mapping
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from prbench.errors import UsageError
+from prbench.object_stores.urls import is_url
 
 PathLike = str | os.PathLike[str]
-"""A path as text or as a :class:`pathlib.Path`; ``~`` means the home folder."""
+"""A path as text or as a :class:`pathlib.Path`, ``~`` means the home folder; or a URL such as ``s3://bucket/folder`` as
+text (docs/object-stores.md)."""
+_NOTE = "note: "
 
 
 def as_path(value: PathLike) -> Path:
-    """Return a path; ``~`` is the home folder, as a shell has it.
+    """Return a path to something that is read; ``~`` is the home folder, as a shell has it.
 
     Args:
-        value: Path as text or :class:`pathlib.Path`.
+        value: Path as text or :class:`pathlib.Path`; or a URL as text, whose local copy is returned.
+
+    Raises:
+        InputFileError: if nothing finished lies at the URL.
+        StorageError: if its store cannot be reached.
     """
+    if is_url(value):
+        from prbench.object_stores.inputs import fetched
+
+        return fetched(str(value))
     return Path(value).expanduser()
+
+
+def as_native_root(value: PathLike, dataset: str | None = None) -> Path:
+    """Return the folder of a dataset's own files; of a URL a local copy of those that its reader asks for.
+
+    Args:
+        value: See :func:`as_path`, whose errors these are, too.
+        dataset: Name of the dataset; None for any.
+    """
+    if is_url(value):
+        from prbench.object_stores.inputs import fetched_native
+
+        return fetched_native(str(value), dataset)
+    return Path(value).expanduser()
+
+
+@contextlib.contextmanager
+def output_folder(value: PathLike) -> Iterator[Path]:
+    """A folder that the block writes; at a URL it is published when the block ends well.
+
+    Args:
+        value: Path or URL.
+
+    Raises:
+        StorageError: if the store of a URL cannot be reached, or another command writes there.
+    """
+    if is_url(value):
+        from prbench.object_stores.outputs import written_folder
+
+        with written_folder(str(value), tell=_warn) as (folder, _):
+            yield folder
+    else:
+        yield Path(value).expanduser()
+
+
+@contextlib.contextmanager
+def optional_output_folder(value: PathLike | None) -> Iterator[Path | None]:
+    """:func:`output_folder` of a value, or None for None.
+
+    Args:
+        value: Path or URL, or None.
+    """
+    if value is None:
+        yield None
+    else:
+        with output_folder(value) as folder:
+            yield folder
+
+
+@contextlib.contextmanager
+def output_file(value: PathLike) -> Iterator[Path]:
+    """A file that the block writes; at a URL it is uploaded when the block ends well.
+
+    Args:
+        value: Path or URL.
+
+    Raises:
+        StorageError: if the store of a URL cannot be reached.
+    """
+    if is_url(value):
+        from prbench.object_stores.outputs import written_file
+
+        with written_file(str(value)) as path:
+            yield path
+    else:
+        yield Path(value).expanduser()
+
+
+def _warn(line: str) -> None:
+    """Warn where something went wrong; how much is fetched and uploaded is not told."""
+    if line.startswith(_NOTE):
+        warnings.warn(line.removeprefix(_NOTE), stacklevel=2)
 
 
 def as_optional_path(value: PathLike | None) -> Path | None:

@@ -8,7 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from prbench.api.arguments import PathLike, as_optional_path, as_options, as_path, as_texts, require_positive
+from prbench.api.arguments import (
+    PathLike,
+    as_native_root,
+    as_optional_path,
+    as_options,
+    as_texts,
+    output_folder,
+    require_positive,
+)
 from prbench.api.frames import frame_from_rows, notebook_table
 from prbench.api.progress import progress
 from prbench.api.tables import Table, open_table
@@ -198,11 +206,11 @@ def build_dataset(
         protocol=None if own is None else read_protocol(own),
         replace=replace,
     )
-    with progress(f"building {dataset}") as show:
+    with output_folder(out) as folder, progress(f"building {dataset}") as show:
         report = build(
             dataset,
-            as_path(root),
-            as_path(out),
+            as_native_root(root, dataset),
+            folder,
             options=options,
             engine=engine_for(workers),
             progress=lambda step: show(step.done, step.total, step.record.recording_id),
@@ -300,10 +308,10 @@ def synthesize(
     require_positive(count=count, events=events, workers=workers)
     planned = planned_recordings(size, count)
     done = itertools.count(1)
-    with progress(f"writing {layout}") as show:
+    with output_folder(out) as folder, progress(f"writing {layout}") as show:
         tree = synthesize_tree(
             layout,
-            as_path(out),
+            folder,
             recordings=count,
             seed=seed,
             size=size,

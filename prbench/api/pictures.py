@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from prbench.api.arguments import PathLike, as_path
+from prbench.api.arguments import PathLike, output_file
 from prbench.api.progress import progress
 from prbench.errors import UsageError
 from prbench.viewing.replay.scene import Scene
@@ -52,7 +52,8 @@ class Picture:
             MissingExtraError: if a film or page is asked for without the extra ``view``.
             StorageError: if the file cannot be written.
         """
-        return _save_scenes(self.scenes, as_path(path)) if self.scenes else self._save_png(as_path(path))
+        with output_file(path) as file:
+            return _save_scenes(self.scenes, file) if self.scenes else self._save_png(file)
 
     def _save_png(self, path: Path) -> Path:
         if path.suffix.lower() != ".png":
@@ -99,7 +100,8 @@ class Replay:
             MissingExtraError: without the extra ``view``, except for a PNG.
             StorageError: if the file cannot be written.
         """
-        return _save_scenes(self.scenes, as_path(path))
+        with output_file(path) as file:
+            return _save_scenes(self.scenes, file)
 
     def _repr_html_(self) -> str:
         # The page of a viewer brings styles and scripts of its own, so it gets a frame of its own.

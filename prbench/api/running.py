@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from jaxtyping import Float
 
-from prbench.api.arguments import PathLike, as_optional_path, as_options, as_path, as_texts, require_positive
+from prbench.api.arguments import (
+    PathLike,
+    as_native_root,
+    as_optional_path,
+    as_options,
+    as_path,
+    as_texts,
+    optional_output_folder,
+    require_positive,
+)
 from prbench.api.conditions import condition_of
 from prbench.api.frames import frozen
 from prbench.api.pictures import Picture, Replay, picture_of, replay_of
@@ -223,7 +232,7 @@ class Run:
             limit=limit,
             sample=sample,
             permitted=as_texts(permission),
-            scene=as_optional_path(scene),
+            scene=None if scene is None else as_native_root(scene),
         )
         return scenes_of(request)
 
@@ -376,16 +385,15 @@ def run(
         device=device,
         threads=threads,
         control=control,
-        out=as_optional_path(out),
         isolate=isolate,
         timeout=timeout,
         protocol=as_optional_path(protocol),
     )
     if condition is not None:
         request = replace(request, condition=condition_of(condition) if about.default else str(condition))
-    with progress(f"running {request.method_label}") as show:
+    with optional_output_folder(out) as folder, progress(f"running {request.method_label}") as show:
         report = run_method(
-            request,
+            replace(request, out=folder),
             engine=engine_for(workers),
             progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
         )

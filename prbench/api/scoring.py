@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from prbench.api.arguments import PathLike, as_optional_path, as_path, require_positive
+from prbench.api.arguments import PathLike, as_optional_path, as_path, optional_output_folder, require_positive
 from prbench.api.conditions import condition_of
 from prbench.api.progress import progress
 from prbench.api.scored import described, irrelevant_metrics, scores_for_notebook, scores_frame, summary_frame
@@ -151,16 +151,15 @@ def score(
         name=name,
         allow_length_mismatch=allow_length_mismatch,
         protocol=as_optional_path(protocol),
-        out=as_optional_path(out),
     )
-    with progress("scoring") as show:
+    with optional_output_folder(out) as folder, progress("scoring") as show:
         reports = score_predictions(
-            request,
+            replace(request, out=folder),
             given=given,
             engine=engine_for(workers),
             progress=lambda step: show(step.done, step.total, step.dataset),
         )
-    return Scores(reports, request.out)
+    return Scores(reports, folder)
 
 
 @dataclass(frozen=True, eq=False)

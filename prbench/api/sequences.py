@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.api.arguments import PathLike, as_path, as_texts
+from prbench.api.arguments import PathLike, as_native_root, as_texts
 from prbench.api.frames import frozen
 from prbench.api.pictures import Picture, Replay, picture_of, replay_of
 from prbench.api.rows import read_row
@@ -257,7 +257,7 @@ class Sequence:
         permitted = as_texts(permission)
         info = self._table.info
         require_may_pass_on(info, "the view", permitted)
-        around = None if scene is None else Surroundings(info.dataset, as_path(scene)).around
+        around = None if scene is None else Surroundings(info.dataset, as_native_root(scene)).around
         return scene_of(read_row(self._table, self.sequence_id), info, permitted=permitted, around=around)
 
     def __repr__(self) -> str:

@@ -11,12 +11,13 @@ import importlib
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import click
 
+from prbench.cli.places import PlaceType, Remote, has_urls, local_places, showing
 from prbench.errors import did_you_mean
 
 _WIDEST_HELP = 100
@@ -38,8 +39,10 @@ class Session:
     """The chosen command takes up what an interruption has left."""
     command: str = ""
     """Name of the chosen command, such as ``leaderboard export``."""
-    report_file: Path | None = None
+    report_file: Path | Remote | None = None
     notes: list[str] = field(default_factory=list)
+    shown_place: Callable[[str], str] = str
+    """Shows URLs in place of their local copies."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,19 @@ class Command(click.Command):
         now = session()
         now.command = " ".join(ctx.command_path.split()[1:])
         now.resumes = self.resumes
-        return super().invoke(ctx)
+        return self._invoke_on_copies(ctx, now) if has_urls(ctx.params) else super().invoke(ctx)
+
+    def _invoke_on_copies(self, ctx: click.Context, now: Session) -> Any:
+        """Run the command on local copies of what lies at URLs."""
+        with local_places(ctx.params, note) as places:
+            ctx.params = places.values
+            answer = super().invoke(ctx)
+            # A number comes from a command that was run in another process, or that had nothing to write.
+            places.finished = isinstance(answer, Answer) or not answer
+        now.shown_place = places.renamed
+        if isinstance(answer, Answer):
+            return replace(answer, show=showing(answer.show, places))
+        return answer
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the example, folded as a shell reads it."""
@@ -324,7 +339,7 @@ def _json_option() -> click.Option:
 def _report_file_option() -> click.Option:
     return click.Option(
         ["--out", "report_file"],
-        type=click.Path(path_type=Path, dir_okay=False),
+        type=PlaceType("file"),
         metavar="FILE",
         expose_value=False,
         callback=_set("report_file"),

@@ -10,7 +10,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, command
-from prbench.cli.options import PATH
+from prbench.cli.options import OUT_FILE, PATH
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class DiffReport(msgspec.Struct, frozen=True, kw_only=True):
 )
 @click.argument("first", type=PATH, metavar="BUILD_A")
 @click.argument("second", type=PATH, metavar="BUILD_B")
-@click.option("--csv", type=PATH, metavar="FILE", help="Write every change as a line of CSV.")
+@click.option("--csv", type=OUT_FILE, metavar="FILE", help="Write every change as a line of CSV.")
 @click.option("--all", "everything", is_flag=True, help=f"Print every change, not only the first {SHOWN}.")
 def diff(first: Path, second: Path, csv: Path | None, everything: bool) -> Answer:
     """Say which events and sequences differ between two builds of a dataset, and which stage decided.

@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, command
-from prbench.cli.options import PATH, data_option, permission_option
+from prbench.cli.options import OUT_FILE, PATH, data_option, permission_option
 from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
@@ -113,7 +113,7 @@ class DiversityReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.argument("run", type=PATH, metavar="RUN")
 @data_option(required=False, help="The table(s) of the run; not needed for the embedded synthetic datasets.")
 @click.option(
-    "--fan", type=PATH, metavar="FILE", help="Draw the motions of one sequence as a fan of bodies: .png, .svg."
+    "--fan", type=OUT_FILE, metavar="FILE", help="Draw the motions of one sequence as a fan of bodies: .png, .svg."
 )
 @click.option(
     "--sequence", metavar="ID", help="The sequence to draw: its id, or a part that fits one only (default: any)."

@@ -9,7 +9,8 @@ from typing import Any
 import msgspec
 
 import prbench
-from prbench.cli.commands import Answer, Session
+from prbench.cli.commands import Answer, Session, session
+from prbench.cli.places import Remote
 from prbench.errors import PrbenchError
 
 
@@ -75,8 +76,8 @@ def print_document(document: Document) -> None:
     sys.stdout.flush()
 
 
-def write_document(document: Document, path: Path) -> None:
-    """Write a document to a file, whole or not at all.
+def write_document(document: Document, path: Path | Remote) -> None:
+    """Write a document to a file, here or at a URL, whole or not at all.
 
     Raises:
         StorageError: if it cannot be written.
@@ -84,6 +85,12 @@ def write_document(document: Document, path: Path) -> None:
     from prbench.locks import sole_writer
     from prbench.storage import write_json
 
+    if isinstance(path, Remote):
+        from prbench.object_stores.outputs import written_file
+
+        with written_file(path.url) as copy:
+            write_json(copy, msgspec.json.decode(_encoded(document)))
+        return
     with sole_writer(path):
         write_json(path, msgspec.json.decode(_encoded(document)))
 
@@ -96,7 +103,7 @@ def _encoded(document: Document) -> bytes:
 def _plain(value: Any) -> Any:
     """Encode what JSON has no form for: paths, and NumPy's numbers and arrays."""
     if isinstance(value, Path):
-        return str(value)
+        return session().shown_place(str(value))
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} has no form in JSON")

@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, command
-from prbench.cli.options import PATH, permission_option
+from prbench.cli.options import OUT_FILE, PATH, permission_option
 
 if TYPE_CHECKING:
     from prbench.sequences import EventRecord
@@ -98,7 +98,7 @@ class ExplainReport(msgspec.Struct, frozen=True, kw_only=True):
 )
 @click.argument("event")
 @click.option("--data", type=PATH, required=True, metavar="DIR", help="Built dataset folder.")
-@click.option("--draw", type=PATH, metavar="FILE", help="Draw the story as PNG.")
+@click.option("--draw", type=OUT_FILE, metavar="FILE", help="Draw the story as PNG.")
 @permission_option
 def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ...]) -> Answer:
     """Tell what became of one event and why.

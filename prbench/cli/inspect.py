@@ -11,7 +11,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, command
-from prbench.cli.options import PATH
+from prbench.cli.options import NATIVE
 from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 
@@ -85,7 +85,7 @@ class InspectReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @command("inspect", example="prbench inspect /data", report=InspectReport, writes_report=True)
-@click.argument("root", type=PATH)
+@click.argument("root", type=NATIVE)
 @click.option("--thorough", is_flag=True, help="Read every recording as a build would; takes as long.")
 @click.option("--all", "everything", is_flag=True, help="List complete recordings too, and every incomplete one.")
 def inspect(*, root: Path, thorough: bool, everything: bool) -> Answer:

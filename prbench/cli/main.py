@@ -156,7 +156,7 @@ def _present(answer: Any, now: Session) -> int:
     if not now.as_json:
         answer.show()
         if now.report_file is not None:
-            print(f"report: {now.report_file}")
+            print(f"report: {getattr(now.report_file, 'url', now.report_file)}")
     return answer.exit_code
 
 

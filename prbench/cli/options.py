@@ -5,13 +5,13 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import click
 
 from prbench.benchmarks import benchmarks, default_benchmark
 from prbench.cli.commands import SeveralValues
+from prbench.cli.places import PlaceType
 from prbench.engine.choice import DEFAULT_SPILL_LIMIT_GB, LOCAL, RAY, EngineChoice
 
 CONDITIONS = tuple(default_benchmark().conditions)
@@ -23,7 +23,15 @@ FIRST_RUN_SEQUENCES = 10
 SPLITS = ("train", "validation", "test")
 PUBLISHED = "published"
 """Value of ``--split`` that means the test split of a published evaluation, where windows have one."""
-PATH = click.Path(path_type=Path)
+PATH = PlaceType("input")
+"""Of a file or folder that is read."""
+LOCAL_PATH = PlaceType("local")
+"""Of one that has to lie on this machine."""
+NATIVE = PlaceType("native")
+"""Of a folder with a dataset's own files."""
+_OUT_FOLDER = PlaceType("folder")
+OUT_FILE = PlaceType("file")
+"""Of a file that is written."""
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Decorator = Callable[[_Function], _Function]
@@ -118,12 +126,12 @@ def data_arguments(function: _Function) -> _Function:
 
 def out_folder_option(help: str, *, required: bool = False) -> _Decorator:
     """Add ``--out DIR``, the folder that the command writes."""
-    return click.option("--out", type=PATH, metavar="DIR", required=required, help=help)
+    return click.option("--out", type=_OUT_FOLDER, metavar="DIR", required=required, help=help)
 
 
 def out_file_option(help: str, *, required: bool = False, metavar: str = "FILE") -> _Decorator:
     """Add ``--out FILE``, the file that the command writes."""
-    return click.option("--out", type=PATH, metavar=metavar, required=required, help=help)
+    return click.option("--out", type=OUT_FILE, metavar=metavar, required=required, help=help)
 
 
 def workers_option(default: int | None = 1, *, help: str = "") -> _Decorator:
@@ -240,9 +248,11 @@ def limit_option(default: str = "all") -> _Decorator:
     )
 
 
-def root_option(help: str = "Your copy of the dataset.", *, required: bool = True) -> _Decorator:
+def root_option(
+    help: str = "Your copy of the dataset.", *, required: bool = True, type: PlaceType = NATIVE
+) -> _Decorator:
     """Add ``--root DIR``, a folder with a dataset's own files."""
-    return click.option("--root", type=PATH, metavar="DIR", required=required, help=help)
+    return click.option("--root", type=type, metavar="DIR", required=required, help=help)
 
 
 def count_option(help: str) -> _Decorator:

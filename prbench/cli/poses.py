@@ -10,7 +10,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, command, note
-from prbench.cli.options import PATH, recordings_options, root_option
+from prbench.cli.options import LOCAL_PATH, PATH, recordings_options, root_option
 from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 
@@ -90,11 +90,13 @@ class PosesReport(msgspec.Struct, frozen=True, kw_only=True):
     writes_report=True,
 )
 @click.argument("estimator", type=click.Choice(["egoallo"]))
-@root_option()
+@root_option(type=LOCAL_PATH)
 @click.option("--dataset", metavar="NAME", help="Name of the dataset, such as adt (default: what the folder holds).")
 @click.option("--config", type=PATH, metavar="FILE", help="How to run EgoAllo; without it, says what to do.")
 @recordings_options
-@click.option("--poses-root", type=PATH, metavar="DIR", help="Folder of EgoAllo's outputs (default: ROOT/egoallo).")
+@click.option(
+    "--poses-root", type=LOCAL_PATH, metavar="DIR", help="Folder of EgoAllo's outputs (default: ROOT/egoallo)."
+)
 @click.option("--dry-run", is_flag=True, help="Say which recordings lack a body, and run nothing.")
 @click.option("--prepare", is_flag=True, help="Only write EgoAllo's input folders, to run it by hand.")
 @click.option("--keep-inputs", is_flag=True, help="Leave prepared input folders in place.")

@@ -17,6 +17,7 @@ from prbench.cli.engines import opened
 from prbench.cli.options import (
     ALL_CONDITIONS,
     FIRST_RUN_SEQUENCES,
+    OUT_FILE,
     PATH,
     POSITIVE,
     PUBLISHED,
@@ -157,7 +158,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
     help="With all: run as many sequences of each dataset as fit into this time (default 30), unless --limit says.",
 )
 @sequence_option("Run this one only")
-@click.option("--view", type=PATH, metavar="FILE", help="Show the motions as .png, .mp4 or .html.")
+@click.option("--view", type=OUT_FILE, metavar="FILE", help="Show the motions as .png, .mp4 or .html.")
 @click.option("--with-controls", is_flag=True, help="With all: the cheats of docs/audit.md and nearest-neighbour, too.")
 @protocol_option("the numbers of the metrics, stamped into the run; the table must have been built by the same rules.")
 @permission_option

@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, command
-from prbench.cli.options import PATH, data_arguments
+from prbench.cli.options import OUT_FILE, data_arguments
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class StatsReport(msgspec.Struct, frozen=True, kw_only=True):
     writes_report=True,
 )
 @data_arguments
-@click.option("--draw", type=PATH, metavar="FILE", help="Draw the six panels of Figure S2 as PNG or SVG.")
+@click.option("--draw", type=OUT_FILE, metavar="FILE", help="Draw the six panels of Figure S2 as PNG or SVG.")
 def stats(data: tuple[Path, ...], draw: Path | None) -> Answer:
     """Print how many sequences tables hold, how long they are and how far people move, beside the study."""
     from prbench.published import load_table_one

@@ -12,7 +12,7 @@ import msgspec
 from prbench.cli.checked_runs import tables_option
 from prbench.cli.commands import Answer, Command, SeveralValues, command
 from prbench.cli.options import (
-    PATH,
+    OUT_FILE,
     data_arguments,
     limit_option,
     out_file_option,
@@ -46,7 +46,7 @@ def _numbers_option(function: Callable) -> Callable:
         "--numbers",
         "files",
         cls=SeveralValues,
-        type=PATH,
+        type=OUT_FILE,
         metavar="FILE...",
         help="Write what the figure draws to these files: .csv, .tex or .md.",
     )(function)

@@ -10,7 +10,7 @@ import click
 
 from prbench.cli.checked_runs import collected_runs, run_checker, tables_option
 from prbench.cli.commands import Answer, Command, SeveralValues, command, note
-from prbench.cli.options import PATH, data_arguments, workers_option
+from prbench.cli.options import OUT_FILE, PATH, data_arguments, workers_option
 from prbench.cli.study_answers import StudyReport, require_formats, runs_arguments, study_answer
 from prbench.errors import RunError, UsageError
 
@@ -24,7 +24,7 @@ def _files_option(function: Callable) -> Callable:
         "--out",
         "files",
         cls=SeveralValues,
-        type=PATH,
+        type=OUT_FILE,
         metavar="FILE...",
         help="Write the table to these files: .csv (one number a row), .tex (LaTeX with booktabs) or .md.",
     )(function)

@@ -14,7 +14,7 @@ import msgspec
 from prbench.cli.builds import BuiltTable, Stage, built_table
 from prbench.cli.commands import Answer, command
 from prbench.cli.options import (
-    PATH,
+    OUT_FILE,
     POSITIVE,
     count_option,
     out_folder_option,
@@ -145,10 +145,10 @@ _NOTHING = _Written(lambda: None)
 )
 @click.option("--no-verify", is_flag=True, help="Do not compare what curation finds in the files with the truth.")
 @click.option(
-    "--gallery", type=PATH, metavar="FILE", help="Draw sequences of LAYOUT, or of all presets without one, as PNG."
+    "--gallery", type=OUT_FILE, metavar="FILE", help="Draw sequences of LAYOUT, or of all presets without one, as PNG."
 )
 @click.option(
-    "--histograms", type=PATH, metavar="FILE", help="Draw durations, gaps and movements beside the study's, as PNG."
+    "--histograms", type=OUT_FILE, metavar="FILE", help="Draw durations, gaps and movements beside the study's, as PNG."
 )
 @click.option(
     "--people",

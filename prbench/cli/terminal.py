@@ -7,7 +7,7 @@ import math
 import os
 import shutil
 import sys
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from prbench.shown import clean
@@ -54,6 +54,32 @@ class _CleanStream:
 def clean_output() -> Iterator[None]:
     """Clean everything that is printed to standard output and error while the block runs."""
     with contextlib.redirect_stdout(_cleaned(sys.stdout)), contextlib.redirect_stderr(_cleaned(sys.stderr)):
+        yield
+
+
+class _RenamedStream(_CleanStream):
+    """Standard output in which some texts are replaced by others.
+
+    Args:
+        behind: The stream behind it.
+        renamed: Replaces them.
+    """
+
+    def __init__(self, behind: Any, renamed: Callable[[str], str]) -> None:
+        super().__init__(behind.raw if isinstance(behind, _CleanStream) else behind)
+        self._renamed = renamed
+
+    def write(self, text: str) -> int:
+        """Write a text."""
+        super().write(self._renamed(text))
+        return len(text)
+
+
+@contextlib.contextmanager
+def renamed_output(renamed: Callable[[str], str]) -> Iterator[None]:
+    """Change all texts that the block prints to standard output, but for tables."""
+    stream: Any = _RenamedStream(sys.stdout, renamed)
+    with contextlib.redirect_stdout(stream):
         yield
 
 

@@ -10,6 +10,7 @@ import msgspec
 
 from prbench.cli.commands import Answer, command
 from prbench.cli.options import (
+    NATIVE,
     PATH,
     data_option,
     limit_option,
@@ -77,7 +78,7 @@ class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option("--sample", type=int, default=0, metavar="K", help="Sample of runs with several (default 0, the first).")
 @click.option(
     "--scene",
-    type=PATH,
+    type=NATIVE,
     metavar="DIR",
     help="Your copy of the dataset: draws what stood around the bodies behind them (needs the extra open3d).",
 )

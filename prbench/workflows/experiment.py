@@ -21,6 +21,7 @@ from prbench.evaluation.preparation import DEFAULT_PARENT
 from prbench.evaluation.request import RunRequest
 from prbench.limits import HARMLESS_SIZE
 from prbench.manifests import PROTOCOL_NAME
+from prbench.object_stores.urls import is_url
 from prbench.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.runs import RunFolder, read_scores
 from prbench.runs.record import FILE, FILE_NAME, PROGRAM, UNKNOWN, TableRecord
@@ -182,6 +183,15 @@ def read_experiment(path: Path) -> Experiment:
     if not experiment.methods or not experiment.seeds:
         key = "seeds" if experiment.methods else "methods"
         raise InputFileError(path, key, expected="one entry or more", found="none")
+    for key, places in (("data", experiment.data), ("out", (experiment.out,))):
+        if any(is_url(place) for place in places):
+            raise InputFileError(
+                path,
+                key,
+                expected="paths on this machine",
+                found="a URL",
+                remedy=f"Give it by --{key} in place of this.",
+            )
     if experiment.benchmark not in benchmarks():
         raise InputFileError(path, "benchmark", expected=" or ".join(benchmarks()), found=experiment.benchmark)
     known = find_benchmark(experiment.benchmark).conditions

@@ -1,0 +1,190 @@
+"""Options and arguments that take a path or a URL; a command only ever sees paths (docs/object-stores.md)."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any, Literal
+
+import click
+
+from prbench.cli.terminal import renamed_output
+from prbench.errors import PrbenchError
+
+Use = Literal["input", "native", "folder", "file", "local"]
+"""What a command does there: read something finished, read a dataset's own files, write a folder or a file; or what has
+to lie on this machine."""
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Remote:
+    """A URL that was given in place of a path."""
+
+    url: str
+    use: Use
+
+
+class PlaceType(click.Path):
+    """A path, or a URL that :func:`local_places` turns into the path of a local copy.
+
+    Args:
+        use: What the command does there.
+    """
+
+    def __init__(self, use: Use) -> None:
+        super().__init__(path_type=Path)
+        self.use: Use = use
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Take a path, or a URL."""
+        if isinstance(value, Remote):
+            return value
+        if not isinstance(value, str) or "://" not in value:
+            return super().convert(value, param, ctx)
+        from prbench.errors import UsageError
+        from prbench.object_stores.urls import StoreUrl, is_url
+
+        if not is_url(value):
+            return super().convert(value, param, ctx)
+        url = StoreUrl.parse(value)
+        if self.use == "local":
+            raise UsageError(f"{url}: this has to be a path on this machine. Copy what lies there, and give that path.")
+        return Remote(url.text, self.use)
+
+
+class Stopped(KeyboardInterrupt):
+    """SIGTERM, which ends the work as Ctrl-C does, so that finished parts can still be uploaded."""
+
+
+class CommandStopped(PrbenchError):
+    """A command that writes at a URL was asked to stop."""
+
+    exit_code = 128 + signal.SIGTERM
+
+
+@dataclass
+class Places:
+    """The paths of a command, and how its URLs are shown in place of them."""
+
+    values: dict[str, Any]
+    """Values of the options, without URLs."""
+    shown: dict[str, str]
+    """Maps the path of each local copy to its URL."""
+    finished: bool = True
+    """Set to False where the command has ended without being done."""
+
+    def renamed(self, text: str) -> str:
+        """Show URLs in place of their local copies."""
+        for path, url in sorted(self.shown.items(), key=lambda item: -len(item[0])):
+            text = text.replace(path, url)
+        return text
+
+
+@contextlib.contextmanager
+def local_places(values: Mapping[str, Any], tell: Tell) -> Iterator[Places]:
+    """Fetch what is read at URLs, and publish what the block writes at some when it ends well.
+
+    Args:
+        values: Values of a command's options by name.
+        tell: Called with lines on what is fetched and uploaded.
+
+    Raises:
+        CommandStopped: after SIGTERM, where something is written at a URL.
+        PrbenchError: whatever fetching and uploading raise, and errors of the block with URLs in place of paths.
+    """
+    places = Places(dict(values), {})
+    writes = any(remote.use in ("folder", "file") for value in values.values() for remote in _remotes(value))
+    with contextlib.ExitStack() as held:
+        outcomes: list[Any] = []
+        if writes:
+            held.enter_context(_stopped_by_sigterm())
+        for name, value in values.items():
+            if isinstance(value, Remote):
+                places.values[name] = _local(value, values, held, outcomes, places.shown, tell)
+            elif any(_remotes(value)):
+                places.values[name] = tuple(
+                    _local(each, values, held, outcomes, places.shown, tell) if isinstance(each, Remote) else each
+                    for each in value
+                )
+        try:
+            yield places
+        except PrbenchError as error:
+            error.args = tuple(places.renamed(part) if isinstance(part, str) else part for part in error.args)
+            raise
+        for outcome in outcomes:
+            outcome.finished = places.finished
+
+
+def has_urls(values: Mapping[str, Any]) -> bool:
+    """Return True if a URL was given for any option."""
+    return any(_remotes(value) for value in values.values())
+
+
+def _remotes(value: Any) -> list[Remote]:
+    if isinstance(value, Remote):
+        return [value]
+    return [each for each in value if isinstance(each, Remote)] if isinstance(value, tuple | list) else []
+
+
+def _local(
+    remote: Remote,
+    values: Mapping[str, Any],
+    held: contextlib.ExitStack,
+    outcomes: list[Any],
+    shown: dict[str, str],
+    tell: Tell,
+) -> Path:
+    """Give the local copy of one URL."""
+    from prbench.object_stores.inputs import fetched, fetched_native
+    from prbench.object_stores.outputs import written_file, written_folder
+
+    if remote.use == "folder":
+        path, outcome = held.enter_context(written_folder(remote.url, tell=tell))
+        outcomes.append(outcome)
+    elif remote.use == "file":
+        path = held.enter_context(written_file(remote.url, tell=tell))
+    elif remote.use == "native":
+        dataset = values.get("dataset")
+        path = fetched_native(remote.url, None if dataset in (None, "all") else str(dataset), tell=tell)
+    else:
+        path = fetched(remote.url, tell=tell)
+    shown[str(path)] = remote.url
+    return path
+
+
+@contextlib.contextmanager
+def _stopped_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM end the block as Ctrl-C would; a second one ends the process at once."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, _: FrameType | None) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        raise Stopped
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    except Stopped:
+        raise CommandStopped(
+            "stopped by SIGTERM; what was finished is kept at the URL of --out, and the same command goes on there."
+        ) from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def showing(show: Callable[[], None], places: Places) -> Callable[[], None]:
+    """Print a report with URLs in place of local copies."""
+
+    def renamed() -> None:
+        with renamed_output(places.renamed):
+            show()
+
+    return renamed

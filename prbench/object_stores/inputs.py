@@ -1,0 +1,306 @@
+"""Folders and files at URLs that are read: copied into the cache folder, each file whole and checked, or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import fnmatch
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path, PurePosixPath
+
+import msgspec
+
+from prbench.datasets import readable_datasets
+from prbench.errors import InputFileError, PrbenchError, StorageError
+from prbench.locks import in_turn
+from prbench.manifests import load_manifest
+from prbench.object_stores.manifest import FINISHED, LARGEST_MANIFEST, UNFINISHED, FolderManifest, decode_manifest
+from prbench.object_stores.opened import opened_elsewhere
+from prbench.object_stores.store import Store, StoredObject
+from prbench.object_stores.urls import StoreUrl
+from prbench.shown import clean
+from prbench.storage import remove_folder, text_digest, write_bytes
+
+Tell = Callable[[str], None]
+Download = Callable[[], None]
+_AT_ONCE = 8
+"""Files that are fetched at the same time; most of a small file's time is waiting."""
+_UNUSED_DAYS = 7
+"""Days after which an older state of a folder is deleted from the cache."""
+_MARK = "synthetic.json"
+"""Marks recordings of synthetic people; no dataset's list of files names it."""
+_UNPACKED = (".csv", ".json", ".jsonl")
+"""Endings of files that are fetched from folders which stand in place of an archive."""
+
+
+def fetched(text: str, *, tell: Tell = lambda _: None) -> Path:
+    """Copy a finished folder or a single file from a URL into the cache, as far as it is not there yet.
+
+    Args:
+        text: The URL.
+        tell: Called with a line before something is fetched.
+
+    Returns:
+        The local copy. A folder's copy never changes: another state of the folder gets another copy.
+
+    Raises:
+        UsageError: for a URL that holds something secret, or of an unknown protocol.
+        MissingExtraError: if fsspec or the package of the protocol is missing.
+        InputFileError: if there is nothing, something unfinished, or something without a manifest; or a file has
+            another size or digest than its manifest says.
+        StorageError: if the store cannot be reached, or the disk is full.
+    """
+    known = opened_elsewhere(text)
+    if known is not None:
+        return known
+    store = Store(StoreUrl.parse(text))
+    for last_try in (False, True):
+        manifest = finished_manifest(store)
+        if manifest is None:
+            return _fetched_file(store, tell)
+        try:
+            return _fetched_folder(store, manifest, tell)
+        except InputFileError:
+            # Whoever replaces a folder deletes the older files after the new manifest stands.
+            if last_try or finished_manifest(store) == manifest:
+                raise
+    raise AssertionError
+
+
+def finished_manifest(store: Store) -> FolderManifest | None:
+    """Read the manifest of a finished folder; None if there is none."""
+    content = store.read(FINISHED, largest=LARGEST_MANIFEST)
+    return None if content is None else decode_manifest(content, f"{store.url}/{FINISHED}")
+
+
+def fetch_files(store: Store, manifest: FolderManifest, target: Callable[[str], Path], tell: Tell) -> None:
+    """Copy those files of a manifest that are not there in their size.
+
+    Args:
+        store: Where they lie.
+        manifest: Names, sizes and digests.
+        target: Gives the local path of each name.
+        tell: Called with a line before something is fetched.
+    """
+    missing = {name: file for name, file in manifest.files.items() if not _has_size(target(name), file.size)}
+
+    def download(name: str) -> Download:
+        file = missing[name]
+        return lambda: store.download(manifest.object_of(name), target(name), size=file.size, sha256=file.sha256)
+
+    sizes = [file.size for file in missing.values()]
+    _download_all(store, [download(name) for name in missing], sizes, tell)
+
+
+def _fetched_folder(store: Store, manifest: FolderManifest, tell: Tell) -> Path:
+    folder = store.url.cache / manifest.digest[:16] / store.url.name
+    with in_turn(folder, tell):
+        fetch_files(store, manifest, lambda name: folder / name, tell)
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder.parent)  # used now
+        _forget_older(folder.parent)
+    return folder
+
+
+def _forget_older(used: Path) -> None:
+    """Delete copies of other states of a folder that nobody has used for some days."""
+    for other in used.parent.iterdir():
+        is_state = len(other.name) == 16 and other.is_dir() and other != used
+        if is_state and time.time() - other.stat().st_mtime > _UNUSED_DAYS * 86_400:
+            remove_folder(other)
+
+
+def _fetched_file(store: Store, tell: Tell) -> Path:
+    url = store.url
+    found = store.describe()
+    if found is None:
+        raise _no_manifest(store)
+    path = url.cache / "file" / text_digest(found.version, str(found.size))[:16] / url.name
+    with in_turn(path, tell):
+        # An object without a version may have changed and kept its size.
+        if not found.version or not _has_size(path, found.size):
+            _download_all(store, [lambda: store.download("", path, size=found.size)], [found.size], tell)
+    return path
+
+
+def _no_manifest(store: Store) -> InputFileError:
+    """Say why a URL cannot be read, which names no file and holds no manifest."""
+    remedy = "Correct the URL."
+    if store.read(UNFINISHED, largest=LARGEST_MANIFEST) is not None:
+        found = "an unfinished one"
+        remedy = "Run the command that writes it again with the same --out: it goes on, here or on another machine."
+    elif store.is_empty():
+        found = "nothing"
+    else:
+        found = f"other files and no {FINISHED}"
+        remedy = (
+            "Only what prbench has finished is read there. Of a folder that was copied by another program:"
+            " `python -m prbench.object_stores.describe DIR` writes the manifest to copy with it, last."
+        )
+    expected = "a finished folder of prbench, or a file"
+    return InputFileError(str(store.url), "", expected=expected, found=found, remedy=remedy)
+
+
+def fetched_native(text: str, dataset: str | None, *, tell: Tell = lambda _: None) -> Path:
+    """Copy a dataset's native files from a URL into the cache: those that its readers ask for, no videos.
+
+    All recordings are fetched before the first is read, because readers search whole folders. Objects that have
+    changed are fetched again, and what is not there any more is deleted from the copy.
+
+    Args:
+        text: The URL of the dataset's folder.
+        dataset: Name of the dataset; None for any.
+        tell: Called with a line before something is fetched.
+
+    Raises:
+        UsageError: see :func:`fetched`; likewise the others.
+        InputFileError: if nothing lies there that a reader asks for.
+    """
+    known = opened_elsewhere(text)
+    if known is not None:
+        return known
+    store = Store(StoreUrl.parse(text))
+    patterns = _patterns(dataset)
+    above = tuple(part for part in store.url.text.partition("://")[2].split("/") if part)
+    listed = store.listing()
+    wanted = [each for each in listed if _is_wanted((*above, *each.name.split("/")), patterns)]
+    if not wanted:
+        raise InputFileError(
+            str(store.url),
+            "",
+            expected=f"files of {dataset or 'a dataset'}",
+            found=f"{len(listed)} other files" if listed else "nothing",
+            remedy="`prbench datasets` says which files each dataset consists of.",
+        )
+    for each in wanted:
+        _require_plain(store, each)
+    root = store.url.cache / f"native-{dataset or 'any'}" / store.url.name
+    with in_turn(root, tell):
+        _mirror(store, wanted, root, tell)
+    return root
+
+
+def _mirror(store: Store, wanted: Sequence[StoredObject], root: Path, tell: Tell) -> None:
+    """Make a folder equal to some objects; versions are kept beside it, as no digest of them is known."""
+    kept = root.parent / "versions.json"
+    before = _versions(kept)
+    versions = {each.name: f"{each.size} {each.version}" for each in wanted}
+    changed = [
+        each
+        for each in wanted
+        if not each.version
+        or before.get(each.name) != versions[each.name]
+        or not _has_size(root / each.name, each.size)
+    ]
+    unchanged = {name: version for name, version in versions.items() if name not in {each.name for each in changed}}
+    write_bytes(kept, msgspec.json.encode(unchanged))  # a killed download fetches the changed ones again
+    for path in [path for path in root.rglob("*") if path.is_file()]:
+        if path.relative_to(root).as_posix() not in versions:
+            path.unlink()
+
+    def download(each: StoredObject) -> Download:
+        return lambda: store.download(each.name, root / each.name, size=each.size)
+
+    _download_all(store, [download(each) for each in changed], [each.size for each in changed], tell)
+    write_bytes(kept, msgspec.json.encode(versions))
+
+
+def _versions(kept: Path) -> dict[str, str]:
+    try:
+        return msgspec.json.decode(kept.read_bytes(), type=dict[str, str])
+    except (OSError, msgspec.DecodeError):
+        return {}
+
+
+def _require_plain(store: Store, found: StoredObject) -> None:
+    path = PurePosixPath(found.name)
+    if path.is_absolute() or ".." in path.parts or path.as_posix() != found.name or clean(found.name) != found.name:
+        raise InputFileError(
+            str(store.url), found.name, expected="a path inside this folder", found="a path that may lead out of it"
+        )
+
+
+def _patterns(dataset: str | None) -> list[tuple[str, ...]]:
+    """Return the files that readers ask for, each as patterns for the last parts of a path."""
+    names = readable_datasets() if dataset is None else (dataset,)
+    found: set[tuple[str, ...]] = {(_MARK,)}
+    for name in names:
+        try:
+            manifest = load_manifest(name)
+        except PrbenchError:
+            if dataset is not None:
+                raise
+            continue  # a package's reader that cannot be used; the search for recordings says so
+        for file in (*manifest.required_files, *manifest.optional_files):
+            parts = [part.replace("P0X", "P*") for part in file.split("/") if part != ".."]
+            found.add(tuple(_without_names(part) for part in parts))
+    return sorted(found)
+
+
+def _without_names(part: str) -> str:
+    """Turn ``<video>_log.json`` into ``*_log.json``."""
+    while "<" in part and ">" in part:
+        part = f"{part[: part.index('<')]}*{part[part.index('>') + 1 :]}"
+    return part
+
+
+def _is_wanted(path: Sequence[str], patterns: Iterable[Sequence[str]]) -> bool:
+    return any(_ends_like(path, pattern) or _in_unpacked(path, pattern) for pattern in patterns)
+
+
+def _ends_like(path: Sequence[str], pattern: Sequence[str]) -> bool:
+    if len(path) < len(pattern):
+        return False
+    return all(fnmatch.fnmatchcase(part, each) for part, each in zip(path[-len(pattern) :], pattern, strict=True))
+
+
+def _in_unpacked(path: Sequence[str], pattern: Sequence[str]) -> bool:
+    """Return True for a text file below the folder that a user has unpacked an archive into."""
+    if not pattern[-1].endswith(".zip") or not path[-1].endswith(_UNPACKED):
+        return False
+    folder = (*pattern[:-1], pattern[-1].removesuffix(".zip"))
+    return any(_ends_like(path[:end], folder) for end in range(len(folder), len(path)))
+
+
+def _has_size(path: Path, size: int) -> bool:
+    try:
+        return path.stat().st_size == size
+    except OSError:
+        return False
+
+
+def _download_all(store: Store, downloads: Sequence[Download], sizes: Sequence[int], tell: Tell) -> None:
+    """Fetch some files, several at once; the first that fails ends it.
+
+    Raises:
+        StorageError: if the disk has no room for them.
+    """
+    if not downloads:
+        return
+    total = sum(sizes)
+    store.url.cache.mkdir(parents=True, exist_ok=True)
+    free = shutil.disk_usage(store.url.cache).free
+    if total > free:
+        raise StorageError(
+            f"{store.url.cache}: {total / 1e6:,.0f} MB of {store.url} are to be copied here, and"
+            f" {free / 1e6:,.0f} MB are free. Free some space, or name another folder by PRBENCH_CACHE."
+        )
+    tell(f"{store.url}: fetching {len(downloads)} files, {total / 1e6:,.1f} MB.")
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        under_way = [pool.submit(download) for download in downloads]
+        with _cancelling(pool):
+            for each in under_way:
+                each.result()
+
+
+@contextlib.contextmanager
+def _cancelling(pool: ThreadPoolExecutor):
+    """Start no further download once one has failed, or somebody has pressed Ctrl-C."""
+    try:
+        yield
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise

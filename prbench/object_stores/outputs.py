@@ -1,0 +1,438 @@
+"""Folders and files at URLs that are written: worked on as a local copy, uploaded meanwhile, the manifest last."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import secrets
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+
+from prbench.errors import InputFileError, StorageError, UsageError
+from prbench.locks import sole_writer
+from prbench.object_stores.inputs import Tell, fetch_files, finished_manifest
+from prbench.object_stores.manifest import (
+    FINISHED,
+    LARGEST_MANIFEST,
+    OWN_PREFIX,
+    UNFINISHED,
+    WORK_PREFIX,
+    FolderManifest,
+    StoredFile,
+    decode_manifest,
+    stays_inside,
+)
+from prbench.object_stores.opened import opened, opened_elsewhere
+from prbench.object_stores.store import ObjectStoreError, Store
+from prbench.object_stores.urls import StoreUrl
+from prbench.storage import file_digest, remove_folder, write_bytes
+
+SECONDS_VARIABLE = "PRBENCH_UPLOAD_SECONDS"
+"""Environment variable: seconds between two uploads of finished parts while a command works."""
+_SECONDS = 15.0
+_PASSING = re.compile(r"\..*(\.partial|\.replaced|\.lock)")
+"""Names of files and folders that are being written, or held; never uploaded."""
+
+
+@dataclass
+class Outcome:
+    """How a block that writes a folder has ended; it sets this itself."""
+
+    finished: bool = True
+    """The folder is published. Else it stays unfinished, as after an error, and the same command goes on."""
+
+
+@contextlib.contextmanager
+def written_folder(text: str, *, tell: Tell = lambda _: None) -> Iterator[tuple[Path, Outcome]]:
+    """A local folder that becomes the one at a URL when the block ends well.
+
+    It begins as what lies there: the finished folder, or what an interrupted command has uploaded. While the block
+    works, and when it fails or is interrupted, finished files are uploaded beside what stood there. At the end
+    everything is uploaded, then the manifest, and then what it replaces is deleted.
+
+    Args:
+        text: The URL.
+        tell: Called with lines on what is fetched and uploaded.
+
+    Raises:
+        UsageError: for a URL that holds something secret, or of an unknown protocol.
+        MissingExtraError: if fsspec or the package of the protocol is missing.
+        StorageError: if the store cannot be reached, something else lies there, or another command writes there.
+    """
+    known = opened_elsewhere(text)
+    if known is not None:
+        yield known, Outcome()
+        return
+    copy = _OutputCopy(Store(StoreUrl.parse(text)), tell)
+    outcome = Outcome()
+    copy.folder.parent.mkdir(parents=True, exist_ok=True)
+    with sole_writer(copy.folder.parent):
+        copy.begin()
+        try:
+            with opened(text, copy.folder), copy.uploading():
+                yield copy.folder, outcome
+        except BaseException:
+            copy.keep()
+            raise
+        if outcome.finished:
+            copy.publish()
+        else:
+            copy.keep()
+
+
+@contextlib.contextmanager
+def written_file(text: str, *, tell: Tell = lambda _: None) -> Iterator[Path]:
+    """A local file that is uploaded when the block ends well, with what the block has written beside it.
+
+    A file that lies there already is fetched first, so that whoever never overwrites one sees it.
+
+    Raises:
+        StorageError: see :func:`written_folder`, whose other errors these are, too.
+    """
+    url = StoreUrl.parse(text)
+    store = Store(url)
+    beside = Store(url.parent)
+    with sole_writer(url.cache / "new"):
+        beside.is_empty()  # a bucket that does not exist is told before the work
+        folder = url.cache / "new"
+        remove_folder(folder)
+        folder.mkdir(parents=True)
+        path = folder / url.name
+        found = store.describe()
+        if found is not None:
+            store.download("", path, size=found.size)
+        before = _local_files(folder, lambda path: path.name)
+        yield path
+        for name, status in _local_files(folder, lambda path: path.relative_to(folder).as_posix()).items():
+            if before.get(name) != status:
+                try:
+                    beside.upload(folder / name, name)
+                except ObjectStoreError as error:
+                    raise ObjectStoreError(f"{error} Until then the file lies in {folder / name}.") from error
+                tell(f"{url.parent}/{name}: uploaded.")
+
+
+class _State(msgspec.Struct, frozen=True, kw_only=True):
+    """What a local copy was made from, so that the next command knows if it is still the newest."""
+
+    begun_from: str
+    writer: str
+    uploaded: bool
+    """Something of it was uploaded before it was finished."""
+
+
+_Status = tuple[int, int]
+"""Size in bytes, and time of the last change in nanoseconds."""
+
+
+@dataclass
+class _OutputCopy:
+    """The local copy of a folder that is written at a URL.
+
+    ``folder`` is the folder itself, ``work`` the one of intermediate parts that a build puts beside it.
+    """
+
+    store: Store
+    tell: Tell
+    writer: str = field(default_factory=lambda: secrets.token_hex(8))
+    before: FolderManifest | None = None
+    """The finished folder that stood there at the beginning."""
+    known: FolderManifest | None = None
+    """What this command, or the one that it goes on from, has uploaded of unfinished work."""
+    stray: set[str] = field(default_factory=set)
+    """Objects that belong to nothing any more."""
+    digests: dict[str, tuple[_Status, str]] = field(default_factory=dict)
+    failed: bool = False
+    """The last upload failed, and that was told."""
+
+    @property
+    def folder(self) -> Path:
+        url = self.store.url
+        return url.cache / "out" / url.name
+
+    @property
+    def work(self) -> Path:
+        return self.folder.parent / f".{self.folder.name}.work"
+
+    @property
+    def _state_file(self) -> Path:
+        return self.store.url.cache / "out.json"
+
+    def begin(self) -> None:
+        """Make the local copy equal to what lies there, unless it is newer."""
+        store = self.store
+        self.before = finished_manifest(store)
+        self.known = self._unfinished()
+        if self.before is None and self.known is None and not store.is_empty():
+            raise StorageError(
+                f"{store.url}: is not empty and holds no {FINISHED}, so it is nothing that may be replaced. Choose an"
+                " empty or new folder for --out."
+            )
+        if self.known is not None and self.known.begun_from != self._digest_before():
+            # A command was killed after the manifest and before it had cleared away, or another one has finished since.
+            self.stray |= self.known.objects.keys() | set(self.known.coming)
+            self.known = None
+        if not self._local_is_newest():
+            remove_folder(self.work)
+            remove_folder(self.folder)
+            self._fetch()
+        self._remember()
+
+    def _unfinished(self) -> FolderManifest | None:
+        content = self.store.read(UNFINISHED, largest=LARGEST_MANIFEST)
+        return None if content is None else decode_manifest(content, f"{self.store.url}/{UNFINISHED}")
+
+    def _digest_before(self) -> str:
+        return "" if self.before is None else self.before.digest
+
+    def _local_is_newest(self) -> bool:
+        try:
+            state = msgspec.json.decode(self._state_file.read_bytes(), type=_State)
+        except (OSError, msgspec.DecodeError):
+            return False
+        if state.begun_from != self._digest_before():
+            return False
+        if self.known is None:
+            return not state.uploaded  # else somebody has emptied the folder
+        return self.known.writer == state.writer
+
+    def _remember(self) -> None:
+        writer = (self.known.writer if self.known else None) or self.writer
+        state = _State(begun_from=self._digest_before(), writer=writer, uploaded=self.known is not None)
+        write_bytes(self._state_file, msgspec.json.encode(state))
+
+    def _fetch(self) -> None:
+        manifest = self.known or self.before
+        if manifest is None:
+            return
+        fetch_files(self.store, manifest, self._local, self.tell)
+        if self.known is not None:
+            self.tell(f"{self.store.url}: going on with what an interrupted command has uploaded.")
+
+    def _local(self, name: str) -> Path:
+        """Path of a file of the manifest: in the folder, or in that of intermediate parts."""
+        if name.startswith(WORK_PREFIX):
+            return self.work / name.removeprefix(WORK_PREFIX)
+        return self.folder / name
+
+    @contextlib.contextmanager
+    def uploading(self) -> Iterator[None]:
+        """Upload finished files every few seconds while the block works."""
+        stop = threading.Event()
+        pause = _pause()
+
+        def work() -> None:
+            while not stop.wait(pause):
+                self._try_to_keep()
+
+        thread = threading.Thread(target=work, name="upload", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            stop.set()
+            thread.join()
+
+    def keep(self) -> None:
+        """Upload what is finished of unfinished work; if that fails, say so and what is kept here."""
+        self._try_to_keep()
+
+    def _try_to_keep(self) -> None:
+        try:
+            self._upload_unfinished()
+            self.failed = False
+        except FileNotFoundError:
+            return  # a file went while it was looked at; the next time will find all in one state
+        except (StorageError, InputFileError) as error:
+            if not self.failed:  # told once, not every few seconds
+                self.tell(f"note: {error} Finished parts are kept in the local copy {self.folder}.")
+            self.failed = True
+
+    def _upload_unfinished(self) -> None:
+        found = self._scanned(with_work=True)
+        there = self.known or self.before
+        if not found or (there is not None and _contents(found) == _contents(there.files)):
+            return
+        taken = dict(self.known.objects if self.known else {})
+        taken |= self.before.objects if self.before else {}
+        files = _placed(found, taken)
+        missing = {name: file for name, file in files.items() if taken.get(file.object or name) != file.sha256}
+        self._require_no_other()
+        coming = sorted(file.object or name for name, file in missing.items())
+        uploaded = self.known.files if self.known else {}
+        self._announce(uploaded, coming)
+        for name in missing:
+            self._upload(name, missing[name])
+        self._announce(files, [])
+
+    def _announce(self, files: Mapping[str, StoredFile], coming: list[str]) -> None:
+        """Write the manifest of unfinished work."""
+        earlier = self.known.objects.keys() | set(self.known.coming) if self.known else set()
+        manifest = FolderManifest.of(files)
+        self.stray |= earlier - manifest.objects.keys()
+        listed = self.stray | set(coming)
+        listed -= manifest.objects.keys()
+        self.known = msgspec.structs.replace(
+            manifest, writer=self.writer, begun_from=self._digest_before(), coming=tuple(sorted(listed))
+        )
+        self.store.write(UNFINISHED, self.known.encoded())
+        self._remember()
+
+    def _upload(self, name: str, file: StoredFile) -> None:
+        path = self._local(name)
+        self.store.upload(path, file.object or name)
+        if self._described(name, path) != (file.size, file.sha256):
+            raise FileNotFoundError(f"{name} was written meanwhile")
+
+    def _require_no_other(self) -> None:
+        """Refuse to go on where another command has begun to write since.
+
+        Raises:
+            StorageError: if one has.
+        """
+        now = finished_manifest(self.store)
+        unfinished = self._unfinished()
+        mine = self.known.writer if self.known else None
+        finished_since = (now.digest if now else "") != self._digest_before()
+        begun_since = (
+            unfinished is not None
+            and unfinished.writer not in (mine, self.writer)
+            and unfinished.begun_from == self._digest_before()  # else it is a leftover
+        )
+        if finished_since or begun_since:
+            raise StorageError(
+                f"{self.store.url}: another command writes there too, or has written there since this one began."
+                f" Nothing of it was replaced; what this command has made lies in {self.folder}. Let one of the two"
+                " end, then run the other again."
+            )
+
+    def publish(self) -> None:
+        """Upload everything, then the manifest, then delete what it replaces.
+
+        Raises:
+            StorageError: if the store cannot be written; says that the local copy is kept.
+        """
+        try:
+            self._publish()
+        except ObjectStoreError as error:
+            raise ObjectStoreError(
+                f"{error} The finished result is kept in {self.folder}, and nothing at the URL was replaced; the same"
+                " command uploads it."
+            ) from error
+
+    def _publish(self) -> None:
+        files = self._scanned(with_work=False)
+        before = self.before.objects if self.before else {}
+        known = self.known.objects if self.known else {}
+        if not files:
+            return
+        placed = _placed(files, before)
+        manifest = FolderManifest.of(placed)
+        if self.before is None or _contents(manifest.files) != _contents(self.before.files):
+            self._require_no_other()
+            there = known | before
+            missing = {name: file for name, file in placed.items() if there.get(file.object or name) != file.sha256}
+            if missing:
+                self._announce_before_publishing(missing)
+            for name, file in missing.items():
+                self._upload(name, file)
+            self.store.write(FINISHED, manifest.encoded())
+            size = sum(file.size for file in files.values())
+            self.tell(f"{self.store.url}: {len(files)} files, {size / 1e6:,.1f} MB; the local copy is {self.folder}.")
+        else:
+            manifest = self.before
+        old = set(before) | set(known) | self.stray | set(self.known.coming if self.known else ())
+        if self.known is not None or self.stray:
+            self.store.remove([UNFINISHED])
+        self.store.remove(sorted(old - manifest.objects.keys()))
+        self.before, self.known, self.stray = manifest, None, set()
+        self._remember()
+
+    def _announce_before_publishing(self, missing: Mapping[str, StoredFile]) -> None:
+        """List what is about to be uploaded, so that it is cleared away if this is as far as it comes."""
+        overwritten = {file.object or name for name, file in missing.items()}
+        # A file that was uploaded in an earlier state is overwritten under its own name: the manifest shall not depend
+        # on when files were uploaded. Until it stands, that file counts as not uploaded.
+        kept = self.known.files if self.known else {}
+        kept = {name: file for name, file in kept.items() if (file.object or name) not in overwritten}
+        self._announce(kept, sorted(overwritten))
+
+    def _scanned(self, *, with_work: bool) -> dict[str, StoredFile]:
+        """Describe every finished file.
+
+        Raises:
+            FileNotFoundError: if one vanishes meanwhile.
+            StorageError: for a name that no manifest may hold.
+        """
+        places = [("", self.folder)]
+        if with_work:
+            places.append((WORK_PREFIX, self.work))
+        found = {}
+        for prefix, place in places:
+            for name in sorted(_local_files(place, lambda path, top=place: path.relative_to(top).as_posix())):
+                if not stays_inside(name) or (not prefix and name.startswith((OWN_PREFIX, FINISHED, UNFINISHED))):
+                    raise StorageError(f"{place / name}: has a name that cannot be stored at {self.store.url}.")
+                size, sha256 = self._described(prefix + name, place / name)
+                found[prefix + name] = StoredFile(size=size, sha256=sha256)
+        return dict(sorted(found.items()))
+
+    def _described(self, name: str, path: Path) -> tuple[int, str]:
+        """Size and digest of a file; hashed only if it has changed since."""
+        status = _status(path)
+        if name not in self.digests or self.digests[name][0] != status:
+            self.digests[name] = (status, file_digest(path))
+        return status[0], self.digests[name][1]
+
+
+def _contents(files: Mapping[str, StoredFile]) -> dict[str, str]:
+    return {name: file.sha256 for name, file in files.items()}
+
+
+def _placed(files: Mapping[str, StoredFile], taken: Mapping[str, str]) -> dict[str, StoredFile]:
+    """Choose an object for each file: its own name, or another where that one holds another content.
+
+    Args:
+        files: By name.
+        taken: Digests of the objects that are there, and must stay as they are.
+    """
+    placed = {}
+    for name, file in files.items():
+        beside = f"{OWN_PREFIX}{file.sha256[:16]}/{name}"
+        if taken.get(beside) == file.sha256 or taken.get(name, file.sha256) != file.sha256:
+            placed[name] = msgspec.structs.replace(file, object=beside)
+        else:
+            placed[name] = file
+    return placed
+
+
+def _local_files(folder: Path, name: Callable[[Path], str]) -> dict[str, _Status]:
+    """Sizes and times of all files below a folder but for those that are being written."""
+    found = {}
+    for place, folders, files in os.walk(folder):
+        folders[:] = [each for each in folders if not _PASSING.match(each)]
+        for file in files:
+            path = Path(place, file)
+            if not _PASSING.match(file):
+                found[name(path)] = _status(path)
+    return found
+
+
+def _status(path: Path) -> _Status:
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns
+
+
+def _pause() -> float:
+    given = os.environ.get(SECONDS_VARIABLE, "")
+    try:
+        seconds = float(given or _SECONDS)
+    except ValueError:
+        seconds = 0.0
+    if not 0 < seconds < 86_400:
+        raise UsageError(f"{SECONDS_VARIABLE}: expected seconds above 0, found '{given}'.")
+    return seconds
