@@ -157,6 +157,7 @@ def _method(request: RunRequest, spec: MethodSpec, condition: StrEnum) -> Method
         motionless=declared.motionless,
         gaze=declared.gaze,
         wants_obstacles=declared.wants_obstacles,
+        one_design=declared.one_design,
         isolation=spec.isolation,
     )
 

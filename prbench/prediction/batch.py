@@ -123,7 +123,11 @@ class Futures:
 
 @runtime_checkable
 class Predictor(Protocol):
-    """What predicts: no frame but the observed ones reaches it."""
+    """What predicts: no frame but the observed ones reaches it.
+
+    A predictor whose K samples are one design, so that fewer are no part of more, says so by ``one_design = True``: it
+    has no scores of fewer samples than it was asked for.
+    """
 
     @property
     def name(self) -> str:
