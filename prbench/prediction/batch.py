@@ -101,7 +101,7 @@ class Futures:
         """Hold an answer against what was asked.
 
         Raises:
-            AdapterError: for another shape, values that are not finite, or the past instead of a future.
+            AdapterError: for another shape, values that are no decimals or not finite, or the past instead of a future.
         """
         found = np.shape(self.joints)
         expected = (len(batch), n_samples, batch.n_future, len(batch.joint_names), 3)
@@ -110,6 +110,9 @@ class Futures:
                 f"{predictor}: expected futures of shape {expected} (windows, samples, frames, joints, 3), found"
                 f" {found}. Return one future a sample, without the observed frames."
             )
+        kind = np.asarray(self.joints).dtype
+        if not np.issubdtype(kind, np.floating):
+            raise AdapterError(f"{predictor}: expected positions with decimals, found {kind}. Return float32, metres.")
         if not np.isfinite(self.joints).all():
             raise AdapterError(f"{predictor}: expected finite positions, found NaN or infinity among the futures.")
         observed = batch.observed_joints
@@ -163,8 +166,28 @@ def ask(predictor: Predictor, batch: ObservedBatch, *, n_samples: int, seed: int
             f"{predictor.name} does not accept the condition '{batch.condition.value}'; it takes: {known}."
         )
     futures = predictor.predict(batch, n_samples=n_samples, seed=seed)
-    futures.require_fits(batch, n_samples, predictor=predictor.name)
-    return futures
+    return require_futures(futures, batch, n_samples, predictor=predictor.name)
+
+
+def require_futures(answer: object, batch: ObservedBatch, n_samples: int, *, predictor: str) -> Futures:
+    """Return what a predictor answered, if it is an answer to the question.
+
+    Args:
+        answer: What ``predict`` returned.
+        batch: What it was asked.
+        n_samples: Futures of each window.
+        predictor: Its name, for messages.
+
+    Raises:
+        AdapterError: for anything but futures, or such as do not fit (see :meth:`Futures.require_fits`).
+    """
+    if not isinstance(answer, Futures):
+        raise AdapterError(
+            f"{predictor}: expected prbench.prediction.Futures, found {type(answer).__name__}. Return"
+            " Futures(joints=…) with joints of (windows, samples, frames, joints, 3)."
+        )
+    answer.require_fits(batch, n_samples, predictor=predictor)
+    return answer
 
 
 def window_key(window_id: str) -> int:
