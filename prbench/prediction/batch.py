@@ -77,16 +77,20 @@ class ObservedBatch:
 
     def rows(self, start: int, stop: int) -> ObservedBatch:
         """A part of the batch; every row is complete in itself."""
-        part = slice(start, stop)
+        return self.chosen(range(start, stop))
+
+    def chosen(self, rows: Sequence[int]) -> ObservedBatch:
+        """Some rows of the batch, in the order given."""
+        places = np.asarray(rows, dtype=np.int64)
         return ObservedBatch(
             condition=self.condition,
             fps=self.fps,
             n_future=self.n_future,
             joint_names=self.joint_names,
-            observed_joints=self.observed_joints[part],
-            key=self.key[part],
-            gaze=None if self.gaze is None else self.gaze[part],
-            gaze_valid=None if self.gaze_valid is None else self.gaze_valid[part],
+            observed_joints=self.observed_joints[places],
+            key=tuple(self.key[place] for place in places),
+            gaze=None if self.gaze is None else self.gaze[places],
+            gaze_valid=None if self.gaze_valid is None else self.gaze_valid[places],
         )
 
 

@@ -172,8 +172,8 @@ def test_a_new_predictor_as_a_program_is_run_and_scored(tmp_path, capsys):
     ],
 )
 def test_a_predictor_of_another_benchmarks_condition_or_of_our_name_is_refused(tmp_path, wanted, message):
+    given = {"name": "glance", "out": tmp_path / "new", "benchmark": "motion-prediction", **wanted}
     with pytest.raises(UsageError, match=message):
-        given = {"name": "glance", "out": tmp_path / "new", "benchmark": "motion-prediction", **wanted}
         new_adapter(ScaffoldRequest(**given))
 
 

@@ -126,14 +126,7 @@ class PredictorSubject(MethodSubject):
 
     def rows_of(self, batch: ObservedBatch, rows: Sequence[int]) -> ObservedBatch:
         """See :meth:`MethodSubject.rows_of`."""
-        chosen = np.asarray(rows, dtype=np.int64)
-        return dataclasses.replace(
-            batch,
-            observed_joints=batch.observed_joints[chosen],
-            key=tuple(batch.key[row] for row in chosen),
-            gaze=None if batch.gaze is None else batch.gaze[chosen],
-            gaze_valid=None if batch.gaze_valid is None else batch.gaze_valid[chosen],
-        )
+        return batch.chosen(rows)
 
     def nudged(self, batch: ObservedBatch, by: np.float32) -> ObservedBatch:
         """Move the observed poses."""
