@@ -61,6 +61,7 @@ class LearnedPredictor:
         self.name = name
         self._loaded = {each.windows.condition: each for each in loaded}
         self.conditions = frozenset(self._loaded)
+        self.one_design = any(isinstance(each.network, DLow) for each in loaded)
 
     def weights_for(self, condition: Condition) -> Path:
         """The weights file in use under a condition."""

@@ -7,6 +7,7 @@ stand beside the losses.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Generic, TypeVar
 
@@ -71,7 +72,7 @@ class RateCourse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return factor
 
 
-class PredictorTraining(TrainingModule, Generic[RecordT, NetworkT]):
+class PredictorTraining(TrainingModule, ABC, Generic[RecordT, NetworkT]):
     """A network with its losses; subclasses say what these are.
 
     Args:
@@ -108,9 +109,9 @@ class PredictorTraining(TrainingModule, Generic[RecordT, NetworkT]):
         losses = self.losses(motion, generator, step)
         return losses if step >= 0 else losses | self.errors(motion, step)
 
+    @abstractmethod
     def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> Losses:
-        """Losses of whole windows by name."""
-        raise NotImplementedError
+        """Return the losses of whole windows by name."""
 
     @torch.no_grad()
     def errors(self, motion: Float[Tensor, "windows frames nodes 3"], step: int) -> Losses:

@@ -10,7 +10,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, Group, command, note
-from prbench.cli.options import CONDITIONS, SECONDS, benchmark_option, out_file_option, out_folder_option
+from prbench.cli.options import ALL_CONDITIONS, SECONDS, benchmark_option, out_file_option, out_folder_option
 from prbench.cli.terminal import print_columns
 from prbench.errors import UsageError
 
@@ -173,9 +173,9 @@ def list_methods(names: tuple[str, ...], details: bool, timeout: float, benchmar
 @click.option(
     "--condition",
     "conditions",
-    type=click.Choice(CONDITIONS),
+    type=click.Choice(ALL_CONDITIONS),
     multiple=True,
-    help="What the method is given (default goal-loc); repeatable.",
+    help="What the method is given (default goal-loc; motion-prediction pose); repeatable.",
 )
 @click.option("--trainable", is_flag=True, help="Write fit(), too: a method that learns from a table.")
 @click.option(
@@ -183,19 +183,29 @@ def list_methods(names: tuple[str, ...], details: bool, timeout: float, benchmar
     is_flag=True,
     help="Write a program of its own instead of a package: one plain Python file and a TOML file.",
 )
-def new(name: str, out: Path | None, conditions: tuple[str, ...], trainable: bool, program: bool) -> Answer:
+@benchmark_option
+def new(
+    name: str,
+    out: Path | None,
+    conditions: tuple[str, ...],
+    trainable: bool,
+    program: bool,
+    benchmark: str | None,
+) -> Answer:
     """Write a complete package with a new method that works at once, for you to change.
 
     NAME is that of the method, such as glide: what --method will be given.
     """
+    from prbench.benchmarks import default_benchmark
     from prbench.workflows.scaffold import ScaffoldRequest, new_adapter
 
     request = ScaffoldRequest(
         name=name,
-        conditions=conditions or ("goal-loc",),
+        conditions=conditions,
         out=out,
         trainable=trainable,
         program=program,
+        benchmark=benchmark or default_benchmark().name,
     )
     made = new_adapter(request)
     for warning in made.warnings:

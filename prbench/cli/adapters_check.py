@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from prbench.benchmarks import default_benchmark
 from prbench.cli.commands import Answer, command
-from prbench.cli.options import PATH, SECONDS, method_settings
+from prbench.cli.options import PATH, SECONDS, benchmark_option, method_settings
 from prbench.cli.progress import progress
 from prbench.shown import clean
 
@@ -57,11 +58,12 @@ class CheckReport(msgspec.Struct, frozen=True, kw_only=True):
 
 @command("check", example="prbench adapters check static", report=CheckReport, writes_report=True)
 @click.argument("method")
+@benchmark_option
 @click.option(
     "--data",
     type=PATH,
     metavar="DIR",
-    help="Ask about 12 test sequences of this dataset (default: synthetic people).",
+    help="Ask about 12 test cases of this table (default: synthetic people).",
 )
 @method_settings
 @click.option(
@@ -81,6 +83,7 @@ class CheckReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option("--isolate", is_flag=True, help="Run an installed method in a process of its own.")
 def check(
     method: str,
+    benchmark: str | None,
     data: Path | None,
     weights: Path | None,
     options: tuple[tuple[str, str], ...],
@@ -98,6 +101,7 @@ def check(
 
     request = conformance.CheckRequest(
         method,
+        benchmark=benchmark or default_benchmark().name,
         weights=weights,
         options=dict(options),
         device=device,

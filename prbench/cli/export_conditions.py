@@ -10,11 +10,13 @@ from pathlib import Path
 import click
 import msgspec
 
+from prbench.benchmarks import default_benchmark
 from prbench.cli.commands import Answer, command, note
 from prbench.cli.options import (
-    CONDITIONS,
+    ALL_CONDITIONS,
     FIRST_RUN_SEQUENCES,
     POSITIVE,
+    benchmark_option,
     control_option,
     data_option,
     limit_option,
@@ -22,7 +24,9 @@ from prbench.cli.options import (
     permission_option,
     seed_option,
     split_option,
+    usual_number,
 )
+from prbench.errors import UsageError
 
 
 class ExportedDataset(msgspec.Struct, frozen=True, kw_only=True):
@@ -61,10 +65,13 @@ class ConditionsReport(msgspec.Struct, frozen=True, kw_only=True):
     report=ConditionsReport,
 )
 @data_option(required=True)
-@click.option("--condition", type=click.Choice(CONDITIONS), required=True, help="What the method is given.")
+@benchmark_option
+@click.option("--condition", type=click.Choice(ALL_CONDITIONS), required=True, help="What the method is given.")
 @out_file_option(".parquet, or .npz for NumPy alone.", required=True)
 @seed_option("behind opaque ids and noise seeds")
-@click.option("--samples", type=POSITIVE, default=1, metavar="K", help="Motions of each sequence (default 1).")
+@click.option(
+    "--samples", type=POSITIVE, metavar="K", help=f"Answers to each case (default {usual_number('samples')})."
+)
 @split_option()
 @limit_option()
 @click.option(
@@ -83,10 +90,11 @@ class ConditionsReport(msgspec.Struct, frozen=True, kw_only=True):
 @permission_option
 def export_conditions(
     data: tuple[Path, ...],
+    benchmark: str | None,
     condition: str,
     out: Path,
     seed: int,
-    samples: int,
+    samples: int | None,
     split: str,
     limit: int | None,
     max_frames: int | None,
@@ -98,10 +106,21 @@ def export_conditions(
 
     `prbench score` takes the motions that the method makes from it.
     """
+    from prbench.benchmarks import find_benchmark
     from prbench.contract import Condition
     from prbench.submitted.offline import ExportRequest
     from prbench.submitted.offline import export_conditions as export
 
+    about = find_benchmark(benchmark or default_benchmark().name)
+    if condition not in about.conditions:
+        known = ", ".join(about.conditions)
+        raise UsageError(f"--condition {condition}: expected one of the benchmark {about.name}: {known}.")
+    samples = samples or about.samples
+    if not about.default:
+        for option, value in (("max-frames", max_frames), ("native-fps", native_fps), ("control", control)):
+            if value is not None:
+                raise UsageError(f"--{option}: the benchmark {about.name} does not have it; leave it out.")
+        return _windows(data, condition, out, seed, samples, split, limit, permission)
     exported = export(
         ExportRequest(
             data=data,
@@ -132,6 +151,41 @@ def export_conditions(
     return Answer(report, lambda: _print(report))
 
 
+def _windows(
+    data: tuple[Path, ...],
+    condition: str,
+    out: Path,
+    seed: int,
+    samples: int,
+    split: str,
+    limit: int | None,
+    permission: tuple[str, ...],
+) -> Answer:
+    """Write what a predictor may see."""
+    from prbench.submitted.futures import WindowsRequest, export_windows
+
+    exported = export_windows(
+        WindowsRequest(
+            data=data,
+            condition=condition,
+            out=out,
+            seed=seed,
+            samples=samples,
+            split=split,
+            limit=limit,
+            permitted=permission,
+        )
+    )
+    note(f"then: prbench score FUTURES.npz --conditions {shlex.quote(str(exported.out))} --data …")
+    report = ConditionsReport(
+        out=exported.out,
+        motions=exported.windows * samples,
+        datasets=[ExportedDataset(dataset=exported.dataset, sequences=exported.windows, left_out=0)],
+        notices=list(exported.notices),
+    )
+    return Answer(report, lambda: _print(report, case="windows"))
+
+
 def _tell_first_run(data: Sequence[Path]) -> None:
     """Tell that runs without ``--data`` take a part of the embedded datasets, and this command all by default."""
     from prbench.workflows.first_run import default_table_folders
@@ -144,10 +198,10 @@ def _tell_first_run(data: Sequence[Path]) -> None:
         )
 
 
-def _print(report: ConditionsReport) -> None:
+def _print(report: ConditionsReport, case: str = "sequences") -> None:
     for each in report.datasets:
         more = f" ({each.left_out} longer ones left out)" if each.left_out else ""
-        print(f"{each.dataset}: {each.sequences} sequences{more}")
+        print(f"{each.dataset}: {each.sequences} {case}{more}")
     for line in report.notices:
         print(f"notice: {line}")
     print(f"{report.motions} motions to generate: {report.out}")

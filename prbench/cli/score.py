@@ -15,6 +15,7 @@ from prbench.cli.options import (
     CONDITIONS,
     PATH,
     POSITIVE,
+    benchmark_option,
     control_option,
     data_option,
     engine_options,
@@ -26,6 +27,7 @@ from prbench.cli.options import (
 )
 from prbench.cli.progress import progress
 from prbench.cli.summaries import DatasetScores, dataset_scores, print_agreement, print_scene, print_summary
+from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
@@ -86,6 +88,12 @@ class ScoreReport(msgspec.Struct, frozen=True, kw_only=True):
 @protocol_option("the numbers of the metrics; the table must have been built by the same rules.")
 @out_folder_option("Write scores.parquet, summary.json … into this folder.")
 @engine_options()
+@benchmark_option
+@click.option(
+    "--one-design",
+    is_flag=True,
+    help="The K futures of a window are one design: fewer have no scores (motion-prediction).",
+)
 def score(
     predictions: Path,
     data: tuple[Path, ...],
@@ -102,15 +110,38 @@ def score(
     protocol: Path | None,
     out: Path | None,
     engine: EngineChoice,
+    benchmark: str | None,
+    one_design: bool,
 ) -> Answer:
     """Score finished motions (Parquet, .npz, motions/*.npy), or a run folder again.
 
     PREDICTIONS is a run folder; Parquet or .npz with opaque_id (or sequence_id), sample (0 if absent), joints and, in
-    .npz, n_frames; or a folder of motions/0000000000.npy, numbered by the rows of --conditions.
+    .npz, n_frames; or a folder of motions/0000000000.npy, numbered by the rows of --conditions. Of
+    motion-prediction it is .npz with opaque_id and joints (windows, samples, frames, joints, 3).
     """
+    from prbench.benchmarks import default_benchmark, find_benchmark
     from prbench.contract import Condition
     from prbench.submitted.score_predictions import ScoreRequest, score_predictions
 
+    about = find_benchmark(benchmark or default_benchmark().name)
+    if not about.default:
+        unknown = {
+            "split": split,
+            "limit": limit,
+            "seed": seed,
+            "condition": condition,
+            "control": control,
+            "max-frames": max_frames,
+            "native-fps": native_fps,
+            "allow-length-mismatch": allow_length_mismatch or None,
+            "protocol": protocol,
+        }
+        for option, value in unknown.items():
+            if value is not None:
+                raise UsageError(f"--{option}: the conditions file says it for {about.name}; leave it out.")
+        return _futures(predictions, data, conditions, name, one_design=one_design, out=out, engine=engine)
+    if one_design:
+        raise UsageError("--one-design: belongs to --benchmark motion-prediction; leave it out.")
     request = ScoreRequest(
         predictions=predictions,
         data=data,
@@ -140,6 +171,42 @@ def score(
         for each in scored
     ]
     return Answer(ScoreReport(datasets=datasets, out=out), lambda: _print(scored, out))
+
+
+def _futures(
+    futures: Path,
+    data: tuple[Path, ...],
+    conditions: Path | None,
+    name: str | None,
+    *,
+    one_design: bool,
+    out: Path | None,
+    engine: EngineChoice,
+) -> Answer:
+    """Score the finished futures of a predictor."""
+    from prbench.submitted.futures import FuturesRequest, score_futures
+
+    if conditions is None:
+        raise UsageError("--conditions FILE: futures are scored with the file of windows that they were made from.")
+    request = FuturesRequest(
+        futures=futures, conditions=conditions, data=data, name=name, one_design=one_design, out=out
+    )
+    with progress("scoring") as show:
+        scored = score_futures(
+            request,
+            engine=opened(engine, reads=(futures, conditions, *data)),
+            progress=lambda step: show(step.done, step.total, step.dataset),
+        )
+    report = ScoreReport(
+        datasets=[ScoredMotions(origin=scored.origin, scores=dataset_scores(scored.summary, None))], out=out
+    )
+
+    def show_scores() -> None:
+        print_summary(scored.summary, origin=scored.origin)
+        if out is not None:
+            print(f"scores: {out}")
+
+    return Answer(report, show_scores)
 
 
 def _print(scored: Sequence[Scored], out: Path | None) -> None:

@@ -42,12 +42,12 @@ class Rules(Protocol):
 
     @property
     def version(self) -> int:
-        """Version of the protocol."""
+        """Return the version of the protocol."""
         ...
 
     @property
     def digest(self) -> str:
-        """Digest of its values."""
+        """Return the digest of its values."""
         ...
 
 
@@ -57,23 +57,23 @@ class CaseTable(Protocol):
 
     @property
     def folder(self) -> Path:
-        """Its folder."""
+        """Return the folder of the table."""
         ...
 
     @property
     def info(self) -> Provenance:
-        """What it is and where it came from."""
+        """Return the provenance: what the table is and where it came from."""
         ...
 
     # Text in both; "Any" because a type checker takes a cached property for none of a protocol's.
     @property
     def identity(self) -> Any:
-        """Digest of which cases there are."""
+        """Return the digest of which cases there are."""
         ...
 
     @property
     def content(self) -> Any:
-        """Digest of all values."""
+        """Return the digest of all values."""
         ...
 
 
@@ -83,26 +83,26 @@ class Cases(Protocol):
 
     @property
     def table(self) -> CaseTable:
-        """The table that they are of."""
+        """Return the table that they are of."""
         ...
 
     @property
     def sequence_ids(self) -> tuple[str, ...]:
-        """Id of each case."""
+        """Return the id of each case."""
         ...
 
     @property
     def recording_ids(self) -> tuple[str, ...]:
-        """The recording that each case comes from: recordings are independent, cases of one are not."""
+        """Return the recording that each case comes from: recordings are independent, cases of one are not."""
         ...
 
     @property
     def digest(self) -> str:
-        """Digest of the ids."""
+        """Return the digest of the ids."""
         ...
 
     def chosen(self, keep: np.ndarray) -> Self:
-        """The cases where ``keep`` is true."""
+        """Return the cases where ``keep`` is true."""
         ...
 
     def __len__(self) -> int: ...
@@ -153,15 +153,15 @@ class CaseWork(ABC):
     @property
     @abstractmethod
     def plan(self) -> list[Int[np.ndarray, "_"]]:
-        """The places of the cases of each batch; floating-point results may depend on them."""
+        """Return the places of the cases of each batch; floating-point results may depend on them."""
 
     @property
     def holds_recordings(self) -> bool:
-        """True if the answers are recorded motion, for the notice that the data's terms may ask for."""
+        """Return True if the answers are recorded motion, for the notice that the data's terms may ask for."""
         return False
 
     def round_of(self, batch: int) -> int:
-        """Number of the round in which a batch is made: those of round 1 need what those of round 0 have answered."""
+        """Return the round in which a batch is made: those of round 1 need what those of round 0 have answered."""
         del batch
         return 0
 
@@ -203,23 +203,23 @@ class Benchmark(ABC, Generic[Table, Chosen]):
 
     @property
     def about(self) -> AboutBenchmark:
-        """Its description."""
+        """Return its description."""
         return find_benchmark(self.name)
 
     @property
     @abstractmethod
     def metrics(self) -> tuple[MetricInfo, ...]:
-        """All metrics, in the order in which they are printed."""
+        """Return all metrics, in the order in which they are printed."""
 
     @property
     @abstractmethod
     def methods(self) -> MethodGroup:
-        """How its methods are found and loaded."""
+        """Return how its methods are found and loaded."""
 
     @property
     @abstractmethod
     def present_rules(self) -> Rules:
-        """The protocol of this version of prbench."""
+        """Return the protocol of this version of prbench."""
 
     def rules_of(self, run: RunFolder) -> Rules | None:
         """Return the rules that a finished run followed; None for those of another version, which are not known."""
@@ -233,7 +233,7 @@ class Benchmark(ABC, Generic[Table, Chosen]):
 
     @property
     def conditions(self) -> type[StrEnum]:
-        """What a method may know."""
+        """Return what a method may know."""
         return self.methods.conditions
 
     def condition(self, name: str) -> StrEnum:
@@ -252,12 +252,12 @@ class Benchmark(ABC, Generic[Table, Chosen]):
 
     @property
     def main_metrics(self) -> tuple[MetricInfo, ...]:
-        """The columns of leaderboards."""
+        """Return the columns of leaderboards."""
         return tuple(info for info in self.metrics if info.main)
 
     @property
     def ranked_metrics(self) -> tuple[MetricInfo, ...]:
-        """The main metrics by which methods are ranked and compared."""
+        """Return the main metrics by which methods are ranked and compared."""
         return tuple(info for info in self.main_metrics if info.ranked)
 
     def settled(self, request: RunRequest) -> RunRequest:
@@ -271,7 +271,7 @@ class Benchmark(ABC, Generic[Table, Chosen]):
     @property
     @abstractmethod
     def table_file(self) -> str:
-        """Name of the file that describes a table, by which a folder is known to hold one."""
+        """Return the name of the file that describes a table, by which a folder is known to hold one."""
 
     @abstractmethod
     def open_table(self, folder: Path) -> Table:

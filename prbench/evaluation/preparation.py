@@ -101,7 +101,7 @@ def prepare_run(request: RunRequest) -> PreparedRun:
         _dataset(benchmark, request, chosen, spec, method, condition, rules)
         for chosen in benchmark.choose(request, tables)
     )
-    record = _record(request, condition, method, datasets, rules)
+    record = run_record(request, condition, method, datasets, rules)
     if request.repeats is not None:
         record.require_same_inputs(request.repeats)
     return PreparedRun(request, benchmark, record, datasets, request.out or _default_folder(record), rules)
@@ -182,6 +182,7 @@ def _method(request: RunRequest, spec: MethodSpec, condition: StrEnum) -> Method
         motionless=declared.motionless,
         gaze=declared.gaze,
         wants_obstacles=declared.wants_obstacles,
+        one_design=declared.one_design,
         isolation=spec.isolation,
     )
 
@@ -223,13 +224,22 @@ def _dataset(
     return PreparedDataset(chosen, cases, spec, work)
 
 
-def _record(
+def run_record(
     request: RunRequest,
     condition: StrEnum,
     method: MethodRecord,
     datasets: tuple[PreparedDataset, ...],
     rules: Rules,
 ) -> RunRecord:
+    """Put down what decides the result of a run.
+
+    Args:
+        request: The run.
+        condition: What the method is given.
+        method: The method.
+        datasets: Its tables and plans.
+        rules: The benchmark's rules.
+    """
     return RunRecord(
         schema_version=RUN_SCHEMA_VERSION,
         prbench_version=prbench.__version__,

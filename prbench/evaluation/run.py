@@ -87,6 +87,23 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
     return RunReport(folder, summaries, batches_made=sum(made), batches_found=total - sum(made))
 
 
+def score_prepared(
+    prepared: PreparedRun, folder: RunFolder, *, engine: Engine, progress: ProgressCallback = silent
+) -> tuple[DatasetSummary, ...]:
+    """Score what stands in a run folder, whoever has put it there.
+
+    Args:
+        prepared: The run.
+        folder: Where its predictions are.
+        engine: Where the work is done; changes no value.
+        progress: Called with what is done.
+    """
+    parts = [_Part(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
+    for part in parts:
+        part.write_notice()
+    return tuple(part.scored() for part in parts)
+
+
 def missing_batches(request: RunRequest, *, engine: Engine) -> Iterator[BatchTask]:
     """Work that a run still has to do, for whoever makes the batches of several runs at once.
 

@@ -15,11 +15,14 @@ from prbench.errors import AdapterError, PrbenchError, UsageError
 from prbench.methods.declared import Declared
 from prbench.methods.groups import MOTIONS, MethodGroup
 from prbench.methods.installed import InstalledAdapter, list_adapters, no_such_method
+from prbench.methods.python_files import find_python_method, is_python_method, python_loader
 from prbench.storage import file_digest
 
 
 def find_adapter(name: str, *, also_known: Iterable[str] = (), entry_points: str = ADAPTERS) -> InstalledAdapter:
     """Find the installed method of this name: prbench's own, or the one that a single package offers.
+
+    A Python file and ``module:function`` are found without being installed (:mod:`prbench.methods.python_files`).
 
     Args:
         name: As given by ``--method``.
@@ -29,6 +32,8 @@ def find_adapter(name: str, *, also_known: Iterable[str] = (), entry_points: str
     Raises:
         AdapterError: if there is none (with the nearest name), two packages offer it, or its metadata are damaged.
     """
+    if is_python_method(name):
+        return find_python_method(name)
     installed = list_adapters(entry_points)
     claims = [adapter for adapter in installed if adapter.name == name]
     found = [adapter for adapter in claims if not adapter.problem]
@@ -72,7 +77,7 @@ def load_adapter(
     point = EntryPoint(installed.name, installed.target, group.entry_points)
     origin = f"adapter '{name}' (package {installed.package} {installed.version}, {installed.target})"
     try:
-        load = point.load()
+        load = python_loader(name) if is_python_method(name) else point.load()
     except (Exception, SystemExit) as error:
         raise AdapterError(
             f"{origin}: cannot be imported: {_cause(error)}. Repair or reinstall the package."

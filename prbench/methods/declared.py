@@ -29,6 +29,8 @@ class Declared:
     """True if its motions bring gaze."""
     wants_obstacles: bool = False
     """Must be given the solid boxes around each sequence."""
+    one_design: bool = False
+    """The K futures of a window are one design: fewer are no part of more."""
 
     @classmethod
     def by(cls, adapter: Any, *, origin: str, conditions: type[StrEnum] = Condition) -> Declared:
@@ -51,7 +53,11 @@ class Declared:
             origin=origin,
             known=conditions,
         )
-        return replace(declared, wants_obstacles=bool(getattr(adapter, "wants_obstacles", False)))
+        return replace(
+            declared,
+            wants_obstacles=bool(getattr(adapter, "wants_obstacles", False)),
+            one_design=bool(getattr(adapter, "one_design", False)),
+        )
 
     @classmethod
     def checked(

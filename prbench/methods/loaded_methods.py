@@ -16,6 +16,8 @@ from prbench.errors import AdapterError
 from prbench.methods.adapters import load_adapter
 from prbench.methods.groups import MOTIONS, MethodGroup
 from prbench.methods.names import name_problem
+from prbench.methods.programs.words import short_name
+from prbench.methods.python_files import is_python_method
 from prbench.methods.remote.method import RemoteMethod
 from prbench.methods.remote.process import Program
 from prbench.methods.training_split import temporary_training_copy
@@ -143,7 +145,10 @@ def _loaded_here(spec: MethodSpec) -> LoadedMethod:
     adapter = load_adapter(spec.name, spec.weights, dict(spec.options), spec.device, group=spec.group)
     if spec.fit is not None:
         spec.fit(adapter, spec)
-    return LoadedMethod(spec.name, adapter)
+    if not is_python_method(spec.name):
+        return LoadedMethod(spec.name, adapter)
+    _require_own_name(adapter.name, spec, f"'{short_name(spec.name)}'", "Give it another attribute 'name'.")
+    return LoadedMethod(adapter.name, adapter)
 
 
 def _loaded_program(spec: MethodSpec, program: Program) -> LoadedMethod:
@@ -174,8 +179,13 @@ def _require_name(name: str, spec: MethodSpec) -> None:
             f"method '{spec.expected_name}': expected the program to introduce itself by this name, found '{name}'."
             " Correct method.name in the TOML file, or start the right program."
         )
+    _require_own_name(name, spec, f"program '{spec.name}'", "Let it introduce itself by another name in its hello.")
+
+
+def _require_own_name(name: str, spec: MethodSpec, origin: str, remedy: str) -> None:
+    """Refuse a name that belongs to prbench, or that cannot be shown."""
     if problem := name_problem(name, own=benchmark_of_group(spec.group.entry_points).methods):
-        raise AdapterError(f"program '{spec.name}': {problem}. Let it introduce itself by another name in its hello.")
+        raise AdapterError(f"{origin}: {problem}. {remedy}")
 
 
 def _resident_bytes(process: psutil.Process) -> int:

@@ -16,6 +16,8 @@ from prbench.methods.isolation.isolated import Fit
 from prbench.methods.loaded_methods import HELD, MethodSpec
 from prbench.methods.names import METHOD_CONTROLS
 from prbench.methods.programs import MethodProgram, is_program, own_environment, program_of
+from prbench.methods.programs.words import short_name
+from prbench.methods.python_files import is_python_method
 from prbench.methods.remote.process import Program
 from prbench.methods.training_split import FIT_SEED, TrainingSplit
 from prbench.methods.users_environment import users_environment
@@ -70,6 +72,11 @@ def method_spec(
         return _program_spec(spec, isolate)
     known = METHOD_CONTROLS if group is MOTIONS else ()
     installed = find_adapter(method, also_known=known, entry_points=group.entry_points)
+    if isolate and is_python_method(method):
+        raise UsageError(
+            f"--isolate: {installed.package} is no package that another process could load. Install it as a package"
+            " (`prbench adapters new`), or write it as a program."
+        )
     if isolate:
         program = _worker(spec, installed, None)
         return replace(spec, program=program, isolation=program.fence)
@@ -97,7 +104,7 @@ def fitted_to(spec: MethodSpec, table: SequenceTable) -> MethodSpec:
         table.identity,
         table.content,
     )
-    folder = cache_folder() / "fits" / f"{spec.name}-{key[:16]}"
+    folder = cache_folder() / "fits" / f"{short_name(spec.name)}-{key[:16]}"
     if spec.program is None:
         return replace(spec, fit_folder=folder, table_folder=table.folder, fit=fit_to_training_rows)
     # Behind the fence the table itself is hidden, as it holds the test rows.

@@ -100,6 +100,7 @@ def _introduction(name: str, adapter: Any, given: Path | None, group: MethodGrou
         "native_fps": declared.native_fps,
         "motionless": declared.motionless,
         "gaze": declared.gaze,
+        "one_design": declared.one_design,
         "weights": weights,
         "trainable": hasattr(adapter, "fit"),
     }

@@ -77,16 +77,20 @@ class ObservedBatch:
 
     def rows(self, start: int, stop: int) -> ObservedBatch:
         """A part of the batch; every row is complete in itself."""
-        part = slice(start, stop)
+        return self.chosen(range(start, stop))
+
+    def chosen(self, rows: Sequence[int]) -> ObservedBatch:
+        """Some rows of the batch, in the order given."""
+        places = np.asarray(rows, dtype=np.int64)
         return ObservedBatch(
             condition=self.condition,
             fps=self.fps,
             n_future=self.n_future,
             joint_names=self.joint_names,
-            observed_joints=self.observed_joints[part],
-            key=self.key[part],
-            gaze=None if self.gaze is None else self.gaze[part],
-            gaze_valid=None if self.gaze_valid is None else self.gaze_valid[part],
+            observed_joints=self.observed_joints[places],
+            key=tuple(self.key[place] for place in places),
+            gaze=None if self.gaze is None else self.gaze[places],
+            gaze_valid=None if self.gaze_valid is None else self.gaze_valid[places],
         )
 
 
@@ -101,7 +105,7 @@ class Futures:
         """Hold an answer against what was asked.
 
         Raises:
-            AdapterError: for another shape, values that are not finite, or the past instead of a future.
+            AdapterError: for another shape, values that are no decimals or not finite, or the past instead of a future.
         """
         found = np.shape(self.joints)
         expected = (len(batch), n_samples, batch.n_future, len(batch.joint_names), 3)
@@ -110,6 +114,9 @@ class Futures:
                 f"{predictor}: expected futures of shape {expected} (windows, samples, frames, joints, 3), found"
                 f" {found}. Return one future a sample, without the observed frames."
             )
+        kind = np.asarray(self.joints).dtype
+        if not np.issubdtype(kind, np.floating):
+            raise AdapterError(f"{predictor}: expected positions with decimals, found {kind}. Return float32, metres.")
         if not np.isfinite(self.joints).all():
             raise AdapterError(f"{predictor}: expected finite positions, found NaN or infinity among the futures.")
         observed = batch.observed_joints
@@ -123,7 +130,11 @@ class Futures:
 
 @runtime_checkable
 class Predictor(Protocol):
-    """What predicts: no frame but the observed ones reaches it."""
+    """What predicts: no frame but the observed ones reaches it.
+
+    A predictor whose K samples are one design, so that fewer are no part of more, says so by ``one_design = True``: it
+    has no scores of fewer samples than it was asked for.
+    """
 
     @property
     def name(self) -> str:
@@ -159,8 +170,28 @@ def ask(predictor: Predictor, batch: ObservedBatch, *, n_samples: int, seed: int
             f"{predictor.name} does not accept the condition '{batch.condition.value}'; it takes: {known}."
         )
     futures = predictor.predict(batch, n_samples=n_samples, seed=seed)
-    futures.require_fits(batch, n_samples, predictor=predictor.name)
-    return futures
+    return require_futures(futures, batch, n_samples, predictor=predictor.name)
+
+
+def require_futures(answer: object, batch: ObservedBatch, n_samples: int, *, predictor: str) -> Futures:
+    """Return what a predictor answered, if it is an answer to the question.
+
+    Args:
+        answer: What ``predict`` returned.
+        batch: What it was asked.
+        n_samples: Futures of each window.
+        predictor: Its name, for messages.
+
+    Raises:
+        AdapterError: for anything but futures, or such as do not fit (see :meth:`Futures.require_fits`).
+    """
+    if not isinstance(answer, Futures):
+        raise AdapterError(
+            f"{predictor}: expected prbench.prediction.Futures, found {type(answer).__name__}. Return"
+            " Futures(joints=…) with joints of (windows, samples, frames, joints, 3)."
+        )
+    answer.require_fits(batch, n_samples, predictor=predictor)
+    return answer
 
 
 def window_key(window_id: str) -> int:

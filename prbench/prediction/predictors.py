@@ -107,11 +107,19 @@ class NearestPast:
         """See :class:`prbench.prediction.batch.Predictor`; ``seed`` leaves no trace.
 
         Raises:
-            UsageError: if fewer windows are remembered than samples are asked for.
+            UsageError: if fewer windows are remembered than samples are asked for, or windows of another length or of
+                other joints.
         """
         if n_samples > len(self.futures):
             raise UsageError(f"{self.name}: expected at most {len(self.futures)} samples, found {n_samples}.")
         frames, features = _own_frame(batch)
+        shapes = (self.pasts.shape[1], *self.futures.shape[1:3])
+        asked = (features.shape[1], batch.n_future, len(batch.joint_names))
+        if asked != shapes:
+            raise UsageError(
+                f"{self.name}: it remembers windows of {shapes[1]} future frames and {shapes[2]} joints ({shapes[0]}"
+                f" observed numbers), these have {asked[1]} and {asked[2]} ({asked[0]}). Fit it to windows like these."
+            )
         apart = cdist(features, self.pasts)
         # Stable, so that a tie is not broken by how many samples are asked for.
         nearest = np.argsort(apart, axis=1, kind="stable")[:, :n_samples]

@@ -161,7 +161,8 @@ def score_predictor(
     scores = Scores()
     for batch, truth in table.batches(condition, chosen, frame=frame or rules.frame, size=size):
         futures = ask(predictor, batch, n_samples=n_samples, seed=seed)
-        add_scores(scores, batch, futures, truth, table.joints, rules, similar=similar)
+        one_design = bool(getattr(predictor, "one_design", False))
+        add_scores(scores, batch, futures, truth, table.joints, rules, similar=similar, one_design=one_design)
     return scores
 
 
@@ -174,9 +175,10 @@ def add_scores(
     rules: EvaluationRules,
     *,
     similar: SimilarPasts | None = None,
+    one_design: bool = False,
 ) -> None:
     """Score the answer to one batch (:func:`score_batch`), and append its rows to the scores of others."""
-    for rows, values in score_batch(batch, futures, truth, joints, rules, similar=similar):
+    for rows, values in score_batch(batch, futures, truth, joints, rules, similar=similar, one_design=one_design):
         scores.add(_names(truth, rows) | values)
 
 
@@ -199,6 +201,7 @@ def score_batch(
     rules: EvaluationRules,
     *,
     similar: SimilarPasts | None = None,
+    one_design: bool = False,
 ) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
     """Score the answer to one batch.
 
@@ -209,6 +212,7 @@ def score_batch(
         joints: The joint set of both.
         rules: Numbers of samples, and horizons.
         similar: For MMADE and MMFDE.
+        one_design: The samples are one design: fewer than all of them have no scores.
 
     Yields:
         Rows of the batch that are scored over one number of frames, and their scores by name.
@@ -219,7 +223,7 @@ def score_batch(
         actual = truth.joints[rows][:, :n_scored]
         last = batch.observed_joints[rows, -1]
         by_joint = metrics.joint_errors(predicted, actual)
-        values = _of_samples(np.sqrt((by_joint**2).sum(axis=-1)), predicted, batch.fps, rules)
+        values = _of_samples(np.sqrt((by_joint**2).sum(axis=-1)), predicted, batch.fps, rules, one_design=one_design)
         values |= _of_joints(by_joint, joints)
         values["first_frame_jump"] = metrics.first_frame_jump(predicted, last)
         values["bone_error_percent"] = metrics.bone_error(predicted, last, joints.bones)
@@ -234,6 +238,8 @@ def _of_samples(
     predicted: np.ndarray,
     fps: float,
     rules: EvaluationRules,
+    *,
+    one_design: bool,
 ) -> dict[str, np.ndarray]:
     """The study's metrics for every number of samples, at every horizon."""
     samples = errors.shape[1]
@@ -245,7 +251,7 @@ def _of_samples(
         "fde_mean": found.fde_mean,
         "apd": metrics.diversity(predicted),
     }
-    for n in (each for each in rules.samples if each <= samples):
+    for n in (each for each in rules.samples if each == samples or (each < samples and not one_design)):
         part = metrics.displacements(errors[:, :n])
         values |= {f"ade@k{n}": part.ade, f"fde@k{n}": part.fde}
     for seconds in rules.horizons:

@@ -154,7 +154,8 @@ class WindowsInfo(Provenance, frozen=True, kw_only=True):
     """Provenance of one table of windows; its outcomes count windows by exclusion (``window`` for the others)."""
 
     file_name: ClassVar[str] = FILE_NAME
-    described: ClassVar[str] = "windows"
+    described: ClassVar[str] = "table of windows"
+    build_command: ClassVar[str] = "build-windows"
 
     fps: float
     observed_frames: int

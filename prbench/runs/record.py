@@ -54,6 +54,8 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
     """The motions bring gaze (docs/specification/protocol.md#gaze)."""
     wants_obstacles: bool = False
     """The method was given the solid boxes around each sequence, which others are not."""
+    one_design: bool = False
+    """The K futures of a window are one design, so that fewer have no scores; not written where they are none."""
     isolation: str | None = None
     """``process`` (paths, objects and environment withheld), ``bubblewrap`` (the file system too) or ``container``."""
 
@@ -146,16 +148,18 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def written(self) -> dict[str, Any]:
-        """The values of ``run.json``: a run of the default benchmark does not name it."""
+        """The values of ``run.json``: keys that are younger than its format are left out where they say the usual."""
         values = msgspec.to_builtins(self)
         if self.benchmark == default_benchmark().name:
             del values["benchmark"]
+        if not self.method.one_design:
+            del values["method"]["one_design"]
         return values
 
     @property
     def short_digest(self) -> str:
         """Digest in the name of a run folder that the user did not name."""
-        text = repr(self)
+        text = repr(self).replace(", one_design=False", "")
         if self.benchmark == default_benchmark().name:
             # Folders of earlier versions, whose records named no benchmark, are to be found again.
             text = text.replace(f", benchmark={self.benchmark!r}", "")

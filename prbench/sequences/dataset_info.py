@@ -62,7 +62,9 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     file_name: ClassVar[str]
     """Name of the file that holds it, in the folder of the table."""
     described: ClassVar[str]
-    """``dataset`` or ``corpus``: what is built, for messages."""
+    """What is built, for messages: ``dataset``, ``corpus`` or ``table of windows``."""
+    build_command: ClassVar[str]
+    """The command that builds it."""
 
     def write(self, folder: Path) -> None:
         """Write the file of this description."""
@@ -98,7 +100,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     def _remedy(cls, folder: Path) -> str:
         """Name the built ones that lie one folder farther down, where a folder of several was given."""
         inner = sorted(str(file.parent) for file in folder.glob(f"*/{cls.file_name}"))
-        return f"Did you mean {', '.join(inner)}?" if inner else f"Make one with `prbench build-{cls.described}`."
+        return f"Did you mean {', '.join(inner)}?" if inner else f"Make one with `prbench {cls.build_command}`."
 
 
 def _found(folder: Path) -> str:
@@ -144,6 +146,7 @@ class DatasetInfo(Provenance, frozen=True, kw_only=True):
 
     file_name: ClassVar[str] = FILE_NAME
     described: ClassVar[str] = "dataset"
+    build_command: ClassVar[str] = "build-dataset"
 
     counts: FunnelCounts
 
@@ -179,5 +182,6 @@ class CorpusInfo(Provenance, frozen=True, kw_only=True):
 
     file_name: ClassVar[str] = CORPUS_FILE
     described: ClassVar[str] = "corpus"
+    build_command: ClassVar[str] = "build-corpus"
 
     counts: CorpusCounts

@@ -52,7 +52,7 @@ def test_methods_are_ordered_and_references_are_not(report):
         "zero velocity",
         "constant velocity",
     }
-    assert all(step.difference.estimate.mean >= 0 for step in order)
+    assert all(step.comparison.difference.mean >= 0 for step in order)
 
 
 def test_the_value_of_gaze_is_paired_between_all_conditions(report):

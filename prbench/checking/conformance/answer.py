@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import random
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
+from prbench.checking.conformance.generators import generator_states, generators_set_to, generators_touched
 from prbench.contract import Adapter, ConditionBatch, Motions
 from prbench.errors import PrbenchError
 from prbench.methods.motions import generate_checked
@@ -75,14 +73,14 @@ class _Watched:
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:
         """Generate, and compare the batch and the global generators with what they were."""
         before = {name: getattr(batch, name).copy() for name in _COPIED if getattr(batch, name) is not None}
-        states = _generator_states()
+        states = generator_states()
         started = time.perf_counter()
         try:
             self.returned = self.adapter.generate(batch, seed=seed)
             self.answered = True
         finally:
             self.seconds += time.perf_counter() - started
-            self.drew_from.update(_generators_touched(states))
+            self.drew_from.update(generators_touched(states))
             after = {name: getattr(batch, name) for name in before}
             self.overwritten |= {name for name in before if not np.array_equal(before[name], after[name])}
         return self.returned  # type: ignore[return-value] - whatever it is, the harness checks it
@@ -105,7 +103,7 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
     # A method may keep or change its batch; the answer holds the one that was meant.
     own = dataclasses.replace(batch)
     try:
-        with computing_threads(threads), _generators_set_to(state_seed):
+        with computing_threads(threads), generators_set_to(state_seed):
             motions, halvings = generate_checked(
                 watched,  # type: ignore[arg-type] - its other attributes are the method's
                 own,
@@ -129,46 +127,36 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
     )
 
 
-def _generators_touched(before: dict[str, bytes]) -> tuple[str, ...]:
-    """Return the names of the generators whose state differs from ``before``."""
-    return tuple(name for name, state in _generator_states().items() if before.get(name, state) != state)
+@runtime_checkable
+class AnyAnswer(Protocol):
+    """What comparisons need of an answer, whatever was asked."""
+
+    @property
+    def batch(self) -> Any:
+        """Return what was asked."""
+        ...
+
+    @property
+    def motions(self) -> Any:
+        """Return what was answered, as far as the harness accepts it; else None."""
+        ...
+
+    @property
+    def error(self) -> str:
+        """Return why the harness does not accept it; empty where it does."""
+        ...
+
+    @property
+    def seconds(self) -> float:
+        """Return how long the answer took."""
+        ...
+
+    def motion(self, row: int) -> Float[np.ndarray, "*frames joints 3"]:
+        """Return what was answered to one row, metres."""
+        ...
 
 
-def _generator_states() -> dict[str, bytes]:
-    """Map the name of each global generator to its state."""
-    # The key changes every 624 draws only; the place in it changes with each.
-    _, key, *place = np.random.get_state(legacy=True)  # noqa: NPY002 - only looked at
-    found = {
-        "random": repr(random.getstate()).encode(),
-        "numpy.random": np.asarray(key).tobytes() + repr(place).encode(),
-    }
-    torch = sys.modules.get("torch")
-    if torch is not None and hasattr(torch, "random"):
-        found["torch"] = torch.random.get_rng_state().numpy().tobytes()
-    return found
-
-
-@contextmanager
-def _generators_set_to(seed: int) -> Iterator[None]:
-    """Seed all global generators, and restore their states at the end."""
-    python = random.getstate()
-    legacy = np.random.get_state()  # noqa: NPY002 - put back as it was
-    torch = sys.modules.get("torch")
-    drawn = torch.random.get_rng_state() if torch is not None and hasattr(torch, "random") else None
-    random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002 - a method that draws from it is found out by another seed
-    if torch is not None and drawn is not None:
-        torch.random.manual_seed(seed)
-    try:
-        yield
-    finally:
-        random.setstate(python)
-        np.random.set_state(legacy)  # noqa: NPY002 - put back as it was
-        if torch is not None and drawn is not None:
-            torch.random.set_rng_state(drawn)
-
-
-def largest_changes(first: Answer, second: Answer, rows: list[int] | None = None) -> Float[np.ndarray, " rows"]:
+def largest_changes(first: AnyAnswer, second: AnyAnswer, rows: list[int] | None = None) -> Float[np.ndarray, " rows"]:
     """Return for each motion the largest distance of any joint in any frame between two answers, metres.
 
     Args:
@@ -185,7 +173,7 @@ def largest_changes(first: Answer, second: Answer, rows: list[int] | None = None
     )
 
 
-def same_bytes(first: Answer, second: Answer) -> bool:
+def same_bytes(first: AnyAnswer, second: AnyAnswer) -> bool:
     """Return True if two answers to the same batch hold the same numbers to the last bit."""
     return all(np.array_equal(first.motion(row), second.motion(row)) for row in range(len(first.batch)))
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
+from prbench.checking.conformance.method_subject import MethodSubject
 from prbench.checking.conformance.report import Finding, Observation, Outcome, failed, skipped
-from prbench.checking.conformance.subject import Subject
 
-_Examine = Callable[[Subject], Iterable[Observation]]
+_Examine = Callable[[Any], Iterable[Observation]]
+FORM = ("generates", "predicts", "shapes", "dtype", "finite", "past")
+"""Checks without which there is nothing to look at."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ def check(
 
 
 def examine(
-    subject: Subject,
+    subject: MethodSubject,
     checks: Iterable[Check],
     *,
     known: Mapping[str, Outcome] | None = None,
@@ -70,7 +73,7 @@ def worst_of(findings: Iterable[Finding]) -> Outcome:
     return max((finding.outcome for finding in findings), key=order.index, default=Outcome.SKIPPED)
 
 
-def _observed(one: Check, subject: Subject, worst: Mapping[str, Outcome]) -> list[Observation]:
+def _observed(one: Check, subject: MethodSubject, worst: Mapping[str, Outcome]) -> list[Observation]:
     missing = [name for name in one.needs if worst.get(name) is Outcome.FAILED]
     if missing:
         return [skipped(f"not looked at before '{missing[0]}' passes.")]
@@ -87,10 +90,10 @@ def _observed(one: Check, subject: Subject, worst: Mapping[str, Outcome]) -> lis
         ]
 
 
-def _no_motions(subject: Subject, worst: Mapping[str, Outcome]) -> str:
+def _no_motions(subject: MethodSubject, worst: Mapping[str, Outcome]) -> str:
     if worst.get("load") is Outcome.FAILED:
         return "not looked at before 'load' passes."
     if not subject.working:
-        broken = [name for name in ("generates", "shapes", "dtype", "finite") if worst.get(name) is Outcome.FAILED]
-        return f"there are no motions to look at before {broken[0] if broken else 'generates'!r} passes."
+        broken = [name for name in FORM if worst.get(name) is Outcome.FAILED]
+        return f"there are no motions to look at before {broken[0] if broken else subject.asks!r} passes."
     return ""

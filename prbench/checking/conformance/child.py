@@ -12,12 +12,12 @@ from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
-from prbench.checking.conformance.cases import cases_of_table, kept_synthetic_cases
 from prbench.checking.conformance.check import examine
-from prbench.checking.conformance.checks import CHECKS
+from prbench.checking.conformance.judges import judge_of
+from prbench.checking.conformance.method_subject import MethodSubject
 from prbench.checking.conformance.report import CheckRequest, Outcome
-from prbench.checking.conformance.subject import Subject
 from prbench.errors import PrbenchError
+from prbench.evaluation.benchmark import load_benchmark
 from prbench.methods.loaded_methods import forget_loaded_methods
 from prbench.methods.methods import method_spec
 from prbench.methods.programs import is_program
@@ -29,11 +29,12 @@ def main() -> None:
     """Run the ordered checks and tell what they find."""
     order = json.loads(sys.stdin.readline())
     tell = _teller()
-    subject = _subject(CheckRequest.of_json(order["request"]), Path(order["folder"]))
+    request = CheckRequest.of_json(order["request"])
+    subject = _subject(request, Path(order["folder"]))
     subject.asking = lambda text: tell(event="asking", text=text)
     subject.starting = lambda text: tell(event="starting", text=text)
     known = {name: Outcome(value) for name, value in order["known"].items()}
-    checks = [one for one in CHECKS if one.name in order["checks"]]
+    checks = [one for one in judge_of(request.benchmark).checks if one.name in order["checks"]]
     for finding in examine(subject, checks, known=known, announce=lambda one: tell(event="check", name=one.name)):
         tell(event="finding", finding=asdict(finding))
     forget_loaded_methods()
@@ -54,7 +55,7 @@ def _teller() -> Tell:
     return tell
 
 
-def _subject(wanted: CheckRequest, folder: Path) -> Subject:
+def _subject(wanted: CheckRequest, folder: Path) -> MethodSubject:
     spec = method_spec(
         wanted.method,
         weights=wanted.weights,
@@ -64,9 +65,9 @@ def _subject(wanted: CheckRequest, folder: Path) -> Subject:
         isolate=wanted.isolate,
         timeout=wanted.time_limit if wanted.isolate or is_program(wanted.method) else None,
         hidden=() if wanted.data is None else (wanted.data,),
+        group=load_benchmark(wanted.benchmark).methods,
     )
-    cases = kept_synthetic_cases(folder) if wanted.data is None else cases_of_table(wanted.data)
-    return Subject(spec, cases, folder)
+    return judge_of(wanted.benchmark).subject(spec, wanted, folder)
 
 
 if __name__ == "__main__":

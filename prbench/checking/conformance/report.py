@@ -8,6 +8,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from prbench.benchmarks import default_benchmark
+
 TIME_LIMIT = 600.0
 """Default limit of each call of the method, seconds."""
 START_LIMIT = 120.0
@@ -111,8 +113,10 @@ class CheckRequest:
     device: str = "cpu"
     threads: int = 1
     isolate: bool = False
+    benchmark: str = default_benchmark().name
+    """The benchmark that it is a method of."""
     data: Path | None = None
-    """A dataset whose test sequences are asked about; None for synthetic people."""
+    """A table whose test cases are asked about; None for synthetic people."""
     time_limit: float = TIME_LIMIT
     """Seconds for each call of the method."""
     start_limit: float = START_LIMIT

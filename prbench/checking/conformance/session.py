@@ -19,12 +19,12 @@ from pathlib import Path
 
 import psutil
 
-from prbench.checking.conformance.cases import cases_of_table
-from prbench.checking.conformance.check import Check, worst_of
-from prbench.checking.conformance.checks import CHECKS
+from prbench.checking.conformance.check import FORM, Check, worst_of
+from prbench.checking.conformance.judges import judge_of
+from prbench.checking.conformance.method_subject import working_folder
 from prbench.checking.conformance.report import CheckRequest, Finding, Outcome, Report, failed, skipped
-from prbench.checking.conformance.subject import working_folder
 from prbench.errors import UsageError
+from prbench.evaluation.benchmark import load_benchmark
 from prbench.methods.loaded_methods import MethodSpec
 from prbench.methods.methods import method_spec
 from prbench.methods.names import METHOD_CONTROLS
@@ -39,7 +39,6 @@ _Announce = Callable[[str, int, int], None]
 """Called before each check with its name, its place and how many there are."""
 _GRACE = 10.0  # seconds
 _STARTS = ("import", "load")
-_FORM = ("generates", "shapes", "dtype", "finite")  # without these there is nothing to look at
 _LOST = (
     "A run would end in the same way. Look for a deadlock, a loop that does not end, os._exit, and crashes of compiled"
     " code under this input."
@@ -164,6 +163,7 @@ class _Session:
 
     def __init__(self, request: CheckRequest, limits: _TimeLimits, folder: Path, announce: _Announce) -> None:
         self.request = request
+        self.checks = judge_of(request.benchmark).checks
         self.limits = limits
         self.folder = folder
         self.announce = announce
@@ -193,12 +193,12 @@ class _Session:
                         self.findings.append(event.finding)
                     elif event.waiting:
                         name = under_way.name if under_way is not None else "starting"
-                        self.announce(f"{name}: {event.waiting}", self._announced, len(CHECKS))
+                        self.announce(f"{name}: {event.waiting}", self._announced, len(self.checks))
                     else:
                         under_way = left[0]
                         left = left[1:]
                         self._announced += 1
-                        self.announce(under_way.name, self._announced, len(CHECKS))
+                        self.announce(under_way.name, self._announced, len(self.checks))
             except _Lost as lost:
                 blamed = under_way or left.pop(0)
                 self._lost.append(blamed.name)
@@ -212,7 +212,7 @@ class _Session:
 
     def _blocked(self) -> str:
         """Return why no further check can be made, or an empty text."""
-        blocking = [name for name in self._lost if name in (*_STARTS, *_FORM)]
+        blocking = [name for name in self._lost if name in (*_STARTS, *FORM)]
         blocking += [name for name, outcome in self._known().items() if name == "load" and outcome is Outcome.FAILED]
         return f"not looked at before '{blocking[0]}' passes." if blocking else ""
 
@@ -242,20 +242,27 @@ def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
         session = _Session(
             request, _limits(request, spec), Path(folder), announce or (lambda _name, _place, _total: None)
         )
-        session.run([one for one in CHECKS if not one.fresh])
-        session.run([one for one in CHECKS if one.fresh])
-    places = {one.name: place for place, one in enumerate(CHECKS)}
+        session.run([one for one in session.checks if not one.fresh])
+        session.run([one for one in session.checks if one.fresh])
+    places = {one.name: place for place, one in enumerate(session.checks)}
     findings = sorted(session.findings, key=lambda finding: places[finding.check])
     return Report(request.method, tuple(findings), time.perf_counter() - started)
 
 
 def _possible(request: CheckRequest) -> MethodSpec:
     """Raise the user's mistakes before any process is started."""
+    judge = judge_of(request.benchmark)
     if request.method in METHOD_CONTROLS:
         raise UsageError(f"'{request.method}' is a control of the harness itself; there is no method to check.")
-    spec = method_spec(request.method, weights=request.weights, options=request.options, isolate=request.isolate)
+    spec = method_spec(
+        request.method,
+        weights=request.weights,
+        options=request.options,
+        isolate=request.isolate,
+        group=load_benchmark(request.benchmark).methods,
+    )
     if request.data is not None:
-        cases_of_table(request.data)
+        judge.require_table(request.data)
     return spec
 
 

@@ -1,23 +1,22 @@
-"""The method under examination: loaded, fitted if it learns, and asked for the same thing only once."""
+"""A method of prime-and-reach under examination."""
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from prbench.checking.conformance.answer import STATE_SEED, Answer, ask
 from prbench.checking.conformance.cases import Cases, write_training_table
-from prbench.contract import Adapter, Condition, ConditionBatch
+from prbench.checking.conformance.method_subject import MethodSubject
+from prbench.checking.conformance.report import Remedy
+from prbench.contract import Condition, ConditionBatch
 from prbench.evaluation.conditions import ConditionSource, run_salt
 from prbench.evaluation.planning import rows_of
 from prbench.manifests import load_protocol
-from prbench.methods.declared import Declared
 from prbench.methods.loaded_methods import LoadedMethod, MethodSpec
 from prbench.methods.methods import fit_to_training_rows, fitted_to
 from prbench.methods.motions import native_frames
@@ -26,13 +25,16 @@ from prbench.sequences import SequenceTable
 RICHEST_FIRST = (Condition.GOAL_LOCATION, Condition.GOAL_POSE, Condition.TEXT, Condition.NONE)
 """The condition that most checks use is the first of these that works."""
 _SALT = run_salt(0, "conformance")
-_FIRST = "first-motions.npy"
-_FEW = 2  # sequences that even a slow method is asked about
-_PATIENCE = 12.0  # seconds that a batch should take
+OWN_GENERATORS = Remedy(
+    "Draw from one generator a sequence, made of its noise_seed alone:"
+    " prbench.randomness.sequence_generator(noise_seed), or torch.Generator().manual_seed(noise_seed).",
+    "Draw from one generator a sequence, made of the noise_seed of its row alone (numpy.random.default_rng(noise_seed),"
+    " SplitMix64 …).",
+)
 
 
-class Subject:
-    """A method, and the sequences that it is asked about.
+class Subject(MethodSubject):
+    """A method of prime-and-reach, and the sequences that it is asked about.
 
     Args:
         spec: How to make the method.
@@ -40,88 +42,46 @@ class Subject:
         folder: Where a method that learns may leave what it learnt.
     """
 
+    case = "sequence"
+    asks = "generates"
+    own_generators = OWN_GENERATORS
+    own_row = (
+        "Every row is complete in itself: draw its noise from its own noise_seed, mask padding in attention, losses and"
+        " averages, and let no statistic (batch normalisation, the longest row, a common stopping rule) run over rows."
+    )
+
     def __init__(self, spec: MethodSpec, cases: Cases, folder: Path) -> None:
-        self.spec = spec
+        super().__init__(spec, folder)
         self.cases = cases
-        self.folder = folder
-        self.overwritten: set[str] = set()
-        """Fields of batches that the method wrote into."""
-        self.drew_from: set[str] = set()
-        """Global generators whose state it moved."""
-        self.asking: Callable[[str], None] = lambda _text: None
-        """Called before each call of the method, with a text that describes it."""
-        self.starting: Callable[[str], None] = lambda _text: None
-        """Called with a text that describes the work before the first call."""
-        self._answers: dict[Condition, Answer] = {}
 
-    @property
-    def adapter(self) -> Adapter:
-        """The method, ready to generate.
+    def learns(self, loaded: LoadedMethod) -> bool:
+        """See :meth:`MethodSubject.learns`."""
+        return loaded.is_trainable
 
-        Raises:
-            PrbenchError: if it cannot be loaded or fitted.
-        """
-        return self.loaded.adapter
-
-    @cached_property
-    def loaded(self) -> LoadedMethod:
-        """The method as a run holds it; fitted, if it learns and was given no weights.
-
-        Raises:
-            PrbenchError: if it cannot be loaded or fitted.
-        """
-        loaded = self.spec.load()
-        if self.spec.weights is not None or self.spec.fit_folder is not None or not loaded.is_trainable:
-            return loaded
+    def fitted_spec(self) -> MethodSpec:
+        """Fit it to the training split of the table, or to synthetic people."""
         table = self.cases.train_folder or write_training_table(self.folder / "table")
-        self.asking("while it learnt from a table")
-        if self.spec.program is None:
-            self.spec = replace(self.spec, fit_folder=self.folder / "fit", table_folder=table, fit=fit_to_training_rows)
-        else:
-            self.spec = fitted_to(self.spec, SequenceTable.open(table).with_sequences())
-        return self.spec.load()
-
-    def load_again(self) -> None:
-        """Start a program again that was ended because another was started; a method in this process stays."""
         if self.spec.program is not None:
-            self.__dict__.pop("loaded", None)
-
-    @cached_property
-    def declared(self) -> Declared:
-        """The declarations of the method about itself."""
-        return Declared.by(self.adapter, origin=self.origin)
+            return fitted_to(self.spec, SequenceTable.open(table).with_sequences())
+        return replace(self.spec, fit_folder=self.folder / "fit", table_folder=table, fit=fit_to_training_rows)
 
     @property
-    def origin(self) -> str:
-        """The name of the method in messages."""
-        return f"adapter '{self.spec.name}'"
+    def n_cases(self) -> int:
+        """See :attr:`MethodSubject.n_cases`."""
+        return len(self.source.n_frames)
 
     @property
-    def is_installed(self) -> bool:
-        """True if it is an installed adapter, wherever it runs; False for a program that the user named."""
-        return self.spec.package is None
-
-    @property
-    def is_program(self) -> bool:
-        """True if it runs in its own process: neither its objects nor its generators can be seen from here."""
-        return self.spec.program is not None
+    def limits(self) -> str:
+        """Longest motion and rate."""
+        declared = self.declared
+        limit = "any length" if declared.max_frames is None else f"up to {declared.max_frames} frames"
+        rate = "the table's rate" if declared.native_fps is None else f"{declared.native_fps:g} frames a second"
+        return f"{limit}; {rate}"
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
         """The conditions that it declares, the richest first."""
         return tuple(condition for condition in RICHEST_FIRST if condition in self.declared.conditions)
-
-    @property
-    def working(self) -> tuple[Condition, ...]:
-        """The conditions under which it generated finite motions of the asked lengths."""
-        if not len(self.source.n_frames):
-            return ()
-        return tuple(condition for condition in self.conditions if self.standard(condition).motions is not None)
-
-    @property
-    def main(self) -> Condition:
-        """The richest working condition."""
-        return self.working[0]
 
     @cached_property
     def source(self) -> ConditionSource:
@@ -157,38 +117,16 @@ class Subject:
             n_frames = int(native_frames(np.array([n_frames]), fps=self.cases.source.fps, native_fps=rate)[0])
         return limit is None or n_frames <= limit
 
-    @cached_property
-    def first_answer(self) -> Answer:
-        """The first call of all, which pays for what loads on first use; kept for other processes to compare with."""
-        answer = self.ask(self.batch(range(min(2, len(self.source.n_frames))), self.conditions[0]))
-        kept = self.folder / _FIRST
-        if answer.motions is not None and not kept.is_file():
-            np.save(kept, answer.motions.joints)
-        return answer
+    def rows_of(self, batch: ConditionBatch, rows: Sequence[int]) -> ConditionBatch:
+        """See :meth:`MethodSubject.rows_of`."""
+        return rows_of(batch, rows)
 
-    def first_motions(self) -> Float[np.ndarray, "batch frames 22 3"] | None:
-        """Return the motions of the very first batch in the first process, or None if there are none."""
-        kept = self.folder / _FIRST
-        return np.load(kept) if kept.is_file() else None
-
-    @cached_property
-    def rows(self) -> tuple[int, ...]:
-        """The sequences of a usual batch: all, or a few of the shorter ones if the method is slow."""
-        total = len(self.source.n_frames)
-        # The first call also pays for loading; only the second tells how slow the method is.
-        second = self.ask(self.first_answer.batch)
-        number = int(np.clip(_PATIENCE * len(second.batch) / max(second.seconds, 1e-9), min(_FEW, total), total))
-        last = total - 1 if number == total else total // 2
-        return tuple(int(row) for row in np.unique(np.linspace(0, last, number).round().astype(int)))
-
-    def standard(self, condition: Condition) -> Answer:
-        """Return the answer to the usual batch of a condition."""
-        if condition not in self._answers:
-            self._answers[condition] = self.ask(self.batch(self.rows, condition))
-        return self._answers[condition]
+    def nudged(self, batch: ConditionBatch, by: np.float32) -> ConditionBatch | None:
+        """Move the initial poses."""
+        return None if batch.initial_joints is None else replace(batch, initial_joints=batch.initial_joints + by)
 
     def batch(self, rows: Sequence[int], condition: Condition, *, sample: int = 0) -> ConditionBatch:
-        """Return the conditions of some sequences that the method may know."""
+        """See :meth:`MethodSubject.batch`."""
         return self.source.batch(np.array(rows, dtype=np.int64), condition, seed=0, salt=_SALT, sample=sample)
 
     def ask(self, batch: ConditionBatch, *, seed: int = 0, state_seed: int = STATE_SEED) -> Answer:
@@ -201,8 +139,3 @@ class Subject:
         self.overwritten.update(answer.overwritten)
         self.drew_from.update(answer.drew_from)
         return answer
-
-
-def working_folder() -> tempfile.TemporaryDirectory[str]:
-    """A folder for what a method learns, gone with the check."""
-    return tempfile.TemporaryDirectory(prefix="prbench-check-", ignore_cleanup_errors=True)

@@ -14,7 +14,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import ClassVar
 
-from prbench.checking.conformance.checks import CHECKS
+from prbench.benchmarks import default_benchmark
+from prbench.checking.conformance.judges import judge_of
+from prbench.checking.conformance.predictors.subject import BENCHMARK
 from prbench.checking.conformance.report import START_LIMIT, TIME_LIMIT, CheckRequest, Finding, Outcome, Report
 from prbench.checking.conformance.session import check
 from prbench.errors import UsageError
@@ -24,11 +26,10 @@ class ConformanceWarning(UserWarning):
     """A check that passed with a remark."""
 
 
-class AdapterConformance:
-    """Holds one test for each check; the first test examines the method, and the others read the report.
+class _Conformance:
+    """Examines a method with the first of its tests; the others read the report."""
 
-    A subclass, whose name begins with ``Test``, says what to check.
-    """
+    benchmark: ClassVar[str]
 
     method: ClassVar[str]
     """Installed name, ``cmd:`` and a command, or path of a TOML file."""
@@ -36,7 +37,7 @@ class AdapterConformance:
     weights: ClassVar[Path | None] = None
     device: ClassVar[str] = "cpu"
     data: ClassVar[Path | None] = None
-    """A dataset whose test sequences are asked about; None for synthetic people."""
+    """A table whose test cases are asked about; None for synthetic people."""
 
     time_limit: ClassVar[float] = TIME_LIMIT
     """Seconds for each call of the method."""
@@ -58,6 +59,7 @@ class AdapterConformance:
                 raise UsageError(f'class {cls.__name__} names no method; write  method = "glide"  into it.')
             request = CheckRequest(
                 cls.method,
+                benchmark=cls.benchmark,
                 weights=cls.weights,
                 options=cls.options,
                 device=cls.device,
@@ -69,8 +71,23 @@ class AdapterConformance:
         return cls._report
 
 
-def _test_of(name: str, title: str) -> Callable[[AdapterConformance], None]:
-    def test(self: AdapterConformance) -> None:
+class AdapterConformance(_Conformance):
+    """Holds one test for each check of a method of prime-and-reach.
+
+    A subclass, whose name begins with ``Test``, says what to check.
+    """
+
+    benchmark = default_benchmark().name
+
+
+class PredictorConformance(_Conformance):
+    """Holds one test for each check of a predictor of motion prediction; used like :class:`AdapterConformance`."""
+
+    benchmark = BENCHMARK
+
+
+def _test_of(name: str, title: str) -> Callable[[_Conformance], None]:
+    def test(self: _Conformance) -> None:
         _require(self.report().about(name))
 
     test.__name__ = f"test_{name.replace('-', '_')}"
@@ -90,6 +107,7 @@ def _require(findings: tuple[Finding, ...]) -> None:
         raise unittest.SkipTest("; ".join(finding.said for finding in findings))
 
 
-for _check in CHECKS:
-    _test = _test_of(_check.name, _check.title)
-    setattr(AdapterConformance, _test.__name__, _test)
+for _suite in (AdapterConformance, PredictorConformance):
+    for _check in judge_of(_suite.benchmark).checks:
+        _test = _test_of(_check.name, _check.title)
+        setattr(_suite, _test.__name__, _test)

@@ -15,7 +15,7 @@ from prbench.methods.remote.answers import answer_in
 from prbench.methods.remote.messages import Header, arrow_stream
 from prbench.methods.remote.method import Exchange, RemoteMethod
 from prbench.methods.remote.received import numbers_by_id
-from prbench.prediction.batch import Condition, Futures, ObservedBatch, Predictor
+from prbench.prediction.batch import Condition, Futures, ObservedBatch, Predictor, require_futures
 
 
 class RemotePredictor(RemoteMethod):
@@ -116,8 +116,8 @@ def serve_futures(name: str, adapter: Predictor, header: Header, payload: bytes)
         gaze_valid=column("gaze_valid"),
     )
     n_samples = header["n_samples"]
-    futures = adapter.predict(batch, n_samples=n_samples, seed=header["seed"])
-    futures.require_fits(batch, n_samples, predictor=name)
+    answer = adapter.predict(batch, n_samples=n_samples, seed=header["seed"])
+    futures = require_futures(answer, batch, n_samples, predictor=name)
     joints = np.asarray(futures.joints, dtype=np.float32).reshape(len(batch), -1)
     sent = pa.FixedSizeListArray.from_arrays(pa.array(joints.reshape(-1)), joints.shape[1])
     return {"message": "futures"}, arrow_stream({"opaque_id": rows["opaque_id"], "joints": sent})

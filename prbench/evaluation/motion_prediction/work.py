@@ -97,6 +97,7 @@ class FutureWork(CaseWork):
                 similar=_of_windows(similar, truth.window_ids),
                 joints=self._cases.table.joints,
                 protocol=self._protocol,
+                one_design=self._method.one_design,
             )
             for index, batch, truth in self._batches(Condition.POSE, everything)
         )
@@ -115,6 +116,7 @@ class _Part:
     similar: SimilarPasts
     joints: JointSet
     protocol: PredictionProtocol
+    one_design: bool
 
 
 def _of_windows(similar: SimilarPasts, window_ids: tuple[str, ...]) -> SimilarPasts:
@@ -150,6 +152,7 @@ def _score_part(part: _Part) -> pa.Table:
         part.joints,
         part.protocol.evaluation,
         similar=part.similar,
+        one_design=part.one_design,
     )
     for rows, values in scored:
         for name, value in values.items():

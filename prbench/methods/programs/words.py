@@ -14,6 +14,7 @@ from prbench.errors import UsageError
 _WINDOWS_TOKEN = re.compile(r'(?P<slashes>\\*)(?P<quote>"{1,2})|(?P<space>[ \t]+)|(?P<other>\\+|[^\\" \t]+)')
 PREFIX = "cmd:"
 _SUFFIX = ".toml"
+_PYTHON = ".py"
 _LONGEST = 60  # characters of a command in messages
 
 
@@ -73,7 +74,10 @@ def short_name(method: str) -> str:
     if is_command(method):
         words = [without_folders(word.strip("\"'")) for word in method.removeprefix(PREFIX).split()]
         return textwrap.shorten(" ".join(words), _LONGEST, placeholder=" …") or "nothing"
-    return Path(method).stem if is_description(method) else method
+    file, _, name = method.rpartition(":")
+    if name.isidentifier() and file.lower().endswith(_PYTHON):
+        method = file
+    return Path(method).stem if is_description(method) or method.lower().endswith(_PYTHON) else method
 
 
 def _split_on_windows(text: str) -> list[str]:

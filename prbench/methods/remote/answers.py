@@ -109,6 +109,8 @@ class Introduction:
     version: str
     declared: Declared
     weights: Mapping[StrEnum, RemoteWeights] = field(default_factory=dict)
+    one_design: bool = False
+    """True for a predictor whose K futures are one design."""
     trainable: bool = False
     """True if the installed method can be fitted to a table; only prbench's own worker says so."""
 
@@ -137,6 +139,11 @@ class Introduction:
         gaze = header.get("gaze")
         if gaze is not None and not isinstance(gaze, bool):
             raise AdapterError(f"{origin}: expected 'gaze' in its hello to be true or false, found {_shown(gaze)}.")
+        one_design = header.get("one_design")
+        if one_design is not None and not isinstance(one_design, bool):
+            raise AdapterError(
+                f"{origin}: expected 'one_design' in its hello to be true or false, found {_shown(one_design)}."
+            )
         return cls(
             _name(header, origin),
             _text(header, "version", origin),
@@ -150,6 +157,7 @@ class Introduction:
                 known=conditions,
             ),
             _weights(header.get("weights"), origin, conditions),
+            one_design=one_design is True,
             trainable=header.get("trainable") is True,
         )
 

@@ -62,6 +62,7 @@ class RemoteMethod:
         self.max_frames, self.native_fps = introduction.declared.max_frames, introduction.declared.native_fps
         self.motionless = introduction.declared.motionless
         self.gaze = introduction.declared.gaze
+        self.one_design = introduction.one_design
         self.weights: Mapping[StrEnum, RemoteWeights] = introduction.weights
         """Weights that it says it uses under each condition; empty if it says nothing."""
         self.trainable = introduction.trainable

@@ -7,8 +7,9 @@ from dataclasses import asdict
 from typing import Any
 
 from prbench.evaluation.clusters import SIGNIFICANCE
+from prbench.evaluation.comparisons import Comparison
 from prbench.evaluation.intervals import Estimate
-from prbench.evaluation.prediction_summary import Difference
+from prbench.prediction.protocol import load_prediction_protocol
 from prbench.prediction.published import PUBLISHED_METRICS
 from prbench.shown import markdown
 from prbench.workflows.prediction_tables.gaze_value import ValueOfCondition
@@ -76,12 +77,12 @@ def order(table: Table) -> str:
 
 
 def _step(step: Step) -> str:
-    supported = step.adjusted_p_value is not None and step.adjusted_p_value <= SIGNIFICANCE
-    return f"{_difference(step.difference)}{'' if supported else ', not supported by the data'}"
+    p_value = step.comparison.adjusted_p_value
+    supported = p_value is not None and p_value <= SIGNIFICANCE
+    return f"{_difference(step.comparison.difference)}{'' if supported else ', not supported by the data'}"
 
 
-def _difference(difference: Difference) -> str:
-    estimate = difference.estimate
+def _difference(estimate: Estimate) -> str:
     interval = "" if estimate.low is None else f" [{estimate.low:+.3f}, {estimate.high:+.3f}]"
     return f"{estimate.mean:+.3f}{interval}"
 
@@ -93,9 +94,10 @@ def told(values: Sequence[ValueOfCondition]) -> tuple[ValueOfCondition, ...]:
 
 def value_cells(value: ValueOfCondition) -> tuple[str, ...]:
     """One value of a condition: windows, metric, what is told besides, difference, p-value."""
-    p_value = _DASH if value.adjusted_p_value is None else f"{value.adjusted_p_value:.3f}"
+    adjusted = value.comparison.adjusted_p_value
+    p_value = _DASH if adjusted is None else f"{adjusted:.3f}"
     step = f"{value.less.value} → {value.more.value}"
-    return value.anchor, value.metric, step, _difference(value.difference), p_value
+    return value.anchor, value.metric, step, _difference(value.comparison.difference), p_value
 
 
 def notes(layout: PredictionLayout) -> Iterable[str]:
@@ -118,10 +120,21 @@ def notes(layout: PredictionLayout) -> Iterable[str]:
     for line in (line for table in layout.tables for line in table.lines):
         if line.missing and line.row.name not in seen:
             yield f"{line.row.label}: {line.missing}"
+        if _is_one_design(line, layout.n_samples) and line.row.name not in seen:
+            yield (
+                f"{line.row.label}: its {layout.n_samples} samples are one design, of which fewer are no part, so it"
+                " has no scores of fewer."
+            )
         seen.add(line.row.name)
         for dataset in layout.shown_datasets:
             odd = dict.fromkeys(each.note for each in line.published.get(dataset, {}).values() if each.note)
             yield from (f"{line.row.label}, printed for {dataset}: {note}" for note in odd)
+
+
+def _is_one_design(line: Line, n_samples: int) -> bool:
+    """Return True for a row that was scored with all of its samples and with none of the smaller numbers."""
+    smaller = [n for n in load_prediction_protocol().evaluation.samples if n < n_samples]
+    return bool(line.measured and smaller) and not any(f"ade@k{n}" in line.measured for n in smaller)
 
 
 def _grid(table: Table, layout: PredictionLayout) -> str:
@@ -156,8 +169,7 @@ def as_builtins(layout: PredictionLayout, values: Sequence[ValueOfCondition]) ->
                     {
                         "better": step.better,
                         "worse": step.worse,
-                        **_numbers(step.difference),
-                        "adjusted_p_value": step.adjusted_p_value,
+                        **_numbers(step.comparison),
                     }
                     for step in table.order
                 ],
@@ -171,8 +183,7 @@ def as_builtins(layout: PredictionLayout, values: Sequence[ValueOfCondition]) ->
                 "metric": each.metric,
                 "less": each.less.value,
                 "more": each.more.value,
-                **_numbers(each.difference),
-                "adjusted_p_value": each.adjusted_p_value,
+                **_numbers(each.comparison),
             }
             for each in values
         ],
@@ -195,5 +206,9 @@ def _line(line: Line) -> dict[str, Any]:
     }
 
 
-def _numbers(difference: Difference) -> dict[str, Any]:
-    return {**asdict(difference.estimate), "p_value": difference.p_value}
+def _numbers(comparison: Comparison) -> dict[str, Any]:
+    return {
+        **asdict(comparison.difference),
+        "p_value": comparison.p_value,
+        "adjusted_p_value": comparison.adjusted_p_value,
+    }

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from prbench.evaluation.intervals import Estimate
-from prbench.evaluation.prediction_summary import summarise
 from prbench.prediction.protocol import load_prediction_protocol
 from prbench.prediction.published import TableRow
 from prbench.prediction.references import GROUND_TRUTH
 from prbench.prediction.scoring import Scores
 from prbench.viewing.prediction_charts import ChartPanel, ChartPoint
+from prbench.workflows.prediction_tables.estimates import estimates
 from prbench.workflows.prediction_tables.gaze_value import ValueOfCondition, lead_of
 
 _HORIZON_TITLES = {"ade": "mean error up to the horizon (best sample)", "fde": "error at the horizon (best sample)"}
@@ -24,7 +24,7 @@ def horizon_panels(rows: Sequence[TableRow], scores: Mapping[str, Scores]) -> tu
     """Errors of every row but GazeMoDiff's ablations up to, and at, the horizons of the protocol."""
     panels = []
     shown = [row for row in rows if row.name in scores and not row.is_ablation]
-    summaries = {row.label: summarise(scores[row.name]) for row in shown if row.method != GROUND_TRUTH}
+    summaries = {row.label: estimates(scores[row.name]) for row in shown if row.method != GROUND_TRUTH}
     for metric, title in _HORIZON_TITLES.items():
         lines = {}
         for label, summary in summaries.items():
@@ -51,7 +51,7 @@ def value_panels(values: Sequence[ValueOfCondition]) -> tuple[ChartPanel, ...]:
             lead = lead_of(each.anchor)
             if lead is not None and each.metric == metric:
                 label = f"{each.method}: {each.less.value} → {each.more.value}"
-                lines.setdefault(label, []).append(_point(lead, each.difference.estimate))
+                lines.setdefault(label, []).append(_point(lead, each.comparison.difference))
         lines = {label: sorted(points, key=lambda point: point.at) for label, points in lines.items()}
         panels.append(
             ChartPanel(

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.evaluation.comparisons import holm
-from prbench.evaluation.prediction_summary import Difference, differences
+from prbench.evaluation.comparisons import Comparison, PairedValues, compare
 from prbench.prediction.batch import Condition
 from prbench.prediction.scoring import Scores
+from prbench.workflows.prediction_tables.estimates import paired
 
 EVERY = "all"
 """Stands for the windows of all anchors."""
@@ -32,10 +32,9 @@ class ValueOfCondition:
     metric: str
     less: Condition
     more: Condition
-    difference: Difference
-    """With ``more`` minus with ``less``, metres: below zero where the further knowledge helps."""
-    adjusted_p_value: float | None
-    """After Holm's correction for all methods and pairs of conditions of one metric and anchor."""
+    comparison: Comparison
+    """With ``more`` minus with ``less``, metres: below zero where the further knowledge helps. Corrected for all
+    methods and pairs of conditions of one metric and anchor."""
 
 
 def values_of_conditions(scores: Mapping[str, Mapping[Condition, Scores]]) -> tuple[ValueOfCondition, ...]:
@@ -47,18 +46,19 @@ def values_of_conditions(scores: Mapping[str, Mapping[Condition, Scores]]) -> tu
     Raises:
         UsageError: if the scores of a method are of different windows.
     """
-    found = [
-        (method, anchor, metric, less, more, difference)
+    pairs = {
+        (method, anchor, metric, less, more): values
         for method, by_condition in scores.items()
         for less, more in itertools.combinations([each for each in Condition if each in by_condition], 2)
         for anchor in _anchors(by_condition[less])
-        for metric, difference in _compared(by_condition[less], by_condition[more], anchor).items()
-    ]
-    adjusted: dict[int, float | None] = {}
-    for family in dict.fromkeys((anchor, metric) for _, anchor, metric, *_ in found):
-        places = [place for place, (_, anchor, metric, *_) in enumerate(found) if (anchor, metric) == family]
-        adjusted |= dict(zip(places, holm([found[place][5].p_value for place in places]), strict=True))
-    return tuple(ValueOfCondition(*each, adjusted[place]) for place, each in enumerate(found))
+        for metric, values in _paired(by_condition[less], by_condition[more], anchor).items()
+    }
+    found: dict[tuple, Comparison] = {}
+    for family in dict.fromkeys((anchor, metric) for _, anchor, metric, *_ in pairs):
+        keys = {str(place): key for place, key in enumerate(pairs) if key[1:3] == family}
+        compared = compare({name: pairs[key] for name, key in keys.items()})
+        found |= {key: compared[name] for name, key in keys.items()}
+    return tuple(ValueOfCondition(*key, found[key]) for key in pairs)
 
 
 def lead_of(anchor: str) -> float | None:
@@ -73,8 +73,8 @@ def _anchors(scores: Scores) -> Iterable[str]:
     return [EVERY, *anchors] if len(anchors) > 1 else [EVERY]
 
 
-def _compared(less: Scores, more: Scores, anchor: str) -> dict[str, Difference]:
+def _paired(less: Scores, more: Scores, anchor: str) -> dict[str, PairedValues]:
     if anchor != EVERY:
         less = less.only(np.array(less.columns["anchor"]) == anchor)
         more = more.only(np.array(more.columns["anchor"]) == anchor)
-    return {name: each for name, each in differences(less, more).items() if name in VALUE_METRICS}
+    return {name: values for name, values in paired(more, less).items() if name in VALUE_METRICS}

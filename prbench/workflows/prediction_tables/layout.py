@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from prbench.datasets import SYNTHETIC_PREFIX
-from prbench.evaluation.comparisons import holm
+from prbench.evaluation.comparisons import Comparison, compare
 from prbench.evaluation.intervals import Estimate
-from prbench.evaluation.prediction_summary import Difference, differences, summarise
 from prbench.prediction.published import (
     PUBLISHED_DATASETS,
     TABLES,
@@ -23,6 +22,7 @@ from prbench.prediction.published import (
 from prbench.prediction.references import GROUND_TRUTH, TRUNCATION_FLOOR
 from prbench.prediction.scoring import Scores
 from prbench.prediction.table import WindowsInfo
+from prbench.workflows.prediction_tables.estimates import estimates, paired
 
 _ORDERED_BY = "ade"
 _REFERENCES = (GROUND_TRUTH, TRUNCATION_FLOOR)
@@ -47,10 +47,8 @@ class Step:
 
     better: str
     worse: str
-    difference: Difference
-    """ADE of the second minus that of the first, metres."""
-    adjusted_p_value: float | None
-    """After Holm's correction for the steps of the table; None where it cannot be tested."""
+    comparison: Comparison
+    """ADE of the worse row minus that of the better one, metres; corrected for the steps of the table."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +133,7 @@ def _table(number: str, scores: Mapping[str, Scores], missing: Mapping[str, str]
 
 
 def _line(number: str, row: TableRow, scores: Scores | None, missing: str) -> Line:
-    measured = {} if scores is None else summarise(scores)
+    measured = {} if scores is None else estimates(scores)
     published = {name: published_scores(number, row, name) for name in PUBLISHED_DATASETS}
     published = {name: values for name, values in published.items() if values}
     return Line(row, measured, published, missing)
@@ -146,12 +144,10 @@ def _order(lines: Sequence[Line], scores: Mapping[str, Scores]) -> tuple[Step, .
     methods = [line for line in lines if line.measured and line.row.method not in _REFERENCES]
     methods.sort(key=lambda line: line.measured[_ORDERED_BY].mean)
     pairs = list(itertools.pairwise(methods))
-    found = [differences(scores[one.row.name], scores[other.row.name])[_ORDERED_BY] for one, other in pairs]
-    adjusted = holm([each.p_value for each in found])
-    return tuple(
-        Step(one.row.label, other.row.label, difference, p_value)
-        for (one, other), difference, p_value in zip(pairs, found, adjusted, strict=True)
+    found = compare(
+        {one.row.name: paired(scores[other.row.name], scores[one.row.name])[_ORDERED_BY] for one, other in pairs}
     )
+    return tuple(Step(one.row.label, other.row.label, found[one.row.name]) for one, other in pairs)
 
 
 def per_joint(distance: float, n_joints: int) -> float:

@@ -7,10 +7,12 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
+from prbench.benchmarks import default_benchmark, find_benchmark
 from prbench.contract import Condition
 from prbench.errors import StorageError, UsageError
 from prbench.locks import sole_writer
 from prbench.storage import atomic_folder
+from prbench.workflows.scaffold import predictors
 from prbench.workflows.scaffold.one_file import ONE_FILE, converters_file
 from prbench.workflows.scaffold.values import (
     MethodNames,
@@ -23,6 +25,9 @@ from prbench.workflows.scaffold.values import (
     template_values,
 )
 
+_USUAL = {default_benchmark().name: Condition.GOAL_LOCATION.value, predictors.BENCHMARK: "pose"}
+"""The condition of a new method of which nothing is said, by benchmark."""
+
 
 @dataclass(frozen=True)
 class ScaffoldRequest:
@@ -30,12 +35,29 @@ class ScaffoldRequest:
 
     name: str
     """Name of the method."""
-    conditions: tuple[str, ...] = (Condition.GOAL_LOCATION.value,)
+    conditions: tuple[str, ...] = ()
+    """Conditions that it takes; none for the benchmark's usual one."""
     out: Path | None = None
     """The new folder; None for one in the current folder, named after the package or the program."""
     trainable: bool = False
     program: bool = False
     """A program of its own instead of an installable package."""
+    benchmark: str = default_benchmark().name
+    """The benchmark that it is a method of: the default one, or motion-prediction."""
+
+    def __post_init__(self) -> None:
+        if self.benchmark not in _USUAL:
+            raise UsageError(
+                f"--benchmark {self.benchmark}: expected one with templates, which are {', '.join(_USUAL)}."
+            )
+        known = find_benchmark(self.benchmark).conditions
+        unknown = [name for name in self.conditions if name not in known]
+        if unknown:
+            raise UsageError(
+                f"--condition {unknown[0]}: expected one of the benchmark {self.benchmark}: {', '.join(known)}."
+            )
+        if not self.conditions:
+            object.__setattr__(self, "conditions", (_USUAL[self.benchmark],))
 
 
 @dataclass(frozen=True)
@@ -68,7 +90,7 @@ def new_adapter(request: ScaffoldRequest) -> ScaffoldReport:
                 target = temporary / path
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_text(text, encoding="utf-8", newline="\n")
-    warning = None if request.program else taken_by(names)
+    warning = None if request.program else taken_by(names, request.benchmark)
     return ScaffoldReport(
         folder,
         files=tuple(sorted(map(Path, contents))),
@@ -90,12 +112,15 @@ def _require_new(folder: Path) -> None:
 
 
 def _next_steps(names: MethodNames, request: ScaffoldRequest, folder: Path) -> tuple[str, ...]:
-    commands = command_lines(names, request.conditions[0], program=request.program)
+    lines = predictors.commands if request.benchmark == predictors.BENCHMARK else command_lines
+    commands = lines(names, request.conditions[0], program=request.program)
     return (f"cd {shlex.quote(str(folder))}", *(command for command, _ in commands))
 
 
 def _package(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
     """Path and text of every file of an installable package."""
+    if request.benchmark == predictors.BENCHMARK:
+        return _filled(predictors.package_templates(names), names, request) | {f"src/{names.module}/py.typed": ""}
     source = f"src/{names.module}"
     templates = {
         "pyproject.toml": "pyproject.toml",
@@ -123,6 +148,8 @@ def _program(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
             "--trainable --program: a program is not fitted by a run. Train it yourself and give it the result with"
             " --weights, or write a package."
         )
+    if request.benchmark == predictors.BENCHMARK:
+        return _filled(predictors.program_templates(names), names, request)
     templates = {
         "README.md": "program_README.md",
         f"{names.program}.py": "program.py",
@@ -132,6 +159,11 @@ def _program(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
 
 
 def _filled(templates: dict[str, str], names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
-    values = template_values(names, request.conditions, trainable=request.trainable, program=request.program)
-    flags = template_flags(request.conditions, trainable=request.trainable)
+    chosen = {"trainable": request.trainable}
+    if request.benchmark == predictors.BENCHMARK:
+        values = predictors.values(names, request.conditions, **chosen, program=request.program)
+        flags = predictors.flags(request.conditions, **chosen)
+    else:
+        values = template_values(names, request.conditions, **chosen, program=request.program)
+        flags = template_flags(request.conditions, **chosen)
     return {path: filled(read_template(name), values, flags) for path, name in templates.items()}

@@ -11,13 +11,15 @@ import sys
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from importlib.resources import files
 
 import prbench
+from prbench.benchmarks import benchmarks, default_benchmark, find_benchmark
 from prbench.contract import GIVEN, Condition
 from prbench.errors import UsageError
 from prbench.methods.installed import list_adapters
-from prbench.methods.names import BUILT_IN_METHODS, name_problem
+from prbench.methods.names import name_problem
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _LONGEST = 40
@@ -26,7 +28,10 @@ _MODULES = frozenset({"numpy", "pyarrow", "prbench_converters"})  # beside a pro
 _WORDS = frozenset({"cmd", "test", "tests"})
 _WINDOWS = frozenset({"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))})
 _IN_TEMPLATES = frozenset(
-    {"Adapter", "Condition", "ConditionBatch", "Joint", "Mapping", "Motions", "Path", "SequenceTable", "TrainingRun"}
+    {
+        *("Adapter", "Condition", "ConditionBatch", "Futures", "Joint", "Mapping", "Motions", "ObservedBatch", "Path"),
+        *("SequenceTable", "TrainingRun", "TrainingWindows"),
+    }
 )
 _PACKAGE = "prbench.workflows.scaffold.templates"
 _MARK = re.compile(r"<<(\w+)>>")
@@ -113,14 +118,15 @@ def _refuse_reserved(name: str) -> None:
     """
     if name in _OURS | _WORDS | _WINDOWS:
         raise UsageError(f"{name!r} is a reserved name. Choose another.")
-    if problem := name_problem(name):
-        hint = f", such as 'my-{name}'" if name in BUILT_IN_METHODS else ""
+    own = {method for about in benchmarks().values() for method in about.methods}
+    if problem := name_problem(name, own=own):
+        hint = f", such as 'my-{name}'" if name in own else ""
         raise UsageError(f"{problem}. Choose another{hint}.")
 
 
-def taken_by(names: MethodNames) -> str | None:
+def taken_by(names: MethodNames, benchmark: str) -> str | None:
     """A warning if an installed package offers a method of this name already, else None."""
-    for adapter in list_adapters():
+    for adapter in list_adapters(find_benchmark(benchmark).entry_points):
         if adapter.name == names.method:
             return (
                 f"the installed package {adapter.package} {adapter.version} offers a method '{names.method}' already;"
@@ -179,12 +185,8 @@ def template_flags(conditions: Sequence[str], *, trainable: bool) -> frozenset[s
     return frozenset(flags)
 
 
-def template_values(
-    names: MethodNames, conditions: Sequence[str], *, trainable: bool, program: bool = False
-) -> dict[str, str]:
-    """The text for every place in the templates."""
-    chosen = list(dict.fromkeys(Condition(name) for name in conditions))
-    does = _does("goal" in template_flags(conditions, trainable=trainable))
+def common_values(names: MethodNames, conditions: Sequence[StrEnum], does: str) -> dict[str, str]:
+    """The text for the places that templates of all benchmarks have."""
     return {
         "name": names.method,
         "distribution": names.distribution,
@@ -192,14 +194,27 @@ def template_values(
         "class": names.class_name,
         "program": names.program,
         "prbench_version": prbench.__version__.partition("+")[0],
-        "condition": chosen[0].value,
-        "conditions": ", ".join(f"Condition.{condition.name}" for condition in chosen),
-        "condition_words": ", ".join(f'"{condition.value}"' for condition in chosen),
+        "condition": conditions[0].value,
+        "conditions": ", ".join(f"Condition.{condition.name}" for condition in conditions),
+        "condition_words": ", ".join(f'"{condition.value}"' for condition in conditions),
         "what": f"{does[0].upper()}{does[1:]}.",
         "does": does,
+    }
+
+
+def template_values(
+    names: MethodNames, conditions: Sequence[str], *, trainable: bool, program: bool = False
+) -> dict[str, str]:
+    """The text for every place in the templates."""
+    chosen = list(dict.fromkeys(Condition(name) for name in conditions))
+    does = _does("goal" in template_flags(conditions, trainable=trainable))
+    return common_values(names, chosen, does) | {
+        "described": f"The motion generator '{names.method}' for the prime-and-reach benchmark prbench.",
+        "entry_points": default_benchmark().entry_points,
+        "run": f"prbench run --method {names.program}.toml --condition {chosen[0].value}",
         "learns": _LEARNS if trainable else "It has learnt nothing and has no weights.",
         "weights": textwrap.fill(f"**Weights.** {_OWN_WEIGHTS if trainable else _NO_WEIGHTS} {_NEVER}", 120),
-        "commands": _aligned(command_lines(names, chosen[0].value, program=program)),
+        "commands": aligned(command_lines(names, chosen[0].value, program=program)),
         "row_fields": "\n".join(f"        {_ROW_FIELDS[name]}" for name in _ROW_FIELDS if name in GIVEN[chosen[0]]),
         "standing": _standing_rows(),
     }
@@ -208,21 +223,25 @@ def template_values(
 def command_lines(names: MethodNames, condition: str, *, program: bool) -> list[tuple[str, str]]:
     """The commands to try in the new folder, in order, each with what it is for."""
     method = f"{names.program}.toml" if program else names.method
-    if program:
-        first = [("pip install numpy pyarrow", "for the `python` that runs the program")]
-    else:
-        first = [
-            ('pip install -e ".[test]"', "install; prbench finds it by its entry point"),
-            ("python -m pytest", "the contract, and what this method promises itself"),
-        ]
     return [
-        *first,
+        *first_commands(program=program),
         (f"prbench adapters check {method}", "the contract, with a report to read"),
         (f"prbench run --method {method} --condition {condition}", "scores, on embedded synthetic data"),
     ]
 
 
-def _aligned(lines: Sequence[tuple[str, str]]) -> str:
+def first_commands(*, program: bool) -> list[tuple[str, str]]:
+    """The commands before prbench is asked anything."""
+    if program:
+        return [("pip install numpy pyarrow", "for the `python` that runs the program")]
+    return [
+        ('pip install -e ".[test]"', "install; prbench finds it by its entry point"),
+        ("python -m pytest", "the contract, and what this method promises itself"),
+    ]
+
+
+def aligned(lines: Sequence[tuple[str, str]]) -> str:
+    """Return commands as text, what each is for one below the other."""
     width = max(len(command) for command, _ in lines)
     return "\n".join(f"{command:<{width}}  # {comment}" for command, comment in lines)
 

@@ -80,7 +80,7 @@ def test_a_request_survives_the_way_into_another_process(tmp_path):
 def test_a_slow_method_is_asked_about_few_and_short_sequences(site, people, tmp_path, monkeypatch):
     quick = Subject(method_spec("glide"), cases_of(people), tmp_path)
     assert quick.rows == tuple(range(12))
-    monkeypatch.setattr("prbench.checking.conformance.subject._PATIENCE", 1e-6)
+    monkeypatch.setattr("prbench.checking.conformance.method_subject._PATIENCE", 1e-6)
     slow = Subject(method_spec("glide"), cases_of(people), tmp_path)
     assert slow.rows == (0, 6)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import sys
 from pathlib import Path
@@ -12,7 +13,6 @@ import pytest
 from prbench.engine import ProcessPool
 from prbench.errors import AdapterError, PrbenchError, RunError, UsageError
 from prbench.evaluation.benchmark import load_benchmark
-from prbench.evaluation.prediction_summary import summarise
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import RunReport, run_method
 from prbench.prediction import WindowsTable
@@ -115,13 +115,12 @@ def test_a_run_scores_as_the_functions_of_motion_prediction_do(windows, tmp_path
     rules = load_prediction_protocol().evaluation
     similar = SimilarPasts.of(table, chosen, closer_than=rules.similar_past)
     scores = score_predictor(ConstantVelocity(), table, Condition.POSE, chosen, similar=similar, n_samples=2)
-    expected = summarise(scores)
+    expected = scores.means()
     found = report.summaries[0]
     assert {metric.metric for metric in found.metrics} == set(expected)
     for metric in found.metrics:
-        assert metric.mean == pytest.approx(expected[metric.metric].mean, abs=1e-6)
+        assert metric.mean == pytest.approx(expected[metric.metric], abs=1e-6)
     assert (found.sequences, found.recordings) == (len(chosen), 2)
-    assert found.metric("ade").interval == expected["ade"].method
 
 
 def test_every_score_has_a_place_in_tables():
@@ -163,6 +162,21 @@ def test_fewer_samples_are_a_prefix_of_more(windows, tmp_path, predictor):
     six = means(run(windows, tmp_path / "six", "noise", samples=6))
     assert five["ade"] == five["ade@k5"] == six["ade@k5"]
     assert six["ade"] <= five["ade"]
+
+
+@pytest.mark.parametrize("isolate", [False, True])
+def test_samples_of_one_design_have_no_scores_of_fewer(windows, tmp_path, predictor, isolate):
+    predictor("drawn")
+    predictor("designed")
+    module = next((tmp_path / "site").glob("*designed*.py"))
+    module.write_text(module.read_text().replace("class Noise:", "class Noise:\n    one_design = True"))
+    drawn = run(windows, tmp_path / "drawn", "drawn", samples=5)
+    designed = run(windows, tmp_path / "designed", "designed", samples=5, isolate=isolate)
+    assert set(means(drawn)) - set(means(designed)) == {"ade@k1", "fde@k1"}
+    assert means(designed)["ade@k5"] == means(designed)["ade"]
+    methods = [json.loads((tmp_path / name / "run.json").read_text())["method"] for name in ("drawn", "designed")]
+    assert "one_design" not in methods[0]
+    assert methods[1]["one_design"] is True
 
 
 def test_workers_leave_no_trace(windows, tmp_path):

@@ -13,11 +13,20 @@ from pathlib import Path
 
 import pytest
 
+from prbench.checking.conformance import Outcome
+from prbench.checking.conformance.check import examine
+from prbench.checking.conformance.judges import judge_of
+from prbench.checking.conformance.predictors.cases import windows_of_table
+from prbench.checking.conformance.predictors.subject import PredictorSubject
 from prbench.cli import main
 from prbench.errors import StorageError, UsageError
+from prbench.evaluation.benchmark import load_benchmark
+from prbench.methods.loaded_methods import forget_loaded_methods
+from prbench.methods.methods import method_spec
 from prbench.workflows import scaffold
 from prbench.workflows.scaffold import ScaffoldRequest, new_adapter
 from tests.fakes import fake_dataset
+from tests.prediction.windows import walking, write
 
 CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
 CHOICES = [
@@ -27,6 +36,8 @@ CHOICES = [
     for kind in ("package", "trainable", "program")
 ]
 
+PREDICTED = (("pose",), ("pose+gaze", "pose+head"))
+
 
 @pytest.fixture(scope="module")
 def all_kinds(tmp_path_factory) -> Path:
@@ -35,7 +46,16 @@ def all_kinds(tmp_path_factory) -> Path:
     for number, (conditions, kind) in enumerate(CHOICES):
         trainable, program = kind == "trainable", kind == "program"
         new_adapter(ScaffoldRequest(f"made-{number}", conditions, root / f"{kind}{number}", trainable, program))
+    for conditions in PREDICTED:
+        for kind in ("package", "trainable", "program"):
+            _predictor(root / f"{kind}-of-{'-'.join(conditions)}", conditions, kind)
     return root
+
+
+def _predictor(folder: Path, conditions: tuple[str, ...], kind: str) -> Path:
+    chosen = {"trainable": kind == "trainable", "program": kind == "program"}
+    request = ScaffoldRequest("glance", conditions, folder, **chosen, benchmark="motion-prediction")
+    return new_adapter(request).folder
 
 
 def _run(*command: str, cwd: Path, path: Path | str = "") -> subprocess.CompletedProcess[str]:
@@ -85,8 +105,12 @@ def test_an_installed_package_is_listed_with_what_it_declares(installed):
 @pytest.mark.slow
 def test_packages_pass_their_own_tests_as_generated(installed, all_kinds):
     everything = all_kinds / f"trainable{len(CHOICES) - 2}"  # all conditions, and fit()
-    tests = [installed / "prbench-newcomer" / "tests", everything / "tests" / "test_method.py"]
-    path = os.pathsep.join([str(installed / "site"), str(everything / "src")])
+    predictor = all_kinds / "trainable-of-pose+gaze-pose+head"
+    tests = [
+        *(installed / "prbench-newcomer" / "tests", everything / "tests" / "test_method.py"),
+        predictor / "tests" / "test_method.py",
+    ]
+    path = os.pathsep.join([str(installed / "site"), str(everything / "src"), str(predictor / "src")])
     options = ["-q", "-p", "no:cacheprovider", "--import-mode=importlib"]
     done = _run("-m", "pytest", *options, *map(str, tests), cwd=installed, path=path)
     assert done.returncode == 0, done.stdout[-3000:]
@@ -114,6 +138,43 @@ def test_a_program_is_run_and_scored_by_its_toml(tmp_path, monkeypatch, capsys):
     arguments = ["run", "--method", str(toml), "--condition", "text", "--data", str(data), "--out", str(out)]
     assert main(arguments) == 0
     assert f"slider (program {Path(sys.executable).name} slider.py), condition text" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["package", "trainable"])
+def test_a_new_predictor_keeps_the_contract(all_kinds, tmp_path, kind):
+    file = all_kinds / f"{kind}-of-pose" / "src" / "prbench_glance" / "predictor.py"
+    spec = method_spec(str(file), group=load_benchmark("motion-prediction").methods)
+    quick = [
+        one for one in judge_of("motion-prediction").checks if not one.fresh and one.name not in ("memory", "speed")
+    ]
+    table = write(tmp_path / "w", walking("a", 120), walking("b", 120, split="train", number=1))
+    (tmp_path / "check").mkdir()
+    subject = PredictorSubject(spec, windows_of_table(table, tmp_path / "check"), tmp_path / "check")
+    found = list(examine(subject, quick))
+    forget_loaded_methods()
+    assert [each for each in found if each.outcome in (Outcome.FAILED, Outcome.WARNING)] == []
+
+
+def test_a_new_predictor_as_a_program_is_run_and_scored(tmp_path, capsys):
+    toml = _predictor(tmp_path / "glance", ("pose+gaze",), "program") / "glance.toml"
+    toml.write_text(toml.read_text().replace('"python"', repr(sys.executable)))
+    data = write(tmp_path / "w", walking("a", 120))
+    arguments = ["run", "--benchmark", "motion-prediction", "--method", str(toml), "--condition", "pose+gaze"]
+    assert main([*arguments, "--data", str(data), "--samples", "5", "--out", str(tmp_path / "out")]) == 0
+    assert "glance (program" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        ({"conditions": ("goal-loc",)}, "--condition goal-loc: expected one of the benchmark motion-prediction: pose,"),
+        ({"name": "humanmac"}, "method of prbench itself"),
+    ],
+)
+def test_a_predictor_of_another_benchmarks_condition_or_of_our_name_is_refused(tmp_path, wanted, message):
+    given = {"name": "glance", "out": tmp_path / "new", "benchmark": "motion-prediction", **wanted}
+    with pytest.raises(UsageError, match=message):
+        new_adapter(ScaffoldRequest(**given))
 
 
 def test_new_says_what_to_do_next(tmp_path, monkeypatch, capsys):

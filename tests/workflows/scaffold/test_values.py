@@ -71,11 +71,11 @@ def test_a_program_never_hides_a_module_that_it_imports(name, program):
 
 def test_a_name_that_another_package_offers_is_warned_about(monkeypatch):
     other = names_module.list_adapters()[0].__class__("glide", "other-package", "2.1", "other:load")
-    monkeypatch.setattr(names_module, "list_adapters", lambda: [other])
-    warning = taken_by(method_names("glide"))
+    monkeypatch.setattr(names_module, "list_adapters", lambda _group: [other])
+    warning = taken_by(method_names("glide"), "prime-and-reach")
     assert warning is not None
     assert "the installed package other-package 2.1 offers a method 'glide' already" in warning
-    assert taken_by(method_names("slide")) is None
+    assert taken_by(method_names("slide"), "prime-and-reach") is None
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from prbench.checking.conformance.check import check
+from prbench.checking.conformance.method_subject import MethodSubject
 from prbench.checking.conformance.report import Observation, Remedy, failed, passed, skipped, warning
-from prbench.checking.conformance.subject import Subject
 from prbench.errors import PrbenchError
 from prbench.methods.adapters import find_adapter, used_weights, weights_digest
+from prbench.methods.python_files import import_python_method, is_python_method
 
 _IMPORT_WARNING = 1.0
 """Seconds that importing the module of an entry point should stay below."""
@@ -35,18 +36,22 @@ _LATE = "Import heavy packages and open weights inside load() or generate(), not
 
 
 @check("import", "importing its module is cheap")
-def imports(subject: Subject) -> Iterator[Observation]:
+def imports(subject: MethodSubject) -> Iterator[Observation]:
     """Measure the seconds, and name heavy packages that are imported with it."""
     if not subject.is_installed:
         yield skipped("a program imports nothing into the harness.")
         return
-    target = find_adapter(subject.spec.name).target.partition(":")[0]
+    method = subject.spec.name
+    target = find_adapter(method, entry_points=subject.spec.group.entry_points).target.rpartition(":")[0]
     subject.starting(f"while importing {target}")
     # What prbench itself has imported already is not the method's doing.
     before = set(sys.modules)
     started = time.perf_counter()
     try:
-        importlib.import_module(target)
+        if is_python_method(method):
+            import_python_method(method)
+        else:
+            importlib.import_module(target)
     except (Exception, SystemExit):  # told by 'load', in the words that a run would use
         yield skipped("it cannot be imported; see 'load'.")
         return
@@ -60,12 +65,12 @@ def imports(subject: Subject) -> Iterator[Observation]:
 
 
 @check("load", "it loads and declares what the harness needs")
-def load(subject: Subject) -> Iterator[Observation]:
+def load(subject: MethodSubject) -> Iterator[Observation]:
     """Load it as a run does, fit it if it learns, and read its attributes."""
     subject.starting("while starting its program" if subject.is_program else "while loading it")
     started = time.perf_counter()
     try:
-        declared = subject.declared
+        conditions = subject.conditions
         name = subject.adapter.name
     except PrbenchError as error:
         yield failed(str(error), "Nothing else can be looked at before this is repaired.")
@@ -74,19 +79,17 @@ def load(subject: Subject) -> Iterator[Observation]:
     if not isinstance(name, str) or not name:
         yield failed(f"its attribute 'name' is {name!r}.", _NAME)
         return
-    if subject.is_installed and name != subject.spec.name:
+    if subject.is_installed and name != subject.spec.name and not is_python_method(subject.spec.name):
         yield warning(
             f"it calls itself '{name}' but is installed as '{subject.spec.name}'.",
             "Use one name in both places, so that messages and tables speak of the same method.",
         )
-    limit = "any length" if declared.max_frames is None else f"up to {declared.max_frames} frames"
-    rate = "the table's rate" if declared.native_fps is None else f"{declared.native_fps:g} frames a second"
-    taken = ", ".join(condition.value for condition in subject.conditions)
-    yield passed(f"takes {taken}; {limit}; {rate}; ready after {seconds:.2f} s.", load_s=seconds)
+    taken = ", ".join(condition.value for condition in conditions)
+    yield passed(f"takes {taken}; {subject.limits}; ready after {seconds:.2f} s.", load_s=seconds)
 
 
 @check("settings", "unknown options and weights are refused", needs=("load",))
-def settings(subject: Subject) -> Iterator[Observation]:
+def settings(subject: MethodSubject) -> Iterator[Observation]:
     """Require that unknown options are refused, since a misspelt one would change nothing and be recorded."""
     options = (*subject.spec.options, (_NO_SUCH_OPTION, "1"))
     if _loads(subject, options=tuple(sorted(options))):
@@ -105,7 +108,7 @@ def settings(subject: Subject) -> Iterator[Observation]:
 
 
 @check("weights", "the weights that it names are there", needs=("load",))
-def weights(subject: Subject) -> Iterator[Observation]:
+def weights(subject: MethodSubject) -> Iterator[Observation]:
     """Ask ``weights_for`` twice for each condition."""
     if subject.is_program:
         yield _named_by_program(subject)
@@ -141,7 +144,7 @@ def weights(subject: Subject) -> Iterator[Observation]:
     yield passed("; ".join(f"{condition}: {name}" for condition, name in named.items()) + ".")
 
 
-def _named_by_program(subject: Subject) -> Observation:
+def _named_by_program(subject: MethodSubject) -> Observation:
     """Report the weights of a program's hello, whose form the handshake has checked."""
     named = getattr(subject.adapter, "weights", {})
     if not named:
@@ -151,7 +154,7 @@ def _named_by_program(subject: Subject) -> Observation:
     )
 
 
-def _loads(subject: Subject, **changed: object) -> bool:
+def _loads(subject: MethodSubject, **changed: object) -> bool:
     """Return True if the method can be loaded with other settings."""
     spec = replace(subject.spec, fit_folder=None, table_folder=None, fit=None, **changed)  # type: ignore[arg-type]
     try:

@@ -7,28 +7,17 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from prbench.checking.conformance.answer import STATE_SEED, TOLERANCE, Answer, largest_changes, metres, same_bytes
+from prbench.checking.conformance.answer import STATE_SEED, TOLERANCE, AnyAnswer, largest_changes, metres, same_bytes
 from prbench.checking.conformance.check import check
+from prbench.checking.conformance.method_subject import MethodSubject
 from prbench.checking.conformance.report import Observation, Remedy, failed, passed, skipped, warning
-from prbench.checking.conformance.subject import Subject
-from prbench.evaluation.planning import rows_of
 
-_OWN_GENERATORS = Remedy(
-    "Draw from one generator a sequence, made of its noise_seed alone:"
-    " prbench.randomness.sequence_generator(noise_seed), or torch.Generator().manual_seed(noise_seed).",
-    "Draw from one generator a sequence, made of the noise_seed of its row alone (numpy.random.default_rng(noise_seed),"
-    " SplitMix64 …).",
-)
 _ROUNDING = np.float32(1e-6)  # metres; about the last digit of a float32 position some metres away
 _AMPLIFIED = 30.0  # how much more than such a nudge another batch may move a motion of a method that amplifies rounding
-_OWN_ROW = (
-    "Every row is complete in itself: draw its noise from its own noise_seed, mask padding in attention, losses and"
-    " averages, and let no statistic (batch normalisation, the longest row, a common stopping rule) run over rows."
-)
 
 
 @check("determinism", "the same batch gives the same motions", of_motions=True)
-def determinism(subject: Subject) -> Iterator[Observation]:
+def determinism(subject: MethodSubject) -> Iterator[Observation]:
     """Ask for the usual batch again, after another one."""
     first = subject.standard(subject.main)
     # Another batch in between shows a method that carries state from call to call.
@@ -36,12 +25,12 @@ def determinism(subject: Subject) -> Iterator[Observation]:
     again = subject.ask(first.batch)
     yield _compared(
         first, again, "asked for the same batch a second time",
-        _OWN_GENERATORS.after("Something is left over from earlier calls, or drawn from time or the system."),
+        subject.own_generators.after("Something is left over from earlier calls, or drawn from time or the system."),
     )  # fmt: skip
 
 
 @check("global-random", "nothing is drawn from global generators", needs=("determinism",), of_motions=True)
-def global_random(subject: Subject) -> Iterator[Observation]:
+def global_random(subject: MethodSubject) -> Iterator[Observation]:
     """Ask for the usual batch with other states of Python's, NumPy's and torch's global generators."""
     if subject.is_program:
         yield skipped("a program's generators are its own; 'determinism' and 'process' see what they would change.")
@@ -53,32 +42,32 @@ def global_random(subject: Subject) -> Iterator[Observation]:
         if subject.drew_from:
             yield warning(
                 f"it sets or draws from {drew}, though its motions do not change with it.",
-                _OWN_GENERATORS.after(
+                subject.own_generators.after(
                     "Leave global generators alone: another method or test in the process may use them."
                 ),
             )
         else:
             yield passed("no global generator is touched.")
         return
-    yield _compared(first, other, f"with {drew} in another state", _OWN_GENERATORS)
+    yield _compared(first, other, f"with {drew} in another state", subject.own_generators)
 
 
 @check("noise-seed", "noise_seed is the only source of chance", needs=("determinism", "global-random"), of_motions=True)
-def noise_seed(subject: Subject) -> Iterator[Observation]:
+def noise_seed(subject: MethodSubject) -> Iterator[Observation]:
     """Ask for the usual batch with another run's seed and opaque ids, then with other noise seeds."""
     first = subject.standard(subject.main)
     renamed = tuple(name[::-1] for name in first.batch.opaque_id)
     other_run = subject.ask(dataclasses.replace(first.batch, opaque_id=renamed), seed=1)
     finding = _compared(
         first, other_run, "with another 'seed' and other opaque ids, but the same noise seeds",
-        _OWN_GENERATORS.after("Both are for the record only: noise_seed alone tells sequences and samples apart."),
+        subject.own_generators.after("Both are for the record: noise_seed alone tells sequences and samples apart."),
     )  # fmt: skip
     if finding.remedy:
         yield finding
         return
     redrawn = subject.ask(subject.batch(subject.rows, subject.main, sample=1))
     if redrawn.motions is None:
-        yield failed(f"with other noise seeds: {redrawn.error}", _OWN_GENERATORS)
+        yield failed(f"with other noise seeds: {redrawn.error}", subject.own_generators)
         return
     changes = largest_changes(first, redrawn)
     if not changes.any():
@@ -87,7 +76,7 @@ def noise_seed(subject: Subject) -> Iterator[Observation]:
         still = int((changes == 0).sum())
         yield failed(
             f"with other noise seeds, {still} of {len(changes)} motions stayed the same and the others changed.",
-            _OWN_GENERATORS.after("Use the noise_seed of each row, not that of the first."),
+            subject.own_generators.after("Use the noise_seed of each row, not that of the first."),
         )
     else:
         yield passed(
@@ -97,7 +86,7 @@ def noise_seed(subject: Subject) -> Iterator[Observation]:
 
 
 @check("process", "another process generates the same motions", needs=("determinism",), fresh=True, of_motions=True)
-def process(subject: Subject) -> Iterator[Observation]:
+def process(subject: MethodSubject) -> Iterator[Observation]:
     """Ask for the very first batch in a process that has done nothing else."""
     kept = subject.first_motions()
     if kept is None:
@@ -119,17 +108,17 @@ def process(subject: Subject) -> Iterator[Observation]:
     yield (failed if moved > TOLERANCE else warning)(text, remedy, change_m=moved)
 
 
-@check("single-row", "a batch of one sequence works", of_motions=True)
-def single_row(subject: Subject) -> Iterator[Observation]:
+@check("single-row", "a batch of one works", of_motions=True)
+def single_row(subject: MethodSubject) -> Iterator[Observation]:
     """Ask for the first sequence alone."""
     answer = subject.ask(subject.batch(subject.rows[:1], subject.main))
     if answer.motions is None:
         yield failed(
-            f"a batch of one sequence: {answer.error}",
+            f"a batch of one {subject.case}: {answer.error}",
             "Keep the first axis: squeeze() without an axis and indexing by a boolean lose it when there is one row.",
         )
     else:
-        yield passed("one sequence alone works.")
+        yield passed(f"one {subject.case} alone works.")
 
 
 @check(
@@ -138,26 +127,26 @@ def single_row(subject: Subject) -> Iterator[Observation]:
     needs=("determinism", "global-random", "noise-seed", "single-row"),
     of_motions=True,
 )
-def batch(subject: Subject) -> Iterator[Observation]:
+def batch(subject: MethodSubject) -> Iterator[Observation]:
     """Ask for the usual sequences in reverse, and in two parts."""
     first = subject.standard(subject.main)
     n = len(first.batch)
     if n < 2:
-        yield skipped("there is only one sequence to ask about.")
+        yield skipped(f"there is only one {subject.case} to ask about.")
         return
     orders = {"in reverse order": [list(range(n))[::-1]], "in two parts": [list(range(n // 2)), list(range(n // 2, n))]}
     moved: dict[str, float] = {}
     for name, parts in orders.items():
         for part in parts:
-            answer = subject.ask(rows_of(first.batch, part))
+            answer = subject.ask(subject.rows_of(first.batch, part))
             if answer.motions is None:
-                yield failed(f"the same sequences {name}: {answer.error}", _OWN_ROW)
+                yield failed(f"the same {subject.case}s {name}: {answer.error}", subject.own_row)
                 return
             moved[name] = max(moved.get(name, 0.0), largest_changes(first, answer, part).max())
     yield _judged(subject, first, moved)
 
 
-def _compared(first: Answer, second: Answer, when: str, remedy: str | Remedy) -> Observation:
+def _compared(first: AnyAnswer, second: AnyAnswer, when: str, remedy: str | Remedy) -> Observation:
     """Pass equal bytes, warn of rounding, and fail anything else."""
     if second.motions is None:
         return failed(f"{when}: {second.error}", remedy)
@@ -174,7 +163,7 @@ def _compared(first: Answer, second: Answer, when: str, remedy: str | Remedy) ->
     return failed(f"{when}: joints moved by up to {metres(moved)}.", remedy, change_m=moved)
 
 
-def _judged(subject: Subject, first: Answer, moved: dict[str, float]) -> Observation:
+def _judged(subject: MethodSubject, first: AnyAnswer, moved: dict[str, float]) -> Observation:
     most = max(moved.values())
     told = " and ".join(f"by {metres(distance)} {name}" for name, distance in moved.items() if distance > TOLERANCE)
     if most <= TOLERANCE:
@@ -183,20 +172,20 @@ def _judged(subject: Subject, first: Answer, moved: dict[str, float]) -> Observa
     amplified = _amplified(subject, first)
     if most <= _AMPLIFIED * amplified:
         return warning(
-            f"the same sequences move {told}; but a nudge of {_ROUNDING:.0e} m of their input alone moves them by"
+            f"the same {subject.case}s move {told}; but a nudge of {_ROUNDING:.0e} m of their input alone moves them by"
             f" {metres(amplified)}: the method amplifies rounding, as optimisation does.",
             "Only scores can be compared between batch sizes, not motions; name the batch size beside your results.",
             change_m=most,
             amplified_m=amplified,
         )
-    return failed(f"the same sequences move {told}.", _OWN_ROW, change_m=most, amplified_m=amplified)
+    return failed(f"the same {subject.case}s move {told}.", subject.own_row, change_m=most, amplified_m=amplified)
 
 
-def _amplified(subject: Subject, first: Answer) -> float:
+def _amplified(subject: MethodSubject, first: AnyAnswer) -> float:
     """Return how far motions move, in metres, if their input changes in the last digit only."""
-    if first.batch.initial_joints is None:
+    nudged = subject.nudged(first.batch, _ROUNDING)
+    if nudged is None:
         return 0.0
-    nudged = dataclasses.replace(first.batch, initial_joints=first.batch.initial_joints + _ROUNDING)
     answer = subject.ask(nudged)
     return 0.0 if answer.motions is None else float(largest_changes(first, answer).max())
 

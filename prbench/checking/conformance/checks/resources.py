@@ -9,11 +9,11 @@ import numpy as np
 import psutil
 
 from prbench.checking.conformance.check import check
+from prbench.checking.conformance.method_subject import MethodSubject
 from prbench.checking.conformance.report import Observation, failed, passed, skipped, warning
-from prbench.checking.conformance.subject import Subject
 from prbench.methods.loaded_methods import unload_method
-from prbench.methods.remote.adapter import RemoteAdapter
 from prbench.methods.remote.faults import exit_story
+from prbench.methods.remote.method import RemoteMethod
 from prbench.methods.remote.process import EXIT_SECONDS
 
 _ROUNDS = 14
@@ -27,7 +27,7 @@ _LEAST_GROWTH = 4 * 1024 * 1024  # bytes in all that count as growth
 
 
 @check("memory", "memory does not grow from batch to batch", needs=("determinism",), of_motions=True)
-def memory(subject: Subject) -> Iterator[Observation]:
+def memory(subject: MethodSubject) -> Iterator[Observation]:
     """Measure resident memory of this process and its children after each of many equal batches."""
     usual = subject.standard(subject.main)
     rounds = min(_ROUNDS, int(_PATIENCE / max(usual.seconds, 1e-6)))
@@ -57,7 +57,8 @@ def memory(subject: Subject) -> Iterator[Observation]:
         if growth < _GROWTH_WARNING:
             break
     total = max(resident) / 2**20
-    text = f"{growth / 1024:.0f} KiB a motion stayed behind over {len(resident)} batches; {total:.0f} MiB in all."
+    kept = f"{growth / 1024:.0f} KiB a {subject.answer} stayed behind over {len(resident)} batches"
+    text = f"{kept}; {total:.0f} MiB in all."
     remedy = "Keep nothing of a batch: look for lists and caches that grow, and for torch graphs (torch.no_grad())."
     numbers = {"growth_bytes_a_motion": growth, "resident_mib": total}
     if growth >= _GROWTH_FAILURE:
@@ -69,24 +70,25 @@ def memory(subject: Subject) -> Iterator[Observation]:
 
 
 @check("speed", "how long it takes", of_motions=True)
-def speed(subject: Subject) -> Iterator[Observation]:
+def speed(subject: MethodSubject) -> Iterator[Observation]:
     """Measure the seconds of the first batch, which pays for what loads on first use, and of a usual one."""
     first = subject.first_answer
     usual = subject.standard(subject.main)
     a_motion = usual.seconds / len(usual.batch)
     yield passed(
         f"first batch ({len(first.batch)}) {first.seconds:.2f} s; then {len(usual.batch)} in {usual.seconds:.2f} s:"
-        f" {a_motion:.3g} s a motion, {1 / max(a_motion, 1e-9):.3g} motions a second on {subject.spec.device}.",
+        f" {a_motion:.3g} s a {subject.answer}, {1 / max(a_motion, 1e-9):.3g} {subject.answer}s a second on"
+        f" {subject.spec.device}.",
         first_batch_s=first.seconds,
         motion_s=a_motion,
         motions_a_second=1 / max(a_motion, 1e-9),
     )
 
 
-@check("exit", "its program ends by itself, with status 0", needs=("generates",), of_motions=True)
-def exits(subject: Subject) -> Iterator[Observation]:
+@check("exit", "its program ends by itself, with status 0", needs=("generates", "predicts"), of_motions=True)
+def exits(subject: MethodSubject) -> Iterator[Observation]:
     """Close its stdin after a batch, as a run does at its end."""
-    if subject.is_installed or not isinstance(subject.adapter, RemoteAdapter):
+    if subject.is_installed or not isinstance(subject.adapter, RemoteMethod):
         yield skipped("it has no program of its own.")
         return
     program = subject.adapter
