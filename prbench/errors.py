@@ -173,6 +173,18 @@ class TrainingStopped(PrbenchError):
         super().__init__(message)
 
 
+class ClusterError(PrbenchError):
+    """A cluster cannot be reached, one of its nodes is unfit for the work, or none is left."""
+
+    exit_code = 13
+
+
+class WorkStopped(PrbenchError):
+    """Work was asked to stop by SIGTERM; its workers were ended, and the same command goes on where it resumes."""
+
+    exit_code = 143
+
+
 class MissingExtraError(ErrorOfParts):
     """An optional package is needed; the message holds the ``pip install`` line that helps."""
 

@@ -52,8 +52,13 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def atomic_folder(path: Path) -> Iterator[Path]:
+def atomic_folder(path: Path, *, told_by: str | None = None) -> Iterator[Path]:
     """A temporary folder beside ``path`` that takes its name when the block ends well, replacing what was there.
+
+    Args:
+        path: The folder.
+        told_by: File whose equal bytes tell that the folder which stands there is the same; then it stays. Two machines
+            may make the same folder at the same time, and neither may take it away from under the other's readers.
 
     Raises:
         StorageError: if the folder cannot be written or the disk is full.
@@ -65,14 +70,31 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         with _storage_errors(path):
             yield temporary
             temporary.chmod(0o777 & ~_umask())
+            if _told_equal(path, temporary, told_by):
+                return
             replaced = temporary.with_suffix(".replaced")
             if path.exists():
                 path.replace(replaced)
-            temporary.replace(path)
+            try:
+                temporary.replace(path)
+            except OSError:  # not empty: another machine was a moment faster
+                if not _told_equal(path, temporary, told_by):
+                    raise
+                shutil.rmtree(replaced, ignore_errors=True)
+                return
             if replaced.exists():
                 replaced.replace(temporary)  # from here on half of it may be gone, so it is never put back
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _told_equal(one: Path, other: Path, told_by: str | None) -> bool:
+    if told_by is None:
+        return False
+    try:
+        return (one / told_by).read_bytes() == (other / told_by).read_bytes()
+    except OSError:
+        return False
 
 
 def remove_folder(path: Path) -> None:

@@ -269,3 +269,45 @@ def test_what_is_none_stays_none() -> None:
 
     assert Request().one is None
     assert Request("a").one == Path("a")
+
+
+def _made(temporary, receipt):
+    (temporary / "receipt").write_text(receipt)
+    (temporary / "rows").write_text(receipt)
+
+
+def test_a_folder_that_another_machine_has_made_meanwhile_stays(tmp_path):
+    folder = tmp_path / "part"
+    with atomic_folder(folder, told_by="receipt") as slower:
+        _made(slower, "same")
+        with atomic_folder(folder, told_by="receipt") as faster:
+            _made(faster, "same")
+        first = folder.stat().st_ino
+    assert folder.stat().st_ino == first
+    assert [entry.name for entry in tmp_path.iterdir()] == ["part"]
+
+
+def test_a_folder_that_another_machine_has_made_at_the_very_same_moment_stays(tmp_path, monkeypatch):
+    folder = tmp_path / "part"
+    exists = Path.exists
+
+    def made_after_the_look(path):
+        found = exists(path)
+        if path == folder and not found:
+            folder.mkdir()
+            _made(folder, "same")
+        return found
+
+    with atomic_folder(folder, told_by="receipt") as slower:
+        _made(slower, "same")
+        monkeypatch.setattr(Path, "exists", made_after_the_look)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["part"]
+
+
+def test_a_folder_with_another_receipt_is_replaced(tmp_path):
+    folder = tmp_path / "part"
+    for receipt in ("failed", "read"):
+        with atomic_folder(folder, told_by="receipt") as temporary:
+            _made(temporary, receipt)
+    assert (folder / "rows").read_text() == "read"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["part"]

@@ -20,9 +20,11 @@ from prbench.cli.builds import (
     print_stages,
 )
 from prbench.cli.commands import Answer, command
+from prbench.cli.engines import opened
 from prbench.cli.options import (
     POSITIVE,
     count_option,
+    engine_options,
     on_error_option,
     out_folder_option,
     reader_options,
@@ -30,13 +32,14 @@ from prbench.cli.options import (
     replace_option,
     root_option,
     seed_option,
-    workers_option,
 )
 from prbench.cli.progress import progress
 from prbench.cli.shards import chosen_shard, shard_answer, shard_option
 
 if TYPE_CHECKING:
     from prbench.corpora import CorpusOptions, CorpusReport
+    from prbench.engine import Engine
+    from prbench.engine.choice import EngineChoice
     from prbench.shards import Shard
 
 _SYNTHETIC = "synthetic"
@@ -61,7 +64,7 @@ _SYNTHETIC = "synthetic"
 @click.option("--dry-run", is_flag=True, help="Say what would be read, and write nothing.")
 @on_error_option()
 @reader_options("corpus'")
-@workers_option()
+@engine_options()
 @shard_option("the groups of recordings")
 def build_corpus(
     *,
@@ -78,7 +81,7 @@ def build_corpus(
     dry_run: bool,
     on_error: Literal["skip", "fail"],
     options: tuple[tuple[str, str], ...],
-    workers: int,
+    engine: EngineChoice,
     shard: str | None,
 ) -> Answer:
     """Turn text-motion data into a corpus for pre-training.
@@ -98,14 +101,16 @@ def build_corpus(
         replace=replace,
     )
     if dry_run:
-        return _plan(corpus, root, chosen, workers)
+        return _plan(corpus, root, chosen, engine.workers or 1)
     if out is None:
         from prbench.errors import UsageError
 
         raise UsageError("--out DIR is needed: the folder of the corpus. (--dry-run does without.)")
+    roots = () if root is None else (root,)
+    where = opened(engine, reads=roots, writes=(out,))
     if part is not None:
-        return _build_shard(corpus, root, out, part, chosen, workers)
-    return _build(corpus, root, out, chosen, workers)
+        return _build_shard(corpus, root, out, part, chosen, where)
+    return _build(corpus, root, out, chosen, where)
 
 
 def _source_options(corpus: str, given: dict[str, str], *, count: int | None, seed: int) -> tuple[tuple[str, str], ...]:
@@ -132,25 +137,21 @@ def _plan(corpus: str, root: Path | None, options: CorpusOptions, workers: int) 
     return Answer(BuildsReport(built=[], not_built=[], planned=[plan]), lambda: print_plan(plan, unfit="unfit"))
 
 
-def _build(corpus: str, root: Path | None, out: Path, options: CorpusOptions, workers: int) -> Answer:
+def _build(corpus: str, root: Path | None, out: Path, options: CorpusOptions, engine: Engine) -> Answer:
     from prbench.corpora import build_corpus as build
-    from prbench.engine import engine_for
 
     with progress(f"building {corpus}") as tell:
-        report = build(corpus, root, out, options=options, engine=engine_for(workers), progress=tell)
+        report = build(corpus, root, out, options=options, engine=engine, progress=tell)
     return corpus_answer(report)
 
 
 def _build_shard(
-    corpus: str, root: Path | None, out: Path, shard: Shard, options: CorpusOptions, workers: int
+    corpus: str, root: Path | None, out: Path, shard: Shard, options: CorpusOptions, engine: Engine
 ) -> Answer:
     from prbench.corpora.build import build_corpus_shard
-    from prbench.engine import engine_for
 
     with progress(f"building shard {shard} of {corpus}") as tell:
-        report = build_corpus_shard(
-            corpus, root, out, shard, options=options, engine=engine_for(workers), progress=tell
-        )
+        report = build_corpus_shard(corpus, root, out, shard, options=options, engine=engine, progress=tell)
     note_unread(report.records, reused=report.reused)
     made = made_shard(report, made_of=len(shard.places(report.planned)))
     failed = any(record.status == "failed" for record in report.records)

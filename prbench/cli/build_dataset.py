@@ -24,7 +24,9 @@ from prbench.cli.builds import (
     print_stages,
 )
 from prbench.cli.commands import Answer, command
+from prbench.cli.engines import opened
 from prbench.cli.options import (
+    engine_options,
     on_error_option,
     out_folder_option,
     protocol_option,
@@ -32,7 +34,6 @@ from prbench.cli.options import (
     recordings_options,
     replace_option,
     root_option,
-    workers_option,
 )
 from prbench.cli.progress import progress
 from prbench.cli.shards import chosen_shard, shard_answer, shard_option
@@ -41,6 +42,8 @@ from prbench.cli.terminal import print_table
 if TYPE_CHECKING:
     from prbench.curation import BuildReport
     from prbench.curation.options import BuildOptions
+    from prbench.engine import Engine
+    from prbench.engine.choice import EngineChoice
     from prbench.sequences import RecordingRecord
     from prbench.shards import Shard
 
@@ -95,7 +98,7 @@ EVERYTHING = "all"
     help="Where bodies come from, for example egoallo in place of ADT's suit; short for --option poses=SOURCE.",
 )
 @reader_options()
-@workers_option()
+@engine_options()
 @shard_option("the dataset's recordings")
 def build_dataset(
     *,
@@ -116,7 +119,7 @@ def build_dataset(
     on_error: Literal["skip", "fail"],
     poses: str | None,
     options: tuple[tuple[str, str], ...],
-    workers: int,
+    engine: EngineChoice,
     shard: str | None,
 ) -> Answer:
     """Turn a dataset's recordings into a table of prime-and-reach sequences.
@@ -147,16 +150,17 @@ def build_dataset(
         replace=replace,
     )
     if dry_run:
-        return _plan(dataset, root, chosen, workers)
+        return _plan(dataset, root, chosen, engine.workers or 1)
     if out is None:
         from prbench.errors import UsageError
 
         raise UsageError("--out DIR is needed: the folder of the table. (--dry-run does without.)")
+    where = _opened(engine, root, out, chosen)
     if part is not None:
-        return _build_shard(dataset, root, out, part, chosen, workers)
+        return _build_shard(dataset, root, out, part, chosen, where)
     if dataset == EVERYTHING:
-        return _build_all(root, out, chosen, workers)
-    return _build_one(dataset, root, out, chosen, workers)
+        return _build_all(root, out, chosen, where)
+    return _build_one(dataset, root, out, chosen, where)
 
 
 def _meshes(dataset: str, *, in_hand: str | None, occlusion: str) -> dict[str, str]:
@@ -193,9 +197,14 @@ def _plan(dataset: str, root: Path, options: BuildOptions, workers: int) -> Answ
     return Answer(BuildsReport(built=[], not_built=[], planned=plans), show)
 
 
-def _build_one(dataset: str, root: Path, out: Path, options: BuildOptions, workers: int) -> Answer:
+def _opened(choice: EngineChoice, root: Path, out: Path, options: BuildOptions) -> Engine:
+    """Open the engine; where meshes are read, every node needs what reads them."""
+    meshes = dict(options.reader).get("meshes") == "true"
+    return opened(choice, reads=(root,), writes=(out,), packages=("open3d",) if meshes else ())
+
+
+def _build_one(dataset: str, root: Path, out: Path, options: BuildOptions, engine: Engine) -> Answer:
     from prbench.curation import build_dataset as build
-    from prbench.engine import engine_for
 
     with progress(f"building {dataset}") as tell:
         report = build(
@@ -203,15 +212,14 @@ def _build_one(dataset: str, root: Path, out: Path, options: BuildOptions, worke
             root,
             out,
             options=options,
-            engine=engine_for(workers),
+            engine=engine,
             progress=lambda step: tell(step.done, step.total, step.record.recording_id),
         )
     return table_answer(report)
 
 
-def _build_shard(dataset: str, root: Path, out: Path, shard: Shard, options: BuildOptions, workers: int) -> Answer:
+def _build_shard(dataset: str, root: Path, out: Path, shard: Shard, options: BuildOptions, engine: Engine) -> Answer:
     from prbench.curation.build import build_dataset_shard
-    from prbench.engine import engine_for
 
     with progress(f"building shard {shard} of {dataset}") as tell:
         report = build_dataset_shard(
@@ -220,7 +228,7 @@ def _build_shard(dataset: str, root: Path, out: Path, shard: Shard, options: Bui
             out,
             shard,
             options=options,
-            engine=engine_for(workers),
+            engine=engine,
             progress=lambda step: tell(step.done, step.total, step.record.recording_id),
         )
     _note_recordings(report.records, reused=report.reused)
@@ -242,8 +250,7 @@ def table_answer(report: BuildReport) -> Answer:
     )
 
 
-def _build_all(root: Path, out: Path, options: BuildOptions, workers: int) -> Answer:
-    from prbench.engine import engine_for
+def _build_all(root: Path, out: Path, options: BuildOptions, engine: Engine) -> Answer:
     from prbench.workflows.build_all import build_all
 
     with progress("building") as tell:
@@ -251,7 +258,7 @@ def _build_all(root: Path, out: Path, options: BuildOptions, workers: int) -> An
             root,
             out,
             options=options,
-            engine=engine_for(workers),
+            engine=engine,
             progress=lambda name, step: tell(step.done, step.total, f"{name} {step.record.recording_id}"),
         )
     built = [_built(outcome.report) for outcome in outcomes if outcome.report is not None]

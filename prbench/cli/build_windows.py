@@ -10,14 +10,15 @@ import msgspec
 
 from prbench.cli.builds import NOT_EVERYTHING, made_shard
 from prbench.cli.commands import Answer, command, note
+from prbench.cli.engines import opened
 from prbench.cli.options import (
     PATH,
+    engine_options,
     on_error_option,
     out_folder_option,
     reader_options,
     recordings_options,
     root_option,
-    workers_option,
 )
 from prbench.cli.progress import progress
 from prbench.cli.shards import MadeShard, chosen_shard, shard_answer, shard_option
@@ -25,6 +26,7 @@ from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
+    from prbench.engine.choice import EngineChoice
     from prbench.prediction.table import WindowsInfo
 
 
@@ -114,7 +116,7 @@ class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
 @recordings_options
 @on_error_option()
 @reader_options()
-@workers_option()
+@engine_options()
 @shard_option("the dataset's recordings")
 def build_windows(
     *,
@@ -128,7 +130,7 @@ def build_windows(
     max_recordings: int | None,
     on_error: Literal["skip", "fail"],
     options: tuple[tuple[str, str], ...],
-    workers: int,
+    engine: EngineChoice,
     shard: str | None,
 ) -> Answer:
     """Cut recordings into windows for motion prediction: half a second to observe, two seconds to predict.
@@ -151,17 +153,16 @@ def build_windows(
     assert dataset is not None
     assert root is not None
     from prbench.curation.window_building import build_planned_windows, build_windows_shard
-    from prbench.engine import engine_for
     from prbench.workflows.build_windows import plan_windows
 
     plan = plan_windows(dataset, root, joints=joints, recordings=recordings, limit=max_recordings, reader=options)
-    engine = engine_for(workers)
+    where = opened(engine, reads=(root,), writes=(out,))
     if part is None:
         with progress(f"cutting {dataset}") as tell:
-            report = build_planned_windows(plan, out, on_error=on_error, engine=engine, progress=tell)
+            report = build_planned_windows(plan, out, on_error=on_error, engine=where, progress=tell)
         return windows_answer(report.info, out)
     with progress(f"cutting shard {part} of {dataset}") as tell:
-        done = build_windows_shard(plan, out, part, on_error=on_error, engine=engine, progress=tell)
+        done = build_windows_shard(plan, out, part, on_error=on_error, engine=where, progress=tell)
     for each in done.records:
         if each.status != "read":
             note(f"{each.recording_id}: {each.status}: {each.message}")

@@ -21,9 +21,11 @@ EXIT_CODES = {
     10: "a licence does not let recorded motion be passed on",
     11: "a training folder belongs to another training, or the training cannot go on",
     12: "the machine's memory does not suffice for one item of the work",
+    13: "a cluster cannot be reached, one of its nodes is unfit for the work, or none is left",
     14: "a shard is missing, there twice, of another build or run, unfinished or damaged",
     130: "interrupted by Ctrl-C (128 + the signal's number); finished parts are kept where the command resumes",
-    143: "asked to stop by SIGTERM (128 + the signal's number); a training has saved what it had",
+    143: "asked to stop by SIGTERM (128 + the signal's number); a training has saved what it had, other work keeps"
+    " finished parts",
 }
 """Every exit code of the program, and what it means."""
 _SHELLS = {

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import click
 
 from prbench.benchmarks import benchmarks, default_benchmark
 from prbench.cli.commands import SeveralValues
+from prbench.engine.choice import DEFAULT_SPILL_LIMIT_GB, LOCAL, RAY, EngineChoice
 
 CONDITIONS = tuple(default_benchmark().conditions)
 """Conditions that a method of the default benchmark can be given."""
@@ -133,6 +135,59 @@ def workers_option(default: int | None = 1, *, help: str = "") -> _Decorator:
         metavar="N",
         help=help or f"Processes to use (default {default}); changes no result.",
     )
+
+
+def engine_options(usual: int = 1, *, help: str = "", of: str = "") -> _Decorator:
+    """Add where work runs: ``--workers``, ``--engine``, ``--address`` …; the command gets one value, ``engine``.
+
+    Args:
+        usual: Workers on this machine where ``--workers`` is not given.
+        help: What ``--workers`` says in place of the default.
+        of: What the workers do, where a command does more than that.
+    """
+
+    def add(function: _Function) -> _Function:
+        @functools.wraps(function)
+        def with_choice(**given: Any) -> Any:
+            chosen = {name: given.pop(name) for name in ("workers", "address", "gpus_per_worker", "spill_limit")}
+            chosen["name"] = given.pop("engine")
+            return function(**given, engine=EngineChoice(**chosen))
+
+        said = help or f"Processes to use{of} (default {usual}; with --engine ray all processors); changes no result."
+        for option in (
+            click.option(
+                "--spill-limit",
+                type=click.FloatRange(min=0, min_open=True),
+                default=DEFAULT_SPILL_LIMIT_GB,
+                metavar="GB",
+                help="With ray: work that may wait in Ray's memory, and be spilled to its disk, at a time"
+                f" (default {DEFAULT_SPILL_LIMIT_GB:g}).",
+            ),
+            click.option(
+                "--gpus-per-worker",
+                type=click.FloatRange(min=0),
+                default=0.0,
+                metavar="N",
+                help="With ray: GPUs that a worker occupies, for example 0.5 (default 0).",
+            ),
+            click.option(
+                "--address",
+                metavar="HOST:PORT",
+                help="With ray: the cluster's head, or auto (default: RAY_ADDRESS, else a Ray on this machine alone).",
+            ),
+            click.option(
+                "--engine",
+                type=click.Choice([LOCAL, RAY]),
+                default=LOCAL,
+                help="Where to work: here (default), or on a Ray cluster, such as --engine ray --address 10.0.0.1:6379"
+                " (docs/ray.md); changes no result.",
+            ),
+            workers_option(None, help=said),
+        ):
+            with_choice = option(with_choice)
+        return cast("_Function", with_choice)
+
+    return add
 
 
 def split_option(default: str | None = "test", *, help: str = "") -> _Decorator:

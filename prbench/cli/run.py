@@ -13,6 +13,7 @@ import msgspec
 
 from prbench.cli.commands import Answer, command, note, session
 from prbench.cli.embedded import embedded_tables
+from prbench.cli.engines import opened
 from prbench.cli.options import (
     ALL_CONDITIONS,
     FIRST_RUN_SEQUENCES,
@@ -25,6 +26,7 @@ from prbench.cli.options import (
     conditions_by_benchmark,
     control_option,
     data_option,
+    engine_options,
     fold_options,
     limit_option,
     method_settings,
@@ -34,7 +36,6 @@ from prbench.cli.options import (
     seed_option,
     sequence_option,
     usual_number,
-    workers_option,
 )
 from prbench.cli.progress import progress
 from prbench.cli.shards import MadeShard, chosen_shard, shard_answer, shard_option
@@ -50,11 +51,13 @@ from prbench.cli.summaries import (
     print_summary,
 )
 from prbench.cli.table_two import ALL, TableTwoAnswer, run_table_two
+from prbench.engine.choice import LOCAL
 from prbench.errors import UsageError
 from prbench.rates_of_people import CarriedOn
 
 if TYPE_CHECKING:
     from prbench.engine import Engine
+    from prbench.engine.choice import EngineChoice
     from prbench.evaluation.benchmark import Benchmark
     from prbench.evaluation.request import RunRequest
     from prbench.evaluation.run import RunReport
@@ -200,14 +203,17 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
     metavar="SECONDS",
     help="For each batch, of a program or with --isolate (default 600); a program that is late is stopped.",
 )
-@workers_option(None, help="Processes to use (default 1; without --data and with all: 2); changes no result.")
+@engine_options(
+    help="Processes to use (default 1; without --data and with all: 2; with --engine ray all processors); changes no"
+    " result."
+)
 @shard_option("the batches")
 def run(
     config: Path | None,
     show_config: bool,
     view: Path | None,
     permission: tuple[str, ...],
-    workers: int | None,
+    engine: EngineChoice,
     minutes: int | None,
     shard: str | None,
     **given: Any,
@@ -222,7 +228,7 @@ def run(
     part = chosen_shard(shard, view=view, table_two=of_table_two)
     if of_table_two:
         _refuse_with_all(config=config, show_config=show_config, view=view, permission=permission)
-        made = run_table_two(given, minutes=minutes, workers=workers)
+        made = run_table_two(given, minutes=minutes, choice=engine)
         return replace(made, report=RunAnswer(runs=[], companions=[], view=None, table_two=made.report))
     if minutes is not None:
         raise UsageError("--minutes: belongs to --method all or --condition all; --limit N chooses N sequences.")
@@ -242,7 +248,7 @@ def run(
                 from prbench.cli.main import main
 
                 return supervised(main, sys.argv[1:], method=method.name)
-    return _run_all(experiment, repeated, view=view, permission=permission, workers=workers, shard=part)
+    return _run_all(experiment, repeated, view=view, permission=permission, choice=engine, shard=part)
 
 
 def _require_fits_benchmark(given: Mapping[str, Any]) -> None:
@@ -355,11 +361,9 @@ def _run_all(
     *,
     view: Path | None,
     permission: tuple[str, ...],
-    workers: int | None,
+    choice: EngineChoice,
     shard: Shard | None,
 ) -> Answer:
-    from prbench.engine import engine_for
-
     if shard is not None:
         chosen_shard(str(shard), first_run=not experiment.data)
     if view is not None:
@@ -369,7 +373,7 @@ def _run_all(
     for method in experiment.methods:
         _tell_claims(method.name, _group(experiment))
     first_run = not experiment.data
-    engine = engine_for(workers or (_FIRST_RUN_WORKERS if first_run else 1))
+    engine = _opened(choice, experiment)
     if first_run:
         for method in experiment.methods:
             _require_runnable(method, experiment.device)
@@ -463,6 +467,33 @@ def _shard_answer(made: list[MadeShard]) -> Answer:
             answer.show()
 
     return Answer(report, show)
+
+
+def _opened(choice: EngineChoice, experiment: Experiment) -> Engine:
+    """Open the engine; on a cluster every node needs the tables, the run folder, and what the methods are made of."""
+    from prbench.evaluation.preparation import DEFAULT_PARENT
+    from prbench.methods.installed import list_adapters
+    from prbench.workflows.first_run import default_folder
+
+    first_run = not experiment.data
+    reads = [Path(folder) for folder in experiment.data]
+    writes = [Path(experiment.out or DEFAULT_PARENT / "run")]
+    if first_run:
+        writes.append(default_folder())
+    # A weight that is no file is the name of a bundled one, and a method may be a program's file.
+    for method in experiment.methods:
+        reads += [Path(text) for text in (method.weights, method.name) if text and Path(text).exists()]
+    names = {method.name for method in experiment.methods}
+    installed = list_adapters(_group(experiment)) if choice.name != LOCAL else []
+    packages = [each.package for each in installed if each.name in names and not (each.built_in or each.problem)]
+    return opened(
+        choice,
+        usual=_FIRST_RUN_WORKERS if first_run else 1,
+        threads=experiment.threads,
+        reads=reads,
+        writes=writes,
+        packages=packages,
+    )
 
 
 def _require_runnable(method: ExperimentMethod, device: str) -> None:

@@ -10,23 +10,25 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, command
+from prbench.cli.engines import opened
 from prbench.cli.options import (
     CONDITIONS,
     PATH,
     POSITIVE,
     control_option,
     data_option,
+    engine_options,
     limit_option,
     out_folder_option,
     protocol_option,
     seed_option,
     split_option,
-    workers_option,
 )
 from prbench.cli.progress import progress
 from prbench.cli.summaries import DatasetScores, dataset_scores, print_agreement, print_scene, print_summary
 
 if TYPE_CHECKING:
+    from prbench.engine.choice import EngineChoice
     from prbench.submitted.score_predictions import ScoreReport as Scored
 
 
@@ -83,7 +85,7 @@ class ScoreReport(msgspec.Struct, frozen=True, kw_only=True):
 )
 @protocol_option("the numbers of the metrics; the table must have been built by the same rules.")
 @out_folder_option("Write scores.parquet, summary.json … into this folder.")
-@workers_option()
+@engine_options()
 def score(
     predictions: Path,
     data: tuple[Path, ...],
@@ -99,7 +101,7 @@ def score(
     allow_length_mismatch: bool,
     protocol: Path | None,
     out: Path | None,
-    workers: int,
+    engine: EngineChoice,
 ) -> Answer:
     """Score finished motions (Parquet, .npz, motions/*.npy), or a run folder again.
 
@@ -107,7 +109,6 @@ def score(
     .npz, n_frames; or a folder of motions/0000000000.npy, numbered by the rows of --conditions.
     """
     from prbench.contract import Condition
-    from prbench.engine import engine_for
     from prbench.submitted.score_predictions import ScoreRequest, score_predictions
 
     request = ScoreRequest(
@@ -129,7 +130,7 @@ def score(
     with progress("scoring") as show:
         scored = score_predictions(
             request,
-            engine=engine_for(workers),
+            engine=opened(engine, reads=(predictions, *data)),
             progress=lambda step: show(step.done, step.total, step.dataset),
         )
     datasets = [

@@ -12,6 +12,7 @@ import msgspec
 
 from prbench.cli.commands import Answer, note
 from prbench.cli.embedded import embedded_tables
+from prbench.cli.engines import opened
 from prbench.cli.options import PARTICIPANTS
 from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table, shown_width
@@ -20,6 +21,7 @@ from prbench.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from prbench.engine.choice import EngineChoice
     from prbench.evaluation.request import ProgressCallback
     from prbench.workflows.table_two import Cell, DatasetLayout, TableLayout, TableRequest
     from prbench.workflows.table_two.plan import PlannedRow
@@ -46,14 +48,20 @@ class TableTwoAnswer(msgspec.Struct, frozen=True, kw_only=True):
     table: dict[str, Any]
 
 
-def run_table_two(given: Mapping[str, Any], *, minutes: int | None, workers: int | None) -> Answer:
+def run_table_two(given: Mapping[str, Any], *, minutes: int | None, choice: EngineChoice) -> Answer:
     """Run what is missing of the table; the exit code is 1 if a row failed."""
-    from prbench.engine import engine_for
+    from prbench.evaluation.preparation import DEFAULT_PARENT
     from prbench.workflows.table_two import run_table
     from prbench.workflows.table_two.as_markdown import as_builtins
     from prbench.workflows.table_two.run import JSON, MARKDOWN, Say
 
-    engine = engine_for(workers or _WORKERS)
+    engine = opened(
+        choice,
+        usual=_WORKERS,
+        threads=given["threads"],
+        reads=tuple(given["data"]),
+        writes=(given["out"] or DEFAULT_PARENT / "table",),
+    )
     request = _table_request(given, tuple(given["data"]) or embedded_tables(engine), minutes)
     say = Say(
         notice=note,

@@ -4,15 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
 
 from prbench.cli.commands import Answer, command, note
-from prbench.cli.options import PATH, POSITIVE, KeyValue, data_option, fold_options, out_folder_option, threads_option
+from prbench.cli.engines import opened
+from prbench.cli.options import (
+    PATH,
+    POSITIVE,
+    KeyValue,
+    data_option,
+    engine_options,
+    fold_options,
+    out_folder_option,
+    threads_option,
+)
 from prbench.cli.progress import show_training
 from prbench.errors import UsageError
+
+if TYPE_CHECKING:
+    from prbench.engine.choice import EngineChoice
 
 
 class TrainedNetwork(msgspec.Struct, frozen=True, kw_only=True):
@@ -88,6 +101,7 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
 )
 @threads_option
 @click.option("--loaders", type=int, default=0, metavar="N", help="Processes that load data (default 0).")
+@engine_options(help="Processes that prepare the data (default 1; with --engine ray all processors).")
 @click.option("--show-config", is_flag=True, help="Print the resolved configuration and stop.")
 def train(
     method: str,
@@ -105,6 +119,7 @@ def train(
     nodes: int,
     threads: int,
     loaders: int,
+    engine: EngineChoice,
     show_config: bool,
 ) -> Answer | int:
     """Train a method's network on tables; the same command goes on with an interrupted training."""
@@ -137,7 +152,7 @@ def train(
         workers=loaders,
     )
     with show_training(f"training {method}") as show:
-        result = run_training(request, report=show)
+        result = run_training(request, report=show, engine=opened(engine, reads=data))
     if not result.first_process:  # one of several processes that train together; the first one speaks for all
         return 0
     note(f"waited for data {result.waiting:.1%} of {result.seconds:.0f} s")

@@ -33,7 +33,7 @@ from prbench.runs.record import PACKAGE
 from prbench.runs.scores import read_scores, write_scores
 from prbench.runs.summary import DatasetSummary
 from prbench.sequences.redistribution import run_notice
-from prbench.storage import write_text
+from prbench.storage import remove_half_written, write_text
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,7 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
             folder = prepared_folder(prepared)
             parts = [RunPart(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
             made = generate_all(parts, folder, engine)
+            remove_half_written(folder.path)  # by workers that were killed
         except Exception:
             if request.isolate:
                 remove_empty(request.out or DEFAULT_PARENT)  # made so that it could be withheld

@@ -29,7 +29,7 @@ def part_folder(work: Path, name: str, input_digest: str, settings: str) -> Path
 
 def write_part(folder: Path, batches: Mapping[str, pa.RecordBatch], receipt: Mapping[str, object]) -> None:
     """Write one part, whole or not at all: a batch of rows for each table, and what tells of it without opening one."""
-    with atomic_folder(folder) as temporary:
+    with atomic_folder(folder, told_by=_RECEIPT) as temporary:
         for name, batch in batches.items():
             with pa.OSFile(str(temporary / f"{name}.arrow"), "wb") as sink, pa.ipc.new_file(sink, batch.schema) as file:
                 file.write_batch(batch)

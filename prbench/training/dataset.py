@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Int
 from torch.utils.data import Dataset
 
+from prbench.engine import Engine, InProcess
 from prbench.errors import TableError, UsageError
 from prbench.randomness import named_generator
 from prbench.representation import Mode, Statistics, StatisticsAccumulator
@@ -31,6 +32,8 @@ from prbench.training.motions import (
     parts_of,
 )
 from prbench.training.store_building import Crop, Encoding, LeftOut, table_store
+
+_IN_PROCESS = InProcess()
 
 
 class SequenceDataset(Dataset[MotionItem]):
@@ -63,6 +66,7 @@ class SequenceDataset(Dataset[MotionItem]):
             own are not mirrored again.
         seed: Of captions and random crops.
         cache: Folder of the feature stores; prbench's cache folder by default.
+        engine: Where rows are encoded for a store that is not there yet; changes no byte of it.
 
     Raises:
         UsageError: if a value is not one of those above, or a table is given twice.
@@ -82,6 +86,7 @@ class SequenceDataset(Dataset[MotionItem]):
         mirrored: bool = False,
         seed: int = 0,
         cache: Path | None = None,
+        engine: Engine = _IN_PROCESS,
     ) -> None:
         _require(split, (*SPLITS, REFIT), "split")
         _require(crop, ("end", "random"), "crop")
@@ -99,7 +104,7 @@ class SequenceDataset(Dataset[MotionItem]):
         for table in opened:
             for part in _filled_parts(table, split):
                 encoding = Encoding(part, mode, max_frames, crop, mirrored and not holds_mirrored(table))
-                store, unusable = table_store(table, encoding, cache or cache_folder() / "training")
+                store, unusable = table_store(table, encoding, cache or cache_folder() / "training", engine=engine)
                 self._stores.append(store)
                 left_out += unusable
         self.left_out: tuple[LeftOut, ...] = tuple(left_out)
@@ -170,7 +175,11 @@ class SequenceDataset(Dataset[MotionItem]):
 
 
 def configured_dataset(
-    tables: Iterable[Table | Path], configuration: TrainingConfiguration, *, split: str
+    tables: Iterable[Table | Path],
+    configuration: TrainingConfiguration,
+    *,
+    split: str,
+    engine: Engine = _IN_PROCESS,
 ) -> SequenceDataset:
     """The sequences of a split, as a configuration wants them; only training shows mirrored copies."""
     wanted = configuration.data
@@ -182,6 +191,7 @@ def configured_dataset(
         mode=wanted.mode,
         mirrored=wanted.mirrored and split in ("train", REFIT),
         seed=configuration.training.seed,
+        engine=engine,
     )
 
 

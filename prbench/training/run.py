@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 import torch
 
+from prbench.engine import Engine, InProcess, close_engine
 from prbench.errors import TrainingStopped, UsageError
 from prbench.locks import sole_writer
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from lightning_fabric import Fabric
 
 _DEFAULT_CONFIGURATION = "small"
+_IN_PROCESS = InProcess()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,8 +98,15 @@ class TrainReport:
     """False in all but one of several processes; these have nothing to tell."""
 
 
-def train(request: TrainRequest, *, report: Callable[[Progress], None] = silent) -> TrainReport:
+def train(
+    request: TrainRequest, *, report: Callable[[Progress], None] = silent, engine: Engine = _IN_PROCESS
+) -> TrainReport:
     """Train, or go on training, to the last step.
+
+    Args:
+        request: What to train on what.
+        report: Called as the training goes on.
+        engine: Where the data is prepared; changes no byte of it.
 
     Raises:
         AdapterError: if there is no such task.
@@ -121,7 +130,7 @@ def train(request: TrainRequest, *, report: Callable[[Progress], None] = silent)
     fabric = make_fabric(request.device, devices=request.devices, nodes=request.nodes, precision=precision)
     fabric.launch()
     torch.set_num_threads(request.threads)  # launching several processes sets one of its own
-    return run(request, task, stage, configuration, fabric, report)
+    return run(request, task, stage, configuration, fabric, report, engine=engine)
 
 
 def resolved(
@@ -162,10 +171,12 @@ def run(
     configuration: TrainingConfiguration,
     fabric: Fabric,
     report: Callable[[Progress], None] = silent,
+    *,
+    engine: Engine = _IN_PROCESS,
 ) -> TrainReport:
     """Train in this process, which is one of those that Fabric has launched; the first one holds the folder."""
     with sole_writer(request.out) if fabric.is_global_zero else nullcontext():
-        return _run(request, task, stage, configuration, fabric, report)
+        return _run(request, task, stage, configuration, fabric, report, engine)
 
 
 def _run(
@@ -175,13 +186,15 @@ def _run(
     configuration: TrainingConfiguration,
     fabric: Fabric,
     report: Callable[[Progress], None],
+    engine: Engine,
 ) -> TrainReport:
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
-        data = _data(request, task, configuration)
+        data = _data(request, task, configuration, engine)
         record = _record(request, stage, configuration, data)
         require_same_training(request.out, record)
         module = _module(request, task, stage, configuration, data)
-        validation = _validation(data, configuration) if fabric.is_global_zero else None
+        validation = _validation(data, configuration, engine) if fabric.is_global_zero else None
+    close_engine(engine)  # its workers have nothing more to do
     fabric.barrier()  # nobody may find the folder half made
     if fabric.is_global_zero:
         write_record(request.out, record)  # now that everything fits together
@@ -214,11 +227,11 @@ def _run(
 
 
 def _data(
-    request: TrainRequest, task: TrainingTask, configuration: TrainingConfiguration
+    request: TrainRequest, task: TrainingTask, configuration: TrainingConfiguration, engine: Engine
 ) -> SequenceDataset | WindowsDataset:
     """The split that is learnt from: sequences, or windows for a task that chooses some."""
     if not hasattr(task, "window_choice"):
-        return configured_dataset(_folders(request), configuration, split=_split(request))
+        return configured_dataset(_folders(request), configuration, split=_split(request), engine=engine)
     if request.fold is not None:
         raise UsageError(
             "--fold: windows have no folds of participants; leave participants out with"
@@ -228,10 +241,12 @@ def _data(
     return WindowsDataset(request.data, split=_split(request), choice=choice, seed=configuration.training.seed)
 
 
-def _validation(data: SequenceDataset | WindowsDataset, configuration: TrainingConfiguration) -> Validation | None:
+def _validation(
+    data: SequenceDataset | WindowsDataset, configuration: TrainingConfiguration, engine: Engine
+) -> Validation | None:
     if isinstance(data, WindowsDataset):
         return Validation.of_windows(data, configuration)
-    return Validation.prepare(data.tables, configuration)
+    return Validation.prepare(data.tables, configuration, engine=engine)
 
 
 def _folders(request: TrainRequest) -> tuple[Path, ...]:

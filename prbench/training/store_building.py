@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.ipc
 
+from prbench.engine import Engine, InProcess
 from prbench.errors import InputFileError, TableError
 from prbench.locks import in_turn, sole_writer
 from prbench.representation import N_FEATURES, Mode, check_joints
@@ -26,6 +27,7 @@ from prbench.training.motions import Row, Table, check_headings, cut, encoded, m
 
 Crop = Literal["end", "random"]
 
+_IN_PROCESS = InProcess()
 _VERSION = "1"  # of what is kept; raise it when cutting, mirroring or the columns change
 _ABANDONED_S = 3600.0
 """A half-written file that nobody wrote to for so long was left by a process that was killed."""
@@ -49,13 +51,16 @@ class Encoding:
     mirrored: bool
 
 
-def table_store(table: Table, encoding: Encoding, cache: Path) -> tuple[FeatureStore, tuple[LeftOut, ...]]:
+def table_store(
+    table: Table, encoding: Encoding, cache: Path, *, engine: Engine = _IN_PROCESS
+) -> tuple[FeatureStore, tuple[LeftOut, ...]]:
     """Open the store of a table; where there is none yet, or the table has changed, make it.
 
     Args:
         table: The table.
         encoding: How its rows become items.
         cache: Folder of the stores.
+        engine: Where rows are encoded; the store has the same bytes for any.
 
     Returns:
         The opened store, and the rows that are not in it.
@@ -67,19 +72,19 @@ def table_store(table: Table, encoding: Encoding, cache: Path) -> tuple[FeatureS
     path = cache / f"{_key(table, encoding)}.arrow"
     found = _opened(path)
     if found is None:
-        found = _made_once(table, encoding, path)
+        found = _made_once(table, encoding, path, engine)
     notes, store = found
     if notes.files != _files(table):
         _require_unchanged(table)  # another copy of the same table is welcome
     return store, notes.left_out
 
 
-def _made_once(table: Table, encoding: Encoding, path: Path) -> tuple[_Notes, FeatureStore]:
+def _made_once(table: Table, encoding: Encoding, path: Path, engine: Engine) -> tuple[_Notes, FeatureStore]:
     """Make the store and its notes, unless another process has made them while this one waited for it."""
     with in_turn(path), sole_writer(path.with_suffix(".json")):
         found = _opened(path)
         if found is None:
-            _make(table, encoding, path)
+            _make(table, encoding, path, engine)
             found = _opened(path)
     assert found is not None, "what was just made can be opened"
     return found
@@ -132,15 +137,15 @@ def _require_unchanged(table: Table) -> None:
     _ = table.content
 
 
-def _make(table: Table, encoding: Encoding, path: Path) -> None:
+def _make(table: Table, encoding: Encoding, path: Path, engine: Engine) -> None:
     files = _files(table)
     _require_unchanged(table)
     _remove_abandoned(path.parent)
     left_out: list[LeftOut] = []
     kept = 0
     with atomic_path(path) as temporary, pyarrow.ipc.new_file(str(temporary), STORE) as writer:
-        for rows in read_rows(table, encoding.split):
-            batch = _encoded_rows(rows, encoding, left_out)
+        for batch, unusable in engine.map(_Encoder(encoding), read_rows(table, encoding.split)):
+            left_out += unusable
             if batch.num_rows:
                 writer.write_batch(batch)
             kept += batch.num_rows
@@ -151,6 +156,18 @@ def _make(table: Table, encoding: Encoding, path: Path) -> None:
                 f" found {len(left_out)} that cannot be used.{example}"
             )
         write_json(path.with_suffix(".json"), msgspec.to_builtins(_Notes(files, tuple(left_out))))
+
+
+@dataclass(frozen=True)
+class _Encoder:
+    """Encodes some rows of a table; goes to a worker as it is."""
+
+    encoding: Encoding
+
+    def __call__(self, rows: list[Row]) -> tuple[pa.RecordBatch, list[LeftOut]]:
+        """Return the rows of the store, and those that cannot be used."""
+        left_out: list[LeftOut] = []
+        return _encoded_rows(rows, self.encoding, left_out), left_out
 
 
 def _encoded_rows(rows: list[Row], encoding: Encoding, left_out: list[LeftOut]) -> pa.RecordBatch:

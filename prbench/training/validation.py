@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 from prbench.contract import Adapter, Condition
-from prbench.engine import InProcess
+from prbench.engine import Engine, InProcess
 from prbench.errors import UsageError
 from prbench.evaluation.conditions import ConditionSource, run_salt
 from prbench.evaluation.planning import Selection, plan_batches, select, supported
@@ -39,6 +39,7 @@ from prbench.training.state import Row
 from prbench.training.task import TrainingModule
 from prbench.training.windows import WindowBatch, WindowsDataset
 
+_IN_PROCESS = InProcess()
 _SPLIT = "validation"
 _SCORES = tuple(info.id for info in MAIN_METRICS)
 
@@ -57,7 +58,9 @@ class Validation:
     seed: int
 
     @classmethod
-    def prepare(cls, tables: Iterable[Table], configuration: TrainingConfiguration) -> Validation | None:
+    def prepare(
+        cls, tables: Iterable[Table], configuration: TrainingConfiguration, *, engine: Engine = _IN_PROCESS
+    ) -> Validation | None:
         """Choose the sequences; None if the configuration asks for no validation.
 
         Tables without validation sequences are left out, and corpora, which have no goals, give losses only.
@@ -74,7 +77,7 @@ class Validation:
                 "no table has sequences in split 'validation'. Build more recordings, or train without:"
                 " --set validation.every=0."
             )
-        dataset = configured_dataset(usable, configuration, split=_SPLIT)
+        dataset = configured_dataset(usable, configuration, split=_SPLIT, engine=engine)
         return cls(
             dataset,
             _chosen(dataset, usable, wanted.sequences),
@@ -155,7 +158,7 @@ class Validation:
             for number, rows in enumerate(plan_batches(selection.n_frames, self.batch_size)):
                 self._generate(adapter, selection, rows, Path(folder) / f"part-{number:05d}.parquet")
             rules = ScoringRules(protocol.metrics, farthest=math.inf)
-            tables = list(score_selection(selection, Path(folder), samples=(0,), rules=rules, engine=InProcess()))
+            tables = list(score_selection(selection, Path(folder), samples=(0,), rules=rules, engine=_IN_PROCESS))
         metrics = np.concatenate([np.array(table["metric"].to_pylist()) for table in tables])
         values = np.concatenate([table["value"].to_numpy() for table in tables])
         return {name: values[metrics == name] for name in np.unique(metrics).tolist()}

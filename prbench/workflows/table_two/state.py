@@ -14,7 +14,7 @@ import numpy as np
 
 from prbench.boundary import foreign_input
 from prbench.bounded import read_whole
-from prbench.engine import Engine, ProcessPool
+from prbench.engine import Engine, capacity
 from prbench.errors import RunError, StorageError
 from prbench.evaluation.planning import select
 from prbench.sequences import SequenceTable
@@ -148,7 +148,7 @@ def with_limit(
     measured = measure(runnable, plan.costs, median, engine, folder=folder, counting=counting, seconds=share)
     costs = [cost for row in runnable if (cost := _cost(row, measured)) is not None]
     sizes = [dataset_size(table, request.split) for table in tables]
-    pace = Pace(request.batch_size, engine.workers if isinstance(engine, ProcessPool) else 1, request.samples)
+    pace = Pace(request.batch_size, capacity(engine), request.samples)
     spent = time.monotonic() - started
     limit = largest_limit(costs, sizes, pace, seconds=60 * request.minutes - spent)
     expected = spent + table_seconds(costs, limit, sizes, pace)

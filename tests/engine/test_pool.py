@@ -126,12 +126,12 @@ def _interrupted_run(folder: str) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of a process group are POSIX")
 def test_ctrl_c_ends_workers_at_once_and_without_a_traceback_of_theirs(tmp_path):
     source = (
-        "from tests.test_engine import _interrupted_run\nif __name__ == '__main__':\n"
+        "from tests.engine.test_pool import _interrupted_run\nif __name__ == '__main__':\n"
         f"    try: _interrupted_run({str(tmp_path)!r})\n    except KeyboardInterrupt: print('interrupted')\n"
     )
     script = tmp_path / "program.py"
     script.write_text(source)
-    root = str(Path(__file__).parents[1])
+    root = str(Path(__file__).parents[2])
     popen = subprocess.Popen(
         [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         start_new_session=True, env={**os.environ, "PYTHONPATH": root},

@@ -1,12 +1,7 @@
-"""Map a function over work items: in process or in a pool of spawned processes, in order, with the same results.
-
-An engine is anything with :meth:`Engine.map`; builds, runs and scoring take one as an argument, so that another way to
-spread work (a cluster, say) is one more class and no change elsewhere.
-"""
+"""Work in this process, or in a pool of spawned processes on this machine."""
 
 from __future__ import annotations
 
-import errno
 import gc
 import itertools
 import multiprocessing
@@ -18,50 +13,9 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic
 
-from prbench.errors import MemoryFullError, PrbenchError
-from prbench.shown import quoted
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-_IfFull = Callable[[Item, PrbenchError], Result] | None
-"""Gives the result of an item for which the memory does not suffice."""
-_KILLED = "a worker process ended without an answer: it was killed, or ran out of memory"
-
-
-@dataclass(frozen=True)
-class Full:
-    """Stands in place of a result: the memory did not suffice, or the worker was killed."""
-
-    reason: str
-    error: PrbenchError | None = None
-    """An error whose message already says it."""
-
-
-def is_out_of_memory(error: BaseException | None) -> bool:
-    """Return True if Python, NumPy, Arrow or torch lacked memory; torch is recognised without importing it.
-
-    One of our own errors is, if such a one has caused it.
-    """
-    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
-        return True
-    if isinstance(error, OSError) and error.errno == errno.ENOMEM:
-        return True
-    if isinstance(error, PrbenchError):
-        return is_out_of_memory(error.__cause__)
-    return isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
-
-
-def answer(function: Callable[[Item], Result], item: Item) -> Result | Full:
-    """The result, or that the memory did not suffice, also where a message already says so."""
-    try:
-        return function(item)
-    except Exception as error:
-        if is_out_of_memory(error):
-            ours = error if isinstance(error, PrbenchError) else None
-            return Full(f"the memory of this machine does not suffice ({quoted(error) or type(error).__name__})", ours)
-        raise
+from prbench.engine.base import KILLED, Full, IfFull, Item, Result, answer, settled
 
 
 class _CtrlC:
@@ -112,33 +66,12 @@ def _wait_for_parent() -> None:
         os._exit(1)
 
 
-@runtime_checkable
-class Engine(Protocol):
-    """Something that runs work."""
-
-    def map(
-        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: _IfFull[Item, Result] = None
-    ) -> Iterator[Result]:
-        """Yield ``function(item)`` for every item, in the order of the items.
-
-        ``function`` and the items must be picklable; the first exception is raised where its result would stand. An
-        item for which the memory did not suffice is tried once more, alone.
-
-        Args:
-            function: What is done with an item.
-            items: Taken up as they are needed.
-            if_full: Gives the result of an item for which the memory does not suffice alone either, from the item and
-                the error; called in this process. By default the error is raised.
-        """
-        ...
-
-
 @dataclass(frozen=True)
 class InProcess:
     """One item after the other, in this process."""
 
     def map(
-        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: _IfFull[Item, Result] = None
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: IfFull[Item, Result] = None
     ) -> Iterator[Result]:
         """See :class:`Engine`.
 
@@ -149,7 +82,7 @@ class InProcess:
             found = answer(function, item)
             if isinstance(found, Full):
                 gc.collect()
-                found = _settled(answer(function, item), item, if_full)
+                found = settled(answer(function, item), item, if_full)
             yield found
 
 
@@ -161,7 +94,7 @@ class ProcessPool:
     threads_per_worker: int = 1
 
     def map(
-        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: _IfFull[Item, Result] = None
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: IfFull[Item, Result] = None
     ) -> Iterator[Result]:
         """See :class:`Engine`.
 
@@ -194,7 +127,7 @@ class ProcessPool:
                     for each in under_way:
                         each.suspect_if_full()
                 under_way.popleft()
-                yield _settled(self._alone(function, first.item), first.item, if_full)
+                yield settled(self._alone(function, first.item), first.item, if_full)
         finally:
             if pool is not None:
                 # By the pool itself: a future that is cancelled from here while Ctrl-C ends idle workers, too, makes
@@ -239,34 +172,10 @@ class _Submitted(Generic[Item]):
         try:
             return self.future.result()
         except BrokenProcessPool:
-            return Full(_KILLED)
+            return Full(KILLED)
 
     def suspect_if_full(self) -> None:
         """Note that it has no result for lack of memory, after the pool has come to its end."""
         assert self.future is not None
         killed = isinstance(self.future.exception(), BrokenProcessPool)
         self.suspected = killed or (self.future.exception() is None and isinstance(self.future.result(), Full))
-
-
-def _settled(found: Result | Full, item: Item, if_full: _IfFull[Item, Result]) -> Result:
-    """The result of the second try, or what stands for it."""
-    if not isinstance(found, Full):
-        return found
-    error = found.error or MemoryFullError(_name(item), found.reason)
-    if if_full is None:
-        raise error
-    return if_full(item, error)
-
-
-def _name(item: object) -> str:
-    """Return the name of an item for a message."""
-    for attribute in ("recording_id", "name"):
-        name = getattr(item, attribute, None)
-        if isinstance(name, str):
-            return name
-    return "one item of the work"
-
-
-def engine_for(workers: int) -> Engine:
-    """``InProcess`` for one worker or none, else a ``ProcessPool``."""
-    return InProcess() if workers <= 1 else ProcessPool(workers)

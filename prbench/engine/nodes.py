@@ -1,0 +1,172 @@
+"""Check, before work starts, that every node of a cluster would do the same as this machine.
+
+A node is asked for its facts (:mod:`prbench.engine.node_facts`), and they are compared with those of this machine. What
+is unfit is named, with the node and with what to do.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from prbench.engine.node_facts import node_facts
+from prbench.shown import quoted
+
+LEAST_FREE = 1_000_000_000
+"""Bytes that must be free where a node writes, and where Ray puts what the memory cannot hold."""
+CLOCK_TOLERANCE_S = 30.0
+"""Seconds by which a node's clock may be off: locks and leftovers of killed work are judged by the age of files."""
+_PACKAGES = ("numpy", "torch", "pyarrow", "scipy", "h5py", "safetensors", "ray")
+"""Packages whose version decides results, or whether processes understand one another."""
+_MARK = ".prbench-node-check-"
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What the work needs on every node."""
+
+    reads: tuple[Path, ...] = ()
+    """Files and folders that it reads; absolute."""
+    writes: tuple[Path, ...] = ()
+    """Files and folders that it makes; the nearest folder there is must be shared by all nodes."""
+    packages: tuple[str, ...] = ()
+    """Distributions beside the usual ones, for example of a method."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What every node is asked, and what this machine answers itself."""
+
+    wanted: dict[str, Any]
+    here: Mapping[str, Any]
+    asked: float = field(default_factory=time.time)
+    """When the question went out, by this machine's clock."""
+
+
+@contextlib.contextmanager
+def question(needs: Needs) -> Iterator[Question]:
+    """Ask with marks, small files that nodes must see; they are deleted in the end."""
+    marks: dict[str, str] = {}
+    folders = sorted({str(_nearest_folder(path)) for path in needs.writes})
+    try:
+        for folder in folders:
+            text = secrets.token_hex(16)
+            with contextlib.suppress(OSError):  # a folder that cannot be written is refused by the work itself
+                handle, name = tempfile.mkstemp(prefix=_MARK, dir=folder)
+                marks[name] = text
+                with os.fdopen(handle, "w", encoding="utf-8") as file:
+                    file.write(text)
+        start = "" if all(map(Path.is_absolute, (*needs.reads, *needs.writes))) else str(Path.cwd())
+        reads = sorted(str(Path(path).absolute()) for path in needs.reads)
+        packages = sorted({*_PACKAGES, *needs.packages})
+        wanted = {"packages": packages, "reads": reads, "marks": marks, "room": folders, "folder": start}
+        yield Question(wanted, node_facts(wanted))
+    finally:
+        for name in marks:
+            Path(name).unlink(missing_ok=True)
+
+
+def _nearest_folder(path: Path) -> Path:
+    """The folder above a path that is there already."""
+    path = path.expanduser().absolute().parent
+    while not path.is_dir():
+        path = path.parent
+    return path
+
+
+def problems(facts: Mapping[str, Any], asked: Question, answered: float) -> list[str]:
+    """What makes a node unfit, each with what to do about it.
+
+    Args:
+        facts: What the node answered.
+        asked: What it was asked.
+        answered: When the answer was there, by this machine's clock.
+    """
+    return [
+        *_other_code(facts, asked.here),
+        *_other_packages(facts, asked.here),
+        *_other_files(facts, asked),
+        *_little_room(facts),
+        *_wrong_clock(facts["time"], asked.asked, answered),
+    ]
+
+
+def _other_code(facts: Mapping[str, Any], here: Mapping[str, Any]) -> Iterator[str]:
+    if not facts["prbench"]:
+        yield f"prbench is not installed there. Install version {here['prbench']} there, into the Python that runs Ray."
+    elif facts["prbench"] != here["prbench"]:
+        yield (
+            f"prbench {_said(facts['prbench'])} is installed there, and {here['prbench']} here."
+            " Install the same version on both."
+        )
+    elif facts["code"] != here["code"]:
+        yield (
+            f"prbench {here['prbench']} is installed there with other source files than here."
+            " Install the same commit on both, best into a folder that all nodes share."
+        )
+    if facts["python"].split(".")[:2] != here["python"].split(".")[:2]:
+        yield f"Python {_said(facts['python'])} runs there, and {here['python']} here. Use the same on both."
+
+
+def _other_packages(facts: Mapping[str, Any], here: Mapping[str, Any]) -> Iterator[str]:
+    for name, version in here["packages"].items():
+        there = facts["packages"].get(name, "")
+        if there == version or not version:
+            continue
+        if there:
+            found = f"{name} {_said(there)} is installed there, and {version} here."
+        else:
+            found = f"{name} is not installed there."
+        yield f"{found} Run there: pip install {name}=={version}"
+
+
+def _other_files(facts: Mapping[str, Any], asked: Question) -> Iterator[str]:
+    for path, print_here in asked.here["reads"].items():
+        there = facts["reads"].get(path, "")
+        if there == print_here or not print_here:
+            continue
+        if there:
+            yield f"{path} holds something else there than here. Put the data on a file system that all nodes share."
+        else:
+            yield f"{path} is not there. Mount the data at the same path on every node."
+    if not facts["folder"]:
+        yield (
+            f"{asked.wanted['folder']}, where the command was started, is not there. Name files by absolute paths, or"
+            " start it in a folder that all nodes share."
+        )
+    for mark, text in asked.wanted["marks"].items():
+        if facts["marks"].get(mark, "") != text:
+            yield (
+                f"{Path(mark).parent} is not the same folder there: a file written here is not seen."
+                " Choose an --out on a file system that all nodes share."
+            )
+
+
+def _little_room(facts: Mapping[str, Any]) -> Iterator[str]:
+    for path, free in facts["room"].items():
+        if free is not None and free < LEAST_FREE:
+            yield (
+                f"{path} has {free / 1e9:.1f} GB of free disk there; at least {LEAST_FREE / 1e9:.0f} GB are needed."
+                " Free some space."
+            )
+
+
+def _wrong_clock(there: float, asked: float, answered: float) -> Iterator[str]:
+    off = max(asked - there, there - answered)  # it was read at some moment between the two
+    if off > CLOCK_TOLERANCE_S:
+        direction = "behind" if there < asked else "ahead"
+        yield (
+            f"its clock is {off:.0f} s {direction}; at most {CLOCK_TOLERANCE_S:.0f} s are allowed."
+            " Set it, for example by chrony or systemd-timesyncd."
+        )
+
+
+def _said(text: object) -> str:
+    return quoted(text, longest=60)

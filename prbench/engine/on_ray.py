@@ -1,0 +1,408 @@
+"""Work on a Ray cluster: :class:`RayEngine`, and what :mod:`prbench.engine.cluster` needs of Ray."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import inspect
+import logging
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from prbench.engine import node_facts as facts_module
+from prbench.engine.base import IfFull, Item, Result
+from prbench.engine.cluster import Node, Rules, Spread, Staff, WorkerLostError
+from prbench.engine.nodes import Needs, Question, problems, question
+from prbench.engine.ray_worker import RayWorker
+from prbench.errors import ClusterError, MissingExtraError, StorageError, WorkStopped
+from prbench.shown import quoted
+
+_LOOPBACK = {"127.0.0.1", "localhost", "::1"}
+_ANSWERS_WITHIN_S = 5.0
+"""Seconds in which a cluster's head must take a connection; Ray itself tries for minutes."""
+_FACTS_WITHIN_S = 120.0
+"""Seconds in which a node must answer the question before work: its first process of Python starts for it."""
+_RESULT_WITHIN_S = 120.0
+"""Seconds in which a finished result must be here."""
+
+
+class RayEngine:
+    """Workers on the nodes of a Ray cluster, or of a Ray that is started on this machine.
+
+    Connects with the first work, after every node was checked; workers are kept until :meth:`close`.
+
+    Args:
+        address: Of the cluster's head (``HOST:PORT``), ``auto`` for the one that this machine belongs to; None for
+            ``RAY_ADDRESS``, or without that a Ray of this machine alone.
+        workers: Workers at a time; None for one for every ``cpus_per_worker`` processors of the cluster.
+        cpus_per_worker: Processors that each one occupies.
+        gpus_per_worker: GPUs that each one occupies, such as 0.5; it sees no other ones.
+        needs: What must be the same on every node.
+        rules: Bounds of the work; ``most_workers`` is replaced by ``workers``.
+        tell: Told, in a line, what the user should know: nodes that are gone, items that are tried again.
+    """
+
+    def __init__(
+        self,
+        address: str | None = None,
+        *,
+        workers: int | None = None,
+        cpus_per_worker: int = 1,
+        gpus_per_worker: float = 0.0,
+        needs: Needs | None = None,
+        rules: Rules | None = None,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        rules = rules or Rules()
+        self.workers = workers
+        self._address = address
+        self._needs = needs or Needs()
+        self._rules = Rules(**{**vars(rules), "most_workers": workers})
+        self._resources = (cpus_per_worker, gpus_per_worker)
+        self._tell = tell
+        self._staff: Staff | None = None
+        self._undo = contextlib.ExitStack()
+
+    def map(
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: IfFull[Item, Result] = None
+    ) -> Iterator[Result]:
+        """See :class:`prbench.engine.Engine`.
+
+        Raises:
+            ClusterError: if there is no cluster, a node is unfit, or none is left.
+            MissingExtraError: if Ray is not installed.
+            MemoryFullError: if the memory does not suffice for an item, or workers die with it, also when it is alone.
+            WorkStopped: after SIGTERM.
+        """
+        return Spread(self._connected(), function, items, if_full).results()
+
+    def capacity(self) -> int:
+        """Workers that the cluster has room for, at most ``workers``."""
+        return max(self._connected().capacity(), 1)
+
+    def close(self) -> None:
+        """End the workers, and the Ray that was started for them."""
+        self._staff = None
+        self._undo.close()
+
+    def _connected(self) -> Staff:
+        if self._staff is None:
+            ray = _import_ray(self._address)
+            with _sigterm_noted():
+                _connect(ray, self._address, self._undo)  # which puts a handler there that leaves at once
+            stop = self._undo.enter_context(_sigterm_noted())
+            cluster = RayCluster(ray, *self._resources, needs=self._needs, tell=self._tell, stop=stop)
+            cluster.require_fit()
+            staff = Staff(cluster, self._rules, self._tell)
+            # Last in, first out: workers end before the Ray that they belong to.
+            self._undo.callback(lambda: staff.dismiss(staff.workers))
+            self._staff = staff
+        return self._staff
+
+
+class RayCluster:
+    """What the rules of spreading need, by Ray: see :class:`prbench.engine.cluster.Cluster`."""
+
+    def __init__(
+        self,
+        ray: ModuleType,
+        cpus: int,
+        gpus: float,
+        *,
+        needs: Needs,
+        tell: Callable[[str], None],
+        stop: threading.Event,
+    ) -> None:
+        self._ray = ray
+        self._cpus = cpus
+        self._gpus = gpus
+        self._needs = needs
+        self._tell = tell
+        self._stop = stop
+        self._fit: dict[str, bool] = {}
+        """Whether a node, by its id, may be given work."""
+        self._environment = {name: text for name, text in os.environ.items() if name.startswith("PRBENCH_")}
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+            self._environment[name] = str(cpus)
+
+    def require_fit(self) -> None:
+        """Check every node.
+
+        Raises:
+            ClusterError: naming every unfit node and what to do, or if none has room for a worker.
+        """
+        alive = self._alive()
+        unfit = self._unfit(alive)
+        if unfit:
+            lines = [f"node {_name(node)}: {text}" for node in alive for text in unfit.get(node["NodeID"], ())]
+            raise ClusterError("\n".join(["the cluster is not fit for this work, so nothing was started.", *lines]))
+        if not any(self._slots(node) for node in alive):
+            raise ClusterError(self._no_room(alive))
+
+    def _no_room(self, alive: list[dict[str, Any]]) -> str:
+        rooms = [
+            f"{_name(node)} {node['Resources'].get('CPU', 0):g} processors and {node['Resources'].get('GPU', 0):g} GPUs"
+            for node in alive
+        ]
+        return (
+            f"expected a node with {self._cpus} processors and {self._gpus:g} GPUs for a worker, found"
+            f" {', '.join(rooms) or 'no node'}. Ask for less (--threads, --gpus-per-worker), or add a node by"
+            " `ray start`."
+        )
+
+    def nodes(self) -> list[Node]:
+        """See :meth:`Cluster.nodes`; a node that joins later is checked, and named and left out where it is unfit."""
+        alive = self._alive()
+        new = [node for node in alive if node["NodeID"] not in self._fit]
+        if new:
+            unfit = self._unfit(new)
+            for node in new:
+                for text in unfit.get(node["NodeID"], ()):
+                    self._tell(f"node {_name(node)} has joined and is left out: {text}")
+        return [
+            Node(node["NodeID"], _name(node), slots, node["Resources"].get("memory", 0.0))
+            for node in alive
+            if self._fit.get(node["NodeID"]) and (slots := self._slots(node))
+        ]
+
+    def _alive(self) -> list[dict[str, Any]]:
+        found = (node for node in self._ray.nodes() if node["Alive"])
+        return sorted(found, key=lambda node: (node["NodeManagerAddress"], node["NodeID"]))
+
+    def _slots(self, node: dict[str, Any]) -> int:
+        resources = node["Resources"]
+        slots = int(resources.get("CPU", 0)) // self._cpus
+        if self._gpus:
+            slots = min(slots, int(resources.get("GPU", 0) / self._gpus + 1e-6))
+        return slots
+
+    def _unfit(self, nodes: list[dict[str, Any]]) -> dict[str, list[str]]:
+        """Ask nodes for their facts: what is wrong, by node; nothing of a node that is gone by then."""
+        with question(self._needs) as asked:
+            tickets = {self._ask(node, asked): node for node in nodes}
+            waiting = list(tickets)
+            until = time.monotonic() + _FACTS_WITHIN_S
+            unfit: dict[str, list[str]] = {}
+            while waiting:
+                left = max(0.0, until - time.monotonic())
+                due, waiting = self._ray.wait(waiting, num_returns=1, timeout=left)
+                if not due:
+                    break
+                name = tickets[due[0]]["NodeID"]
+                try:
+                    unfit[name] = problems(self._ray.get(due[0]), asked, time.time())
+                except self._ray.exceptions.RayError as error:
+                    unfit[name] = [f"it cannot be asked ({_first_line(error)}). `ray logs` on that node says more."]
+            for ticket in waiting:
+                said = f"it did not answer within {_FACTS_WITHIN_S:.0f} s. Is it overloaded, or behind a firewall?"
+                unfit[tickets[ticket]["NodeID"]] = [said]
+                self._ray.cancel(ticket, force=True)
+        for node in nodes:
+            self._fit[node["NodeID"]] = not unfit.get(node["NodeID"])
+        return {name: texts for name, texts in unfit.items() if texts}
+
+    def _ask(self, node: dict[str, Any], asked: Question) -> Hashable:
+        source = inspect.getsource(facts_module)
+
+        def tell_facts(text: str, wanted: dict[str, Any]) -> Any:  # travels as it is: a node may lack prbench
+            names: dict[str, Any] = {"__name__": "node_facts"}
+            exec(text, names)
+            return names["node_facts"](wanted)
+
+        options = {"num_cpus": 0, "max_retries": 0, "scheduling_strategy": self._on(node["NodeID"])}
+        return self._ray.remote(tell_facts).options(**options).remote(source, asked.wanted)
+
+    def _on(self, node: str) -> Any:
+        return self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node, soft=False)
+
+    def packed(self, what: object) -> bytes:
+        """See :meth:`Cluster.packed`."""
+        return self._ray.cloudpickle.dumps(what)
+
+    def start(self, node: Node) -> tuple[Any, Hashable]:
+        """See :meth:`Cluster.start`."""
+        options: dict[str, Any] = {
+            "num_cpus": self._cpus,
+            "num_gpus": self._gpus,
+            "max_restarts": 0,
+            "max_task_retries": 0,
+            "scheduling_strategy": self._on(node.id),
+        }
+        worker = self._ray.remote(RayWorker).options(**options).remote(str(Path.cwd()), self._environment)
+        return worker, worker.hello.remote()
+
+    def submit(self, worker: Any, function: bytes, item: bytes) -> Hashable:
+        """See :meth:`Cluster.submit`.
+
+        Raises:
+            StorageError: if neither Ray's memory nor its disk has room for the item.
+        """
+        try:
+            return worker.work.remote(function, item)
+        except self._full as error:
+            raise _store_full(error) from error
+
+    def stop(self, worker: Any) -> None:
+        """See :meth:`Cluster.stop`."""
+        with contextlib.suppress(self._ray.exceptions.RayError, ValueError):
+            self._ray.kill(worker, no_restart=True)
+
+    def finished(self, tickets: Collection[Hashable], seconds: float) -> Collection[Hashable]:
+        """See :meth:`Cluster.finished`.
+
+        Raises:
+            WorkStopped: after SIGTERM, once.
+        """
+        if self._stop.is_set():
+            self._stop.clear()  # the workers still have to be ended
+            raise WorkStopped(
+                "asked to stop by SIGTERM; finished parts are kept, the same command goes on where it resumes."
+            )
+        waiting = list(tickets)
+        due, rest = self._ray.wait(waiting, num_returns=1, timeout=seconds)
+        if due and rest:
+            more, _ = self._ray.wait(rest, num_returns=len(rest), timeout=0)
+            due += more
+        return due
+
+    def result(self, ticket: Hashable) -> Any:
+        """See :meth:`Cluster.result`.
+
+        Raises:
+            WorkerLostError: if the worker ended before.
+            StorageError: if neither Ray's memory nor its disk has room for the result.
+        """
+        try:
+            found = self._ray.get(ticket, timeout=_RESULT_WITHIN_S)
+        except self._full as error:
+            raise _store_full(error) from error
+        except self._ray.exceptions.RayError as error:
+            raise self._lost(error) from error
+        return self._ray.cloudpickle.loads(found) if isinstance(found, bytes) else found
+
+    @property
+    def _full(self) -> tuple[type[Exception], ...]:
+        exceptions = self._ray.exceptions
+        return exceptions.OutOfDiskError, exceptions.ObjectStoreFullError
+
+    def _lost(self, error: Exception) -> WorkerLostError:
+        memory = type(error).__name__ == "OutOfMemoryError" or "OOM" in str(error) or "memory pressure" in str(error)
+        machine = "node" in str(error).lower() and any(word in str(error) for word in ("died", "dead", "terminated"))
+        return WorkerLostError(_first_line(error), memory=memory, machine=machine)
+
+
+def _import_ray(address: str | None) -> ModuleType:
+    if address is not None and _host_and_port(address)[0] in _LOOPBACK:
+        # Ray replaces a loopback address by the machine's own, at which a head that is bound to loopback does not
+        # listen; this setting keeps it, and has to be there before Ray is imported.
+        os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
+    try:
+        for name in ("cloudpickle", "exceptions", "util.scheduling_strategies"):
+            importlib.import_module(f"ray.{name}")
+        return importlib.import_module("ray")
+    except ImportError as error:
+        raise MissingExtraError("ray", "ray", "--engine ray") from error
+
+
+def _connect(ray: ModuleType, address: str | None, undo: contextlib.ExitStack) -> None:
+    """Connect to the cluster, or start a Ray on this machine; undone by ``undo``.
+
+    Raises:
+        ClusterError: if nothing answers at the address, or it is no address.
+    """
+    if ray.is_initialized():
+        return  # the caller's own connection, which is left as it is
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a Ray that is started here tells nobody
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # or each worker warns of a later version of Ray
+    settings: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+    wanted = address or os.environ.get("RAY_ADDRESS")
+    if wanted is None:
+        settings |= {"address": "local", "include_dashboard": False, "_node_ip_address": "127.0.0.1"}
+    else:
+        _require_listening(wanted)
+        settings["address"] = wanted
+    try:
+        ray.init(**settings)
+    except Exception as error:  # Ray raises ConnectionError, RuntimeError, ValueError and its own
+        where = f"at {quoted(wanted)}" if wanted else "on this machine"
+        raise ClusterError(
+            f"--engine ray: no Ray could be used {where} ({type(error).__name__}: {_first_line(error)})."
+            " Start one by `ray start --head`, or leave --address out for this machine alone."
+        ) from error
+    undo.callback(ray.shutdown)
+
+
+def _require_listening(address: str) -> None:
+    """Refuse at once an address at which nothing listens.
+
+    Raises:
+        ClusterError: naming it.
+    """
+    if address in ("auto", "local"):
+        return
+    if "://" in address:
+        raise ClusterError(
+            f"--address {quoted(address)}: expected HOST:PORT of the head, or auto. Ray's client (ray://) reads files"
+            " of its own machine: run the command on a node of the cluster, for example by `ray job submit`."
+        )
+    host, port = _host_and_port(address)
+    if port is None:
+        raise ClusterError(f"--address {quoted(address)}: expected HOST:PORT, such as 10.0.0.1:6379, or auto.")
+    try:
+        socket.create_connection((host, port), timeout=_ANSWERS_WITHIN_S).close()
+    except OSError as error:
+        raise ClusterError(
+            f"--address {quoted(address)}: no Ray answers there ({error.strerror or error}). `ray start --head` on that"
+            " machine starts one and prints its address."
+        ) from error
+
+
+def _host_and_port(address: str) -> tuple[str, int | None]:
+    host, _, port = address.rpartition(":")
+    return host.strip("[]") or address, int(port) if port.isdecimal() and int(port) < 65536 else None
+
+
+@contextlib.contextmanager
+def _sigterm_noted() -> Iterator[threading.Event]:
+    """Note SIGTERM, so that workers are ended before the process; a second one is obeyed at once.
+
+    It is not turned into an exception where it arrives: Ray's own functions do not stand that.
+    """
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    before = signal.getsignal(signal.SIGTERM)
+
+    def note(*_: object) -> None:
+        stop.set()
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+    signal.signal(signal.SIGTERM, note)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _name(node: dict[str, Any]) -> str:
+    return quoted(f"{node['NodeManagerAddress']} ({node['NodeManagerHostname']})", longest=80)
+
+
+def _first_line(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return quoted(lines[0].rstrip(".") if lines else type(error).__name__)
+
+
+def _store_full(error: Exception) -> StorageError:
+    return StorageError(
+        f"Ray has no room left for items and results ({_first_line(error)}). Free some disk below its folder"
+        " (/tmp/ray), let less wait by a smaller --spill-limit, and run the same command again."
+    )
