@@ -293,8 +293,10 @@ class RayCluster:
         return exceptions.OutOfDiskError, exceptions.ObjectStoreFullError
 
     def _lost(self, error: Exception) -> WorkerLostError:
-        memory = type(error).__name__ == "OutOfMemoryError" or "OOM" in str(error) or "memory pressure" in str(error)
-        machine = "node" in str(error).lower() and any(word in str(error) for word in ("died", "dead", "terminated"))
+        # Ray's message on any death lists a full memory among common causes, so only the exact words tell.
+        said = str(error)
+        memory = type(error).__name__ == "OutOfMemoryError" or "running low on memory" in said
+        machine = type(error).__name__ == "NodeDiedError" or "its node has died" in said
         return WorkerLostError(_first_line(error), memory=memory, machine=machine)
 
 
@@ -337,6 +339,25 @@ def _connect(ray: ModuleType, address: str | None, undo: contextlib.ExitStack) -
             " Start one by `ray start --head`, or leave --address out for this machine alone."
         ) from error
     undo.callback(ray.shutdown)
+    undo.enter_context(_quiet(ray))
+
+
+@contextlib.contextmanager
+def _quiet(ray: ModuleType) -> Iterator[None]:
+    """Keep off standard output what Ray has to say of dead workers and nodes, with pages of its logs.
+
+    It belongs to reports there, and what a user needs of it is told by the rules of spreading. Ray has no setting for
+    this; where a later version names its function otherwise, it is heard again.
+    """
+    worker = ray._private.worker
+    spoken = getattr(worker, "print_to_stdstream", None)
+    if spoken is not None:
+        worker.print_to_stdstream = lambda *_, **__: None
+    try:
+        yield
+    finally:
+        if spoken is not None:
+            worker.print_to_stdstream = spoken
 
 
 def _require_listening(address: str) -> None:
