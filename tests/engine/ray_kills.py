@@ -134,6 +134,7 @@ def check(folder: Path, *, moments: int, seed: int) -> Found:
             if not same or _left_behind(out):
                 found.unequal.append(f"{out} ({work.log})")
             shutil.rmtree(out, ignore_errors=not same)
+            sys.stderr.write(f"{name} {number}: {'same' if same else 'OTHER'} bytes; {dict(found.killed)}\n")
     return found
 
 
