@@ -107,10 +107,10 @@ def build_corpus(
 
         raise UsageError("--out DIR is needed: the folder of the corpus. (--dry-run does without.)")
     roots = () if root is None else (root,)
-    with_engine = opened(engine, reads=roots, writes=(out,))
+    where = opened(engine, reads=roots, writes=(out,))
     if part is not None:
-        return _build_shard(corpus, root, out, part, chosen, with_engine)
-    return _build(corpus, root, out, chosen, with_engine)
+        return _build_shard(corpus, root, out, part, chosen, where)
+    return _build(corpus, root, out, chosen, where)
 
 
 def _source_options(corpus: str, given: dict[str, str], *, count: int | None, seed: int) -> tuple[tuple[str, str], ...]:

@@ -155,11 +155,12 @@ def build_dataset(
         from prbench.errors import UsageError
 
         raise UsageError("--out DIR is needed: the folder of the table. (--dry-run does without.)")
+    where = _opened(engine, root, out, chosen)
     if part is not None:
-        return _build_shard(dataset, root, out, part, chosen, _opened(engine, root, out, chosen))
+        return _build_shard(dataset, root, out, part, chosen, where)
     if dataset == EVERYTHING:
-        return _build_all(root, out, chosen, _opened(engine, root, out, chosen))
-    return _build_one(dataset, root, out, chosen, _opened(engine, root, out, chosen))
+        return _build_all(root, out, chosen, where)
+    return _build_one(dataset, root, out, chosen, where)
 
 
 def _meshes(dataset: str, *, in_hand: str | None, occlusion: str) -> dict[str, str]:

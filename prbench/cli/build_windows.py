@@ -156,13 +156,13 @@ def build_windows(
     from prbench.workflows.build_windows import plan_windows
 
     plan = plan_windows(dataset, root, joints=joints, recordings=recordings, limit=max_recordings, reader=options)
-    work_on = opened(engine, reads=(root,), writes=(out,))
+    where = opened(engine, reads=(root,), writes=(out,))
     if part is None:
         with progress(f"cutting {dataset}") as tell:
-            report = build_planned_windows(plan, out, on_error=on_error, engine=work_on, progress=tell)
+            report = build_planned_windows(plan, out, on_error=on_error, engine=where, progress=tell)
         return windows_answer(report.info, out)
     with progress(f"cutting shard {part} of {dataset}") as tell:
-        done = build_windows_shard(plan, out, part, on_error=on_error, engine=work_on, progress=tell)
+        done = build_windows_shard(plan, out, part, on_error=on_error, engine=where, progress=tell)
     for each in done.records:
         if each.status != "read":
             note(f"{each.recording_id}: {each.status}: {each.message}")

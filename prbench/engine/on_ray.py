@@ -11,6 +11,7 @@ import signal
 import socket
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -29,6 +30,8 @@ _ANSWERS_WITHIN_S = 5.0
 """Seconds in which a cluster's head must take a connection; Ray itself tries for minutes."""
 _FACTS_WITHIN_S = 120.0
 """Seconds in which a node must answer the question before work: its first process of Python starts for it."""
+_ASKED_IN_VAIN = 3
+"""Times that a node that joins may not take the question, before it is left out."""
 _RESULT_WITHIN_S = 120.0
 """Seconds in which a finished result must be here."""
 
@@ -128,6 +131,8 @@ class RayCluster:
         self._stop = stop
         self._fit: dict[str, bool] = {}
         """Whether a node, by its id, may be given work."""
+        self._unasked: Counter[str] = Counter()
+        """How often in vain a node was asked for its facts."""
         self._environment = {name: text for name, text in os.environ.items() if name.startswith("PRBENCH_")}
         for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
             self._environment[name] = str(cpus)
@@ -163,7 +168,7 @@ class RayCluster:
         new = [node for node in alive if node["NodeID"] not in self._fit]
         if new:
             unfit = self._unfit(new)
-            for node in new:
+            for node in (each for each in new if each["NodeID"] in self._fit):
                 for text in unfit.get(node["NodeID"], ()):
                     self._tell(f"node {_name(node)} has joined and is left out: {text}")
         return [
@@ -190,6 +195,7 @@ class RayCluster:
             waiting = list(tickets)
             until = time.monotonic() + _FACTS_WITHIN_S
             unfit: dict[str, list[str]] = {}
+            in_vain: set[str] = set()
             while waiting:
                 left = max(0.0, until - time.monotonic())
                 due, waiting = self._ray.wait(waiting, num_returns=1, timeout=left)
@@ -199,13 +205,17 @@ class RayCluster:
                 try:
                     unfit[name] = problems(self._ray.get(due[0]), asked, time.time())
                 except self._ray.exceptions.RayError as error:
+                    self._unasked[name] += 1
+                    in_vain.add(name)
                     unfit[name] = [f"it cannot be asked ({_first_line(error)}). `ray logs` on that node says more."]
             for ticket in waiting:
                 said = f"it did not answer within {_FACTS_WITHIN_S:.0f} s. Is it overloaded, or behind a firewall?"
                 unfit[tickets[ticket]["NodeID"]] = [said]
                 self._ray.cancel(ticket, force=True)
         for node in nodes:
-            self._fit[node["NodeID"]] = not unfit.get(node["NodeID"])
+            # A node that has just joined, or is about to go, may not take a question yet: it is asked again.
+            if node["NodeID"] not in in_vain or self._unasked[node["NodeID"]] == _ASKED_IN_VAIN:
+                self._fit[node["NodeID"]] = not unfit.get(node["NodeID"])
         return {name: texts for name, texts in unfit.items() if texts}
 
     def _ask(self, node: dict[str, Any], asked: Question) -> Hashable:
@@ -293,8 +303,10 @@ class RayCluster:
         return exceptions.OutOfDiskError, exceptions.ObjectStoreFullError
 
     def _lost(self, error: Exception) -> WorkerLostError:
-        memory = type(error).__name__ == "OutOfMemoryError" or "OOM" in str(error) or "memory pressure" in str(error)
-        machine = "node" in str(error).lower() and any(word in str(error) for word in ("died", "dead", "terminated"))
+        # Ray's message on any death lists a full memory among common causes, so only the exact words tell.
+        said = str(error)
+        memory = type(error).__name__ == "OutOfMemoryError" or "running low on memory" in said
+        machine = type(error).__name__ == "NodeDiedError" or "its node has died" in said
         return WorkerLostError(_first_line(error), memory=memory, machine=machine)
 
 
@@ -337,6 +349,25 @@ def _connect(ray: ModuleType, address: str | None, undo: contextlib.ExitStack) -
             " Start one by `ray start --head`, or leave --address out for this machine alone."
         ) from error
     undo.callback(ray.shutdown)
+    undo.enter_context(_quiet(ray))
+
+
+@contextlib.contextmanager
+def _quiet(ray: ModuleType) -> Iterator[None]:
+    """Keep off standard output what Ray has to say of dead workers and nodes, with pages of its logs.
+
+    It belongs to reports there, and what a user needs of it is told by the rules of spreading. Ray has no setting for
+    this; where a later version names its function otherwise, it is heard again.
+    """
+    worker = ray._private.worker
+    spoken = getattr(worker, "print_to_stdstream", None)
+    if spoken is not None:
+        worker.print_to_stdstream = lambda *_, **__: None
+    try:
+        yield
+    finally:
+        if spoken is not None:
+            worker.print_to_stdstream = spoken
 
 
 def _require_listening(address: str) -> None:

@@ -48,7 +48,9 @@ class LocalCluster:
         self._nodes.append(_patiently(lambda: self._cluster.add_node(**self._settings)))
 
     def kill_node(self) -> None:
-        """Kill the processes of the node that was added last, with SIGKILL."""
+        """Kill the processes of the node that was added last, with SIGKILL; started first where there is none."""
+        if not self._nodes:
+            self.add_node()
         self._cluster.remove_node(self._nodes.pop(), allow_graceful=False)
 
     def shutdown(self) -> None:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import random
 import shutil
@@ -133,6 +134,7 @@ def check(folder: Path, *, moments: int, seed: int) -> Found:
             if not same or _left_behind(out):
                 found.unequal.append(f"{out} ({work.log})")
             shutil.rmtree(out, ignore_errors=not same)
+            sys.stderr.write(f"{name} {number}: {'same' if same else 'OTHER'} bytes; {dict(found.killed)}\n")
     return found
 
 
@@ -157,7 +159,8 @@ def _kill_during(
             chance.choice(workers).kill()
         elif victim == "node":
             cluster.kill_node()
-            cluster.add_node()
+            with contextlib.suppress(Exception):  # a busy machine may not start it in the time that Ray gives
+                cluster.add_node()
         else:
             work.process.kill()
             work.end()
