@@ -102,6 +102,13 @@ class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
 @root_option(required=False)
 @click.option("--data", type=PATH, metavar="DIR", help="In place of a dataset, a built table: windows at its events.")
 @out_folder_option("Folder of the windows; earlier ones are replaced once the new ones are ready.")
+@click.option(
+    "--anchor",
+    "anchors",
+    multiple=True,
+    metavar="NAME",
+    help="With --data: windows at this anchor alone, prime or event-2, event-1.5, event-1, event-0.5; repeatable.",
+)
 @click.option("--dry-run", is_flag=True, help="Count what a study used, from gimo's dataset.csv alone; write nothing.")
 @click.option(
     "--joints",
@@ -118,6 +125,7 @@ def build_windows(
     root: Path | None,
     data: Path | None,
     out: Path | None,
+    anchors: tuple[str, ...],
     dry_run: bool,
     joints: Literal["native", "smpl22"] | None,
     recordings: str,
@@ -132,6 +140,8 @@ def build_windows(
     """
     if (data is None) is (dataset is None) or (dataset is None) is not (root is None):
         raise UsageError("expected either DATASET with --root DIR, or --data DIR alone.")
+    if anchors and data is None:
+        raise UsageError("--anchor: belongs to --data; windows of recordings slide.")
     if dry_run:
         return _counted(dataset, root)
     if out is None:
@@ -141,7 +151,7 @@ def build_windows(
 
         if joints or recordings != "*" or max_recordings or options:
             raise UsageError("--data: a built table has its recordings and joints; leave the other options out.")
-        return _answer(build_anchored_windows(data, out), out)
+        return _answer(build_anchored_windows(data, out, only=anchors), out)
     assert dataset is not None
     assert root is not None
     from prbench.engine import engine_for
