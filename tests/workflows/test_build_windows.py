@@ -72,7 +72,7 @@ def _with_glasses(folder, suit):
     cpf = mps.device_from_cpf("DVT-S")[:3, :3]
     target = (head[0] * MOUNTED).apply(cpf @ [0.0, 0.0, 1.0])
     rows = np.arange(0, len(times), 24)
-    yaw, pitch = mps.gaze_angles((head[rows] * MOUNTED).inv().apply(target) @ cpf)
+    yaw, pitch = mps.gaze_angles((Rotation.from_rotvec(about[rows]) * MOUNTED).inv().apply(target) @ cpf)
     gaze = [f"{mps.TIME_COLUMN},{mps.YAW},{mps.PITCH},{mps.DEPTH}"]
     gaze += [f"{times[row]},{yaw[place]},{pitch[place]}," for place, row in enumerate(rows)]
     write_lines(mps_folder / "eye_gaze" / "general_eye_gaze.csv", gaze)
