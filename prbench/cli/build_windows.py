@@ -107,6 +107,13 @@ class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
 @root_option(required=False)
 @click.option("--data", type=PATH, metavar="DIR", help="In place of a dataset, a built table: windows at its events.")
 @out_folder_option("Folder of the windows; earlier ones are replaced once the new ones are ready.")
+@click.option(
+    "--anchor",
+    "anchors",
+    multiple=True,
+    metavar="NAME",
+    help="With --data: windows at this anchor alone, prime or event-2, event-1.5, event-1, event-0.5; repeatable.",
+)
 @click.option("--dry-run", is_flag=True, help="Count what a study used, from gimo's dataset.csv alone; write nothing.")
 @click.option(
     "--joints",
@@ -124,6 +131,7 @@ def build_windows(
     root: Path | None,
     data: Path | None,
     out: Path | None,
+    anchors: tuple[str, ...],
     dry_run: bool,
     joints: Literal["native", "smpl22"] | None,
     recordings: str,
@@ -140,6 +148,8 @@ def build_windows(
     if (data is None) is (dataset is None) or (dataset is None) is not (root is None):
         raise UsageError("expected either DATASET with --root DIR, or --data DIR alone.")
     part = chosen_shard(shard, dry_run=dry_run, data=data)
+    if anchors and data is None:
+        raise UsageError("--anchor: belongs to --data; windows of recordings slide.")
     if dry_run:
         return _counted(dataset, root)
     if out is None:
@@ -149,7 +159,7 @@ def build_windows(
 
         if joints or recordings != "*" or max_recordings or options:
             raise UsageError("--data: a built table has its recordings and joints; leave the other options out.")
-        return windows_answer(build_anchored_windows(data, out), out)
+        return windows_answer(build_anchored_windows(data, out, only=anchors), out)
     assert dataset is not None
     assert root is not None
     from prbench.curation.window_building import build_planned_windows, build_windows_shard

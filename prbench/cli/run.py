@@ -270,7 +270,10 @@ def _require_fits_benchmark(given: Mapping[str, Any]) -> None:
     if about.default:
         return
     if ALL in (given["method"], condition):
-        raise UsageError(f"--method all: makes the rows of the study's Table 2, and belongs to {own.name}.")
+        raise UsageError(
+            f"--method all: makes the rows of the study's Table 2, and belongs to {own.name}. The rows of motion"
+            " prediction's study are made by `prbench prediction tables WINDOWS --out DIR`."
+        )
     if not given["data"]:
         raise UsageError(f"--data DIR: {about.name} has no embedded tables; `{about.build}` makes one.")
 

@@ -5,7 +5,7 @@ Source: docs/specification/motion-prediction.md#the-anchored-track.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Bool, Float
 
+from prbench.errors import UsageError
 from prbench.locks import sole_writer
 from prbench.prediction.protocol import AnchoredRules, WindowRules, load_prediction_protocol
 from prbench.prediction.table import SCHEMA_VERSION, CutRun, Run, Window, WindowsInfo, write_windows
@@ -27,12 +28,18 @@ _NUMBERS = ("n_frames", "prime_frame", "start_time", "fps", "head_tilt_deg")
 _ARRAYS = ("joints", "gaze_direction", "gaze_valid", "goal_location", "world_from_canonical")
 
 
-def build_anchored_windows(data: Path | str, out: Path | str) -> WindowsInfo:
+def anchors() -> tuple[str, ...]:
+    """Return the names of all anchors: the prime, and the protocol's times before the event."""
+    return ("prime", *(f"event-{lead:g}" for lead in load_prediction_protocol().anchored.leads))
+
+
+def build_anchored_windows(data: Path | str, out: Path | str, *, only: Collection[str] = ()) -> WindowsInfo:
     """Make the anchored track of a prime-and-reach table.
 
     Args:
         data: Folder of the table.
         out: Folder of the windows; an earlier table of windows there is replaced.
+        only: Anchors, such as ``prime`` and ``event-1.5``; all if empty.
 
     Returns:
         The provenance as written.
@@ -40,7 +47,11 @@ def build_anchored_windows(data: Path | str, out: Path | str) -> WindowsInfo:
     Raises:
         TableError: if the table cannot be read, or no sequence is long enough.
         StorageError: if ``out`` cannot be written or holds something else.
+        UsageError: for an anchor that the protocol does not have.
     """
+    unknown = sorted(set(only) - set(anchors()))
+    if unknown:
+        raise UsageError(f"--anchor {unknown[0]}: expected some of {', '.join(anchors())}.")
     table = SequenceTable.open(data).with_sequences()
     out = Path(out).expanduser().absolute()
     protocol = load_prediction_protocol()
@@ -54,6 +65,7 @@ def build_anchored_windows(data: Path | str, out: Path | str) -> WindowsInfo:
             for row in range(len(chunk)):
                 sequence = _Sequence.of(chunk.take([row]))
                 windows = sequence.windows(rules, protocol.anchored)
+                windows = tuple(each for each in windows if not only or each.anchor in only)
                 if windows:
                     yield CutRun(sequence.run, windows)
 
@@ -66,7 +78,11 @@ def build_anchored_windows(data: Path | str, out: Path | str) -> WindowsInfo:
         "protocol_version": protocol.version,
         "protocol_digest": protocol.digest,
         "input_digest": table.info.content_digest,
-        "options": {"track": "anchored", "table_identity": table.info.identity_digest},
+        "options": {
+            "track": "anchored",
+            "table_identity": table.info.identity_digest,
+            **({"anchors": ", ".join(name for name in anchors() if name in only)} if only else {}),
+        },
         "quarantine": (),
         "outcomes": {},
     }

@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.prediction.anchored import build_anchored_windows
+from prbench.errors import UsageError
+from prbench.prediction.anchored import anchors, build_anchored_windows
 from prbench.prediction.batch import Condition
 from prbench.prediction.predictors import NearestPast, ZeroVelocity
 from prbench.prediction.scoring import score_predictor
@@ -68,3 +69,17 @@ def test_the_goal_is_scored_where_the_event_is_reached(tables):
     assert scores.columns["wrist_to_goal"] == scores.columns["wrist_to_goal_mean"]
     assert np.isfinite(scores.columns["ade@1s"]).all()
     assert np.isnan(scores.columns["ade@1.5s"]).all()
+
+
+def test_windows_of_some_anchors_alone_can_be_built(tables, tmp_path):
+    _, table = tables
+    source = table.folder.parent / "table"
+    build_anchored_windows(source, tmp_path / "w", only=("event-1", "prime"))
+    some = WindowsTable.open(tmp_path / "w")
+    assert set(some.windows["anchor"].to_pylist()) == {"event-1", "prime"}
+    assert some.info.options["anchors"] == "prime, event-1"
+    wanted = [name for name in table.windows["window_id"].to_pylist() if name.split("/")[-2] in ("event-1", "prime")]
+    assert some.windows["window_id"].to_pylist() == wanted
+    with pytest.raises(UsageError, match="--anchor event-3: expected some of prime, event-2"):
+        build_anchored_windows(source, tmp_path / "w", only=("event-3",))
+    assert anchors() == ("prime", "event-2", "event-1.5", "event-1", "event-0.5")
