@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -142,7 +143,7 @@ class CodedScores:
 def _codes(column: pa.Array, known: dict[str, int]) -> Int[np.ndarray, " rows"]:
     """Return the number of each row's text; texts that were not known get the next numbers."""
     encoded = column.dictionary_encode()
-    numbers = [known.setdefault(text, len(known)) for text in encoded.dictionary.to_pylist()]
+    numbers = [known.setdefault(sys.intern(text), len(known)) for text in encoded.dictionary.to_pylist()]
     places = encoded.indices.fill_null(len(numbers)).to_numpy()
     return np.array([*numbers, _NO_FLAG], dtype=np.int32)[places]
 
