@@ -149,6 +149,9 @@ class SamplingSettings:
     """``goal`` leads the nearer wrist to a goal location within the last half second, in closed form."""
     feet: Feet = "steps"
     """``steps`` lets the feet of goal-frame features stand or swing; ``predicted`` leaves them as they are."""
+    noise_scale: float = 1.0
+    """Standard deviation of the noise that sampling starts from. Above the 1 of training, several motions of one
+    sequence differ more; 0 gives the one motion of no noise."""
 
 
 def generate(model: MotionModel, batch: ConditionBatch, settings: SamplingSettings) -> Motions:
@@ -198,7 +201,7 @@ def _sample(
         model.denoiser, condition, torch.as_tensor(n_frames), settings.guidance, precision=settings.precision
     )
     columns = model.configuration.n_features
-    start = noise.draw(columns)
+    start = settings.noise_scale * noise.draw(columns)
     if settings.sampler == "ddim":
         clean = sample_ddim(denoise, model.schedule, start, steps=settings.steps)
     else:

@@ -33,7 +33,7 @@ _MODES = ("fast", "paper", "off")
 _BONES = ("predicted", "initial")
 _OBSTACLES = ("ignore", "avoid")
 _GAZE = ("head", "eyes")
-_SAMPLING_ALONE = ("sampler", "steps", "feet")
+_SAMPLING_ALONE = ("sampler", "steps", "feet", "noise-scale")
 _OF_GOAL_FRAMES = {"reach": "goal", "feet": "predicted"}  # choices that other features do not have
 
 
@@ -136,8 +136,9 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     Options: ``optimise`` (fast, paper or off), with ``hand`` (right, nearest, left) and the other
     ``PRIME_AND_REACH_OPTIONS`` of :mod:`prbench_adapters.diffusion.noise_optimisation.settings`; without optimisation
     ``sampler`` (ddpm, ddim, or one-pass for weights of one to four steps, which needs no ``optimise=off``), ``steps``
-    and ``feet`` (steps: they stand or swing; or predicted: as the network has them); ``reach`` (predicted, or goal: a
-    wrist is led to a goal location at the end); ``guidance`` (1); ``bones``
+    ``feet`` (steps: they stand or swing; or predicted: as the network has them) and ``noise-scale`` (1: deviation of
+    the noise that sampling starts from; with 2 several motions for one goal differ more); ``reach`` (predicted, or
+    goal: a wrist is led to a goal location at the end); ``guidance`` (1); ``bones``
     (predicted, or initial for the initial pose's lengths); ``obstacles`` (ignore, or avoid: finished motions are led
     around the scene's boxes); ``text-path`` (files of the text encoder, if the weights need one that has some);
     ``gaze`` (head, or eyes: motions with gaze) and ``gaze-weights`` (file or folder that ``prbench train --method pr
@@ -158,7 +159,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     from prbench_adapters.diffusion.noise_optimisation.settings import PRIME_AND_REACH_OPTIONS
     from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known
 
-    own = ("optimise", "text-path", "feet", "obstacles", "gaze", "gaze-weights")
+    own = ("optimise", "text-path", "feet", "noise-scale", "obstacles", "gaze", "gaze-weights")
     require_known(options, (*own, *SAMPLING_OPTIONS, *PRIME_AND_REACH_OPTIONS))
     if weights is None:
         paths = {condition: resolve(None, name) for condition, name in DEFAULT_WEIGHTS.items()}
@@ -296,8 +297,10 @@ def _generation(options: Mapping[str, str], configuration: DenoiserConfiguration
         sampling = sampling_settings(options, guidance=_GUIDANCE, diffusion_steps=steps, samplers=samplers)
         reach = cast(Reach, choice(options, "reach", get_args(Reach)))
         feet = cast(Feet, choice(options, "feet", get_args(Feet)))
+        noise_scale = number(options, "noise-scale", 1.0)
         own_bones = choice(options, "bones", _BONES) == "initial"
-        return Generation(replace(sampling, reach=reach, feet=feet), own_bones=own_bones)
+        sampling = replace(sampling, reach=reach, feet=feet, noise_scale=noise_scale)
+        return Generation(sampling, own_bones=own_bones)
     idle = [key for key in _SAMPLING_ALONE if key in options]
     if idle:
         raise ValueError(

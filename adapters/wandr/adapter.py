@@ -31,6 +31,10 @@ from prbench_adapters.wandr.state import BodyState, clean_delta, intentions
 Hand = Literal["right", "nearest", "left"]
 _FirstChange = Literal["recorded", "random"]
 
+# Recorded wrists never need more than 0.9. Asked for the 1.5 of its training, a late body bends further than people
+# do (docs/methods/wandr.md#why-bodies-fall).
+_ASKED_SPEED = 1.0  # metres a second
+
 _MIRRORED = np.array([-1.0, 1.0, 1.0], dtype=np.float32)
 
 
@@ -46,8 +50,8 @@ class Generation:
     deviation: float = 1.0
     """Standard deviation of the latent of every step."""
     most_speed: float | None = None
-    """Longest intention of the wrist, metres a second; None for what the network was trained with, infinity for no
-    limit."""
+    """Longest intention of the wrist, metres a second, infinity for no limit; None for 1 m/s, or for no limit if the
+    network was trained without one."""
 
 
 @dataclass(frozen=True)
@@ -97,14 +101,17 @@ class WANDR:
         assert batch.initial_joints is not None
         left = self._left_handed(batch)
         start, noise = self._start(_mirrored_where(left, batch))
-        most_speed = self.generation.most_speed
-        if most_speed is None:
-            most_speed = self.network.configuration.speed_limit
-        joints = WORLD.to_y_up(roll_out(self.network, start, noise, most_speed)).float().cpu().numpy()
+        joints = WORLD.to_y_up(roll_out(self.network, start, noise, self._most_speed())).float().cpu().numpy()
         joints[left] = mirror(joints[left])
         # Fitting rotations and mirroring round; the first frame is given, to the bit.
         joints[:, 0] = batch.initial_joints
         return Motions(joints, batch.n_frames, Cost(int((batch.n_frames - 1).sum())))
+
+    def _most_speed(self) -> float:
+        if self.generation.most_speed is not None:
+            return self.generation.most_speed
+        limit = self.network.configuration.speed_limit
+        return limit if math.isinf(limit) else min(limit, _ASKED_SPEED)
 
     def _require_fit(self, batch: ConditionBatch) -> None:
         if batch.fps != self.native_fps:
@@ -173,8 +180,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
     """Entry point ``wandr``.
 
     Options: ``hand`` (right, nearest, left), ``first-change`` (recorded, or random as in the original), ``deviation``
-    (1) of the latents, ``most-speed`` (that of the training; 0 is no limit, as in the original) of the wrist's
-    intention, metres a second.
+    (1) of the latents, ``most-speed`` (1 for networks that were trained with a limit; 0 is none, as in the original)
+    of the wrist's intention, metres a second.
 
     Args:
         weights: File, folder or name of bundled weights; None for ``wandr-small``.

@@ -83,6 +83,9 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option("--init", type=PATH, metavar="FILE", help="Weights to start from.")
 @click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1, mps.")
 @click.option("--devices", type=POSITIVE, default=1, metavar="N", help="Processes to train in (default 1).")
+@click.option(
+    "--nodes", type=POSITIVE, default=1, metavar="N", help="Machines with as many each; run the command on every one."
+)
 @threads_option
 @click.option("--loaders", type=int, default=0, metavar="N", help="Processes that load data (default 0).")
 @click.option("--show-config", is_flag=True, help="Print the resolved configuration and stop.")
@@ -99,6 +102,7 @@ def train(
     init: Path | None,
     device: str,
     devices: int,
+    nodes: int,
     threads: int,
     loaders: int,
     show_config: bool,
@@ -128,6 +132,7 @@ def train(
         initial=init,
         device=device,
         devices=devices,
+        nodes=nodes,
         threads=threads,
         workers=loaders,
     )

@@ -7,6 +7,7 @@ step at hand, so that what was learnt is saved first.
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -21,12 +22,19 @@ if TYPE_CHECKING:
     from lightning_fabric import Fabric
 
 
-def make_fabric(device: str, *, devices: int = 1, precision: str = "32-true", spawn: bool = False) -> Fabric:
+_STARTED_ON_EVERY_NODE = ("SLURM_JOB_ID", "TORCHELASTIC_RUN_ID", "MASTER_ADDR")
+"""Set by srun, by torchrun, or by the user; Lightning Fabric finds the other nodes by them."""
+
+
+def make_fabric(
+    device: str, *, devices: int = 1, nodes: int = 1, precision: str = "32-true", spawn: bool = False
+) -> Fabric:
     """The Fabric that a training runs on; launch it before anything else.
 
     Args:
         device: ``cpu``, ``cuda``, ``cuda:1``, ``mps``.
-        devices: Processes that train together, each on a device of its own.
+        devices: Processes that train together on this machine, each on a device of its own.
+        nodes: Machines that train together, each with as many processes; the command runs on every one of them.
         precision: ``32-true``, or ``bf16-mixed``: matrix products in bfloat16, weights, losses and sums in float32.
         spawn: Start the processes from functions instead of running the command again (for tests and notebooks).
 
@@ -47,11 +55,26 @@ def make_fabric(device: str, *, devices: int = 1, precision: str = "32-true", sp
             return data
 
     kind, index = _require_device(device, devices)
+    if nodes > 1:
+        _require_other_nodes(nodes)
     chosen: Any = [index] if index is not None else devices
     plugin = HeldPrecision("bf16-mixed", kind) if precision == "bf16-mixed" else Precision()
     several = "ddp_spawn" if spawn else "ddp"
-    strategy = "auto" if devices == 1 else several
-    return Fabric(accelerator=kind, devices=chosen, strategy=strategy, plugins=[plugin])
+    strategy = "auto" if devices * nodes == 1 else several
+    return Fabric(accelerator=kind, devices=chosen, num_nodes=nodes, strategy=strategy, plugins=[plugin])
+
+
+def _require_other_nodes(nodes: int) -> None:
+    """Refuse several machines where nothing says how to find them: the processes would wait for each other for ever.
+
+    Raises:
+        UsageError: with the ways to start them.
+    """
+    if not any(name in os.environ for name in _STARTED_ON_EVERY_NODE):
+        raise UsageError(
+            f"--nodes {nodes}: nothing says where the other machines are. Start the same command on each of them, by"
+            " srun or torchrun, or with MASTER_ADDR and MASTER_PORT (the first machine's) and NODE_RANK (0, 1, …) set."
+        )
 
 
 def _require_device(device: str, devices: int = 1) -> tuple[str, int | None]:

@@ -74,7 +74,9 @@ class TrainRequest:
     """Weights to start from."""
     device: str = "cpu"
     devices: int = 1
-    """Processes that train together."""
+    """Processes that train together on each machine."""
+    nodes: int = 1
+    """Machines that train together; the same command runs on each, and ``out`` lies where all of them see it."""
     threads: int = 1
     """Torch's threads in each process; on a CPU the last bits of the weights depend on it."""
     workers: int = 0
@@ -116,7 +118,7 @@ def train(request: TrainRequest, *, report: Callable[[Progress], None] = silent)
     precision = chosen_precision(configuration.training.precision, device=request.device, out=request.out)
     training = msgspec.structs.replace(configuration.training, precision=precision)
     configuration = msgspec.structs.replace(configuration, training=training)
-    fabric = make_fabric(request.device, devices=request.devices, precision=precision)
+    fabric = make_fabric(request.device, devices=request.devices, nodes=request.nodes, precision=precision)
     fabric.launch()
     torch.set_num_threads(request.threads)  # launching several processes sets one of its own
     return run(request, task, stage, configuration, fabric, report)
@@ -265,7 +267,7 @@ def _record(
         configuration=configuration,
         data=records,
         initial_weights_sha256=read_weights(request.initial).digest if request.initial else None,
-        devices=request.devices,
+        devices=request.devices * request.nodes,
         refit=request.refit,
     )
 

@@ -270,6 +270,8 @@ def test_bones_can_keep_the_lengths_of_the_initial_pose(weights, options):
         ({"optimise": "fast", "sampler": "ddim"}, "'sampler' belongs to sampling without noise optimisation"),
         ({"steps": "5"}, "'steps' belongs to sampling without noise optimisation"),
         ({"feet": "steps"}, "'feet' belongs to sampling without noise optimisation"),
+        ({"noise-scale": "2"}, "'noise-scale' belongs to sampling without noise optimisation"),
+        ({"optimise": "off", "noise-scale": "-1"}, "option 'noise-scale': expected a number of 0 or more, found '-1'"),
         ({"optimise": "off", "sampler": "heun"}, "expected ddpm or ddim or one-pass, found 'heun'"),
         ({"optimise": "slow"}, "option 'optimise': expected"),
         ({"hand": "both"}, "option 'hand': expected"),

@@ -80,7 +80,6 @@ class OptimisedMotions:
     """Forward passes of the denoiser spent on each sequence, guidance and recomputed ones included."""
     iterations: Int[torch.Tensor, " batch"]
     history: History
-    settings: OptimisationSettings
 
 
 @runtime_checkable
@@ -243,7 +242,6 @@ class _Search:
             network_passes=self._passes,
             iterations=self._iterations,
             history=self._history,
-            settings=self._settings,
         )
 
     def _evaluate(self, active: _Active) -> _Evaluation:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Literal, cast, get_args
 
 from prbench_adapters.diffusion.generation import Precision
@@ -97,10 +97,6 @@ class OptimisationSettings:
                 raise ValueError(f"'{name}': expected 1 or more, found {getattr(self, name)}.")
         if self.initial_frames not in (1, 2):
             raise ValueError(f"'initial_frames': expected 1 or 2, found {self.initial_frames}.")
-
-    def record(self) -> dict[str, object]:
-        """All settings by name, for run records."""
-        return asdict(self)
 
 
 def paper(diffusion_steps: int) -> OptimisationSettings:

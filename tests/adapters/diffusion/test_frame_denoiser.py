@@ -161,6 +161,21 @@ def test_feet_can_stay_as_the_network_has_them_and_nothing_above_the_knees_chang
     assert np.delete(moved, legs).max() < 1e-5
 
 
+def test_more_start_noise_spreads_the_motions_of_one_sequence_and_none_leaves_one_motion(data):
+    model = _model(_module(data))
+    one = _batch()
+    same = dataclasses.replace(one, noise_seed=(1,) * len(one))
+    other = dataclasses.replace(one, noise_seed=(2,) * len(one))
+
+    def spread(scale: float) -> float:
+        settings = dataclasses.replace(SAMPLING, noise_scale=scale)
+        pair = [generate(model, batch, settings).joints[0, :21] for batch in (same, other)]
+        return float(np.linalg.norm(pair[0] - pair[1], axis=-1).mean())
+
+    assert spread(0.0) == 0.0
+    assert 0.0 < spread(1.0) < spread(2.0)
+
+
 def test_a_wrist_can_be_led_to_the_goal_and_noise_can_be_optimised(data):
     model = _model(_module(data))
     batch = _batch(n_frames=(31,))

@@ -72,13 +72,17 @@ def test_a_body_that_is_late_is_asked_for_no_more_than_the_most_speed():
     assert steps == pytest.approx(half / 30, rel=1e-4)
 
 
-def test_the_most_speed_is_that_of_the_training_unless_another_is_asked_for():
+def test_a_network_that_knows_a_limit_is_asked_for_no_more_and_for_at_most_one_metre_a_second():
     batch = tiny.batch(frames=(20,))
     method = _follower()
     free = method.generate(batch, seed=0).joints
     method.network.configuration = msgspec.structs.replace(method.network.configuration, most_speed=0.1)
     steps = np.linalg.norm(np.diff(method.generate(batch, seed=0).joints[0, :, RIGHT], axis=0), axis=-1)
     assert steps == pytest.approx(0.1 / 30, rel=1e-4)
+    method.network.configuration = msgspec.structs.replace(method.network.configuration, most_speed=1.5)
+    by_itself = method.generate(batch, seed=0).joints
+    method.generation = Generation(most_speed=1.0)
+    assert np.array_equal(method.generate(batch, seed=0).joints, by_itself)
     method.generation = Generation(most_speed=math.inf)
     assert np.array_equal(method.generate(batch, seed=0).joints, free)
 

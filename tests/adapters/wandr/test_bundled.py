@@ -64,13 +64,13 @@ def _end_distance(
 
 @pytest.mark.unchecked_shapes
 def test_the_right_wrist_comes_nearer_to_its_goal_and_not_to_somebody_elses(held_out):
-    """Measured: 0.69 and 100 %; led to the goal of the row half the table further, 0.97 and 0.28 m farther off."""
+    """Measured: 0.59 and 100 %; led to the goal of the row half the table further, 0.92 and 0.32 m farther off."""
     assert held_out.goal_location is not None
     start, end = _start_distance(held_out), _end_distance(held_out)
     elsewhere = _end_distance(held_out, np.roll(held_out.goal_location, SEQUENCES // 2, axis=0))
-    assert np.median(end / start) < 0.75
+    assert np.median(end / start) < 0.65
     assert np.mean(end < start) > 0.8
-    assert np.median(elsewhere / start) > 0.9
+    assert np.median(elsewhere / start) > 0.85
     assert np.median(elsewhere - end) > 0.2
 
 
@@ -86,7 +86,16 @@ def test_a_card_describes_its_weights(name):
     assert {entry["control"] for entry in card["evaluation"] if entry["method"] == "wandr"} == {None, "shuffled-goal"}
 
 
-def test_the_default_are_the_fine_tuned_weights_and_they_name_what_they_began_with():
+def test_the_default_are_the_weights_that_know_prime_and_reach_sequences():
     assert own_weights("wandr", None) == FOLDER / "wandr-small.safetensors"
-    card = json.loads((FOLDER / "wandr-small.json").read_text("utf-8"))
-    assert file_digest(FOLDER / "wandr-small-pretrained.safetensors") in " ".join(card["learned_from"])
+
+
+@pytest.mark.unchecked_shapes
+def test_every_body_stands_in_every_frame(held_out):
+    """Measured: the lowest head 0.25 m above the pelvis."""
+    adapter = load_adapter("wandr", None, {}, "cpu")
+    ids = tuple(str(row) for row in range(SEQUENCES))
+    motions, _ = generate_checked(adapter, held_out, seed=0, method="wandr", sequence_ids=ids)
+    above = motions.joints[:, :, Joint.HEAD, 1] - motions.joints[:, :, Joint.PELVIS, 1]
+    lowest = [above[row, :n].min() for row, n in enumerate(held_out.n_frames)]
+    assert min(lowest) > 0.1
