@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from prbench.runs.scores import predictions_schema
 from prbench.sequences import SequenceTable
@@ -71,13 +72,63 @@ def _straight(poses: np.ndarray, offsets: np.ndarray) -> np.ndarray:
 
 
 def iterate(folder: str) -> None:
-    """Take every sequence of a table by the public API and look at its arrays."""
+    """Take every sequence of a table by the public API, and its arrays as NumPy's."""
     import prbench
 
     frames = 0
     for sequence in prbench.open_table(folder):
-        frames += len(sequence.joints)
+        arrays = (sequence.joints, sequence.gaze, sequence.head, sequence.previous_joints, sequence.next_joints)
+        frames += len(arrays[0])
     print(frames)
+
+
+def read_with_pyarrow(folder: str) -> None:
+    """Read the same columns with pyarrow alone, and the same arrays of every sequence as NumPy's."""
+    frames = 0
+    for path in SequenceTable.open(folder).part_paths("sequences"):
+        for batch in pq.ParquetFile(path, pre_buffer=False).iter_batches(batch_size=64):
+            arrays = [_numpy_rows(batch.column(name), width) for name, width in _ARRAYS.items()]
+            frames += sum(len(row) for row in arrays[0])
+    print(frames)
+
+
+_ARRAYS = {
+    "joints": 66, "gaze_origin": 3, "gaze_direction": 3, "gaze_valid": 1, "head_position": 3, "head_rotation": 4,
+    "previous_joints": 66, "next_joints": 66,
+}  # fmt: skip
+"""Columns of arrays, and numbers of one row of each."""
+
+
+def _numpy_rows(column: pa.Array, width: int) -> list[np.ndarray]:
+    """Return the array of each row as a view."""
+    if pa.types.is_fixed_size_list(column.type):
+        return list(column.flatten().to_numpy(zero_copy_only=False).reshape(-1, width))
+    ends = np.cumsum(column.value_lengths().fill_null(0).to_numpy(zero_copy_only=False))
+    values = column.flatten()
+    values = values.flatten() if pa.types.is_fixed_size_list(values.type) else values
+    return np.split(values.to_numpy(zero_copy_only=False).reshape(-1, width), ends[:-1])
+
+
+def find_one(folder: str) -> None:
+    """Look one sequence up by its id a hundred times."""
+    import prbench
+
+    table = prbench.open_table(folder)
+    wanted = table[len(table) // 2].sequence_id
+    for _ in range(100):
+        assert table[wanted].sequence_id == wanted
+
+
+def rewrite(folder: str, out: str) -> None:
+    """Write a table anew from its own rows, as a build puts its recordings together."""
+    table = SequenceTable.open(folder)
+    write_dataset(
+        Path(out),
+        table.info,
+        sequences=(chunk.batch for chunk in table.chunks()),
+        events=table.events().to_batches(),
+        recordings=table.recordings().to_batches(),
+    )
 
 
 def store(folder: str, cache: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import sys
 from collections.abc import Iterable, Iterator
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
@@ -127,7 +128,7 @@ def select(table: SequenceTable, *, split: str, limit: int | None, carry_on: boo
             f"{table.folder}: expected sequences in split '{split}', found none ({counts})."
             " Build more recordings, or choose another split with --split."
         )
-    ids = rows["sequence_id"].to_pylist()
+    ids = list(map(sys.intern, rows["sequence_id"].to_pylist()))
     # Sorted ids make batches, and so the bytes of a run, independent of how the table was built.
     if any(first >= second for first, second in itertools.pairwise(ids)):
         raise TableError(f"{table.folder}: expected rows sorted by a unique sequence_id. Build the dataset again.")

@@ -43,6 +43,8 @@ from prbench.sequences.chunk import SequenceChunk
 COLUMNS = ["goal_location", "prime_time", "start_time", "hand", "head_tilt_deg", "fps", "joints"]
 _GAZE_COLUMNS = ["gaze_origin", "gaze_direction", "gaze_valid"]
 _SIDES = {"left": 0, "right": 1}
+_SCORED_TOGETHER = 256
+"""Sequences of a window whose motions are in memory together."""
 SAME_LENGTH = "Give every motion the length of the recorded one, or pass --allow-length-mismatch."
 """Remedy for motions of another length."""
 _NOT_AS_KEPT = (
@@ -86,6 +88,17 @@ class _Window:
     predictions: Predictions
     rules: ScoringRules
     scene: Boxes | None
+
+    def part(self, start: int, stop: int) -> _Window:
+        """Return the work on some of the sequences, counted from 0."""
+        rows = np.arange(len(self.names))[start:stop]
+        return replace(
+            self,
+            recorded=self.recorded.slice(start, stop - start),
+            goals=self.goals[start:stop],
+            names=self.names[start:stop],
+            scene=None if self.scene is None else self.scene.of_rows(rows),
+        )
 
 
 def score_selection(
@@ -186,6 +199,12 @@ def _windows(
 
 
 def _score_window(window: _Window) -> pa.Table:
+    # Some sequences at a time, since what metrics make of motions takes several times the memory of these.
+    starts = range(0, len(window.names), _SCORED_TOGETHER)
+    return pa.concat_tables([_score_part(window.part(start, start + _SCORED_TOGETHER)) for start in starts])
+
+
+def _score_part(window: _Window) -> pa.Table:
     chunk = SequenceChunk(window.recorded)
     recorded = MotionBatch(chunk.joints, chunk.offsets)
     targets = _targets(chunk, window)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +12,11 @@ import pyarrow as pa
 from jaxtyping import Float, Int
 
 from prbench.boundary import foreign_input
-from prbench.runs.scores import SCORES, open_scores, repeated_row
+from prbench.runs.scores import SCORES, open_scores, repeated_row, write_scores
 
 _ROWS_AT_ONCE = 64 * 1024
+_ROW_GROUP = 1024**2
+"""Rows of a row group into which Arrow cuts a table that is written whole."""
 _NO_FLAG = -1
 
 
@@ -106,10 +109,18 @@ class CodedScores:
         ]
         return pa.Table.from_arrays(columns, schema=SCORES)
 
-    def pieces(self) -> Iterator[pa.Table]:
+    def pieces(self, rows: int = _ROWS_AT_ONCE) -> Iterator[pa.Table]:
         """Yield all rows as ``scores.parquet`` has them, some at a time."""
-        for start in range(0, len(self), _ROWS_AT_ONCE):
-            yield self.long_form(slice(start, start + _ROWS_AT_ONCE))
+        for start in range(0, len(self), rows):
+            yield self.long_form(slice(start, start + rows))
+
+    def write(self, path: Path) -> None:
+        """Write ``scores.parquet``, a row group at a time.
+
+        Raises:
+            StorageError: if the disk is full or the folder cannot be written.
+        """
+        write_scores(path, self.pieces(_ROW_GROUP))
 
     def rows_of(self, metric: str) -> Int[np.ndarray, " _"]:
         """Return the places of the rows of one metric."""
@@ -142,7 +153,7 @@ class CodedScores:
 def _codes(column: pa.Array, known: dict[str, int]) -> Int[np.ndarray, " rows"]:
     """Return the number of each row's text; texts that were not known get the next numbers."""
     encoded = column.dictionary_encode()
-    numbers = [known.setdefault(text, len(known)) for text in encoded.dictionary.to_pylist()]
+    numbers = [known.setdefault(sys.intern(text), len(known)) for text in encoded.dictionary.to_pylist()]
     places = encoded.indices.fill_null(len(numbers)).to_numpy()
     return np.array([*numbers, _NO_FLAG], dtype=np.int32)[places]
 

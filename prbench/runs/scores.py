@@ -59,28 +59,14 @@ def write_scores(path: Path, tables: Iterable[pa.Table]) -> None:
     Raises:
         StorageError: if the disk is full or the folder cannot be written.
     """
-    with _writer(path) as (writer, schema):
-        for table in tables:
-            writer.write_table(table.cast(schema))
-
-
-def write_scores_together(path: Path, pieces: Iterable[pa.Table]) -> None:
-    """Write the long form in row groups of a million rows, however it comes in pieces; see :func:`write_scores`."""
-    with _writer(path) as (writer, schema):
-        for piece in pieces:
-            for batch in piece.cast(schema).to_batches():
-                writer.write_batch(batch)
-
-
-@contextlib.contextmanager
-def _writer(path: Path) -> Iterator[tuple[pq.ParquetWriter, pa.Schema]]:
     schema = SCORES.with_metadata({"prbench_run_schema_version": str(RUN_SCHEMA_VERSION)})
     with (
         atomic_path(path) as temporary,
         open(temporary, "wb") as file,
         pq.ParquetWriter(file, schema, compression="zstd", use_dictionary=True) as writer,
     ):
-        yield writer, schema
+        for table in tables:
+            writer.write_table(table.cast(schema))
 
 
 @foreign_input()

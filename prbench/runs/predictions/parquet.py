@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -20,7 +21,7 @@ from prbench.runs.predictions.unpacked import UnpackedFrames
 from prbench.runs.scores import GAZE_COLUMNS
 from prbench.skeleton import N_JOINTS
 
-_CACHED_BYTES = 16 * 1024**2
+_CACHED_BYTES = 64 * 1024**2
 _READ_AGAIN = 4
 """Times that row groups are read at most, on average, before the motions are unpacked instead."""
 _JOINTS_FORM = f"a list of frames, each {POSE_SIZE} numbers (22 joints, x y z)"
@@ -50,7 +51,8 @@ def index_parquet(paths: tuple[Path, ...]) -> IndexedRows:
             if any(rows[name].null_count for name in columns):
                 raise PredictionsError(f"{part}: expected a value in every row of {' and '.join(columns)}.")
             groups.append(_RowGroup(part, number, len(ids), len(ids) - before))
-            ids += rows[id_column].to_pylist()
+            # Interned: the table and the scores name the same sequences, and each name is kept once.
+            ids += map(sys.intern, rows[id_column].to_pylist())
             samples += rows["sample"].to_pylist() if "sample" in columns else [0] * rows.num_rows
     return IndexedRows(
         paths, id_column, tuple(ids), tuple(samples), None, ParquetMotions(tuple(groups), has_gaze), has_gaze
@@ -68,7 +70,7 @@ class _RowGroup:
 
 @dataclass(frozen=True)
 class ParquetMotions:
-    """Reads motions a row group at a time; the last ones stay in memory."""
+    """Reads motions a row group at a time; those that were asked for last stay in memory."""
 
     groups: tuple[_RowGroup, ...]
     has_gaze: bool = False
@@ -106,6 +108,10 @@ class ParquetMotions:
             motions = self._read(group, opened)
             row = rows[place] - group.start
             found[place] = motions.values[motions.offsets[row] : motions.offsets[row + 1]]
+        # What the next rows may need stays: those of a window are asked for in parts, and lie in the same row groups.
+        used = {self._group_of(row) for row in rows}
+        for group in [group for group in self._cache if group not in used]:
+            del self._cache[group]
         return found
 
     def gaze(self, rows: Sequence[int]) -> list[np.ndarray]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import re
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -87,6 +89,11 @@ class Predictions(IndexedRows):
         return cls(**vars(_indexed(Path(path), numbering)))
 
     @cached_property
+    def _is_sorted(self) -> bool:
+        """True if there is one motion an id, and the ids are sorted: then no table of them is needed."""
+        return len(set(self.samples)) == 1 and all(one < other for one, other in itertools.pairwise(self.ids))
+
+    @cached_property
     def _row_of(self) -> dict[int, dict[str, int]]:
         """Maps a sample, then an id to the row; of repeated ones to the last."""
         rows: dict[int, dict[str, int]] = {}
@@ -94,14 +101,27 @@ class Predictions(IndexedRows):
             rows.setdefault(sample, {})[name] = row
         return rows
 
+    def _find(self, name: str, sample: int) -> int | None:
+        """Return the row of a motion, or None if it is not there."""
+        if not self._is_sorted:
+            return self._row_of.get(sample, {}).get(name)
+        row = bisect_left(self.ids, name)
+        there = row < len(self.ids) and self.ids[row] == name and self.samples[row] == sample
+        return row if there else None
+
+    def _row(self, name: str, sample: int) -> int:
+        row = self._find(name, sample)
+        if row is None:
+            raise KeyError((name, sample))
+        return row
+
     def __contains__(self, key: tuple[str, int]) -> bool:
-        name, sample = key
-        return name in self._row_of.get(sample, ())
+        return self._find(*key) is not None
 
     @property
     def repeats(self) -> bool:
         """True if several motions have the same id and sample."""
-        return sum(map(len, self._row_of.values())) < len(self.ids)
+        return not self._is_sorted and sum(map(len, self._row_of.values())) < len(self.ids)
 
     @foreign_input()
     def make_ready(self, together: Iterable[Sequence[str]] = ()) -> None:
@@ -116,11 +136,11 @@ class Predictions(IndexedRows):
 
     def length(self, name: str, sample: int) -> int | None:
         """Frames of a motion, if they are known without reading it."""
-        return None if self.n_frames is None else int(self.n_frames[self._row_of[sample][name]])
+        return None if self.n_frames is None else int(self.n_frames[self._row(name, sample)])
 
     def where(self, name: str, sample: int) -> str:
         """The file that a motion stands in and its place there, for messages."""
-        return self.store.where(self._row_of[sample][name])
+        return self.store.where(self._row(name, sample))
 
     @foreign_input()
     def motions(self, ids: Sequence[str], sample: int) -> PredictionRows:
@@ -130,7 +150,7 @@ class Predictions(IndexedRows):
             PredictionsError: if a motion is empty, damaged, a frame does not have 22 joints, or gaze has other frames
                 than the joints.
         """
-        rows = [self._row_of[sample][name] for name in ids]
+        rows = [self._row(name, sample) for name in ids]
         found = self.store.motions(rows)
         lengths = [len(motion) for motion in found]
         if 0 in lengths:

@@ -25,7 +25,7 @@ from prbench.runs.cost import total_cost
 from prbench.runs.folder import RunFolder
 from prbench.runs.predictions import Predictions
 from prbench.runs.record import FILE, BatchPlanRecord, MethodRecord, RunRecord
-from prbench.runs.scores import RUN_SCHEMA_VERSION, write_scores_together
+from prbench.runs.scores import RUN_SCHEMA_VERSION
 from prbench.runs.summary import DatasetSummary
 from prbench.storage import file_digest, remove_half_written, text_digest
 from prbench.submitted.score_predictions.request import Stated
@@ -176,7 +176,7 @@ def write_submission(
     run = RunFolder.prepare(folder, record, protocol)
     parts = [run.dataset(one.summary.dataset) for one in scored]
     for part, one in zip(parts, scored):
-        write_scores_together(part.scores, one.scores.pieces())
+        one.scores.write(part.scores)
         total_cost([], batches=0).write(part.cost)  # nothing was measured
         one.agreement.write(part.path)
         one.summary.write(part.path)
@@ -193,7 +193,7 @@ def write_plain(folder: Path, scored: tuple[Scored, ...], protocol: BenchmarkPro
     remove_half_written(folder)
     parts = [folder if len(scored) == 1 else folder / one.summary.dataset for one in scored]
     for part, one in zip(parts, scored):
-        write_scores_together(part / "scores.parquet", one.scores.pieces())
+        one.scores.write(part / "scores.parquet")
         one.agreement.write(part)
         one.summary.write(part)
     write_protocol(folder, protocol)

@@ -1,0 +1,105 @@
+"""Rows are read a group at a time, and of a file only the groups that may hold what is wanted."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from prbench.errors import TableError
+from prbench.parquet_files import open_parquet
+from prbench.sequences import SequenceTable, rows
+from prbench.sequences.digests import identity_digest, identity_of_rows
+from prbench.sequences.rows import groups_that_may_hold, require_distinct_rows
+from tests.fakes import fake_dataset
+
+
+def ids_file(path: Path, *, groups: int, statistics: bool = True) -> Path:
+    names = [f"d/r{number:05d}/o/pick/1/fake" for number in range(10 * groups)]
+    splits = ["test" if number < 5 * groups else "train" for number in range(10 * groups)]
+    columns = pa.table({"sequence_id": names, "split": splits})
+    pq.write_table(columns, path, row_group_size=10, write_statistics=statistics)
+    return path
+
+
+def test_the_footer_names_the_groups_that_may_hold_an_id(tmp_path):
+    metadata = open_parquet(ids_file(tmp_path / "a.parquet", groups=6)).metadata
+    assert groups_that_may_hold(metadata, {"sequence_id": ["d/r00023/o/pick/1/fake"]}) == [2]
+    assert groups_that_may_hold(
+        metadata, {"sequence_id": ["a", "d/r00000/o/pick/1/fake", "d/r00059/o/pick/1/fake"]}
+    ) == [0, 5]
+    assert groups_that_may_hold(metadata, {"sequence_id": ["z"]}) == []
+    assert groups_that_may_hold(metadata, {"split": ["test"]}) == [0, 1, 2]
+    assert groups_that_may_hold(metadata, {}) == list(range(6))
+
+
+def test_without_statistics_every_group_may_hold_it(tmp_path):
+    metadata = open_parquet(ids_file(tmp_path / "a.parquet", groups=3, statistics=False)).metadata
+    assert groups_that_may_hold(metadata, {"sequence_id": ["z"]}) == [0, 1, 2]
+
+
+def test_one_sequence_is_read_without_the_groups_of_the_others(tmp_path, monkeypatch):
+    table = fake_dataset(tmp_path / "table", 700, recordings=40)
+    wanted = table.scalars(columns=["sequence_id"])["sequence_id"][600].as_py()
+    read: list[list[int]] = []
+    chosen = rows.groups_that_may_hold
+
+    def noted(*arguments):
+        read.append(chosen(*arguments))
+        return read[-1]
+
+    monkeypatch.setattr(rows, "groups_that_may_hold", noted)
+    (found,) = table.chunks(ids=frozenset({wanted}))
+    assert found.sequence_ids == [wanted]
+    assert read == [[2]]
+
+
+@pytest.mark.parametrize("order", [("a", "b", "c"), ("c", "a", "b")])
+def test_the_identity_does_not_depend_on_the_order_of_rows(order):
+    columns = {"sequence_id": list(order), "split": ["test"] * 3, "action": ["pick"] * 3, "n_frames": [7, 7, 7]}
+    expected = identity_digest(["a", "b", "c"], ["test"] * 3, ["pick"] * 3, [7, 7, 7], protocol_version=2)
+    assert identity_of_rows(pa.table(columns), protocol_version=2) == expected
+
+
+@pytest.mark.parametrize("names", [["a", "b", "b"], ["b", "a", "b"]])
+def test_a_repeated_id_is_named_in_sorted_and_unsorted_rows(tmp_path, names):
+    pq.write_table(pa.table({"sequence_id": names}), tmp_path / "a.parquet")
+    with pytest.raises(TableError, match="found 'b' twice"):
+        require_distinct_rows([tmp_path / "a.parquet"], "sequence_id", "here")
+    pq.write_table(pa.table({"sequence_id": ["b", "a"]}), tmp_path / "a.parquet")
+    require_distinct_rows([tmp_path / "a.parquet"], "sequence_id", "here")
+
+
+def arrow_peak_of_reading(path: Path) -> int:
+    """Bytes of Arrow's that are held at once, beside what was held before, while a file is streamed."""
+    pool = pa.default_memory_pool()
+    before = pool.bytes_allocated()
+    peak = 0
+    for _ in open_parquet(path).iter_batches(batch_size=256):
+        peak = max(peak, pool.bytes_allocated() - before)
+    return peak
+
+
+def test_four_times_the_rows_are_streamed_in_the_same_memory(tmp_path):
+    peaks = []
+    for groups in (4, 16):
+        numbers = pa.table({"values": pa.array(range(groups * 20_000), pa.float64())})
+        pq.write_table(numbers, tmp_path / "a.parquet", row_group_size=20_000, use_dictionary=False)
+        peaks.append(arrow_peak_of_reading(tmp_path / "a.parquet"))
+    assert peaks[1] < 1.5 * peaks[0]
+
+
+def test_four_times_the_sequences_are_opened_in_about_the_same_memory(tmp_path):
+    peaks = []
+    for count in (250, 1000):
+        folder = fake_dataset(tmp_path / str(count), count, recordings=40).folder
+        tracemalloc.start()
+        table = SequenceTable.open(folder)
+        for _ in table.chunks(columns=["joints"]):
+            pass
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 2 * peaks[0]
