@@ -326,8 +326,8 @@ class _OutputCopy:
             ) from error
         except FileNotFoundError as error:
             raise StorageError(
-                f"{self.folder}: a file was changed or deleted while it was uploaded to {self.store.url} ({error}). Nothing"
-                " at the URL was replaced; run the same command again when nothing else works in this folder."
+                f"{self.folder}: a file was changed or deleted while it was uploaded to {self.store.url} ({error})."
+                " Nothing at the URL was replaced; run the same command again when nothing else works in this folder."
             ) from error
 
     def _publish(self) -> None:
