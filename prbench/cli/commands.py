@@ -339,7 +339,7 @@ def _json_option() -> click.Option:
 def _report_file_option() -> click.Option:
     return click.Option(
         ["--out", "report_file"],
-        type=PlaceType("file"),
+        type=PlaceType("file", dir_okay=False),
         metavar="FILE",
         expose_value=False,
         callback=_set("report_file"),

@@ -35,10 +35,11 @@ class PlaceType(click.Path):
 
     Args:
         use: What the command does there.
+        dir_okay: False where a folder is refused before the command runs.
     """
 
-    def __init__(self, use: Use) -> None:
-        super().__init__(path_type=Path)
+    def __init__(self, use: Use, *, dir_okay: bool = True) -> None:
+        super().__init__(path_type=Path, dir_okay=dir_okay)
         self.use: Use = use
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:

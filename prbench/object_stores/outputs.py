@@ -324,6 +324,11 @@ class _OutputCopy:
                 f"{error} The finished result is kept in {self.folder}, and nothing at the URL was replaced; the same"
                 " command uploads it."
             ) from error
+        except FileNotFoundError as error:
+            raise StorageError(
+                f"{self.folder}: a file was changed or deleted while it was uploaded to {self.store.url} ({error})."
+                " Nothing at the URL was replaced; run the same command again when nothing else works in this folder."
+            ) from error
 
     def _publish(self) -> None:
         files = self._scanned(with_work=False)
