@@ -128,7 +128,7 @@ def prepare_recorded(request: RunRequest, earlier: RunRecord, out: Path) -> Prep
         _dataset(benchmark, request, chosen, None, earlier.method, condition, rules)
         for chosen in benchmark.choose(request, tables)
     )
-    record = _record(request, condition, earlier.method, datasets, rules)
+    record = run_record(request, condition, earlier.method, datasets, rules)
     return PreparedRun(request, benchmark, record, datasets, out, rules)
 
 

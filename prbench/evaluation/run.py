@@ -98,7 +98,7 @@ def score_prepared(
         engine: Where the work is done; changes no value.
         progress: Called with what is done.
     """
-    parts = [_Part(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
+    parts = [RunPart(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
     for part in parts:
         part.write_notice()
     return tuple(part.scored() for part in parts)

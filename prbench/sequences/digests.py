@@ -44,7 +44,8 @@ def identity_of_rows(rows: pa.Table, *, protocol_version: int) -> str:
     in_order: Iterable[tuple] = _tuples(rows)
     # Sorted: two laboratories may have built the same rows in another order. A table is sorted already, so its rows
     # need not all become Python's objects.
-    if not pc.all(pc.less(ids.slice(0, max(len(ids) - 1, 0)), ids.slice(1))).as_py():
+    rising = pc.call_function("less", [ids.slice(0, max(len(ids) - 1, 0)), ids.slice(1)])
+    if not pc.call_function("all", [rising]).as_py():
         in_order = sorted(in_order)
     for row in in_order:
         digest.update("\t".join(row).encode() + b"\n")

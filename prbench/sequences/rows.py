@@ -63,7 +63,7 @@ def stream_chunks(
             groups = groups_that_may_hold(file.metadata, wanted)
             for batch in file.iter_batches(batch_size=rows, row_groups=groups, columns=read):
                 if split is not None:
-                    batch = _kept(batch, pc.equal(batch.column("split"), split))
+                    batch = _kept(batch, pc.call_function("equal", [batch.column("split"), pa.scalar(split)]))
                 if ids is not None:
                     # Not Arrow's is_in, which builds its table of all ids anew for every batch.
                     batch = _kept(batch, pa.array([name in ids for name in batch.column("sequence_id").to_pylist()]))
