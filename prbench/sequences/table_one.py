@@ -7,6 +7,8 @@ names the three and defines none of them.
 
 from __future__ import annotations
 
+import contextlib
+import tempfile
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +25,16 @@ _GAZE_SHIFT_SPAN = (-2.0, 8.0)
 """Seconds before and after the prime time over which the gaze shift is averaged."""
 _GAZE_SHIFT_STEP = 0.1
 _COLUMNS = ("joints", "goal_location", "gaze_origin", "gaze_direction", "gaze_valid", "fps", "preroll", "split")
+
+
+_SCALARS = (
+    "split",
+    "participant_id",
+    "pose_source",
+    "event_time",
+    "start_time",
+    *(name for name in QUANTITIES if name != "duration"),
+)
 
 
 @dataclass(frozen=True)
@@ -64,16 +76,16 @@ def table_statistics(table: SequenceTable) -> TableStatistics:
 
     A sequence lasts from its first frame to the event: up to one frame less than from 2 s before the prime.
     """
-    scalars = table.scalars()
+    scalars = table.scalars(columns=_SCALARS)
     splits = scalars["split"].to_pylist()
     goals = [np.zeros((0, 3))]  # a dataset may hold events alone
-    angles = [np.zeros((0, 2))]
-    for chunk in table.chunks(columns=_COLUMNS):
-        goals.append(_goal_from_start(chunk))
-        angles.append(_gaze_shift(chunk))
+    with _Angles() as angles:
+        for chunk in table.chunks(columns=_COLUMNS):
+            goals.append(_goal_from_start(chunk))
+            angles.add(_gaze_shift(chunk))
+        quartiles = angles.quartiles()
     goal = np.concatenate(goals)
     horizontal = np.hypot(goal[:, 0], goal[:, 2])
-    times, quartiles = _quartiles(np.concatenate(angles))
     return TableStatistics(
         dataset=table.info.dataset,
         sequences=len(splits),
@@ -85,7 +97,7 @@ def table_statistics(table: SequenceTable) -> TableStatistics:
         goal_distance=np.linalg.norm(goal, axis=1),
         goal_elevation_deg=np.rad2deg(np.arctan2(goal[:, 1], horizontal)),
         goal_azimuth_deg=np.rad2deg(np.arctan2(goal[:, 0], goal[:, 2])),
-        gaze_shift_times=times,
+        gaze_shift_times=_bin_times(),
         gaze_shift_deg=quartiles,
     )
 
@@ -111,19 +123,37 @@ def _gaze_shift(chunk: SequenceChunk) -> Float[np.ndarray, "m 2"]:
     return np.column_stack([time, angle])[chunk.frames("gaze_valid")]
 
 
-def _quartiles(samples: Float[np.ndarray, "m 2"]) -> tuple[np.ndarray, np.ndarray]:
+def _bin_times() -> Float[np.ndarray, " bins"]:
     first, last = _GAZE_SHIFT_SPAN
-    times = np.round(np.arange(first, last, _GAZE_SHIFT_STEP), 6)
-    # 1e-6 of a bin: frame times such as 0.30000000000000004 s stay in the bin that they begin.
-    bins = np.floor((samples[:, 0] - first) / _GAZE_SHIFT_STEP + 1e-6).astype(int)
-    order = np.argsort(bins, kind="stable")
-    edges = np.searchsorted(bins[order], np.arange(len(times) + 1))
-    quartiles = np.full((len(times), 3), np.nan)
-    for index in range(len(times)):
-        inside = samples[order[edges[index] : edges[index + 1]], 1]
-        if len(inside):
-            quartiles[index] = np.quantile(inside, (0.25, 0.5, 0.75))
-    return times, quartiles
+    return np.round(np.arange(first, last, _GAZE_SHIFT_STEP), 6)
+
+
+class _Angles(contextlib.ExitStack):
+    """Angles of all frames, kept in a temporary file for each bin of time: a table may hold millions of frames."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._files = [self.enter_context(tempfile.TemporaryFile()) for _ in _bin_times()]  # noqa: SIM115 - closed at exit
+
+    def add(self, samples: Float[np.ndarray, "m 2"]) -> None:
+        """Take up times from the prime and angles."""
+        # 1e-6 of a bin: frame times such as 0.30000000000000004 s stay in the bin that they begin.
+        bins = np.floor((samples[:, 0] - _GAZE_SHIFT_SPAN[0]) / _GAZE_SHIFT_STEP + 1e-6).astype(int)
+        order = np.argsort(bins, kind="stable")
+        edges = np.searchsorted(bins[order], np.arange(len(self._files) + 1))
+        angles = samples[order, 1]
+        for index, file in enumerate(self._files):
+            angles[edges[index] : edges[index + 1]].tofile(file)
+
+    def quartiles(self) -> Float[np.ndarray, "bins 3"]:
+        """Return the quartiles of each bin; NaN where nothing was measured."""
+        found = np.full((len(self._files), 3), np.nan)
+        for index, file in enumerate(self._files):
+            file.seek(0)
+            inside = np.fromfile(file)
+            if len(inside):
+                found[index] = np.quantile(inside, (0.25, 0.5, 0.75))
+        return found
 
 
 def body_movement(joints: np.ndarray) -> float:
