@@ -168,7 +168,7 @@ class _ArraysInMemory:
 
     arrays: tuple[np.ndarray, ...]
 
-    def make_ready(self) -> None:
+    def make_ready(self, together: Iterable[Sequence[int]] = ()) -> None:
         """Nothing has to be done."""
 
     def motions(self, rows: Sequence[int]) -> list[np.ndarray]:
