@@ -20,6 +20,8 @@ from prbench.storage import atomic_path
 
 _BLOCK = 8 * 2**20
 """Bytes that are asked for at once."""
+_TRIES = 5
+"""Attempts at reading a small object that is being replaced again and again."""
 _OF_VERSION = ("ETag", "etag", "md5Hash", "content_md5", "sha", "LastModified", "updated", "last_modified", "mtime")
 """Keys of an object's description that change with its content, the best first; each protocol has its own."""
 _DENIED = re.compile(
@@ -99,13 +101,27 @@ class Store:
             ObjectStoreError: if the store cannot be read.
         """
         try:
-            with self._errors(f"read {name}"), self._system.open(self._path(name), "rb", block_size=_BLOCK) as file:
-                content = file.read(largest + 1)
+            with self._errors(f"read {name}"):
+                content = self._beginning(name, largest + 1)
         except FileNotFoundError:
             return None
         if len(content) > largest:
             raise InputFileError(f"{self.url}/{name}", "", expected=f"at most {largest:,} bytes", found="more")
         return content
+
+    def _beginning(self, name: str, length: int) -> bytes:
+        """Read the first bytes of an object, again where a writer has replaced it between opening and reading."""
+        for _ in range(_TRIES - 1):
+            try:
+                return self._opened_and_read(name, length)
+            except OSError as error:
+                if error.errno != errno.EBUSY:  # s3fs means by it that the object is another one now
+                    raise
+        return self._opened_and_read(name, length)
+
+    def _opened_and_read(self, name: str, length: int) -> bytes:
+        with self._system.open(self._path(name), "rb", block_size=_BLOCK) as file:
+            return file.read(length)
 
     def write(self, name: str, content: bytes) -> None:
         """Write a small object, whole or not at all.

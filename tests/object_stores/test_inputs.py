@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 
 import fsspec
@@ -11,6 +12,7 @@ from prbench.errors import InputFileError, StorageError
 from prbench.object_stores.inputs import fetched, fetched_native
 from prbench.object_stores.manifest import FINISHED
 from prbench.object_stores.store import ObjectStoreError, Store
+from prbench.object_stores.urls import StoreUrl
 from tests.object_stores.conftest import contents, local_contents
 from tests.object_stores.test_outputs import publish
 
@@ -40,6 +42,26 @@ def test_another_state_of_a_folder_is_another_copy(folder):
     publish(folder, a="changed")
     assert local_contents(fetched(folder)) == {"a": b"changed", "b": b"12"}
     assert local_contents(first) == {"a": b"abc", "b": b"12"}  # whoever reads it still can
+
+
+@pytest.mark.parametrize(("times", "is_read"), [(4, True), (5, False)])
+def test_an_object_that_a_writer_replaces_meanwhile_is_read_again(folder, monkeypatch, times, is_read):
+    system, _ = fsspec.url_to_fs(folder)
+    opened = type(system).open
+    replaced = iter(range(times))
+
+    def replacing(self, *given, **more):
+        if next(replaced, None) is not None:
+            raise OSError(errno.EBUSY, "no longer exists")
+        return opened(self, *given, **more)
+
+    monkeypatch.setattr(type(system), "open", replacing)
+    store = Store(StoreUrl.parse(folder))
+    if is_read:
+        assert store.read("a", largest=10) == b"abc"
+    else:
+        with pytest.raises(ObjectStoreError, match="cannot read a"):
+            store.read("a", largest=10)
 
 
 @pytest.mark.parametrize(
