@@ -155,7 +155,7 @@ def merge_corpus_shards(shards: Sequence[tuple[Path, ShardRecord]], out: Path, *
 
 
 def _shard_settings(name: str, dataset: str, options: CorpusOptions) -> dict[str, Any]:
-    """What decides a corpus beside its recordings, as JSON knows it."""
+    """Return what decides a corpus beside its recordings, as JSON knows it."""
     corpus = corpus_for(name)
     return {
         "corpus": name,

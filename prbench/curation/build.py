@@ -209,7 +209,7 @@ def merge_dataset_shards(shards: SequenceOf[tuple[Path, ShardRecord]], out: Path
 
 
 def _settings(dataset: str, options: BuildOptions) -> dict[str, Any]:
-    """What decides a table beside its recordings, as JSON knows it."""
+    """Return what decides a table beside its recordings, as JSON knows it."""
     chosen = dataclasses.replace(options, replace=False, on_error="skip")
     return {
         "dataset": dataset,

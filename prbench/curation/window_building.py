@@ -222,7 +222,7 @@ def merge_windows_shards(shards: Sequence[tuple[Path, ShardRecord]], out: Path) 
 
 
 def _settings(dataset: str, joints: str, options: dict[str, str]) -> dict[str, Any]:
-    """What decides a table beside its recordings, as JSON knows it."""
+    """Return what decides a table beside its recordings, as JSON knows it."""
     return {
         "dataset": dataset,
         "joint_set": joints,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -80,9 +80,7 @@ def run_method(request: RunRequest, *, engine: Engine | None = None, progress: P
             raise
         finally:
             forget_loaded_methods()  # no program outlives the run, however it ends
-        for part in parts:
-            part.write_notice()
-        summaries = tuple(part.scored() for part in parts)
+        summaries = scored_parts(parts)
     total = sum(len(dataset.work.plan) for dataset in prepared.datasets)
     return RunReport(folder, summaries, batches_made=sum(made), batches_found=total - sum(made))
 
@@ -99,6 +97,11 @@ def score_prepared(
         progress: Called with what is done.
     """
     parts = [RunPart(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
+    return scored_parts(parts)
+
+
+def scored_parts(parts: Sequence[RunPart]) -> tuple[DatasetSummary, ...]:
+    """Write what a licence asks for into each dataset's folder, then score what lies there."""
     for part in parts:
         part.write_notice()
     return tuple(part.scored() for part in parts)

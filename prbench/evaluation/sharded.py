@@ -17,7 +17,7 @@ from prbench.engine import Engine, InProcess
 from prbench.errors import ShardError, UsageError
 from prbench.evaluation.preparation import DEFAULT_PARENT, PreparedRun, prepare_recorded, prepare_run
 from prbench.evaluation.request import ProgressCallback, RunRequest, silent
-from prbench.evaluation.run import RunPart, RunReport, generate_all, prepared_folder, remove_empty
+from prbench.evaluation.run import RunPart, RunReport, generate_all, prepared_folder, remove_empty, scored_parts
 from prbench.locks import sole_writer
 from prbench.methods.loaded_methods import forget_loaded_methods
 from prbench.own_protocol import FILE_NAME as PROTOCOL_FILE
@@ -139,9 +139,7 @@ def merge_run_shards(
         missing = [(part, index) for part in parts for index in part.missing()]
         for part, index in missing:
             _copy_batch(part, index, sources[_name(part.dataset.name, index)])
-        for part in parts:
-            part.write_notice()
-        summaries = tuple(part.scored() for part in parts)
+        summaries = scored_parts(parts)
     return RunReport(merged, summaries, batches_made=len(missing), batches_found=len(sources) - len(missing))
 
 
