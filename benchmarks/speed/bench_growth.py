@@ -199,7 +199,9 @@ def _embedded() -> Path:
     from prbench.engine import InProcess
     from prbench.workflows.first_run import default_tables
 
-    return next(table.folder for table in default_tables(InProcess()) if table.info.dataset.endswith("mogaze"))
+    return next(
+        table.folder for table in default_tables(InProcess(), lambda _: None) if table.info.dataset.endswith("mogaze")
+    )
 
 
 if __name__ == "__main__":

@@ -15,8 +15,8 @@ from prbench.boundary import foreign_input
 from prbench.runs.scores import SCORES, open_scores, repeated_row, write_scores
 
 _ROWS_AT_ONCE = 64 * 1024
-_ROW_GROUP = 1024**2
-"""Rows of a row group into which Arrow cuts a table that is written whole."""
+_ROW_GROUP = 256 * 1024
+"""Rows of a row group: their texts take 70 MB while they are written."""
 _NO_FLAG = -1
 
 
