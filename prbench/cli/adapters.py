@@ -12,9 +12,9 @@ import msgspec
 from prbench.cli.commands import Answer, Group, command, note
 from prbench.cli.options import ALL_CONDITIONS, SECONDS, benchmark_option, out_file_option, out_folder_option
 from prbench.cli.terminal import print_columns
-from prbench.errors import UsageError
 
 if TYPE_CHECKING:
+    from prbench.benchmarks import AboutBenchmark
     from prbench.methods.describe import Description
     from prbench.methods.installed import InstalledAdapter
 
@@ -39,7 +39,7 @@ class MethodDetails(msgspec.Struct, frozen=True, kw_only=True):
     """The declarations of a method, found by importing it in a process of its own.
 
     Attributes:
-        conditions: Conditions that it can be given, of ``none``, ``text``, ``goal-pose`` and ``goal-loc``.
+        conditions: Conditions that it can be given, of those of its benchmark.
         trains: ``prbench train``, ``by the run`` or ``no``: where its network is trained.
         max_frames: Longest motion that it generates, in frames; null if there is no limit.
         native_fps: Rate of its motions in frames per second; null if it takes any.
@@ -154,15 +154,13 @@ def list_methods(names: tuple[str, ...], details: bool, timeout: float, benchmar
     from prbench.methods.installed import list_adapters, no_such_method
 
     about = find_benchmark(benchmark or default_benchmark().name)
-    if details and not about.default:
-        raise UsageError(f"--details: the methods of {about.name} cannot be described yet; leave it out.")
     found = list_adapters(about.entry_points)
     known = {adapter.name for adapter in found}
     unknown = [name for name in names if name not in known]
     if unknown:
         raise no_such_method(unknown[0], known)
     if details:
-        return _detailed(names, found, time_limit=timeout)
+        return _detailed(names, found, about, time_limit=timeout)
     shown = [_installed(adapter, found) for adapter in found if not names or adapter.name in names]
     return Answer(MethodsReport(methods=shown, controls=[]), lambda: _print_methods(shown))
 
@@ -256,21 +254,24 @@ def _print_methods(methods: Sequence[InstalledMethod]) -> None:
     print_columns(("name", "package", "version", "target", ""), rows)
 
 
-def _detailed(names: Sequence[str], found: Sequence[InstalledAdapter], *, time_limit: float) -> Answer:
+def _detailed(
+    names: Sequence[str], found: Sequence[InstalledAdapter], about: AboutBenchmark, *, time_limit: float
+) -> Answer:
     """Import the methods, each in a process of its own, and answer with what they declare or why they cannot be used.
 
     Args:
         names: Of methods; empty for all, and then the controls are listed, too.
-        found: All installed methods.
+        found: All installed methods of the benchmark.
+        about: The benchmark.
         time_limit: Seconds for each.
     """
     from prbench.methods.describe import describe_adapters
     from prbench.training.installed import list_tasks
 
     tasks = list_tasks()
-    described = describe_adapters(names or None, time_limit=time_limit)
+    described = describe_adapters(names or None, benchmark=about.name, time_limit=time_limit)
     methods = [_installed(one.method, found, _details(one, tasks)) for one in described]
-    report = MethodsReport(methods=methods, controls=[] if names else _controls())
+    report = MethodsReport(methods=methods, controls=_controls() if about.default and not names else [])
     return Answer(report, lambda: _print_details(report))
 
 

@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from prbench.benchmarks import find_benchmark
+from prbench.manifests import PROTOCOL_NAME
 from prbench.methods.installed import InstalledAdapter, list_adapters, offered_twice
 from prbench.methods.users_environment import python_words, users_environment
 
@@ -54,19 +56,24 @@ class Description:
 
 
 def describe_adapters(
-    names: Iterable[str] | None = None, *, time_limit: float = TIME_LIMIT, workers: int | None = None
+    names: Iterable[str] | None = None,
+    *,
+    benchmark: str = PROTOCOL_NAME,
+    time_limit: float = TIME_LIMIT,
+    workers: int | None = None,
 ) -> list[Description]:
     """Import the installed methods, several at a time, and say what each declares.
 
     Args:
         names: Of methods; None for all.
+        benchmark: Whose methods are meant.
         time_limit: Seconds for each.
         workers: Processes at a time; None for one a core.
 
     Returns:
         One description a method, in the order of :func:`~prbench.methods.installed.list_adapters`.
     """
-    installed = list_adapters()
+    installed = list_adapters(find_benchmark(benchmark).entry_points)
     wanted = None if names is None else frozenset(names)
     chosen = [method for method in installed if wanted is None or method.name in wanted]
     twice = offered_twice(installed)
@@ -75,7 +82,7 @@ def describe_adapters(
     def describe(method: InstalledAdapter) -> Description:
         if method.name in twice:
             return Description(method, error="another package offers the same name; uninstall one of them")
-        return describe_adapter(method, time_limit=time_limit, stop=stop)
+        return describe_adapter(method, benchmark=benchmark, time_limit=time_limit, stop=stop)
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         try:
@@ -85,12 +92,17 @@ def describe_adapters(
 
 
 def describe_adapter(
-    method: InstalledAdapter, *, time_limit: float = TIME_LIMIT, stop: threading.Event | None = None
+    method: InstalledAdapter,
+    *,
+    benchmark: str = PROTOCOL_NAME,
+    time_limit: float = TIME_LIMIT,
+    stop: threading.Event | None = None,
 ) -> Description:
     """Import one method in a process of its own and ask it; whatever it does there becomes one line.
 
     Args:
         method: As listed.
+        benchmark: Whose method it is.
         time_limit: Seconds after which the process is ended.
         stop: Ends it before that, once set.
     """
@@ -98,7 +110,7 @@ def describe_adapter(
         return Description(method, error=method.problem)
     with tempfile.TemporaryDirectory(prefix="prbench-describe-", ignore_cleanup_errors=True) as folder:
         report = Path(folder) / "report.jsonl"
-        child = _Child.start(method, report)
+        child = _Child.start(method, benchmark, report)
         status = child.wait(time_limit, stop or threading.Event())
         said = _said(report)
     if said.get("error"):
@@ -157,10 +169,10 @@ class _Child:
     tail: str = ""
 
     @classmethod
-    def start(cls, method: InstalledAdapter, report: Path) -> _Child:
+    def start(cls, method: InstalledAdapter, benchmark: str, report: Path) -> _Child:
         """Start importing a method, from where this process would import it."""
         process = subprocess.Popen(
-            python_words(_CHILD, method.name, str(report)),
+            python_words(_CHILD, method.name, benchmark, str(report)),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -1,4 +1,4 @@
-"""``python -m prbench.methods.describe_child NAME FILE``: import one installed method and write what it declares.
+"""``python -m prbench.methods.describe_child NAME BENCHMARK FILE``: import an installed method, write what it declares.
 
 Each step is put down before it is taken, so that whoever started this process knows how far it came.
 """
@@ -11,19 +11,22 @@ import os
 import re
 import sys
 import time
+from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
+from typing import Any
 
-from prbench.contract import Adapter, Condition, Trainable
 from prbench.errors import PrbenchError
 from prbench.methods.adapters import find_adapter, load_adapter
 from prbench.methods.declared import Declared
+from prbench.methods.groups import MethodGroup, group_of
 from prbench.methods.installed import InstalledAdapter
 
 
-def main(name: str, report: Path) -> None:
+def main(name: str, benchmark: str, report: Path) -> None:
     """Import, load and ask the method; ends the process at once, without waiting for threads that it may have left."""
-    method = find_adapter(name)
+    group = group_of(benchmark)
+    method = find_adapter(name, entry_points=group.entry_points)
     _write(report, stage="import")
     started = time.perf_counter()
     try:
@@ -35,8 +38,8 @@ def main(name: str, report: Path) -> None:
     imported = time.perf_counter()
     _write(report, stage="load", import_seconds=round(imported - started, 3))
     try:
-        adapter = load_adapter(name, None, {}, "cpu")
-        _write(report, load_seconds=round(time.perf_counter() - imported, 3), **declarations(adapter))
+        adapter = load_adapter(name, None, {}, "cpu", group=group)
+        _write(report, load_seconds=round(time.perf_counter() - imported, 3), **declarations(adapter, group))
     except PrbenchError as error:
         said = str(error).removeprefix(_origin(method)).rstrip(".")
         _write(report, error=said + _remedy(error.__cause__, method))
@@ -44,12 +47,12 @@ def main(name: str, report: Path) -> None:
         _write(report, error=f"{type(error).__name__}: {error}")
 
 
-def declarations(adapter: Adapter) -> dict:
+def declarations(adapter: Any, group: MethodGroup) -> dict:
     """Return the declarations of a method as plain values."""
-    declared = Declared.by(adapter, origin="it")
+    declared = Declared.by(adapter, origin="it", conditions=group.conditions)
     return {
         "conditions": sorted(condition.value for condition in declared.conditions),
-        "fitted": isinstance(adapter, Trainable),
+        "fitted": hasattr(adapter, "fit"),
         "max_frames": declared.max_frames,
         "native_fps": declared.native_fps,
         "motionless": declared.motionless,
@@ -57,7 +60,7 @@ def declarations(adapter: Adapter) -> dict:
     }
 
 
-def _weights(adapter: Adapter, conditions: frozenset[Condition]) -> list[str]:
+def _weights(adapter: Any, conditions: frozenset[StrEnum]) -> list[str]:
     weights_for = getattr(adapter, "weights_for", None)
     paths = [weights_for(condition) for condition in sorted(conditions)] if weights_for is not None else []
     return sorted({Path(path).name for path in paths if path is not None})
@@ -100,5 +103,5 @@ def _write(report: Path, **values: object) -> None:
 
 if __name__ == "__main__":
     sys.dont_write_bytecode = True  # looking at a method leaves no files in its package
-    main(sys.argv[1], Path(sys.argv[2]))
+    main(sys.argv[1], sys.argv[2], Path(sys.argv[3]))
     os._exit(0)

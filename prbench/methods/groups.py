@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from prbench.benchmarks import find_benchmark
 from prbench.contract import ENTRY_POINT_GROUP, Adapter, Condition
 from prbench.methods.remote.adapter import RemoteAdapter
 from prbench.methods.remote.method import RemoteMethod
@@ -35,3 +37,16 @@ MOTIONS = MethodGroup(
     ENTRY_POINT_GROUP, Adapter, "name, conditions and generate()", Condition, RemoteAdapter, serve_motions
 )
 """The methods of prime-and-reach."""
+
+
+def group_of(benchmark: str) -> MethodGroup:
+    """Return the methods of a benchmark; only that of the benchmark asked for is imported.
+
+    Raises:
+        UsageError: for an unknown benchmark.
+    """
+    about = find_benchmark(benchmark)
+    if about.default:
+        return MOTIONS
+    module, _, attribute = about.value.partition(":")
+    return getattr(importlib.import_module(module), attribute).methods

@@ -7,7 +7,6 @@ stdin and answers on stdout (docs/wire-protocol.md). What the method or its libr
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -15,13 +14,13 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from prbench.benchmarks import default_benchmark, find_benchmark
+from prbench.benchmarks import default_benchmark
 from prbench.contract import Trainable, TrainingRun
 from prbench.engine import is_out_of_memory
 from prbench.errors import PrbenchError
 from prbench.methods.adapters import load_adapter, used_weights, weights_digest
 from prbench.methods.declared import Declared
-from prbench.methods.groups import MOTIONS, MethodGroup
+from prbench.methods.groups import MethodGroup, group_of
 from prbench.methods.motions import release_memory, told
 from prbench.methods.remote.messages import WIRE_VERSION, Header, read_message, write_message
 from prbench.methods.training_split import FIT_SEED, TrainingCopy
@@ -46,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     settings = hello[0]
     try:
-        group = _group(asked.benchmark)
+        group = group_of(asked.benchmark)
         weights = _path(settings["weights"])
         adapter = load_adapter(asked.name, weights, settings["options"], settings["device"], group=group)
         if asked.train is not None and isinstance(adapter, Trainable):
@@ -72,15 +71,6 @@ def _take_streams() -> tuple[BinaryIO, BinaryIO]:
     os.dup2(2, 1)
     sys.stdout = sys.stderr
     return requests, answers
-
-
-def _group(benchmark: str) -> MethodGroup:
-    """Return how methods of a benchmark are loaded and served."""
-    about = find_benchmark(benchmark)
-    if about.default:
-        return MOTIONS
-    module, _, attribute = about.value.partition(":")
-    return getattr(importlib.import_module(module), attribute).methods
 
 
 def _introduction(name: str, adapter: Any, given: Path | None, group: MethodGroup) -> Header:

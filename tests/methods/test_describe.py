@@ -103,6 +103,15 @@ def test_a_method_says_what_it_declares(install):
     assert made.load_seconds is not None
 
 
+def test_predictors_say_what_they_take_and_whether_they_learn_from_a_table():
+    found = describe_adapters(["nearest-past", "zero-velocity"], benchmark="motion-prediction", time_limit=_LIMIT)
+    assert [(one.method.name, one.fitted, one.error) for one in found] == [
+        ("nearest-past", True, ""),
+        ("zero-velocity", False, ""),
+    ]
+    assert {one.conditions for one in found} == {("pose", "pose+gaze", "pose+head")}
+
+
 def test_what_a_package_prints_never_reaches_the_list_and_costs_no_memory(install, capfd):
     install("loud", "import sys\nfor _ in range(300): print('x' * 99_999)\nprint('y', file=sys.stderr)\n" + PLAIN)
     (loud,) = describe_adapters(["loud"], time_limit=_LIMIT)

@@ -68,7 +68,7 @@ class MethodSubject(ABC):
     @property
     @abstractmethod
     def limits(self) -> str:
-        """What it declares besides its conditions, in words."""
+        """Say what it declares besides its conditions."""
 
     @abstractmethod
     def learns(self, loaded: LoadedMethod) -> bool:

@@ -83,7 +83,7 @@ class PredictorSubject(MethodSubject):
 
     @property
     def limits(self) -> str:
-        """Whether its samples are one design."""
+        """Say whether its samples are one design."""
         return "its samples are one design" if self.declared.one_design else "fewer samples are a prefix of more"
 
     def learns(self, loaded: LoadedMethod) -> bool:
