@@ -16,7 +16,7 @@ from prbench.cli.builds import BuiltTable
 from prbench.cli.commands import Answer, command
 from prbench.cli.options import PATH, data_option, out_folder_option, replace_option, workers_option
 from prbench.cli.progress import progress
-from prbench.cli.run import MadeRun, run_answer
+from prbench.cli.run_answer import MadeRun, run_answer
 
 
 class MergedShards(msgspec.Struct, frozen=True, kw_only=True):

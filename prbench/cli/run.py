@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,84 +39,23 @@ from prbench.cli.options import (
     usual_number,
 )
 from prbench.cli.progress import progress
-from prbench.cli.shards import MadeShard, chosen_shard, shard_answer, shard_option
-from prbench.cli.summaries import (
-    DatasetScores,
-    dataset_scores,
-    print_agreement,
-    print_carried_on,
-    print_datasets,
-    print_methods_on_datasets,
-    print_scene,
-    print_sequence_scores,
-    print_summary,
-)
-from prbench.cli.table_two import ALL, TableTwoAnswer, run_table_two
+from prbench.cli.run_answer import RunAnswer, run_answer, shards_answer
+from prbench.cli.run_experiment import read_command_line
+from prbench.cli.shards import MadeShard, chosen_shard, shard_option
+from prbench.cli.table_two import ALL, run_table_two
 from prbench.engine.choice import LOCAL
 from prbench.errors import UsageError
-from prbench.rates_of_people import CarriedOn
 
 if TYPE_CHECKING:
     from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
-    from prbench.evaluation.benchmark import Benchmark
     from prbench.evaluation.request import RunRequest
     from prbench.evaluation.run import RunReport
     from prbench.runs import RunFolder
-    from prbench.runs.agreement import DatasetAgreement
     from prbench.shards import Shard
     from prbench.workflows.experiment import Experiment, ExperimentMethod
 
 _FIRST_RUN_WORKERS = 2
-_OF_AN_EXPERIMENT = ("benchmark", "method", "condition", "options", "control", "sequences", "minutes")
-"""Options whose place is in the file, where there is one."""
-
-
-class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
-    """One finished run.
-
-    Attributes:
-        folder: The run folder.
-        method: Name of the method.
-        origin: Where the method comes from, in words.
-        condition: What it was given.
-        seed: Seed of the run.
-        batches_found: Number of batches that an earlier call had left.
-        datasets: Scores of each dataset.
-        means: Mean of each metric over the datasets, each counting alike; without metrics that a dataset lacks, and
-            empty for a single dataset.
-        intervals: The two bounds of each mean's 95 % interval, where every dataset has one.
-        carried_on: Seams and halves of each dataset, where puts carry on from generated picks; empty for other runs.
-    """
-
-    folder: Path
-    method: str
-    origin: str
-    condition: str
-    seed: int
-    batches_found: int
-    datasets: list[DatasetScores]
-    means: dict[str, float]
-    intervals: dict[str, list[float]]
-    carried_on: list[CarriedOn]
-
-
-class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
-    """The runs of one command.
-
-    Attributes:
-        runs: The runs asked for, in their order.
-        companions: Runs of other methods that a first run is shown beside.
-        view: The picture, film or page, if one was asked for.
-        table_two: What ``--method all`` made; null for other methods.
-        shards: One entry for each run of which a shard was made, with ``--shard``; then there are no runs.
-    """
-
-    runs: list[MadeRun]
-    companions: list[MadeRun]
-    view: Path | None
-    table_two: TableTwoAnswer | None
-    shards: list[MadeShard] = []
 
 
 @command(
@@ -237,7 +176,7 @@ def run(
         raise UsageError("--with-controls: belongs to --method all or --condition all.")
     if config is None and given["method"] is None:
         raise UsageError("--method NAME is needed, or --config FILE. `prbench adapters list` shows the methods.")
-    repeated, experiment = _experiment(config, given)
+    repeated, experiment = read_command_line(config, given)
     if show_config:
         print(experiment.as_toml(), end="")
         return 0
@@ -285,80 +224,6 @@ def _refuse_with_all(**given: object) -> None:
             raise UsageError(f"--{option}: belongs to a run of one method under one condition; leave it out.")
 
 
-def _experiment(config: Path | None, given: Mapping[str, Any]) -> tuple[RunFolder | None, Experiment]:
-    """Turn the command line into an experiment; also return the run that it repeats, if it repeats one.
-
-    Raises:
-        UsageError: for an option whose place is in the file that was named.
-    """
-    from prbench.workflows.experiment import Experiment, ExperimentMethod, experiment_of_run, read_experiment, run_of
-
-    own = _said_on_the_command_line(given)
-    if config is None:
-        method = ExperimentMethod(
-            name=given["method"],
-            conditions=(given["condition"],) if given["condition"] else (),
-            weights=str(given["weights"]) if given["weights"] else None,
-            options=dict(given["options"]),
-            control=given["control"],
-        )
-        benchmark = {"benchmark": given["benchmark"]} if given["benchmark"] else {}
-        return None, msgspec.convert(
-            {"methods": [msgspec.to_builtins(method)], "sequences": given["sequences"], **own, **benchmark}, Experiment
-        )
-    for name in _OF_AN_EXPERIMENT:
-        if given.get(name):
-            option = name.removesuffix("s") if name in ("options", "sequences") else name
-            raise UsageError(f"--{option}: {config} says that already; write it there, or leave --config out.")
-    repeated = run_of(config)
-    if repeated is None:
-        experiment = read_experiment(config)
-        if given["weights"]:
-            raise UsageError(f"--weights: write them into {config}, beside the method that they belong to.")
-    else:
-        experiment = experiment_of_run(repeated, data=given["data"], weights=given["weights"])
-        own.pop("data", None)  # found by digest among the named ones
-    return repeated, msgspec.structs.replace(experiment, **own)
-
-
-_SHARED = (
-    "data",
-    "out",
-    "split",
-    "fold",
-    "limit",
-    "samples",
-    "best_of",
-    "carry_on",
-    "batch_size",
-    "device",
-    "threads",
-    "isolate",
-    "timeout",
-    "seed",
-    "protocol",
-)
-"""Options that all runs of an experiment share; their names are its keys, but for ``seeds``."""
-
-
-def _said_on_the_command_line(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of an experiment that the command line sets; defaults do not replace what a file says."""
-    context = click.get_current_context()
-    said = {
-        name: given[name]
-        for name in _SHARED
-        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-    }
-    if "data" in said:
-        said["data"] = tuple(str(folder) for folder in said["data"])
-    for name in ("out", "protocol"):
-        if name in said:
-            said[name] = str(said[name])
-    if "seed" in said:
-        said["seeds"] = (said.pop("seed"),)
-    return said
-
-
 def _run_all(
     experiment: Experiment,
     repeated: RunFolder | None,
@@ -386,7 +251,7 @@ def _run_all(
     if view is not None and len(requests) > 1:
         raise UsageError("--view: belongs to one run; `prbench view RUN RUN … --out FILE` shows several.")
     if shard is not None:
-        return _shard_answer([_generated_shard(request, shard, engine) for request in requests])
+        return shards_answer([_generated_shard(request, shard, engine) for request in requests])
     reports = [_generated(request, engine) for request in requests]
     if repeated is not None:
         _tell_repetition(repeated, reports[0].folder)
@@ -407,35 +272,6 @@ def _run_all(
             print(f"look at it: prbench view {reports[0].folder.path} {few}--out motions.png")
 
     return replace(answer, show=show)
-
-
-def run_answer(
-    reports: list[RunReport], companions: Sequence[RunReport] = (), *, view: Path | None = None, single: bool
-) -> Answer:
-    """Answer a command that has made runs.
-
-    Args:
-        reports: The runs asked for.
-        companions: Runs of other methods that a first run is shown beside.
-        view: The picture of the runs, if one was asked for.
-        single: The runs are of single sequences, whose scores are shown one by one.
-    """
-
-    def show() -> None:
-        for report in reports:
-            _print_run(report, single=single)
-        if companions:
-            _print_company([reports[0], *companions])
-        for report in reports:
-            print(f"run folder: {report.folder.path}")
-
-    answer = RunAnswer(
-        runs=[_made(report) for report in reports],
-        companions=[_made(report) for report in companions],
-        view=view,
-        table_two=None,
-    )
-    return Answer(answer, show)
 
 
 def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> MadeShard:
@@ -459,18 +295,6 @@ def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> MadeS
         planned=report.planned,
         taken_over=report.batches_found,
     )
-
-
-def _shard_answer(made: list[MadeShard]) -> Answer:
-    """Answer a command that has made one shard of each run."""
-    report = RunAnswer(runs=[], companions=[], view=None, table_two=None, shards=made)
-    answers = [shard_answer(report, each, unit="batches") for each in made]
-
-    def show() -> None:
-        for answer in answers:
-            answer.show()
-
-    return Answer(report, show)
 
 
 def _opened(choice: EngineChoice, experiment: Experiment) -> Engine:
@@ -608,92 +432,6 @@ def _view(out: Path, folder: Path, request: RunRequest, permission: tuple[str, .
     wanted = ViewRequest(out=out, runs=(folder,), data=data, sequences=request.sequences, permitted=permission)
     with progress(f"drawing {out.name}") as show:
         return tuple(view(wanted, show).notices)
-
-
-def _made(report: RunReport) -> MadeRun:
-    from prbench.runs.means import intervals_of_means, means_over_datasets, share_a_mean
-
-    record = report.folder.record
-    several = len(report.summaries) > 1 and share_a_mean(record.tables)
-    means = means_over_datasets(report.summaries) if several else {}
-    return MadeRun(
-        folder=report.folder.path,
-        method=record.method.name,
-        origin=record.method.origin,
-        condition=record.condition,
-        seed=record.seed,
-        batches_found=report.batches_found,
-        datasets=[
-            dataset_scores(summary, _agreement(report, summary.dataset), motionless=record.method.motionless)
-            for summary in report.summaries
-        ],
-        means={name: mean.mean for name, mean in means.items()},
-        intervals=intervals_of_means(means),
-        carried_on=_carried_on(report),
-    )
-
-
-def _carried_on(report: RunReport) -> list[CarriedOn]:
-    if not report.folder.record.carry_on:
-        return []
-    from prbench.runs.carry_on import read_carried_on
-
-    return [read_carried_on(report.folder.dataset(summary.dataset).path) for summary in report.summaries]
-
-
-def _agreement(report: RunReport, dataset: str) -> DatasetAgreement | None:
-    """Return the agreement with recorded people; None for a benchmark that has none."""
-    from prbench.runs.agreement import DatasetAgreement
-
-    files = report.folder.dataset(dataset)
-    return DatasetAgreement.read(files.path) if files.agreement.is_file() else None
-
-
-def _print_run(report: RunReport, *, single: bool) -> None:
-    if single:
-        print_sequence_scores(report.folder, _benchmark(report).metrics)
-        return
-    _print_scores(report)
-    print_carried_on(_carried_on(report))
-
-
-def _benchmark(report: RunReport) -> Benchmark:
-    from prbench.evaluation.benchmark import load_benchmark
-
-    return load_benchmark(report.folder.record.benchmark)
-
-
-def _print_scores(report: RunReport) -> None:
-    from prbench.runs.means import share_a_mean
-
-    method = report.folder.record.method
-    benchmark = _benchmark(report)
-    if len(report.summaries) > 1:
-        agreements = [_agreement(report, summary.dataset) for summary in report.summaries]
-        print_datasets(
-            report.summaries,
-            agreements,
-            origin=method.origin,
-            motionless=method.motionless,
-            metrics=benchmark.metrics,
-            one_mean=share_a_mean(report.folder.record.tables),
-        )
-        print_scene(report.summaries, agreements)
-        return
-    for summary in report.summaries:
-        print_summary(summary, origin=method.origin, motionless=method.motionless, metrics=benchmark.metrics)
-        agreement = _agreement(report, summary.dataset)
-        print_agreement(agreement)
-        print_scene([summary], [agreement])
-
-
-def _print_company(reports: list[RunReport]) -> None:
-    still = {shown.folder.record.method.name for shown in reports if shown.folder.record.method.motionless}
-    print_methods_on_datasets(
-        [shown.summaries for shown in reports],
-        origins=[shown.folder.record.method.origin for shown in reports],
-        motionless=frozenset(still),
-    )
 
 
 def _tell_limit(request: RunRequest) -> None:

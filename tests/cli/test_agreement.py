@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from prbench.cli import main
 from prbench.cli.agreement import AgreementsReport
-from prbench.cli.run import RunAnswer
+from prbench.cli.run_answer import RunAnswer
 from tests.cli.reports import reported
 from tests.fakes import fake_dataset
 

@@ -15,7 +15,7 @@ import pytest
 from prbench import errors
 from prbench.cli import main
 from prbench.cli.help import EXIT_CODES
-from prbench.cli.run import RunAnswer
+from prbench.cli.run_answer import RunAnswer
 from tests.fakes import fake_dataset
 from tests.parsing import all_commands, parsed
 

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from prbench.cli import main
-from prbench.cli.run import RunAnswer
+from prbench.cli.run_answer import RunAnswer
 from prbench.workflows.error_budget.report import ErrorBudgetReport
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset

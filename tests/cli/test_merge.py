@@ -10,7 +10,7 @@ from prbench.cli.build_windows import WindowsReport
 from prbench.cli.builds import BuildsReport
 from prbench.cli.main import main
 from prbench.cli.merge import MergedShards
-from prbench.cli.run import RunAnswer
+from prbench.cli.run_answer import RunAnswer
 from tests.cli.reports import refused, reported
 from tests.curation.sources import folder_bytes
 from tests.fakes import fake_dataset
