@@ -82,7 +82,7 @@ def _nearest_folder(path: Path) -> Path:
 
 
 def problems(facts: Mapping[str, Any], asked: Question, answered: float) -> list[str]:
-    """What makes a node unfit, each with what to do about it.
+    """Return what makes a node unfit, each with what to do about it.
 
     Args:
         facts: What the node answered.

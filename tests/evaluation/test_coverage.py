@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 
@@ -86,6 +88,7 @@ def test_values_of_the_simulation_have_the_mean_that_they_claim() -> None:
         assert totals.mean() == pytest.approx(1, abs=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.fuzz
+@pytest.mark.skipif("PRBENCH_FUZZ" not in os.environ, reason="takes a minute: set PRBENCH_FUZZ to run it")
 def test_the_whole_grid_is_as_promised(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(2_000) == 0, capsys.readouterr().out
