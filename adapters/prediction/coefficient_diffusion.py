@@ -19,6 +19,7 @@ from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.prediction.configuration import DiffusionConfiguration
 from prbench_adapters.prediction.denoiser import CoefficientDenoiser, PreparedCondition
 from prbench_adapters.prediction.encoder import ConditionEncoder
+from prbench_adapters.prediction.whitening import Whitening
 from prbench_adapters.prediction.window_dct import WindowDCT, padded
 
 _Noise = Callable[[], Float[Tensor, "windows samples coefficients values"]]
@@ -38,6 +39,8 @@ class CoefficientDiffusion(nn.Module):
         self.transform = WindowDCT(configuration.coefficients, configuration.observed, configuration.frames)
         self.encoder = ConditionEncoder(configuration) if configuration.encoder else None
         self.denoiser = CoefficientDenoiser(configuration)
+        sizes = (configuration.coefficients, configuration.values)
+        self.whitening = Whitening(*sizes) if configuration.whitened else None
         self.schedule = CosineSchedule(configuration.diffusion_steps)
 
     def condition(
@@ -63,11 +66,13 @@ class CoefficientDiffusion(nn.Module):
             kept: Which windows keep their condition; None if all do.
             gaze_valid: Which observed directions were measured (:func:`~.window_dct.padded`).
         """
-        clean = self.transform(motion)
         known = self.transform(padded(motion[:, : self.configuration.observed], motion.shape[1], gaze_valid))
         condition = self.condition(known)
+        clean = self.transform(motion)
         if self.configuration.residual:
             clean = clean - known
+        if self.whitening is not None:
+            clean = self.whitening(clean)
         level = torch.from_numpy(self.schedule.alphas_cumprod).to(clean)[step][:, None, None]
         noisy = level.sqrt() * clean + (1.0 - level).sqrt() * noise
         predicted = self.denoiser(noisy[:, None], step, self._prepared(condition, kept))
@@ -123,8 +128,18 @@ class CoefficientDiffusion(nn.Module):
         if self.configuration.residual:
             offset = known
         *_, state = self.states(known - offset, condition, noise, kept)
+        if self.whitening is not None:
+            state = self.whitening.inverse(state)
         final = state + offset[:, None]
         return self.transform.inverse(final)[:, :, configuration.observed :]
+
+    @torch.no_grad()
+    def residuals(
+        self, motion: Float[Tensor, "windows frames nodes 3"]
+    ) -> Float[Tensor, "windows coefficients values"]:
+        """Coefficients of the difference of whole windows to their padded observation, metres."""
+        known = padded(motion[:, : self.configuration.observed], motion.shape[1])
+        return self.transform(motion) - self.transform(known)
 
     @torch.no_grad()
     def states(
@@ -137,7 +152,7 @@ class CoefficientDiffusion(nn.Module):
         """Walk from noise to clean coefficients by DDIM (η = 0), completed by the observation after every step.
 
         Args:
-            known: Coefficients of the padded observation; zeros if residuals are diffused.
+            known: Coefficients of the padded observation, not whitened; zeros if residuals are diffused.
             condition: What :meth:`condition` has made of them.
             noise: Called once for the start and once a step, the noisiest first.
             kept: Which samples keep the condition vector; None if all do.
@@ -162,9 +177,21 @@ class CoefficientDiffusion(nn.Module):
             of_state = math.sqrt(cleaner / level)
             of_noise = math.sqrt(1.0 - cleaner) - of_state * math.sqrt(1.0 - level)
             state = of_state * state + of_noise * predicted
-            noisy_known = math.sqrt(cleaner) * known[:, None] + math.sqrt(1.0 - cleaner) * noise()
-            state = self.transform.completed(state, noisy_known)
+            state = self._completed(state, math.sqrt(cleaner) * known[:, None], math.sqrt(1.0 - cleaner) * noise())
             yield state
+
+    def _completed(
+        self,
+        state: Float[Tensor, "windows samples coefficients values"],
+        known: Float[Tensor, "windows #samples coefficients values"],
+        noise: Float[Tensor, "windows samples coefficients values"],
+    ) -> Float[Tensor, "windows samples coefficients values"]:
+        """Put back the observed frames, as noisy as the state is."""
+        if self.whitening is None:
+            return self.transform.completed(state, known + noise)
+        # Which frames are known is a matter of metres.
+        noisy_known = known + self.whitening.inverse(noise)
+        return self.whitening(self.transform.completed(self.whitening.inverse(state), noisy_known))
 
     def moves(self) -> Iterator[tuple[int, float, float]]:
         """Each step, the noisiest first: its index, ᾱ there, and ᾱ of the index that it leads to.

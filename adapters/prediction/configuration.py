@@ -71,6 +71,8 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
     √ᾱ ε - √(1 - ᾱ) x0 is for small networks."""
     residual: bool = False
     """Diffuse the difference to the padded observation in place of the coefficients themselves."""
+    whitened: bool = False
+    """Diffuse residuals as uncorrelated numbers of equal spread (:mod:`.whitening`); for small networks, too."""
     diffusion_steps: int = 1500
     sampling_steps: int = 100
     condition_kept: float = 0.9
@@ -103,6 +105,8 @@ class DiffusionConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
                 f"'sampling_steps' must divide the {self.diffusion_steps} diffusion steps and be fewer,"
                 f" found {self.sampling_steps}: with a remainder the noisiest steps would be left out"
             )
+        if self.whitened and not self.residual:
+            raise ValueError("'whitened' needs 'residual' true: only differences to the observation are whitened")
         if self.guidance != 1.0 and self.condition_kept_sampling != 1.0:
             raise ValueError("'guidance' other than 1 needs 'condition_kept_sampling' 1: both drop the condition")
 

@@ -45,7 +45,7 @@ STAGES_OF_BELFUSION = ("autoencoders", "diffusion")
 _Struct = TypeVar("_Struct", bound=msgspec.Struct)
 _TOGETHER = 64
 _MOST_WINDOWS = 4096
-"""Windows that the range of BeLFusion's codes is taken from, spread evenly over the training split."""
+"""Windows that statistics are taken from, spread evenly over the training split."""
 
 
 class Phases(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -135,7 +135,10 @@ def diffusion(request: Request) -> DiffusionTraining:
     record = DiffusionRecord(windows=seen, network=network)
     model = record.build()
     origin = _started(request, model, record)
-    return DiffusionTraining(request.name, record, model, request.course, origin)
+    module = DiffusionTraining(request.name, record, model, request.course, origin)
+    if model.whitening is not None and not origin:
+        model.whitening.take(torch.cat([model.residuals(motion) for motion in _motions(module, request.data)]))
+    return module
 
 
 def cvae(request: Request) -> CVAETraining:
@@ -224,7 +227,8 @@ def _take_ranges(module: BeLFusionTraining, data: WindowsDataset) -> None:
         getattr(model, f"{name}_max").copy_(values.amax(dim=0))
 
 
-def _motions(module: BeLFusionTraining, data: WindowsDataset) -> Iterator[torch.Tensor]:
+def _motions(module: DiffusionTraining | BeLFusionTraining, data: WindowsDataset) -> Iterator[torch.Tensor]:
+    """Yield windows of the training split, spread over it, each followed by its mirror."""
     places = data.spread(-(-_MOST_WINDOWS // len(data.tables)))
     for first in range(0, len(places), _TOGETHER):
         motion = module.shown(data.collate([data[place] for place in places[first : first + _TOGETHER]]))

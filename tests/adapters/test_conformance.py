@@ -58,12 +58,6 @@ class TestDartControl(BuiltInConformance):
     method = "dart"
     options: ClassVar = {"iterations": "1", "ddim-steps": "2", "guidance": "1"}
 
-    @pytest.mark.xfail(reason="steps with each primitive", strict=False)
-    def test_doctor(self) -> None:
-        # The doctor takes the step from each primitive of eight frames to the next for a clock that stumbles; it is a
-        # fault of the bundled weights (docs/methods/dart.md), seen in one of these four motions.
-        vars(AdapterConformance)["test_doctor"](self)
-
 
 @pytest.mark.slow
 class TestWANDR(BuiltInConformance):

@@ -51,7 +51,13 @@ def test_methods_are_ordered_and_references_are_not(report):
         "nearest past, head",
         "zero velocity",
         "constant velocity",
-    }
+        "CVAE",
+        "BeLFusion",
+        "HumanMAC",
+        "GazeMoDiff, no gaze",
+        "GazeMoDiff, head",
+        "GazeMoDiff",
+    }  # DLow answers with fifty futures only
     assert all(step.comparison.difference.mean >= 0 for step in order)
 
 
