@@ -10,6 +10,7 @@ from prbench.storage import file_digest
 from prbench_adapters.diffusion.bundled import bundled_names, bundled_weights
 from prbench_adapters.diffusion.model import MotionModel
 from prbench_adapters.pr.gaze.network import load_network
+from tests.adapters.cards import described
 
 GOALS = {
     "mdm-small": "none",
@@ -27,12 +28,7 @@ def test_the_methods_find_their_default_weights():
 
 @pytest.mark.parametrize("name", GOALS)
 def test_a_card_describes_its_weights(name):
-    path = bundled_weights(name)
-    card = json.loads(path.with_suffix(".json").read_text("utf-8"))
-    assert path.stat().st_size <= LARGEST
-    assert card["weights"] == path.name
-    assert card["weights_sha256"] == file_digest(path)
-    assert all(table["synthetic"] for table in card["data"])
+    card = described(bundled_weights(name), largest=LARGEST)
     assert card["learning_curve"][-1]["loss"] < card["learning_curve"][0]["loss"]
     assert card["evaluation"]
 

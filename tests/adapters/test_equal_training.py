@@ -7,11 +7,9 @@ import json
 import pytest
 
 from prbench.training.configuration import TrainingConfiguration, load_configuration
-from prbench_adapters.diffusion.bundled import bundled_names, bundled_weights
+from prbench_adapters.diffusion.bundled import bundled_weights
 
 COMPARED = ("mdm", "gmd", "dart", "wandr")
-OF_THE_FIRST_TRAINING = ("gmd", "dart")
-"""Methods whose bundled weights still are those of 0.8: pre-trained on a corpus, and trained less than P&R's."""
 
 
 def _small(method: str) -> TrainingConfiguration:
@@ -30,22 +28,11 @@ def test_small_networks_see_as_many_sequences_as_the_p_and_r_model_does(method):
         assert getattr(own.training, key) == getattr(theirs.training, key), key
 
 
-@pytest.mark.parametrize("name", ["pr-small-goal-pose", "wandr-small"])
+@pytest.mark.parametrize("name", ["pr-small-goal-pose", "mdm-small", "gmd-small", "dart-small", "wandr-small"])
 def test_bundled_weights_have_seen_what_those_of_p_and_r_have(name):
     theirs, own = _card("pr-small-goal-loc"), _card(name)
     assert [table["content_digest"] for table in own["data"]] == [table["content_digest"] for table in theirs["data"]]
     assert own["steps"] == theirs["steps"]
     for key in ("batch_size", "learning_rate", "warmup_steps", "ema"):
         assert own["configuration"]["training"][key] == theirs["configuration"]["training"][key], key
-    assert own["parameters"] == pytest.approx(theirs["parameters"], rel=0.1)
-
-
-@pytest.mark.parametrize("method", [method for method in OF_THE_FIRST_TRAINING if f"{method}-small" in bundled_names()])
-def test_cards_of_the_first_training_say_the_same(method):
-    before, after = _card(f"{method}-small-pretrained"), _card(f"{method}-small")
-    for own, other in ((before, _card("mdm-small-pretrained")), (after, _card("mdm-small"))):
-        seen, others = ({table["content_digest"] for table in card["data"]} for card in (own, other))
-        assert seen == others
-        assert own["parameters"] == pytest.approx(other["parameters"], rel=0.1)
-    assert (before["steps"], after["steps"]) == (6_000, 7_000)
-    assert after["initial_weights_sha256"] == before["weights_sha256"]
+    assert own["parameters"] == pytest.approx(theirs["parameters"], rel=0.15)  # as many as fit into a file

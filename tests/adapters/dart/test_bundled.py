@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,10 +17,10 @@ from prbench.methods.adapters import load_adapter
 from prbench.methods.motions import generate_checked
 from prbench.sequences import SequenceTable
 from prbench.skeleton import Joint
-from prbench.storage import file_digest
 from prbench.workflows.synthetic_table import Staging, synthetic_source
 from prbench_adapters.dart import adapter
 from prbench_adapters.dart.model import DartModel
+from tests.adapters.cards import described
 
 FOLDER = Path(adapter.__file__).with_name("weights")
 NAMES = ("dart-small", "dart-small-pretrained")
@@ -32,10 +31,10 @@ ITERATIONS = {Condition.GOAL_LOCATION: "100", Condition.GOAL_POSE: "40"}
 """The default for the one; for the other fewer."""
 QUICK = {"guidance": "1", "ddim-steps": "5"}
 """A quarter of the passes, for the sake of the suite's time."""
-NEAR = {Condition.GOAL_LOCATION: 0.05, Condition.GOAL_POSE: 0.4}
-"""Metres, by these iterations. Measured: at most 0.005 and 0.24."""
+NEAR = {Condition.GOAL_LOCATION: 0.05, Condition.GOAL_POSE: 0.2}
+"""Metres, by these iterations. Measured: at most 0.022 and 0.09."""
 FAR = 0.8
-"""Metres from one's own goal when led to another's, median. Measured: 1.02 and 1.28."""
+"""Metres from one's own goal when led to another's, median. Measured: 1.04 and 1.92."""
 
 pytestmark = pytest.mark.skipif(not (FOLDER / "dart-small.safetensors").is_file(), reason="no weights are bundled")
 
@@ -95,16 +94,9 @@ def test_weights_are_those_of_the_small_configuration(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_card_describes_its_weights(name):
-    path = FOLDER / f"{name}.safetensors"
-    card = json.loads(path.with_suffix(".json").read_text("utf-8"))
-    assert path.stat().st_size <= LARGEST
-    assert card["weights"] == path.name
-    assert card["weights_sha256"] == file_digest(path)
+    card = described(FOLDER / f"{name}.safetensors", largest=LARGEST)
     assert (card["method"], card["finished"]) == ("dart", True)
-    assert all(table["synthetic"] for table in card["data"])
 
 
-def test_the_default_are_the_fine_tuned_weights_and_they_name_what_they_began_with():
+def test_the_default_are_the_weights_that_know_prime_and_reach_sequences():
     assert adapter.load(None, options={}, device="cpu").weights == FOLDER / "dart-small.safetensors"
-    card = json.loads((FOLDER / "dart-small.json").read_text("utf-8"))
-    assert file_digest(FOLDER / "dart-small-pretrained.safetensors") in " ".join(card["learned_from"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,10 +17,10 @@ from prbench.methods.adapters import load_adapter
 from prbench.methods.motions import generate_checked
 from prbench.sequences import SequenceTable
 from prbench.skeleton import Joint
-from prbench.storage import file_digest
 from prbench.workflows.synthetic_table import Staging, synthetic_source
 from prbench_adapters.diffusion.bundled import own_weights
 from prbench_adapters.wandr import adapter
+from tests.adapters.cards import described
 
 FOLDER = Path(adapter.__file__).with_name("weights")
 NAMES = ("wandr-small", "wandr-small-pretrained")
@@ -76,13 +75,8 @@ def test_the_right_wrist_comes_nearer_to_its_goal_and_not_to_somebody_elses(held
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_card_describes_its_weights(name):
-    path = FOLDER / f"{name}.safetensors"
-    card = json.loads(path.with_suffix(".json").read_text("utf-8"))
-    assert path.stat().st_size <= LARGEST
-    assert card["weights"] == path.name
-    assert card["weights_sha256"] == file_digest(path)
+    card = described(FOLDER / f"{name}.safetensors", largest=LARGEST)
     assert (card["method"], card["finished"]) == ("wandr", True)
-    assert all(table["synthetic"] for table in card["data"])
     assert {entry["control"] for entry in card["evaluation"] if entry["method"] == "wandr"} == {None, "shuffled-goal"}
 
 
