@@ -4,10 +4,11 @@ Run from the repository's root, on an otherwise idle machine:
 
     python -m benchmarks.speed.bench_generation [--reference DIR]... [--threads 2] [--data TABLE]...
 
-``--reference`` names a checkout of github.com/GuyTevet/motion-diffusion-model (compared by sampling) or of
-github.com/korrawe/Diffusion-Noise-Optimization (compared by noise optimisation); give it twice for both. Theirs and
+``--reference`` names a checkout of github.com/GuyTevet/motion-diffusion-model (compared by sampling and training) or
+of github.com/korrawe/Diffusion-Noise-Optimization (compared by noise optimisation); give it twice for both. Theirs and
 ours then run in turn in this process: random weights, the same number of parameters, frames, sequences at once,
-guidance, text vectors and threads. Seconds are per sequence, the shortest of some repetitions.
+guidance, text vectors and threads. Seconds are per sequence, the shortest of some repetitions. Beside them stand the
+matrix products of our own work alone, which no way of writing it can go below.
 """
 
 from __future__ import annotations
@@ -29,9 +30,11 @@ from benchmarks.speed.generation_cases import (
     our_model,
     our_optimisation,
     our_sampling,
+    our_training,
     sentence,
     word_pieces,
 )
+from benchmarks.speed.matrix_products import products_of
 from benchmarks.speed.reference_checkout import Checkout
 from benchmarks.speed.timing import Row, print_rows
 from benchmarks.speed.training_data import time_training_data
@@ -54,6 +57,8 @@ def main() -> None:
                 time_sampling(problem, checkouts.get("MDM"), options.repeats, clock)
             if "optimisation" in options.jobs:
                 time_optimisation(problem, checkouts.get("DNO"), options.repeats, options.iterations, clock)
+            if "training" in options.jobs:
+                time_training(problem, checkouts.get("MDM"), options.repeats, clock)
     if "data" in options.jobs:
         time_training_data(options.data, batch_size=64)
 
@@ -66,6 +71,7 @@ def time_sampling(problem: Problem, reference: Checkout | None, repeats: int, cl
         "prbench, bfloat16": our_sampling(problem, precision="bfloat16"),
         "prbench, float32, two frames a token (another network)": our_sampling(problem, frames_per_token=2),
     }
+    jobs["its matrix products alone, float32"] = products_of(jobs["prbench, float32"])
     if reference is not None:
         theirs, sample = reference.sampling(problem)
         _require_equal_size(ours, theirs)
@@ -87,12 +93,29 @@ def time_optimisation(
     if reference is not None:
         theirs, searches["DNO's public code"] = reference.optimisation(problem)
         _require_equal_size(ours, theirs)
-    first = {name: lambda search=search: search(1) for name, search in searches.items()}
-    more = {f"{name}, more": lambda search=search: search(1 + iterations) for name, search in searches.items()}
+    first: dict[str, Work] = {name: lambda search=search: search(1) for name, search in searches.items()}
+    more: dict[str, Work] = {
+        f"{name}, more": lambda search=search: search(1 + iterations) for name, search in searches.items()
+    }
+    alone = "its matrix products alone, float32"
+    first[alone] = products_of(first["prbench, float32"])
+    more[f"{alone}, more"] = products_of(more["prbench, float32, more"])
     seconds = shortest(first | more, repeats, clock)
-    rows = [Row(name, (seconds[f"{name}, more"] - seconds[name]) / (iterations * problem.batch)) for name in searches]
+    rows = [Row(name, (seconds[f"{name}, more"] - seconds[name]) / (iterations * problem.batch)) for name in first]
     title = f"one guided iteration over {OPTIMISATION_STEPS} steps, {problem.frames} frames"
     _print(title, problem, ours, rows)
+
+
+def time_training(problem: Problem, reference: Checkout | None, repeats: int, clock: Clock) -> None:
+    """One training step of the decoder with DistilBERT's word pieces."""
+    ours = n_parameters(our_model(problem, "decoder", word_pieces()).denoiser)
+    jobs: dict[str, Work] = {"prbench, float32": our_training(problem)}
+    jobs["its matrix products alone, float32"] = products_of(jobs["prbench, float32"])
+    if reference is not None:
+        theirs, jobs["MDM's public code"] = reference.training(problem)
+        _require_equal_size(ours, theirs)
+    rows = [Row(name, seconds / problem.batch) for name, seconds in shortest(jobs, repeats, clock).items()]
+    _print(f"one training step, {problem.frames} frames", problem, ours, rows)
 
 
 def shortest(jobs: dict[str, Work], repeats: int, clock: Clock) -> dict[str, float]:
@@ -132,7 +155,7 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
-    parser.add_argument("--jobs", nargs="+", default=["sampling", "optimisation", "data"])
+    parser.add_argument("--jobs", nargs="+", default=["sampling", "optimisation", "training", "data"])
     parser.add_argument("--frames", type=int, default=150)
     parser.add_argument("--batch", type=int, nargs="+", default=[1, 8], help="sequences at once")
     parser.add_argument("--iterations", type=int, default=2)

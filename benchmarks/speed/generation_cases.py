@@ -141,6 +141,40 @@ def our_optimisation(problem: Problem, *, precision: Precision = "float32") -> C
     return optimise
 
 
+def our_training(problem: Problem) -> Callable[[], object]:
+    """One training step of the decoder with DistilBERT's word pieces: forward, squared error, backward, AdamW."""
+    model = our_model(problem, "decoder", word_pieces())
+    batch = _conditions(problem)
+    condition = model.encode(batch)
+    denoiser = model.denoiser.train().requires_grad_(True)
+    clean = random_features(problem)
+    steps = torch.zeros(problem.batch, dtype=torch.long, device=problem.device)
+    n_frames = torch.as_tensor(batch.n_frames)
+    return training_step(denoiser, lambda: denoiser(clean, steps, condition, n_frames), clean)
+
+
+def random_features(problem: Problem) -> torch.Tensor:
+    """The same motions for everybody, (batch, frames, 263)."""
+    generator = torch.Generator().manual_seed(2)
+    return torch.randn((problem.batch, problem.frames, 263), generator=generator).to(problem.device)
+
+
+def training_step(
+    network: torch.nn.Module, forward: Callable[[], torch.Tensor], clean: torch.Tensor
+) -> Callable[[], object]:
+    """Forward, mean squared error, backward and AdamW."""
+    optimiser = torch.optim.AdamW(network.parameters(), lr=1e-4)
+
+    def step() -> object:
+        optimiser.zero_grad(set_to_none=True)
+        loss = (forward() - clean).square().mean()
+        loss.backward()
+        optimiser.step()
+        return loss
+
+    return step
+
+
 def _conditions(problem: Problem) -> ConditionBatch:
     return ConditionBatch(
         condition=Condition.TEXT,

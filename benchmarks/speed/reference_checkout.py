@@ -27,7 +27,9 @@ from benchmarks.speed.generation_cases import (
     GUIDANCE,
     OPTIMISATION_STEPS,
     Problem,
+    random_features,
     sentence,
+    training_step,
     word_pieces,
 )
 
@@ -65,12 +67,8 @@ class Checkout:
 
     def sampling(self, problem: Problem) -> tuple[torch.nn.Module, Callable[[], object]]:
         """MDM: 50 guided DDPM steps of the decoder with DistilBERT's word pieces, and the joints."""
-        vectors = torch.from_numpy(word_pieces().vectors).to(problem.device)
-        tokens = vectors[:, None].repeat(1, problem.batch, 1)
-        unmasked = torch.zeros((problem.batch, len(tokens)), dtype=torch.bool, device=problem.device)
         with self._imports():
-            network = self._network(problem, arch="trans_dec", text_encoder_type="bert")
-            network.encode_text = lambda _: (tokens, unmasked)
+            network = self._decoder(problem)
             model = importlib.import_module("model.cfg_sampler").ClassifierFreeSampleModel(network)
             diffusion = importlib.import_module("utils.model_util").create_gaussian_diffusion(_OPTIONS)
             recover = importlib.import_module("data_loaders.humanml.scripts.motion_process").recover_from_ric
@@ -84,6 +82,31 @@ class Checkout:
             return recover(motion.permute(0, 2, 3, 1), 22)
 
         return network, sample
+
+    def training(self, problem: Problem) -> tuple[torch.nn.Module, Callable[[], object]]:
+        """MDM: one training step of the same network."""
+        with self._imports():
+            network = self._decoder(problem)
+        network.train()
+        clean = random_features(problem)
+        noisy = clean.permute(0, 2, 1)[:, :, None]
+        steps = torch.zeros(problem.batch, dtype=torch.long, device=problem.device)
+        mask = torch.ones((problem.batch, 1, 1, problem.frames), dtype=torch.bool, device=problem.device)
+        condition = self._condition(problem) | {"mask": mask}
+
+        def forward() -> torch.Tensor:
+            return network(noisy, steps, condition)[:, :, 0].permute(0, 2, 1)
+
+        return network, training_step(network, forward, clean)
+
+    def _decoder(self, problem: Problem) -> Any:
+        """MDM's decoder, which is given DistilBERT's word pieces."""
+        vectors = torch.from_numpy(word_pieces().vectors).to(problem.device)
+        tokens = vectors[:, None].repeat(1, problem.batch, 1)
+        unmasked = torch.zeros((problem.batch, len(tokens)), dtype=torch.bool, device=problem.device)
+        network = self._network(problem, arch="trans_dec", text_encoder_type="bert")
+        network.encode_text = lambda _: (tokens, unmasked)
+        return network
 
     def optimisation(self, problem: Problem) -> tuple[torch.nn.Module, Callable[[int], object]]:
         """DNO: guided iterations over 10 DDIM steps of the encoder with one sentence vector."""
