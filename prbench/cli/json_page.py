@@ -38,7 +38,7 @@ prbench adapters list static --json
 
 ```json
 {
-  "prbench": "0.9.0",
+  "prbench": "0.10.0",
   "command": "adapters list",
   "exit_code": 0,
   "notes": [],
@@ -47,7 +47,7 @@ prbench adapters list static --json
       {
         "name": "static",
         "package": "prbench",
-        "version": "0.9.0",
+        "version": "0.10.0",
         "target": "prbench_adapters.static:load",
         "problem": "",
         "details": null
