@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import fsspec
@@ -21,7 +20,6 @@ from prbench.object_stores.describe import describe
 from prbench.object_stores.inputs import fetched
 from prbench.object_stores.manifest import FINISHED, OWN_PREFIX, UNFINISHED, WORK_PREFIX
 from prbench.object_stores.store import ObjectStoreError, Store
-from prbench.object_stores.urls import StoreUrl
 from tests.fakes import fake_dataset
 from tests.object_stores.conftest import contents, local_contents, start_moto, use_server
 from tests.object_stores.test_outputs import publish
@@ -176,25 +174,54 @@ def _require_equal(url: str, folder: Path, *, varies: tuple[str, ...] = ("cost.j
     assert {name for name in here if here[name] != there[name]} <= set(varies)
 
 
-def _started(arguments: list[str], cache: Path) -> subprocess.Popen:
-    environment = {**os.environ, "PRBENCH_CACHE": str(cache), "PRBENCH_UPLOAD_SECONDS": "0.2"}
-    return subprocess.Popen(
-        [sys.executable, "-m", "prbench", *arguments], env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+def _environment(cache: Path) -> dict[str, str]:
+    return {**os.environ, "PRBENCH_CACHE": str(cache), "PRBENCH_UPLOAD_SECONDS": "0.2"}
+
+
+def _resume(arguments: list[str], cache: Path) -> str:
+    """Run the same command from a machine that has nothing of it, and return what it says."""
+    process = subprocess.run(
+        [sys.executable, "-m", "prbench", *arguments, "--json"],
+        env=_environment(cache),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
     )
+    assert process.returncode == 0, process.stdout
+    return process.stdout
 
 
-def _killed_once_it_has_uploaded(arguments: list[str], cache: Path, url: str, wanted: str) -> None:
-    """Start a command, and end it by SIGKILL when a file whose name begins so has been uploaded."""
-    process = _started(arguments, cache)
-    store = Store(StoreUrl.parse(url))
-    for _ in range(3000):
-        found = store.read(UNFINISHED, largest=2**20) or b'{"files": {}}'
-        if any(name.startswith(wanted) for name in json.loads(found)["files"]):
-            break
-        assert process.poll() is None, process.communicate()[0].decode()
-        time.sleep(0.02)
-    process.kill()
-    process.communicate()
+_KILLED = """
+import os, signal, sys, time
+from prbench.cli.main import main
+from prbench.engine import InProcess
+from prbench.object_stores.manifest import UNFINISHED
+from prbench.object_stores.store import Store
+
+begin, write, wanted = InProcess.map, Store.write, sys.argv[1].encode()
+
+def two_items(self, *work, **options):
+    for done, answer in enumerate(begin(self, *work, **options), start=1):
+        yield answer
+        if done == 2:
+            time.sleep(60)
+
+def killed_once_written(self, name, content):
+    write(self, name, content)
+    if name == UNFINISHED and b'"' + wanted in content.partition(b'"files"')[2]:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+InProcess.map, Store.write = two_items, killed_once_written
+sys.exit(main(sys.argv[2:]))
+"""
+"""A command that works on two items, waits, and is killed when a file whose name begins so has been uploaded."""
+
+
+def _kill_once_it_has_uploaded(wanted: str, arguments: list[str], cache: Path) -> None:
+    process = subprocess.run(
+        [sys.executable, "-c", _KILLED, wanted, *arguments], env=_environment(cache), capture_output=True, text=True
+    )
+    assert process.returncode == -signal.SIGKILL, process.stderr
 
 
 @pytest.mark.slow
@@ -204,11 +231,9 @@ def test_a_build_that_was_killed_goes_on_from_an_empty_cache(bucket, tmp_path):
     put_folder(recordings, f"{bucket}/adt")
     assert main(["build-dataset", "adt", "--root", str(recordings), "--out", str(tmp_path / "whole")]) == 0
     arguments = ["build-dataset", "adt", "--root", f"{bucket}/adt", "--out", f"{bucket}/table"]
-    _killed_once_it_has_uploaded(arguments, tmp_path / "first", f"{bucket}/table", WORK_PREFIX)
+    _kill_once_it_has_uploaded(WORK_PREFIX, arguments, tmp_path / "first")
     assert FINISHED not in contents(f"{bucket}/table")
-    resumed = _started([*arguments, "--json"], tmp_path / "second")
-    said = resumed.communicate()[0].decode()
-    assert resumed.returncode == 0, said
+    said = _resume(arguments, tmp_path / "second")
     assert "going on with what an interrupted command has uploaded" in said
     assert '"taken_over": 0' not in said
     _require_equal(f"{bucket}/table", tmp_path / "whole", varies=())
@@ -220,10 +245,8 @@ def test_a_run_that_was_killed_goes_on_from_an_empty_cache(bucket, tmp_path):
     fake_dataset(tmp_path / "table", 60)
     given = [*RUN, "--split", "train", "--batch-size", "1", "--data", str(tmp_path / "table"), "--out"]
     arguments = [*given, f"{bucket}/run"]
-    _killed_once_it_has_uploaded(arguments, tmp_path / "first", f"{bucket}/run", "predictions/")
-    resumed = _started([*arguments, "--json"], tmp_path / "second")
-    said = resumed.communicate()[0].decode()
-    assert resumed.returncode == 0, said
+    _kill_once_it_has_uploaded("predictions/", arguments, tmp_path / "first")
+    said = _resume(arguments, tmp_path / "second")
     assert '"batches_found": 0' not in said
     assert main([*given, str(tmp_path / "whole")]) == 0
     _require_equal(f"{bucket}/run", tmp_path / "whole")
