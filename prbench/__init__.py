@@ -18,6 +18,7 @@ except PackageNotFoundError:  # imported from a source tree that was never insta
 
 __all__ = [
     "Build",
+    "Cluster",
     "Comparison",
     "Event",
     "Events",

@@ -1,4 +1,5 @@
 from prbench.api import Build as Build
+from prbench.api import Cluster as Cluster
 from prbench.api import Comparison as Comparison
 from prbench.api import Event as Event
 from prbench.api import Events as Events

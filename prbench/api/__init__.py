@@ -5,11 +5,13 @@ list. Whatever a user can repair is raised as :class:`PrbenchError`, with the sa
 """
 
 from prbench.api.building import Build, SyntheticRecordings, build_dataset, synthesize
+from prbench.api.clusters import Cluster
 from prbench.api.comparing import Comparison, compare
 from prbench.api.events import Event, Events, Recording, Recordings, Story
 from prbench.api.measuring import Measures, measure
 from prbench.api.pictures import Picture, Replay
-from prbench.api.running import Run, open_run, run
+from prbench.api.running import run
+from prbench.api.runs import Run, open_run
 from prbench.api.scoring import Scores, score
 from prbench.api.sequences import Gaze, Goal, Head, Sequence
 from prbench.api.tables import Table, embedded_tables, open_table
@@ -18,6 +20,7 @@ from prbench.skeleton import Joint
 
 __all__ = [
     "Build",
+    "Cluster",
     "Comparison",
     "Event",
     "Events",

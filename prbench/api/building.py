@@ -17,6 +17,7 @@ from prbench.api.arguments import (
     output_folder,
     require_positive,
 )
+from prbench.api.clusters import Workers, engine_of
 from prbench.api.frames import frame_from_rows, notebook_table
 from prbench.api.progress import progress
 from prbench.api.tables import Table, open_table
@@ -133,7 +134,7 @@ def build_dataset(
     on_error: Literal["skip", "fail"] = "skip",
     poses: str | None = None,
     option: Mapping[str, object] | None = None,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Build:
     """Turn a dataset's recordings into a table of prime-and-reach sequences, as ``prbench build-dataset`` does.
 
@@ -159,8 +160,8 @@ def build_dataset(
         on_error: Go on without a recording that cannot be read (``skip``), or ``fail`` at once.
         poses: Where bodies come from, for example ``egoallo`` in place of ADT's suit.
         option: Options of the dataset's reader, by name.
-        workers: Processes to use; changes no result. A script that asks for several needs
-            ``if __name__ == "__main__":``.
+        workers: Processes to use, or a :class:`prbench.Cluster`; changes no result. A script that asks for several
+            processes needs ``if __name__ == "__main__":``.
 
     Returns:
         What was built; :attr:`Build.table` opens it.
@@ -169,12 +170,12 @@ def build_dataset(
         UsageError: for an unknown dataset or option.
         InputFileError: if there is nothing to read, or a recording cannot be read and ``on_error`` is ``fail``.
         StorageError: if ``out`` cannot be written, holds something else, or holds more than the new table would.
-        MissingExtraError: if meshes are asked for without the extra ``open3d``.
+        MissingExtraError: if meshes are asked for without the extra ``open3d``, or a cluster without ``ray``.
+        ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
     from prbench.curation import BuildOptions
     from prbench.curation import build_dataset as build
     from prbench.curation.options import CurationOptions
-    from prbench.engine import engine_for
     from prbench.own_protocol import read_protocol
 
     if dataset == _EVERYTHING:
@@ -182,7 +183,7 @@ def build_dataset(
             "dataset 'all' builds several tables: name one dataset, or run `prbench build-dataset all --root DIR --out"
             " DIR`."
         )
-    require_positive(max_recordings=max_recordings, workers=workers)
+    require_positive(max_recordings=max_recordings)
     if on_error not in ("skip", "fail"):
         raise UsageError(f"on_error: expected skip or fail, found '{on_error}'.")
     curation = CurationOptions(
@@ -206,13 +207,18 @@ def build_dataset(
         protocol=None if own is None else read_protocol(own),
         replace=replace,
     )
-    with output_folder(out) as folder, progress(f"building {dataset}") as show:
+    source = as_native_root(root, dataset)
+    with (
+        output_folder(out) as folder,
+        engine_of(workers, reads=(source,), writes=(folder,), packages=options.packages) as engine,
+        progress(f"building {dataset}") as show,
+    ):
         report = build(
             dataset,
-            as_native_root(root, dataset),
+            source,
             folder,
             options=options,
-            engine=engine_for(workers),
+            engine=engine,
             progress=lambda step: show(step.done, step.total, step.record.recording_id),
         )
     return Build(report)

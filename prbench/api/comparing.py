@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from prbench.api.arguments import PathLike, as_path, require_positive
 from prbench.api.frames import frame_from_rows, notebook_table
-from prbench.api.running import Run
+from prbench.api.runs import Run
 from prbench.api.scoring import Scores
 from prbench.api.tables import Table, table_folders
 from prbench.errors import UsageError

@@ -1,277 +1,35 @@
-"""A method over tables, scored: the command ``prbench run``, and the run folder that it leaves."""
+"""A method over tables, scored: the command ``prbench run``."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-from jaxtyping import Float
-
 from prbench.api.arguments import (
     PathLike,
-    as_native_root,
     as_optional_path,
     as_options,
-    as_path,
     as_texts,
     optional_output_folder,
     require_positive,
 )
+from prbench.api.clusters import Cluster, Workers, engine_of, local
 from prbench.api.conditions import condition_of
-from prbench.api.frames import frozen
-from prbench.api.pictures import Picture, Replay, picture_of, replay_of
 from prbench.api.progress import progress
-from prbench.api.scored import described, irrelevant_metrics, scores_for_notebook, scores_frame, summary_frame
+from prbench.api.runs import Run
 from prbench.api.tables import Table, embedded_tables, table_folders
 from prbench.benchmarks import find_benchmark
-from prbench.errors import RunError, UsageError
+from prbench.errors import UsageError
 from prbench.manifests import PROTOCOL_NAME
-from prbench.runs import DatasetSummary, Predictions, RunCost, RunFolder, RunRecord, read_scores
-from prbench.shown import html
 
 if TYPE_CHECKING:
-    import pandas as pd
-
-    from prbench.viewing.replay.scene import Scene
+    from prbench.engine import Engine
+    from prbench.evaluation.request import RunRequest
 
 _EVERYTHING = "all"
-
-
-class Run:
-    """A finished run: the motions of one method for one table or several, and their scores.
-
-    Make one with :func:`prbench.run` or :func:`prbench.open_run`.
-    """
-
-    def __init__(self, folder: RunFolder, data: tuple[Path, ...] = (), batches_found: int = 0) -> None:
-        self._folder = folder
-        self._data = data
-        self._batches_found = batches_found
-
-    @property
-    def folder(self) -> Path:
-        """The run folder."""
-        return self._folder.path
-
-    @property
-    def record(self) -> RunRecord:
-        """The content of ``run.json``: method, version, weights, condition, seed, tables, packages."""
-        return self._folder.record
-
-    @property
-    def method(self) -> str:
-        """Name of the method."""
-        return self.record.method.name
-
-    @property
-    def tables(self) -> tuple[Path, ...]:
-        """Folders of the tables that the method was run on; empty where the run was opened from its folder."""
-        return self._data
-
-    @property
-    def datasets(self) -> tuple[str, ...]:
-        """Names of the datasets that the method was run on."""
-        return tuple(table.dataset for table in self.record.tables)
-
-    @cached_property
-    def summaries(self) -> tuple[DatasetSummary, ...]:
-        """The content of each ``summary.json``, one a dataset.
-
-        Raises:
-            RunError: if the run is not finished.
-        """
-        return tuple(DatasetSummary.read(self._folder.dataset(name).path) for name in self.datasets)
-
-    @property
-    def summary(self) -> pd.DataFrame:
-        """One row a dataset and metric: ``mean`` over sequences with the interval from ``low`` to ``high``.
-
-        Rates lie between 0 and 1, lengths are in metres (column ``unit``). Metrics that say nothing of a method which
-        stands still are left out.
-
-        Raises:
-            RunError: if the run is not finished.
-        """
-        return summary_frame(self.summaries, self._irrelevant)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Remarks beside the scores, one line each: work taken over, crashes, names that are refused."""
-        notes = []
-        if self._batches_found:
-            notes.append(f"{self._batches_found} batches were taken over from an earlier run.")
-        for name in self.datasets:
-            path = self._folder.dataset(name).cost
-            crashes = sum(RunCost.read(path).restarts.values()) if path.is_file() else 0
-            if crashes:
-                times = "once" if crashes == 1 else f"{crashes} times"
-                notes.append(f"its program crashed {times} and was started again: {path}, restarts.")
-        return (*notes, *_claims(self.method))
-
-    def to_pandas(self) -> pd.DataFrame:
-        """Return one row a sequence, sample and metric.
-
-        Returns:
-            Columns ``sequence_id, dataset, sample, metric, value, flag``; rates are 0 or 1, lengths are in metres.
-
-        Raises:
-            RunError: if the run is not finished, or its scores cannot be read.
-        """
-        return scores_frame([read_scores(self._folder.dataset(name).scores) for name in self.datasets])
-
-    def motion(self, sequence_id: str, *, sample: int = 0) -> Float[np.ndarray, "n 22 3"]:
-        """Return the motion that the method made for one sequence.
-
-        Args:
-            sequence_id: The sequence's id, or a part of it that fits one sequence of the run only.
-            sample: Number of the motion, where the run drew several of each sequence.
-
-        Returns:
-            Joint positions, canonical frame of the sequence, metres; read-only.
-
-        Raises:
-            UsageError: if the run has no motion of such a sequence, or no such sample.
-            PredictionsError: if the run has no motions.
-        """
-        from prbench.sequences.table import find_sequence_id
-
-        self._require_motions()
-        if not 0 <= sample < self.record.samples:
-            raise UsageError(f"{self.folder}: expected a sample from 0 to {self.record.samples - 1}, found {sample}.")
-        opened = [Predictions.open(self._folder.dataset(name).predictions) for name in self.datasets]
-        known = sorted({name for predictions in opened for name in predictions.ids})
-        name = find_sequence_id(sequence_id, known, among=str(self.folder))
-        predictions = next(each for each in opened if (name, sample) in each)
-        return frozen(predictions.motions([name], sample).values.copy())
-
-    def plot(
-        self,
-        sequence: str | Iterable[str] = (),
-        *,
-        data: PathLike | Table | Iterable[PathLike | Table] = (),
-        limit: int | None = None,
-        sample: int = 0,
-        permission: str | Iterable[str] = (),
-        scene: PathLike | None = None,
-    ) -> Picture:
-        """Draw motions of the run beside the recorded ones, as ``prbench view`` does.
-
-        Args:
-            sequence: Ids of sequences, or parts that fit one sequence only; four sequences by default.
-            data: The table(s) of the run; not needed after :func:`prbench.run`, nor for prbench's own table.
-            limit: Another number of sequences, chosen as ``prbench run --limit`` does.
-            sample: Number of the motion, where the run drew several of each sequence.
-            permission: Datasets whose licensor has given you permission to pass recorded motion on.
-            scene: Your copy of the dataset: draws what stood around the bodies (needs the extra ``open3d``).
-
-        Returns:
-            The picture; a notebook shows it, :meth:`Picture.save` writes it.
-
-        Raises:
-            UsageError: if a sequence is unknown.
-            RunError: if the run has no motions, or ``data`` names another table than the run's.
-            TableError: if the run's table cannot be found.
-            RedistributionError: if nothing is left that the licence lets be shown.
-        """
-        return picture_of(self._scenes(sequence, data, limit, sample, permission, scene))
-
-    def replay(
-        self,
-        sequence: str | Iterable[str] = (),
-        *,
-        data: PathLike | Table | Iterable[PathLike | Table] = (),
-        limit: int | None = None,
-        sample: int = 0,
-        permission: str | Iterable[str] = (),
-        scene: PathLike | None = None,
-    ) -> Replay:
-        """Show motions of the run beside the recorded ones in 3-D, to turn and play.
-
-        Args:
-            sequence: See :meth:`plot`.
-            data: See :meth:`plot`.
-            limit: See :meth:`plot`.
-            sample: See :meth:`plot`.
-            permission: See :meth:`plot`.
-            scene: See :meth:`plot`.
-
-        Returns:
-            The replay; a notebook shows it, :meth:`Replay.save` writes it.
-
-        Raises:
-            MissingExtraError: if the extra ``view`` is not installed.
-            UsageError: if a sequence is unknown.
-            RunError: if the run has no motions, or ``data`` names another table than the run's.
-            TableError: if the run's table cannot be found.
-            RedistributionError: if nothing is left that the licence lets be shown.
-        """
-        return replay_of(self._scenes(sequence, data, limit, sample, permission, scene))
-
-    def _scenes(
-        self,
-        sequence: str | Iterable[str],
-        data: PathLike | Table | Iterable[PathLike | Table],
-        limit: int | None,
-        sample: int,
-        permission: str | Iterable[str],
-        scene: PathLike | None,
-    ) -> tuple[Scene, ...]:
-        from prbench.workflows.view import ViewRequest, scenes_of
-
-        self._require_motions()
-        require_positive(limit=limit)
-        request = ViewRequest(
-            out=Path("notebook.png"),  # never written
-            runs=(self.folder,),
-            data=table_folders(data) or self._data,
-            sequences=as_texts(sequence),
-            limit=limit,
-            sample=sample,
-            permitted=as_texts(permission),
-            scene=None if scene is None else as_native_root(scene),
-        )
-        return scenes_of(request)
-
-    def _require_motions(self) -> None:
-        """Refuse a run whose answers are no motions of a sequence.
-
-        Raises:
-            RunError: naming the benchmark.
-        """
-        if not find_benchmark(self.record.benchmark).default:
-            raise RunError(
-                f"{self.folder}: is a run of {self.record.benchmark}, whose answers cannot be shown here yet; its"
-                " scores can."
-            )
-
-    @property
-    def _irrelevant(self) -> frozenset[str]:
-        return irrelevant_metrics(motionless=self.record.method.motionless)
-
-    def __repr__(self) -> str:
-        if not all(self._folder.dataset(name).finished for name in self.datasets):
-            return f"<Run of {self.method}, not finished, {self.folder}>"
-        return f"<Run of {described(self.summaries)}, {self.folder}>"
-
-    def _repr_html_(self) -> str:
-        shown = scores_for_notebook(self.summaries, self._irrelevant, origin=self.record.method.origin)
-        lines = [*self.notes, f"run folder: {self.folder}"]
-        return shown + "".join(f"<p>{html(line)}</p>" for line in lines)
-
-
-def _claims(method: str) -> list[str]:
-    """Name the packages that offer a method under a name that belongs to prbench; theirs is never run."""
-    from prbench.methods.installed import list_adapters
-
-    return [
-        f"{adapter.package} {adapter.version} is not used: {adapter.problem}."
-        for adapter in list_adapters()
-        if adapter.name == method and adapter.problem
-    ]
 
 
 def run(
@@ -298,7 +56,7 @@ def run(
     isolate: bool = False,
     timeout: float | None = None,
     protocol: PathLike | None = None,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Run:
     """Run a method over tables and score what it generates, as ``prbench run`` does.
 
@@ -334,8 +92,8 @@ def run(
         isolate: Run the method in a process that is given neither paths, objects nor environment.
         timeout: Seconds for each batch of a program or an isolated method; 600 by default.
         protocol: Your own ``protocol.toml``, stamped into the run; by default prbench's.
-        workers: Processes to use; changes no result. A script that asks for several needs
-            ``if __name__ == "__main__":``.
+        workers: Processes to use, or a :class:`prbench.Cluster`; changes no result. A script that asks for several
+            processes needs ``if __name__ == "__main__":``.
 
     Returns:
         The finished run.
@@ -346,8 +104,8 @@ def run(
         TableError: if a table is missing, empty, edited or of an unknown version.
         RunError: if the run folder belongs to another run.
         StorageError: if the run folder cannot be written.
+        ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
-    from prbench.engine import engine_for
     from prbench.evaluation.request import RunRequest
     from prbench.evaluation.run import run_method
     from prbench.workflows import first_run
@@ -356,14 +114,14 @@ def run(
     if (split == "participants") != (fold is not None):
         raise UsageError("split 'participants' and fold 'K/N' belong together.")
     require_positive(limit=limit, threads=threads, samples=samples, best_of=best_of)
-    require_positive(batch_size=batch_size, workers=workers)
+    require_positive(batch_size=batch_size)
     sequences = as_texts(sequence)
     folders = table_folders(data)
     about = find_benchmark(benchmark)
     if not folders and not about.default:
         raise UsageError(f"data: {benchmark} has no embedded tables; `{about.build}` makes one.")
     if not folders:
-        folders = table_folders(embedded_tables(workers=workers))
+        folders = table_folders(embedded_tables(workers=local(workers)))
         if not sequences:
             limit = limit or first_run.SEQUENCES
             batch_size = batch_size or first_run.BATCH_SIZE
@@ -391,14 +149,35 @@ def run(
     )
     if condition is not None:
         request = replace(request, condition=condition_of(condition) if about.default else str(condition))
-    with optional_output_folder(out) as folder, progress(f"running {request.method_label}") as show:
+    with (
+        optional_output_folder(out) as folder,
+        _engine(workers, request, folder) as engine,
+        progress(f"running {request.method_label}") as show,
+    ):
         report = run_method(
             replace(request, out=folder),
-            engine=engine_for(workers),
+            engine=engine,
             progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
         )
     # A fold stands in prbench's cache, where the run finds its own.
     return Run(report.folder, () if fold is not None else folders, report.batches_found)
+
+
+def _engine(workers: Workers, request: RunRequest, out: Path | None) -> AbstractContextManager[Engine]:
+    """Open the engine of a run; every node of a cluster needs the tables, the run folder and the method."""
+    if not isinstance(workers, Cluster):
+        return engine_of(workers)
+    from prbench.evaluation.preparation import DEFAULT_PARENT
+    from prbench.methods.installed import packages_of
+
+    files = [path for path in (request.weights, Path(request.method)) if path is not None and path.exists()]
+    return engine_of(
+        workers,
+        threads=request.threads,
+        reads=(*request.data, *files),
+        writes=(out or DEFAULT_PARENT / "run",),
+        packages=packages_of((request.method,), find_benchmark(request.benchmark).entry_points),
+    )
 
 
 def _require_one(method: str, condition: str | None) -> None:
@@ -412,18 +191,3 @@ def _require_one(method: str, condition: str | None) -> None:
             "'all' stands for many runs: name one method and one condition, or run `prbench run --method all` for the"
             " rows of the study's Table 2."
         )
-
-
-def open_run(path: PathLike) -> Run:
-    """Open a run folder.
-
-    Args:
-        path: The folder that ``prbench run --out`` or :func:`prbench.run` wrote.
-
-    Returns:
-        The run. Its scores are there once it is finished.
-
-    Raises:
-        RunError: if the folder holds no run, or a damaged one.
-    """
-    return Run(RunFolder.open(as_path(path), any_benchmark=True))

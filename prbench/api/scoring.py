@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from prbench.api.arguments import PathLike, as_optional_path, as_path, optional_output_folder, require_positive
+from prbench.api.clusters import Workers, engine_of
 from prbench.api.conditions import condition_of
 from prbench.api.progress import progress
 from prbench.api.scored import described, irrelevant_metrics, scores_for_notebook, scores_frame, summary_frame
@@ -91,7 +92,7 @@ def score(
     allow_length_mismatch: bool = False,
     protocol: PathLike | None = None,
     out: PathLike | None = None,
-    workers: int = 1,
+    workers: Workers = 1,
 ) -> Scores:
     """Score finished motions against the recorded ones, as ``prbench score`` does.
 
@@ -118,8 +119,8 @@ def score(
         allow_length_mismatch: Score motions of another length than the recorded one.
         protocol: Your own ``protocol.toml``; by default that of the run, else prbench's.
         out: Write ``scores.parquet``, ``summary.json`` and so on there; nothing is written without it.
-        workers: Processes to use; changes no result. A script that asks for several needs
-            ``if __name__ == "__main__":``.
+        workers: Processes to use, or a :class:`prbench.Cluster`; changes no result. A script that asks for several
+            processes needs ``if __name__ == "__main__":``.
 
     Returns:
         The scores.
@@ -131,11 +132,11 @@ def score(
         RunError: if a run folder belongs to another table.
         TableError: if a table is missing, empty, edited or of an unknown version.
         StorageError: if ``out`` cannot be written.
+        ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
-    from prbench.engine import engine_for
     from prbench.submitted.score_predictions import ScoreRequest, score_predictions
 
-    require_positive(limit=limit, max_frames=max_frames, workers=workers)
+    require_positive(limit=limit, max_frames=max_frames)
     given = _given(motions) if isinstance(motions, Mapping) else None
     request = ScoreRequest(
         predictions=_IN_MEMORY if isinstance(motions, Mapping) else as_path(motions),
@@ -152,11 +153,12 @@ def score(
         allow_length_mismatch=allow_length_mismatch,
         protocol=as_optional_path(protocol),
     )
-    with optional_output_folder(out) as folder, progress("scoring") as show:
+    read = (*request.data, *(() if given else (request.predictions,)))
+    with optional_output_folder(out) as folder, engine_of(workers, reads=read) as engine, progress("scoring") as show:
         reports = score_predictions(
             replace(request, out=folder),
             given=given,
-            engine=engine_for(workers),
+            engine=engine,
             progress=lambda step: show(step.done, step.total, step.dataset),
         )
     return Scores(reports, folder)

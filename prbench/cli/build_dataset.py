@@ -155,7 +155,7 @@ def build_dataset(
         from prbench.errors import UsageError
 
         raise UsageError("--out DIR is needed: the folder of the table. (--dry-run does without.)")
-    where = _opened(engine, root, out, chosen)
+    where = opened(engine, reads=(root,), writes=(out,), packages=chosen.packages)
     if part is not None:
         return _build_shard(dataset, root, out, part, chosen, where)
     if dataset == EVERYTHING:
@@ -195,12 +195,6 @@ def _plan(dataset: str, root: Path, options: BuildOptions, workers: int) -> Answ
             print_plan(plan, unfit="bad")
 
     return Answer(BuildsReport(built=[], not_built=[], planned=plans), show)
-
-
-def _opened(choice: EngineChoice, root: Path, out: Path, options: BuildOptions) -> Engine:
-    """Open the engine; where meshes are read, every node needs what reads them."""
-    meshes = dict(options.reader).get("meshes") == "true"
-    return opened(choice, reads=(root,), writes=(out,), packages=("open3d",) if meshes else ())
 
 
 def _build_one(dataset: str, root: Path, out: Path, options: BuildOptions, engine: Engine) -> Answer:

@@ -300,7 +300,7 @@ def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> MadeS
 def _opened(choice: EngineChoice, experiment: Experiment) -> Engine:
     """Open the engine; on a cluster every node needs the tables, the run folder, and what the methods are made of."""
     from prbench.evaluation.preparation import DEFAULT_PARENT
-    from prbench.methods.installed import list_adapters
+    from prbench.methods.installed import packages_of
     from prbench.workflows.first_run import default_folder
 
     first_run = not experiment.data
@@ -312,8 +312,7 @@ def _opened(choice: EngineChoice, experiment: Experiment) -> Engine:
     for method in experiment.methods:
         reads += [Path(text) for text in (method.weights, method.name) if text and Path(text).exists()]
     names = {method.name for method in experiment.methods}
-    installed = list_adapters(_group(experiment)) if choice.name != LOCAL else []
-    packages = [each.package for each in installed if each.name in names and not (each.built_in or each.problem)]
+    packages = packages_of(names, _group(experiment)) if choice.name != LOCAL else ()
     return opened(
         choice,
         usual=_FIRST_RUN_WORKERS if first_run else 1,

@@ -170,6 +170,11 @@ class BuildOptions:
     replace: bool = False
     """Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
 
+    @property
+    def packages(self) -> tuple[str, ...]:
+        """Distributions that reading needs beside prbench's own."""
+        return ("open3d",) if dict(self.reader).get("meshes") == "true" else ()
+
 
 NO_OPTIONS = BuildOptions()
 """Every recording, curated by the defaults."""

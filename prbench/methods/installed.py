@@ -46,6 +46,17 @@ def offered_twice(adapters: Iterable[InstalledAdapter]) -> frozenset[str]:
     return frozenset(name for name in names if names.count(name) > 1)
 
 
+def packages_of(names: Collection[str], entry_points: str = ADAPTERS) -> tuple[str, ...]:
+    """Return the distributions that offer some methods, without prbench itself.
+
+    Args:
+        names: Of methods; those that are not installed are passed over.
+        entry_points: See :func:`list_adapters`.
+    """
+    installed = list_adapters(entry_points)
+    return tuple(each.package for each in installed if each.name in names and not (each.built_in or each.problem))
+
+
 def entry_points_of(group: str) -> Iterator[EntryPoint]:
     """Yield the readable entry points of a group, but none whose name belongs to prbench."""
     for entry in installed_entries(group):

@@ -29,8 +29,11 @@ _AT_RANDOM = (
     "run --out",
     "run --out, a shard",
     "merge --out, of a run",
+    "train --out",
 )
 """Commands that are killed at random moments; :data:`ONLY` chooses others."""
+_AT_RANDOM_AT_NIGHT = (*_AT_RANDOM, "run --method all --out")
+"""The same where a number of kills is asked for."""
 _STRIDE = 37
 """Commands begin at different places, so that a few kills see different moments."""
 _ONLY_ONCE = 3
@@ -59,10 +62,12 @@ def check_at_random(folder: Path) -> int:
         How many kills hit.
     """
     pa.set_cpu_count(1)
-    wanted_kills = int(os.environ.get(KILLS, _FEW_KILLS))
+    asked = os.environ.get(KILLS)
+    wanted_kills = int(asked or _FEW_KILLS)
+    usual = _AT_RANDOM_AT_NIGHT if asked else _AT_RANDOM
     chance = random.Random(int(os.environ.get(SEED, "0")))
     only = os.environ.get(ONLY)
-    chosen = [each for each in WRITING if (only in each.name if only else each.name in _AT_RANDOM)]
+    chosen = [each for each in WRITING if (only in each.name if only else each.name in usual)]
     inputs = Inputs.make(folder / "inputs", heavy=any(writing.heavy for writing in chosen))
     hits = 0
     for number, writing in enumerate(chosen):

@@ -23,7 +23,7 @@ def test_every_command_that_writes_is_killed_before_some_of_its_file_operations(
 
 @pytest.mark.fuzz
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="crashes are tried in forked processes")
-def test_builds_runs_shards_and_merges_are_killed_at_random_moments(tmp_path: Path) -> None:
+def test_builds_runs_shards_merges_and_trainings_are_killed_at_random_moments(tmp_path: Path) -> None:
     assert tried_by("tests.cli.killed_commands", tmp_path, check="check_at_random") >= 12
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+import prbench
 from prbench.cli.main import main
 from prbench.curation import build_from_sources
 from prbench.engine.cluster import Rules
@@ -23,29 +24,16 @@ from prbench.engine.nodes import Needs
 from prbench.engine.on_ray import RayEngine
 from prbench.errors import ClusterError, InputFileError, MemoryFullError
 from tests.curation.sources import folder_bytes, some_sources
-from tests.engine.local_cluster import ROOT, local_cluster
+from tests.engine.local_cluster import ROOT
 from tests.engine.work import Hanging, Short, fail_on_three, first_and_last, where
 from tests.fakes import fake_dataset
 
-ray = pytest.importorskip("ray", reason="Ray is not installed (pip install -c constraints.txt -e '.[ray]')")
+pytest.importorskip("ray", reason="Ray is not installed (pip install -c constraints.txt -e '.[ray]')")
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif("PYTEST_XDIST_WORKER" in os.environ, reason="they share one cluster: run this file with -n 0"),
     pytest.mark.skipif(sys.platform == "win32", reason="clusters of several nodes on one machine need Linux or macOS"),
 ]
-
-
-@pytest.fixture(scope="session")
-def cluster():
-    with local_cluster(2) as started:
-        yield started
-
-
-@pytest.fixture(scope="session")
-def connected(cluster):
-    ray.init(address=cluster.address, log_to_driver=False, logging_level="ERROR")
-    yield cluster
-    ray.shutdown()
 
 
 @pytest.fixture(scope="session")
@@ -143,17 +131,8 @@ def test_a_build_during_which_a_node_is_killed_has_the_bytes_of_one_in_one_proce
 
 def test_a_run_and_its_scores_have_the_bytes_of_one_process(connected, tmp_path, capsys):
     fake_dataset(tmp_path / "table", 24)
-    common = (
-        "run",
-        "--method",
-        "static",
-        "--condition",
-        "none",
-        "--data",
-        str(tmp_path / "table"),
-        "--batch-size",
-        "4",
-    )
+    table = tmp_path / "table"
+    common = ("run", "--method", "static", "--condition", "none", "--data", str(table), "--batch-size", "4")
     assert main([*common, "--out", str(tmp_path / "one")]) == 0
     assert main([*common, "--out", str(tmp_path / "two"), "--engine", "ray", "--address", connected.address]) == 0
     different = {"cost.json"}  # seconds and memory
@@ -163,6 +142,15 @@ def test_a_run_and_its_scores_have_the_bytes_of_one_process(connected, tmp_path,
     )
     assert one == two
     assert "running static: 6/6 score" in capsys.readouterr().err
+
+
+def test_python_runs_and_scores_on_a_cluster(connected, tmp_path):
+    cluster = prbench.Cluster(connected.address)
+    table = fake_dataset(tmp_path / "table", 24).folder
+    one = prbench.run("static", condition="none", data=table, out=tmp_path / "one", batch_size=4)
+    two = prbench.run("static", condition="none", data=table, out=tmp_path / "two", batch_size=4, workers=cluster)
+    assert two.to_pandas().equals(one.to_pandas())
+    assert prbench.score(two.folder, table, workers=cluster).to_pandas().equals(one.to_pandas())
 
 
 _DRIVER = """

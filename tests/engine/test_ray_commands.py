@@ -1,0 +1,55 @@
+"""Nightly: each command that takes ``--engine ray`` writes on two nodes what it writes in one process."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import pytest
+
+from tests.parsing import all_commands
+from tests.writing import WRITING, Inputs, run
+
+pytest.importorskip("ray", reason="Ray is not installed (pip install -c constraints.txt -e '.[ray]')")
+pytestmark = [
+    pytest.mark.fuzz,
+    pytest.mark.skipif("PRBENCH_FUZZ" not in os.environ, reason="takes minutes: set PRBENCH_FUZZ to run it"),
+    pytest.mark.skipif("PYTEST_XDIST_WORKER" in os.environ, reason="they share one cluster: run this file with -n 0"),
+    pytest.mark.skipif(sys.platform == "win32", reason="clusters of several nodes on one machine need Linux or macOS"),
+]
+
+_NAMES = {
+    "build-dataset --out",
+    "build-dataset all --out",
+    "build-dataset --out, a shard",
+    "build-windows --out",
+    "build-corpus --out",
+    "run --out",
+    "run --out, a shard",
+    "run --method all --out",
+    "score --out",
+    "train --out",
+}
+CASES = [writing for writing in WRITING if writing.name in _NAMES]
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    return Inputs.make(tmp_path_factory.mktemp("inputs"))
+
+
+@pytest.mark.parametrize("writing", CASES, ids=lambda each: each.name)
+def test_a_command_writes_on_two_nodes_what_it_writes_in_one_process(writing, connected, inputs, tmp_path):
+    results = []
+    for name, engine in (("one", ()), ("two", ("--engine", "ray", "--address", connected.address))):
+        folder = tmp_path / name
+        folder.mkdir()
+        run(folder, *writing.arguments(inputs, folder / writing.result), *engine, expected=writing.exit_code)
+        results.append(writing.same(folder))
+    assert results[0] == results[1]
+
+
+def test_no_command_that_takes_an_engine_is_forgotten():
+    taking = {name for name, command in all_commands().items() if any("--engine" in p.opts for p in command.params)}
+    assert len(CASES) == len(_NAMES)
+    assert {writing.name.split()[0] for writing in CASES} == taking
