@@ -97,17 +97,25 @@ class RayEngine:
 
     def _connected(self) -> Staff:
         if self._staff is None:
-            ray = _import_ray(self._address)
-            with _sigterm_noted():
-                _connect(ray, self._address, self._undo)  # which puts a handler there that leaves at once
-            stop = self._undo.enter_context(_sigterm_noted())
-            cluster = RayCluster(ray, *self._resources, needs=self._needs, tell=self._tell, stop=stop)
-            cluster.require_fit()
-            staff = Staff(cluster, self._rules, self._tell)
-            # Last in, first out: workers end before the Ray that they belong to.
-            self._undo.callback(lambda: staff.dismiss(staff.workers))
-            self._staff = staff
+            try:
+                self._staff = self._hired()
+            except BaseException:
+                self.close()
+                raise
         return self._staff
+
+    def _hired(self) -> Staff:
+        """Connect, check every node, and make ready for workers."""
+        ray = _import_ray(self._address)
+        with _sigterm_noted():
+            _connect(ray, self._address, self._undo)  # which puts a handler there that leaves at once
+        stop = self._undo.enter_context(_sigterm_noted())
+        cluster = RayCluster(ray, *self._resources, needs=self._needs, tell=self._tell, stop=stop)
+        cluster.require_fit()
+        staff = Staff(cluster, self._rules, self._tell)
+        # Last in, first out: workers end before the Ray that they belong to.
+        self._undo.callback(lambda: staff.dismiss(staff.workers))
+        return staff
 
 
 class RayCluster:

@@ -92,7 +92,7 @@ class _Work:
         assert self.process is not None
         until = time.monotonic() + _ENDS_WITHIN_S
         while self.process.poll() is None and time.monotonic() < until:
-            if self.steps() > steps and _workers():
+            if self.steps() > steps and workers():
                 return True
             time.sleep(0.05)
         return False
@@ -152,11 +152,11 @@ def _kill_during(
             found.late += 1
             return
         if victim == "worker":
-            workers = _workers()
-            if not workers:
+            there = workers()
+            if not there:
                 found.late += 1
                 continue
-            chance.choice(workers).kill()
+            chance.choice(there).kill()
         elif victim == "node":
             cluster.kill_node()
             with contextlib.suppress(Exception):  # a busy machine may not start it in the time that Ray gives
@@ -168,8 +168,8 @@ def _kill_during(
         found.killed[victim] += 1
 
 
-def _workers() -> list[psutil.Process]:
-    """The workers of our own cluster, whose nodes are children of this process."""
+def workers() -> list[psutil.Process]:
+    """Return the workers of our own cluster, whose nodes are children of this process."""
     found = []
     for process in psutil.Process().children(recursive=True):
         try:

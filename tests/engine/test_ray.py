@@ -13,7 +13,6 @@ import threading
 import time
 from pathlib import Path
 
-import psutil
 import pytest
 
 import prbench
@@ -25,6 +24,7 @@ from prbench.engine.on_ray import RayEngine
 from prbench.errors import ClusterError, InputFileError, MemoryFullError
 from tests.curation.sources import folder_bytes, some_sources
 from tests.engine.local_cluster import ROOT
+from tests.engine.ray_kills import workers
 from tests.engine.work import Hanging, Short, fail_on_three, first_and_last, where
 from tests.fakes import fake_dataset
 
@@ -166,7 +166,7 @@ sys.exit(main(["build-dataset", "adt", "--root", ".", "--out", *sys.argv[1:2], "
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
 def test_a_driver_that_is_asked_to_stop_ends_its_workers_and_keeps_what_is_finished(connected, tmp_path, number, code):
-    before = _workers()
+    before = _numbers()
     process = subprocess.Popen(
         [sys.executable, "-c", _DRIVER, str(tmp_path / "out"), "--address", connected.address],
         cwd=ROOT, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
@@ -181,12 +181,11 @@ def test_a_driver_that_is_asked_to_stop_ends_its_workers_and_keeps_what_is_finis
     assert "Traceback" not in said
     assert len(list((tmp_path / ".out.work").glob("*/receipt.json"))) >= 1
     until = time.monotonic() + 10
-    while _workers() - before and time.monotonic() < until:
+    while _numbers() - before and time.monotonic() < until:
         time.sleep(0.2)
-    assert _workers() <= before
+    assert _numbers() <= before
 
 
-def _workers() -> set[int]:
-    """Process numbers of all workers on this machine, those of the tests before included."""
-    processes = psutil.process_iter(["pid", "cmdline"])
-    return {each.info["pid"] for each in processes if (each.info["cmdline"] or [""])[0].startswith("ray::RayWorker")}
+def _numbers() -> set[int]:
+    """Process numbers of all workers, those of the tests before included."""
+    return {worker.pid for worker in workers()}
