@@ -123,10 +123,10 @@ class Command(click.Command):
         """Run the command on local copies of what lies at URLs."""
         with local_places(ctx.params, note) as places:
             ctx.params = places.values
+            now.shown_place = places.renamed
             answer = super().invoke(ctx)
             # A number comes from a command that was run in another process, or that had nothing to write.
             places.finished = isinstance(answer, Answer) or not answer
-        now.shown_place = places.renamed
         if isinstance(answer, Answer):
             return replace(answer, show=showing(answer.show, places))
         return answer

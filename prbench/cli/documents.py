@@ -97,7 +97,8 @@ def write_document(document: Document, path: Path | Remote) -> None:
 
 def _encoded(document: Document) -> bytes:
     """Encode a document; what JSON cannot say (NaN, infinity) becomes null."""
-    return msgspec.json.format(msgspec.json.encode(document, enc_hook=_plain), indent=2)
+    encoded = msgspec.json.format(msgspec.json.encode(document, enc_hook=_plain), indent=2)
+    return session().shown_place(encoded.decode()).encode()  # messages name places as well
 
 
 def _plain(value: Any) -> Any:

@@ -283,6 +283,7 @@ def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> MadeS
         report = run_shard(
             request,
             shard,
+            tables_at=[session().shown_place(str(folder.absolute())) for folder in request.data],
             engine=engine,
             progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
         )

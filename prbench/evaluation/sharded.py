@@ -20,6 +20,8 @@ from prbench.evaluation.request import ProgressCallback, RunRequest, silent
 from prbench.evaluation.run import RunPart, RunReport, generate_all, prepared_folder, remove_empty, scored_parts
 from prbench.locks import sole_writer
 from prbench.methods.loaded_methods import forget_loaded_methods
+from prbench.object_stores.inputs import fetched
+from prbench.object_stores.urls import is_url
 from prbench.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.own_protocol import write_protocol
 from prbench.runs.folder import DatasetFolder, RunFolder
@@ -44,13 +46,19 @@ class RunShardReport:
 
 
 def run_shard(
-    request: RunRequest, shard: Shard, *, engine: Engine | None = None, progress: ProgressCallback = silent
+    request: RunRequest,
+    shard: Shard,
+    *,
+    tables_at: Sequence[str] = (),
+    engine: Engine | None = None,
+    progress: ProgressCallback = silent,
 ) -> RunShardReport:
     """Make the batches of one shard of a run, for :func:`merge_run_shards`; goes on where it was interrupted.
 
     Args:
         request: The whole run, apart from its folder, which is that of the shard.
         shard: Which one it is.
+        tables_at: Where the merge finds the tables, paths or URLs; by default where they lie on this machine.
         engine: See :func:`prbench.evaluation.run.run_method`, whose errors these are.
         progress: See :func:`prbench.evaluation.run.run_method`.
 
@@ -68,7 +76,7 @@ def run_shard(
             prepared = prepare_run(request)
             out = _folder(prepared, shard)
             held.enter_context(sole_writer(out))
-            record = _shard_record(request, prepared, shard)
+            record = _shard_record(request, prepared, shard, tables_at)
             _begin(out, record, prepared)
             folder = RunFolder(out, prepared.record)
             mine = {record.plan[place] for place in shard.places(len(record.plan))}
@@ -143,7 +151,7 @@ def merge_run_shards(
     return RunReport(merged, summaries, batches_made=len(missing), batches_found=len(sources) - len(missing))
 
 
-def _shard_record(request: RunRequest, prepared: PreparedRun, shard: Shard) -> ShardRecord:
+def _shard_record(request: RunRequest, prepared: PreparedRun, shard: Shard, tables_at: Sequence[str]) -> ShardRecord:
     return ShardRecord(
         kind="run",
         number=shard.number,
@@ -151,7 +159,10 @@ def _shard_record(request: RunRequest, prepared: PreparedRun, shard: Shard) -> S
         settings=prepared.record.written,
         plan=tuple(_names(prepared)),
         # The whole tables of a fold, which the merge makes again: the fold itself lies in the cache of this machine.
-        places={"data": [str(folder.absolute()) for folder in request.data], "fold": request.fold},
+        places={
+            "data": list(tables_at) or [str(folder.absolute()) for folder in request.data],
+            "fold": request.fold,
+        },
     )
 
 
@@ -202,7 +213,7 @@ def _request(folder: Path, shard: ShardRecord, record: RunRecord, data: Sequence
     protocol = folder / PROTOCOL_FILE
     return RunRequest(
         method=record.method.name,
-        data=tuple(data) or tuple(Path(place) for place in shard.places.get("data", ())),
+        data=tuple(data) or tuple(fetched(at) if is_url(at) else Path(at) for at in shard.places.get("data", ())),
         benchmark=record.benchmark,
         condition=record.condition,
         split=record.split,
