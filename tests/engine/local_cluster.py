@@ -32,7 +32,12 @@ class LocalCluster:
 
         # Workers find the tests' own functions by this path.
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
-        settings: dict[str, Any] = {"num_cpus": 1, "object_store_memory": _STORE, "node_ip_address": _LOOPBACK}
+        settings: dict[str, Any] = {
+            "num_cpus": 1,
+            "num_gpus": 1,  # declared, not there: work is dealt out as if they were
+            "object_store_memory": _STORE,
+            "node_ip_address": _LOOPBACK,
+        }
         self._settings = settings
         head = {**settings, "include_dashboard": False, "_system_config": _SEEN_DEAD_SOON}
         self._cluster = _patiently(lambda: Cluster(initialize_head=True, head_node_args=head))

@@ -99,8 +99,8 @@ def test_unfit_nodes_are_named_before_work_starts(connected, monkeypatch, tmp_pa
 
 
 def test_more_gpus_than_there_are_are_refused(connected):
-    engine = RayEngine(connected.address, gpus_per_worker=0.5)
-    with pytest.raises(ClusterError, match=r"1 processors and 0\.5 GPUs for a worker, found 127\.0\.0\.1"):
+    engine = RayEngine(connected.address, gpus_per_worker=1.5)
+    with pytest.raises(ClusterError, match=r"1 processors and 1\.5 GPUs for a worker, found 127\.0\.0\.1"):
         list(engine.map(fail_on_three, range(2)))
 
 

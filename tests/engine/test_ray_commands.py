@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import closing
 
 import pytest
 
+from prbench.engine.on_ray import RayEngine
+from tests.engine.work import visible_gpus
 from tests.parsing import all_commands
 from tests.writing import WRITING, Inputs, run
 
@@ -47,6 +50,21 @@ def test_a_command_writes_on_two_nodes_what_it_writes_in_one_process(writing, co
         run(folder, *writing.arguments(inputs, folder / writing.result), *engine, expected=writing.exit_code)
         results.append(writing.same(folder))
     assert results[0] == results[1]
+
+
+def test_each_worker_sees_the_gpu_that_it_was_given_and_a_run_keeps_its_bytes(connected, inputs, tmp_path):
+    with closing(RayEngine(connected.address, gpus_per_worker=1.0)) as engine:
+        assert {given for _, given in engine.map(visible_gpus, range(4))} == {"0"}
+    results = []
+    for name, more in (("one", ()), ("two", ("--engine", "ray", "--gpus-per-worker", 0.5))):
+        folder = tmp_path / name
+        folder.mkdir()
+        words = ("run", "--method", "pr", "--condition", "goal-loc", "--data", inputs.table, "--split", "train")
+        where = ("--address", connected.address) if more else ()
+        run(folder, *words, "--batch-size", 1, *more, *where, "--out", folder / "run")
+        results.append({path.name: path.read_bytes() for path in (folder / "run").rglob("part-*.parquet")})
+    assert results[0] == results[1]
+    assert len(results[0]) > 1
 
 
 def test_no_command_that_takes_an_engine_is_forgotten():

@@ -57,3 +57,8 @@ class Hanging:
             (self.folder / "hanging").touch()
             time.sleep(600)
         return value
+
+
+def visible_gpus(value: int) -> tuple[int, str]:
+    """Return the value, and the GPUs that this worker may use."""
+    return value, os.environ.get("CUDA_VISIBLE_DEVICES", "")
