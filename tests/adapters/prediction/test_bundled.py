@@ -30,8 +30,10 @@ WEIGHTS = {
 }
 LARGEST = 1_000_000  # bytes
 HELD_OUT = (10, 11, 12)  # recordings of size tiny in ADT's layout that are in the test split of seed 0
-WINDOWS = 32
-SAMPLES = 50
+WINDOWS = 12
+SAMPLES = 20
+DESIGN = {"dlow-small": 50}
+"""Samples that are one design, and come together."""
 
 
 @pytest.mark.parametrize("name", WEIGHTS)
@@ -68,6 +70,6 @@ def test_one_of_its_futures_is_nearer_than_standing_still(name, windows):
     predictor = load_predictor(method, FOLDER / f"{name}.safetensors", options={}, device="cpu")
     found, still = (
         np.array(score_predictor(each, windows, condition, chosen, n_samples=n).columns["ade"])
-        for each, n in ((predictor, SAMPLES), (ZeroVelocity(), 1))
+        for each, n in ((predictor, DESIGN.get(name, SAMPLES)), (ZeroVelocity(), 1))
     )
     assert found.mean() < 0.7 * still.mean()
