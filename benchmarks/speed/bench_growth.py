@@ -200,7 +200,7 @@ def _embedded() -> Path:
     from prbench.workflows.first_run import default_tables
 
     return next(
-        table.folder for table in default_tables(InProcess(), lambda _: None) if table.info.dataset.endswith("mogaze")
+        table.folder for table in default_tables(InProcess(), lambda *_: None) if table.info.dataset.endswith("mogaze")
     )
 
 
