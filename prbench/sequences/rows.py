@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from bisect import bisect_left
-from collections.abc import Iterator, Mapping
+from bisect import bisect_left, bisect_right
+from collections.abc import Collection, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
 from pathlib import Path
 
@@ -38,7 +38,7 @@ def stream_chunks(
     columns: list[str],
     *,
     split: str | None,
-    ids: frozenset[str] | None,
+    ids: Collection[str] | None,
     rows: int,
 ) -> Iterator[SequenceChunk]:
     """Stream rows of Parquet files in order.
@@ -55,8 +55,9 @@ def stream_chunks(
     wanted: dict[str, list[str]] = {}
     if split is not None:
         wanted["split"] = [split]
+    ordered = sorted(ids or ())
     if ids is not None:
-        wanted["sequence_id"] = sorted(ids)
+        wanted["sequence_id"] = ordered
     for path in paths:
         with naming(path):
             file = open_parquet(path)
@@ -64,9 +65,11 @@ def stream_chunks(
             for batch in file.iter_batches(batch_size=rows, row_groups=groups, columns=read):
                 if split is not None:
                     batch = _kept(batch, pc.call_function("equal", [batch.column("split"), pa.scalar(split)]))
-                if ids is not None:
+                if ids is not None and batch.num_rows:
+                    names = batch.column("sequence_id").to_pylist()
                     # Not Arrow's is_in, which builds its table of all ids anew for every batch.
-                    batch = _kept(batch, pa.array([name in ids for name in batch.column("sequence_id").to_pylist()]))
+                    near = set(ordered[bisect_left(ordered, min(names)) : bisect_right(ordered, max(names))])
+                    batch = _kept(batch, pa.array([name in near for name in names]))
                 if batch.num_rows:
                     yield SequenceChunk(batch.select(columns))
 
