@@ -135,6 +135,7 @@ class ConditionStream:
             self._place, self._source = next(self._windows)
         while rows[0] >= self._place.stop:
             self._place, self._source = next(self._windows)
+        assert rows.max() < self._place.stop, "rows of two windows"
         return self._source, rows - self._place.start
 
 
