@@ -81,7 +81,11 @@ def groups_that_may_hold(metadata: pq.FileMetaData, wanted: Mapping[str, Sequenc
         metadata: The footer. It holds the smallest and the largest text of each column of every row group.
         wanted: Maps names of text columns to sorted values; a row is wanted if it has one of them in each column.
     """
-    paths = [metadata.schema.column(place).path for place in range(metadata.num_columns)]
+    if not metadata.num_row_groups:
+        return []
+    first = metadata.row_group(0)
+    # Not from `metadata.schema`: pyarrow then never frees the footer (a cycle that no collector sees).
+    paths = [first.column(place).path_in_schema for place in range(metadata.num_columns)]
     places = {paths.index(name): values for name, values in wanted.items() if name in paths}
     return [
         number
