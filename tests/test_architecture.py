@@ -19,7 +19,7 @@ LAYERS = {
     ),
     **dict.fromkeys(("entry_points", "errors", "joint_names", "progress_bar"), 1),
     **dict.fromkeys(("boundary", "bounded", "datasets", "meshes", "ranges", "timelines", "workers"), 2),
-    **dict.fromkeys(("manifests", "storage", "parquet_files", "numpy_files", "engine", "recording"), 3),
+    **dict.fromkeys(("manifests", "storage", "parquet_files", "numpy_files", "memory", "engine", "recording"), 3),
     **dict.fromkeys(("benchmarks", "locks", "own_protocol", "shards"), 4),
     **dict.fromkeys(("metrics", "object_stores", "sequences", "representation", "text"), 5),
     **dict.fromkeys(("contract", "prediction", "readers", "runs"), 6),

@@ -72,21 +72,27 @@ def _straight(poses: np.ndarray, offsets: np.ndarray) -> np.ndarray:
 
 
 def iterate(folder: str) -> None:
-    """Take every sequence of a table by the public API, and its arrays as NumPy's."""
+    """Take every sequence of a table by the public API, and every array of it as NumPy's."""
     import prbench
 
     frames = 0
     for sequence in prbench.open_table(folder):
-        arrays = (sequence.joints, sequence.gaze, sequence.head, sequence.previous_joints, sequence.next_joints)
+        arrays = [
+            sequence.joints, sequence.previous_joints, sequence.next_joints, sequence.gaze.origin,
+            sequence.gaze.direction, sequence.gaze.valid, sequence.goal.location, sequence.goal.box_world_min,
+            sequence.goal.box_world_max, sequence.world_from_canonical,
+        ]  # fmt: skip
+        if sequence.head is not None:
+            arrays += [sequence.head.position, sequence.head.rotation]
         frames += len(arrays[0])
     print(frames)
 
 
 def read_with_pyarrow(folder: str) -> None:
-    """Read the same columns with pyarrow alone, and the same arrays of every sequence as NumPy's."""
+    """Read the same arrays with pyarrow alone, and no other column, where :func:`iterate` reads all columns."""
     frames = 0
     for path in SequenceTable.open(folder).part_paths("sequences"):
-        for batch in pq.ParquetFile(path, pre_buffer=False).iter_batches(batch_size=64):
+        for batch in pq.ParquetFile(path, pre_buffer=False).iter_batches(batch_size=256, columns=list(_ARRAYS)):
             arrays = [_numpy_rows(batch.column(name), width) for name, width in _ARRAYS.items()]
             frames += sum(len(row) for row in arrays[0])
     print(frames)
@@ -94,7 +100,8 @@ def read_with_pyarrow(folder: str) -> None:
 
 _ARRAYS = {
     "joints": 66, "gaze_origin": 3, "gaze_direction": 3, "gaze_valid": 1, "head_position": 3, "head_rotation": 4,
-    "previous_joints": 66, "next_joints": 66,
+    "previous_joints": 66, "next_joints": 66, "goal_location": 3, "goal_box_world_min": 3, "goal_box_world_max": 3,
+    "world_from_canonical": 16,
 }  # fmt: skip
 """Columns of arrays, and numbers of one row of each."""
 

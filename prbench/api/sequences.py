@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import weakref
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -181,8 +181,7 @@ class Sequence:
     def _take_everything(self) -> None:
         """Take all values, so that the rows that were read together can be forgotten."""
         if "_source" in self.__dict__:
-            for name in _FIELDS:
-                getattr(self, name)
+            self.__dict__.update({name: _owned(getattr(self, name)) for name in _FIELDS})
             del self.__dict__["_source"]
 
     @property
@@ -297,105 +296,105 @@ _PLAIN = (
     "body_movement", "hand_movement", "pose_source", "head_tilt_deg", "previous_source", "next_source",
 )  # fmt: skip
 """Columns that hold one plain value a row and have a field of the same name."""
+_VECTORS = {"previous_joints": (N_JOINTS, 3), "next_joints": (N_JOINTS, 3), "world_from_canonical": (4, 4)}
+"""Columns that hold one array a row, and its shape."""
+_FIELDS = frozenset((*_PLAIN, *_VECTORS, "joints", "goal", "gaze", "head", "extra"))
 
 
-_ARRAYS = ("joints", "previous_joints", "next_joints", "goal", "gaze", "head", "world_from_canonical")
-"""Fields that are made of columns of numbers."""
-_SHAPES = {
-    "previous_joints": (-1, N_JOINTS, 3),
-    "next_joints": (-1, N_JOINTS, 3),
-    "world_from_canonical": (-1, 4, 4),
-    "goal_location": (-1, 3),
-    "goal_box_world_min": (-1, 3),
-    "goal_box_world_max": (-1, 3),
-}
-"""Shapes of the columns with one vector a row."""
-_FIELDS = (*_PLAIN, *_ARRAYS, "extra")
+def sequences_of(chunks: Iterable[SequenceChunk], table: SequenceTable) -> Iterator[Sequence]:
+    """Yield rows as sequences; none that is kept keeps the chunk that it was read with.
 
-
-def sequences_of(chunk: SequenceChunk, table: SequenceTable) -> Iterator[Sequence]:
-    """Yield the rows of a chunk as sequences; none that is kept keeps the chunk.
-
-    A sequence takes a copy of a value when it is first asked for it, because most callers look at a few of 35. Those
-    that are still there after the last one, or when the caller stops, take copies of all that is left.
+    A sequence takes a value when it is first asked for it, because most callers look at a few of 35, and its arrays are
+    views of the chunk. Sequences that are still there when the next chunk has been begun, or when the caller stops,
+    take copies of everything.
 
     Args:
-        chunk: Rows with all columns.
+        chunks: Rows with all columns.
         table: The table that they come from.
     """
-    rows = _Rows(chunk)
     given: list[weakref.ref[Sequence]] = []
+    before: list[weakref.ref[Sequence]] = []
     try:
-        for row in range(len(chunk)):
-            sequence = object.__new__(Sequence)
-            sequence.__dict__["_source"] = (rows, row)
-            sequence.__dict__["_table"] = table
-            given.append(weakref.ref(sequence))
-            yield sequence
-            del sequence
+        for chunk in chunks:
+            # The last sequence of a chunk is the caller's until it has been given the next one.
+            before = given
+            given = []
+            rows = _Rows(chunk)
+            for row in range(len(chunk)):
+                sequence = object.__new__(Sequence)
+                sequence.__dict__["_source"] = (rows, row)
+                sequence.__dict__["_table"] = table
+                given.append(weakref.ref(sequence))
+                yield sequence
+                del sequence
+                if before:
+                    _detach(before)
+                    before = []
     finally:
-        for reference in given:
-            kept = reference()
-            if kept is not None:
-                kept._take_everything()
+        _detach([*before, *given])
+
+
+def _detach(references: Iterable[weakref.ref[Sequence]]) -> None:
+    """Give the sequences that are still there values of their own."""
+    for reference in references:
+        kept = reference()
+        if kept is not None:
+            kept._take_everything()
 
 
 class _Rows:
-    """The columns of a chunk, each unpacked once when a row is first asked for it."""
+    """The fields of a chunk's rows, each made for all rows when it is first asked for."""
 
     def __init__(self, chunk: SequenceChunk) -> None:
         self._chunk = chunk
-        self._unpacked: dict[str, Any] = {}
+        self._made: dict[str, list[Any]] = {}
 
     def value(self, name: str, row: int) -> Any:
-        """Return a copy of what a field of :class:`Sequence` holds in one row."""
-        if name in _PLAIN:
-            return self._column(name, lambda: self._chunk.batch.column(name).to_pylist())[row]
-        if name == "extra":
-            return {pair["key"]: pair["value"] for pair in self._chunk.batch.column("extra")[row].as_py() or ()}
+        """Return what a field of :class:`Sequence` holds in one row; arrays are views."""
+        made = self._made.get(name)
+        if made is None:
+            made = self._made[name] = self._make(name)
+        return made[row]
+
+    def _make(self, name: str) -> list[Any]:
         if name == "joints":
-            return self._frames(name, row)
-        if name in ("previous_joints", "next_joints", "world_from_canonical"):
-            return self._vector(name, row)
-        if name == "goal":
-            return self._goal(row)
+            return [pose.reshape(-1, N_JOINTS, 3) for pose in self._frames(name)]
         if name == "gaze":
-            return Gaze(
-                self._frames("gaze_origin", row), self._frames("gaze_direction", row), self._frames("gaze_valid", row)
-            )
-        return self._head(row)
+            return list(map(Gaze, *map(self._frames, ("gaze_origin", "gaze_direction", "gaze_valid"))))
+        if name == "head":
+            return self._heads()
+        if name == "goal":
+            columns = [
+                list(self._vectors(f"goal_{column}")) for column in ("location", "box_world_min", "box_world_max")
+            ]
+            return list(map(Goal.of, *columns, self._vectors("world_from_canonical", (4, 4))))
+        if name in _VECTORS:
+            return list(self._vectors(name, _VECTORS[name]))
+        values = self._chunk.batch.column(name).to_pylist()
+        return [{pair["key"]: pair["value"] for pair in row or ()} for row in values] if name == "extra" else values
 
-    def _column(self, name: str, unpack: Callable[[], Any]) -> Any:
-        if name not in self._unpacked:
-            self._unpacked[name] = unpack()
-        return self._unpacked[name]
-
-    def _frames(self, name: str, row: int) -> np.ndarray:
-        values, offsets = self._column(name, lambda: (self._values(name), self._offsets(name)))
-        return _copied(values[offsets[row] : offsets[row + 1]])
-
-    def _values(self, name: str) -> np.ndarray:
-        return self._chunk.joints if name == "joints" else self._chunk.frames(name)
-
-    def _offsets(self, name: str) -> list[int]:
-        """Return the first frame of each row; rows without a value have none."""
+    def _frames(self, name: str) -> list[np.ndarray]:
+        """Return the frames of each row; rows without a value have none."""
+        values = frozen(self._chunk.frames(name))
         lengths = self._chunk.batch.column(name).value_lengths().fill_null(0).to_numpy(zero_copy_only=False)
-        return [0, *np.cumsum(lengths).tolist()]
+        return [values[start:stop] for start, stop in itertools.pairwise([0, *np.cumsum(lengths).tolist()])]
 
-    def _vector(self, name: str, row: int) -> np.ndarray:
-        return _copied(self._column(name, lambda: self._chunk.vectors(name).reshape(_SHAPES[name]))[row])
+    def _vectors(self, name: str, shape: tuple[int, ...] = (3,)) -> Float[np.ndarray, "batch *shape"]:
+        return frozen(self._chunk.vectors(name)).reshape(-1, *shape)
 
-    def _goal(self, row: int) -> Goal:
-        names = ("goal_location", "goal_box_world_min", "goal_box_world_max", "world_from_canonical")
-        return Goal.of(*(self._vector(name, row) for name in names))
-
-    def _head(self, row: int) -> Head | None:
+    def _heads(self) -> list[Head | None]:
         names = ("head_position", "head_rotation")
-        known = self._column("head", lambda: [self._chunk.batch.column(name).is_valid().to_pylist() for name in names])
-        if not all(valid[row] for valid in known):
-            return None
-        return Head(*(self._frames(name, row) for name in names))
+        heads = map(Head, *map(self._frames, names))
+        known = [self._chunk.batch.column(name).is_valid().to_pylist() for name in names]
+        return [head if all(valid) else None for head, *valid in zip(heads, *known, strict=True)]
 
 
-def _copied(values: np.ndarray) -> np.ndarray:
-    return frozen(np.array(values))
+def _owned(value: Any) -> Any:
+    """Return a value that shares no memory with the rows that were read together."""
+    if isinstance(value, np.ndarray):
+        return frozen(value.copy())
+    if isinstance(value, (Goal, Gaze, Head)):
+        copied = object.__new__(type(value))
+        copied.__dict__.update({name: _owned(part) for name, part in vars(value).items()})
+        return copied
+    return value

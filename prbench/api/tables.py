@@ -24,7 +24,6 @@ from prbench.sequences.table import SPLITS, by_share, why_no_sequences
 if TYPE_CHECKING:
     import pandas as pd
 
-_ROWS_AT_ONCE = 64
 _SHOWN_COLUMNS = ("action", "object_name", "hand", "n_frames", "prime_gap", "split", "sequence_id")
 _SHOWN_ROWS = 10
 
@@ -79,7 +78,10 @@ class Table:
         return tuple(name for name in ids if name in chosen)
 
     def sequences(self, *, split: str | None = None, limit: int | None = None) -> Iterator[Sequence]:
-        """Read sequences in table order; only a group of rows is held in memory at a time.
+        """Read sequences in table order; only two groups of 256 rows are held in memory at a time.
+
+        Arrays are views of such a group. A sequence that you keep soon gets arrays of its own; where you keep an array
+        without its sequence, keep ``array.copy()``, or the same arrays of the whole group stay in memory.
 
         Args:
             split: See :meth:`sequence_ids`.
@@ -94,11 +96,7 @@ class Table:
         """
         _require_split(split)
         chosen = None if limit is None else frozenset(self.sequence_ids(split=split, limit=limit))
-        return self._streamed(split, chosen)
-
-    def _streamed(self, split: str | None, chosen: frozenset[str] | None) -> Iterator[Sequence]:
-        for chunk in self._table.chunks(split=split, ids=chosen, rows=_ROWS_AT_ONCE):
-            yield from sequences_of(chunk, self._table)
+        return sequences_of(self._table.chunks(split=split, ids=chosen), self._table)
 
     def sequence(self, wanted: str) -> Sequence:
         """Return one sequence.
@@ -111,7 +109,7 @@ class Table:
             UsageError: if no sequence fits (names the nearest ids), or several do (names them).
             TableError: if the file is damaged.
         """
-        return next(sequences_of(read_row(self._table, wanted), self._table))
+        return next(sequences_of([read_row(self._table, wanted)], self._table))
 
     @property
     def events(self) -> Events:
@@ -207,7 +205,7 @@ class Table:
             return [self[place] for place in range(count)[key]]
         if not -count <= key < count:
             raise IndexError(f"{self.folder}: expected a number below {count}, found {key}")
-        return next(sequences_of(read_place(self._table, key % count), self._table))
+        return next(sequences_of([read_place(self._table, key % count)], self._table))
 
     def __repr__(self) -> str:
         return f"<Table {self.info.title}: {len(self)} sequences, {self.folder}>"

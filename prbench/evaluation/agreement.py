@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy import stats
+from scipy import special
 
 from prbench.errors import RunError
 from prbench.evaluation.intervals import CONFIDENCE, metric_interval
@@ -237,7 +237,7 @@ def phi_interval(
         return None
     spread = np.asarray(replicates) - np.mean(replicates)
     error = np.sqrt((len(names) - 1) / len(names) * (spread**2).sum())
-    half = stats.t.ppf((1 + CONFIDENCE) / 2, len(names) - 1) * error
+    half = special.stdtrit(len(names) - 1, (1 + CONFIDENCE) / 2) * error
     return float(np.tanh(whole - half)), float(np.tanh(whole + half))
 
 

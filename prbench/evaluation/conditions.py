@@ -1,8 +1,8 @@
 """Turns table rows into what a method may know: the firewall between a method and the recorded motion.
 
-A :class:`ConditionSource` holds what conditions are made of for all chosen sequences (first, previous and last frame,
-text, goal), about 1 kB a sequence. It copies these out of the table, so that nothing that a batch refers to leads back
-to the recorded frames in between.
+A :class:`ConditionSource` holds what conditions are made of (first, previous and last frame, text, goal), about 1 kB a
+sequence. It copies these out of the table, so that nothing that a batch refers to leads back to the recorded frames in
+between. A :class:`ConditionStream` holds one window of sequences at a time.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import hmac
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +27,7 @@ from prbench.randomness import named_generator, noise_seed
 from prbench.storage import text_digest
 
 _COLUMNS = ["text", "goal_location", "joints", "previous_joints", "head_tilt_deg"]
+_ARRAYS = ("initial_joints", "previous_joints", "goal_joints", "goal_location", "head_tilt_deg")
 
 
 @dataclass(frozen=True)
@@ -56,39 +58,21 @@ class ConditionSource:
         Raises:
             UsageError: if boxes are wanted and the table knows of none.
         """
-        scene = SolidBoxes.of(selection.table) if obstacles else None
-        if obstacles and scene is None:
-            raise UsageError(
-                f"{selection.table.folder}: expected the boxes of the scene (scenes.parquet), which the method"
-                " asks for, found none. Build the table again (ADT, MoGaze, synthetic people), or leave the method's"
-                " option out."
-            )
-        boxes: list[Boxes] = []
-        text: list[str] = []
-        parts: dict[str, list[np.ndarray]] = {name: [] for name in ("initial", "previous", "last", "goal", "tilt")}
-        for _, chunk in selection.windows(_COLUMNS + (SCENE_COLUMNS if scene else [])):
-            boxes += [scene.around(chunk)] if scene else []
-            text += chunk.strings("text")
-            joints = chunk.joints
-            offsets = chunk.offsets
-            parts["initial"].append(joints[offsets[:-1]])
-            parts["last"].append(joints[offsets[1:] - 1])
-            parts["previous"].append(chunk.poses("previous_joints"))
-            parts["goal"].append(chunk.vectors("goal_location"))
-            parts["tilt"].append(chunk.numbers("head_tilt_deg"))
-        joined = {name: np.concatenate(arrays) for name, arrays in parts.items()}
+        windows = list(_sources(selection, _scene(selection, obstacles=obstacles)))
+        boxes = [source.obstacles for _, source in windows if source.obstacles is not None]
+        joined = {name: np.concatenate([getattr(source, name) for _, source in windows]) for name in _ARRAYS}
         return cls(
             selection.sequence_ids,
             selection.n_frames,
             selection.fps,
-            tuple(text),
-            joined["initial"],
-            joined["previous"],
-            joined["last"],
-            joined["goal"],
-            joined["tilt"],
-            Boxes.joined(boxes) if scene else None,
+            tuple(itertools.chain.from_iterable(source.text for _, source in windows)),
+            obstacles=Boxes.joined(boxes) if boxes else None,
+            **joined,
         )
+
+    def around(self, rows: Int[np.ndarray, " rows"]) -> tuple[ConditionSource, Int[np.ndarray, " rows"]]:
+        """See :meth:`ConditionStream.around`; here it is all sequences."""
+        return self, rows
 
     def with_goals_of(self, other: Int[np.ndarray, " n"]) -> ConditionSource:
         """Row i gets the goal of row ``other[i]``, each in its own canonical frame."""
@@ -124,6 +108,73 @@ class ConditionSource:
         """The batch of the same rows for another sample: only the noise seeds differ."""
         seeds = tuple(noise_seed(seed, self.sequence_ids[row], sample) for row in rows)
         return dataclasses.replace(batch, noise_seed=seeds)
+
+
+class ConditionStream:
+    """The makings of conditions of a selection, one window in memory at a time."""
+
+    def __init__(self, selection: Selection, *, obstacles: bool = False) -> None:
+        """Prepare to read; arguments and errors are those of :meth:`ConditionSource.read`."""
+        self._selection = selection
+        self._scene = _scene(selection, obstacles=obstacles)
+        self._windows: Iterator[tuple[slice, ConditionSource]] = iter(())
+        self._place = slice(0, 0)
+        self._source: ConditionSource | None = None
+
+    def around(self, rows: Int[np.ndarray, " rows"]) -> tuple[ConditionSource, Int[np.ndarray, " rows"]]:
+        """Return the makings of some sequences and of those around them.
+
+        Args:
+            rows: Places in the selection, all of one window; windows that are asked for in order are each read once.
+
+        Returns:
+            The makings of the window, and the places of the rows among them.
+        """
+        if self._source is None or rows[0] < self._place.start:
+            self._windows = _sources(self._selection, self._scene)
+            self._place, self._source = next(self._windows)
+        while rows[0] >= self._place.stop:
+            self._place, self._source = next(self._windows)
+        assert rows.max() < self._place.stop, "rows of two windows"
+        return self._source, rows - self._place.start
+
+
+def _scene(selection: Selection, *, obstacles: bool) -> SolidBoxes | None:
+    """Return the solid boxes around sequences, if they are wanted.
+
+    Raises:
+        UsageError: if they are and the table knows of none.
+    """
+    scene = SolidBoxes.of(selection.table) if obstacles else None
+    if obstacles and scene is None:
+        raise UsageError(
+            f"{selection.table.folder}: expected the boxes of the scene (scenes.parquet), which the method"
+            " asks for, found none. Build the table again (ADT, MoGaze, synthetic people), or leave the method's"
+            " option out."
+        )
+    return scene
+
+
+def _sources(selection: Selection, scene: SolidBoxes | None) -> Iterator[tuple[slice, ConditionSource]]:
+    """Yield the makings of the conditions of each window, with its places in the selection."""
+    for place, chunk in selection.windows(_COLUMNS + (SCENE_COLUMNS if scene else [])):
+        joints = chunk.joints
+        offsets = chunk.offsets
+        yield (
+            place,
+            ConditionSource(
+                selection.sequence_ids[place],
+                selection.n_frames[place],
+                selection.fps,
+                tuple(chunk.strings("text")),
+                initial_joints=joints[offsets[:-1]],
+                previous_joints=chunk.poses("previous_joints").copy(),
+                goal_joints=joints[offsets[1:] - 1],
+                goal_location=chunk.vectors("goal_location").copy(),
+                head_tilt_deg=chunk.numbers("head_tilt_deg").copy(),
+                obstacles=scene.around(chunk) if scene else None,
+            ),
+        )
 
 
 def run_salt(seed: int, table_identity: str) -> bytes:

@@ -22,9 +22,9 @@ from jaxtyping import Float, Int
 
 from prbench.contract import Motions
 from prbench.evaluation.cheats import CHEATS, cheating_motions
-from prbench.evaluation.conditions import ConditionSource
+from prbench.evaluation.conditions import ConditionSource, ConditionStream
 from prbench.evaluation.nearest_neighbour import retrieved_motions
-from prbench.evaluation.planning import WINDOW, Selection
+from prbench.evaluation.planning import Selection
 from prbench.evaluation.scripted import ScriptedStart, scripted_motions
 from prbench.methods.motions import native_frames, resampled
 from prbench.methods.names import (
@@ -84,14 +84,14 @@ def round_trip_fps(name: str) -> float | None:
 
 
 def control_motions(
-    name: str, selection: Selection, source: ConditionSource, plan: list[Int[np.ndarray, "_"]]
+    name: str, selection: Selection, source: ConditionSource | ConditionStream, plan: list[Int[np.ndarray, "_"]]
 ) -> Iterator[Motions]:
     """The motions of a control for each planned batch, in order.
 
     Args:
         name: One of :data:`~prbench.methods.names.METHOD_CONTROLS`.
         selection: The chosen sequences.
-        source: Their conditions; ``scripted`` takes its goals from here.
+        source: Their conditions, for ``nearest-neighbour`` those of all; ``scripted`` takes its goals from here.
         plan: Of :func:`prbench.evaluation.planning.plan_batches`.
     """
     if name in _ROUND_TRIP_FPS:
@@ -102,14 +102,16 @@ def control_motions(
         yield from _recorded(selection, plan, through_features=name == GROUND_TRUTH_RESAMPLED)
         return
     if name == NEAREST_NEIGHBOUR:
+        assert isinstance(source, ConditionSource), "the task of any sequence is compared"
         yield from retrieved_motions(selection, source, plan)
         return
     for rows in plan:
-        start = ScriptedStart(source.initial_joints[rows], source.goal_location[rows], source.head_tilt_deg[rows])
+        own, places = source.around(rows)
+        start = ScriptedStart(own.initial_joints[places], own.goal_location[places], own.head_tilt_deg[places])
         if name in CHEATS:
-            yield cheating_motions(name, start, source.n_frames[rows], source.fps)
+            yield cheating_motions(name, start, own.n_frames[places], own.fps)
         else:
-            yield scripted_motions(start, source.n_frames[rows], source.fps)
+            yield scripted_motions(start, own.n_frames[places], own.fps)
 
 
 def _through_rate(motions: Motions, *, fps: float, other_fps: float) -> Motions:
@@ -133,7 +135,7 @@ def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]], *, through
         while taken < len(chunk):
             rows = next(waiting) - place.start
             assert rows.min() >= 0
-            assert rows.max() < WINDOW
+            assert rows.max() < len(chunk)
             padded = np.zeros((len(rows), int(n_frames[rows].max()), N_JOINTS, 3), dtype=np.float32)
             for i, row in enumerate(rows):
                 padded[i, : n_frames[row]] = joints[offsets[row] : offsets[row + 1]]

@@ -28,6 +28,7 @@ WINDOW = 1024
 enough for memory, large enough that little is padded."""
 
 Table = TypeVar("Table")
+_ROWS_AT_ONCE = 4096  # of short columns
 _FEWEST_FRAMES = 2  # below which there is no motion
 
 
@@ -54,22 +55,29 @@ class Selection:
         """The rows where ``keep`` is true."""
         return rows_of(self, np.flatnonzero(keep))
 
-    def windows(self, columns: list[str]) -> Iterator[tuple[slice, SequenceChunk]]:
-        """Stream the chosen rows, :data:`WINDOW` at a time, with their places in the selection."""
+    def windows(self, columns: list[str], *, rows: int | None = None) -> Iterator[tuple[slice, SequenceChunk]]:
+        """Stream the chosen rows, some at a time, with their places in the selection.
+
+        Args:
+            columns: What the chunks hold.
+            rows: Of each chunk but the last; :data:`WINDOW` by default.
+        """
+        size = rows or WINDOW
         pending: list[pa.RecordBatch] = []
-        start = rows = 0
-        for chunk in self.table.chunks(split=self.split, columns=columns, ids=frozenset(self.sequence_ids)):
+        start = 0
+        found = 0
+        for chunk in self.table.chunks(split=self.split, columns=columns, ids=self.sequence_ids):
             pending.append(chunk.batch)
-            rows += len(chunk)
+            found += len(chunk)
             # Windows count chosen rows, not rows of the file, so the layout of the table leaves no trace.
-            while rows >= WINDOW:
-                window, pending = _parted(pending)
-                rows = rows - WINDOW
-                yield slice(start, start + WINDOW), SequenceChunk(window)
+            while found >= size:
+                window, pending = _parted(pending, size)
+                found = found - size
+                yield slice(start, start + size), SequenceChunk(window)
                 del window  # before the next one is read
-                start = start + WINDOW
-        if rows:
-            yield slice(start, start + rows), SequenceChunk(_joined(pending))
+                start = start + size
+        if found:
+            yield slice(start, start + found), SequenceChunk(_joined(pending))
 
 
 def rows_of(table: Table, rows: SequenceOf[int] | np.ndarray) -> Table:
@@ -120,48 +128,50 @@ def select(table: SequenceTable, *, split: str, limit: int | None, carry_on: boo
         raise UsageError(f"--limit: expected 1 or more sequences, found {limit}.")
     if table.info.why_not_scored is not None:
         raise TableError(f"{table.folder}: cannot be scored: {table.info.why_not_scored}.")
-    columns = ["sequence_id", "n_frames", "recording_id", "fps"]
-    rows = table.scalars(split=split, columns=list(dict.fromkeys([*columns, *PAIR_COLUMNS])) if carry_on else columns)
-    if not rows.num_rows:
+    everything = _of_split(table, split)
+    if carry_on:
+        rows = table.scalars(split=split, columns=list(PAIR_COLUMNS))
+        return _of_pairs(everything, require_pairs(rows, where=str(table.folder), split=split), limit)
+    if limit is None:
+        return everything
+    kept = set(by_share(everything.sequence_ids, everything.recording_ids)[:limit])
+    return everything.chosen(np.array([name in kept for name in everything.sequence_ids]))
+
+
+def _of_split(table: SequenceTable, split: str) -> Selection:
+    """Choose all sequences of a split.
+
+    Raises:
+        TableError: see :func:`select`.
+    """
+    ids: list[str] = []
+    recordings: list[str] = []
+    lengths: list[np.ndarray] = []
+    rates: set[float] = set()
+    for chunk in table.chunks(split=split, columns=["recording_id", "fps"], rows=_ROWS_AT_ONCE):
+        # Interned: predictions and scores name the same sequences, and each name is kept once.
+        ids += map(sys.intern, chunk.sequence_ids)
+        recordings += map(sys.intern, chunk.strings("recording_id"))
+        lengths.append(chunk.n_frames)
+        rates |= set(np.unique(chunk.numbers("fps")).tolist())
+    if not ids:
         counts = _split_counts(table)
         raise TableError(
             f"{table.folder}: expected sequences in split '{split}', found none ({counts})."
             " Build more recordings, or choose another split with --split."
         )
-    ids = list(map(sys.intern, rows["sequence_id"].to_pylist()))
     # Sorted ids make batches, and so the bytes of a run, independent of how the table was built.
     if any(first >= second for first, second in itertools.pairwise(ids)):
         raise TableError(f"{table.folder}: expected rows sorted by a unique sequence_id. Build the dataset again.")
-    n_frames = rows["n_frames"].to_numpy().astype(np.int64)
+    n_frames = np.concatenate(lengths)
     if (n_frames < _FEWEST_FRAMES).any():
         raise TableError(
             f"{table.folder}, {ids[int(n_frames.argmin())]}: expected {_FEWEST_FRAMES} frames or more, found"
             f" {n_frames.min()}. Build the dataset again."
         )
-    rates = set(rows["fps"].to_pylist())
     if len(rates) > 1:
         raise TableError(f"{table.folder}: expected one frame rate, found {sorted(rates)}. Build the dataset again.")
-    everything = Selection(
-        table,
-        split,
-        tuple(ids),
-        n_frames,
-        _shared(rows["recording_id"]),
-        rates.pop(),
-    )
-    if carry_on:
-        return _of_pairs(everything, require_pairs(rows, where=str(table.folder), split=split), limit)
-    if limit is None:
-        return everything
-    kept = set(by_share(ids, everything.recording_ids)[:limit])
-    return everything.chosen(np.array([name in kept for name in ids]))
-
-
-def _shared(column: pa.ChunkedArray) -> tuple[str, ...]:
-    """Return texts of which many are equal; equal ones are one object."""
-    encoded = column.combine_chunks().dictionary_encode()
-    texts = encoded.dictionary.to_pylist()
-    return tuple(texts[place] for place in encoded.indices.to_pylist())
+    return Selection(table, split, tuple(ids), n_frames, tuple(recordings), rates.pop())
 
 
 def _of_pairs(everything: Selection, pairs: SequenceOf[Pair], limit: int | None) -> Selection:
@@ -243,10 +253,10 @@ def plan_digest(sequence_ids: tuple[str, ...], batches: list[Int[np.ndarray, "_"
     return text_digest(*(text_digest(*(sequence_ids[row] for row in batch)) for batch in batches))
 
 
-def _parted(batches: list[pa.RecordBatch]) -> tuple[pa.RecordBatch, list[pa.RecordBatch]]:
-    """Return the first :data:`WINDOW` rows, and the others; these share no memory with the window."""
+def _parted(batches: list[pa.RecordBatch], rows: int) -> tuple[pa.RecordBatch, list[pa.RecordBatch]]:
+    """Return the first rows, and the others; these share no memory with the first."""
     last = batches.pop()
-    within = WINDOW - sum(batch.num_rows for batch in batches)
+    within = rows - sum(batch.num_rows for batch in batches)
     window = _joined([*batches, last.slice(0, within)])
     return window, [last.slice(within)] if within < last.num_rows else []
 

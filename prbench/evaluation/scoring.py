@@ -1,7 +1,8 @@
-"""Predicted motions against the table, a window of sequences at a time."""
+"""Predicted motions against the table, some sequences at a time."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,7 +45,7 @@ COLUMNS = ["goal_location", "prime_time", "start_time", "hand", "head_tilt_deg",
 _GAZE_COLUMNS = ["gaze_origin", "gaze_direction", "gaze_valid"]
 _SIDES = {"left": 0, "right": 1}
 _SCORED_TOGETHER = 256
-"""Sequences of a window whose motions are in memory together."""
+"""Sequences whose motions are in memory together: what metrics make of motions takes several times their memory."""
 SAME_LENGTH = "Give every motion the length of the recorded one, or pass --allow-length-mismatch."
 """Remedy for motions of another length."""
 _NOT_AS_KEPT = (
@@ -76,7 +77,7 @@ class ScoringRules:
 
 
 @dataclass(frozen=True)
-class _Window:
+class _Part:
     """Scoring work for one worker."""
 
     dataset: str
@@ -89,7 +90,7 @@ class _Window:
     rules: ScoringRules
     scene: Boxes | None
 
-    def part(self, start: int, stop: int) -> _Window:
+    def some(self, start: int, stop: int) -> _Part:
         """Return the work on some of the sequences, counted from 0."""
         rows = np.arange(len(self.names))[start:stop]
         return replace(
@@ -116,10 +117,11 @@ def score_selection(
         predictions: Opened, or a file or folder of parts.
         samples: Indices of the samples.
         rules: How to score.
-        engine: Where the windows are worked on; the values are the same for any.
+        engine: Where to score; the values are the same for any.
 
     Yields:
-        Rows of ``scores.parquet``: by sequence, then sample, then metric in printed order.
+        Rows of ``scores.parquet``, those of :data:`~prbench.evaluation.planning.WINDOW` sequences at a time: by
+        sequence, then sample, then metric in printed order.
 
     Raises:
         PredictionsError: if a motion has another length than the recorded one, or NaN; names sequence and frame.
@@ -127,9 +129,13 @@ def score_selection(
     opened = Predictions.open(predictions) if isinstance(predictions, Path) else predictions
     opened.make_ready(_asked_together(selection, opened, rules))
     if len(selection) <= WINDOW:
-        # One window gains nothing from workers, whose start takes longer than a few hundred sequences.
+        # Workers gain nothing: their start takes longer than a few hundred sequences.
         engine = InProcess()
-    yield from engine.map(_score_window, _windows(selection, opened, tuple(samples), rules))
+    # A worker gets a whole window, because batches of a run hold motions from all over one.
+    size = _SCORED_TOGETHER if isinstance(engine, InProcess) else WINDOW
+    scored = engine.map(_score_part, _parts(selection, opened, tuple(samples), rules, size))
+    while tables := list(itertools.islice(scored, WINDOW // size)):
+        yield pa.concat_tables(tables)
 
 
 def score_recorded(
@@ -153,7 +159,7 @@ def score_recorded(
     parts: list[dict[str, np.ndarray]] = []
     goals: list[np.ndarray] = []
     columns = COLUMNS + (_GAZE_COLUMNS if by_gaze else []) + (SCENE_COLUMNS if scene else [])
-    for _, chunk in selection.windows(columns):
+    for _, chunk in selection.windows(columns, rows=_SCORED_TOGETHER):
         recorded = MotionBatch(chunk.joints, chunk.offsets)
         goals.append(chunk.vectors("goal_location"))
         gaze = _recorded_gaze(chunk) if by_gaze else None
@@ -168,7 +174,7 @@ def score_recorded(
 
 
 def _asked_together(selection: Selection, predictions: Predictions, rules: ScoringRules) -> Iterator[Sequence[str]]:
-    """Yield the ids of each window as the predictions have them."""
+    """Yield the ids of each window as the predictions have them; row groups stay in memory from part to part."""
     names_of = _namer(selection, predictions, rules)
     for start in range(0, len(selection), WINDOW):
         yield names_of(selection.sequence_ids[start : start + WINDOW])
@@ -184,51 +190,52 @@ def _namer(
     return lambda names: opaque_ids(names, salt)
 
 
-def _windows(
-    selection: Selection, predictions: Predictions, samples: tuple[int, ...], rules: ScoringRules
-) -> Iterator[_Window]:
+def _parts(
+    selection: Selection, predictions: Predictions, samples: tuple[int, ...], rules: ScoringRules, size: int
+) -> Iterator[_Part]:
     names_of = _namer(selection, predictions, rules)
     scene = SolidBoxes.of(selection.table)
     columns = COLUMNS + (_GAZE_COLUMNS if rules.recorded_motion else []) + (SCENE_COLUMNS if scene else [])
-    for place, chunk in selection.windows(columns):
-        names = names_of(chunk.sequence_ids)
+    for place, chunk in selection.windows(columns, rows=size):
+        names = tuple(names_of(chunk.sequence_ids))
         goals = chunk.vectors("goal_location") if rules.other_goals is None else rules.other_goals[place]
         dataset = selection.table.info.dataset
         boxes = scene.around(chunk) if scene else None
-        yield _Window(dataset, chunk.batch, goals, tuple(names), samples, predictions, rules, boxes)
+        # Not the ids of all motions, which would be sent to a worker with every part.
+        asked = predictions.only(names, samples)
+        yield _Part(dataset, chunk.batch, goals, names, samples, asked, rules, boxes)
 
 
-def _score_window(window: _Window) -> pa.Table:
-    # Some sequences at a time, since what metrics make of motions takes several times the memory of these.
-    starts = range(0, len(window.names), _SCORED_TOGETHER)
-    return pa.concat_tables([_score_part(window.part(start, start + _SCORED_TOGETHER)) for start in starts])
+def _score_part(part: _Part) -> pa.Table:
+    starts = range(0, len(part.names), _SCORED_TOGETHER)
+    return pa.concat_tables([_score_together(part.some(start, start + _SCORED_TOGETHER)) for start in starts])
 
 
-def _score_part(window: _Window) -> pa.Table:
-    chunk = SequenceChunk(window.recorded)
+def _score_together(part: _Part) -> pa.Table:
+    chunk = SequenceChunk(part.recorded)
     recorded = MotionBatch(chunk.joints, chunk.offsets)
-    targets = _targets(chunk, window)
+    targets = _targets(chunk, part)
     by_sample = []
-    for sample in window.samples:
-        rows = window.predictions.motions(window.names, sample)
+    for sample in part.samples:
+        rows = part.predictions.motions(part.names, sample)
         predicted = MotionBatch(rows.values, rows.offsets)
-        _check(predicted, recorded, chunk.sequence_ids, sample, window)
+        _check(predicted, recorded, chunk.sequence_ids, sample, part)
         if rows.gaze is not None:
-            _check_gaze(rows, chunk.sequence_ids, sample, window)
-        if window.rules.native_fps is not None:
-            rows = _at_table_rate(rows, recorded, window)
+            _check_gaze(rows, chunk.sequence_ids, sample, part)
+        if part.rules.native_fps is not None:
+            rows = _at_table_rate(rows, recorded, part)
             predicted = MotionBatch(rows.values, rows.offsets)
         shown = targets if rows.gaze is None else replace(targets, gaze=_generated_gaze(rows.gaze))
-        values = _scored(predicted, recorded, shown, window.rules)
-        if not window.rules.recorded_motion:
+        values = _scored(predicted, recorded, shown, part.rules)
+        if not part.rules.recorded_motion:
             values = [_with_copies_marked(value, predicted, recorded) for value in values]
         by_sample.append(values)
-    return _long_form(window.dataset, chunk.sequence_ids, window.samples, by_sample)
+    return _long_form(part.dataset, chunk.sequence_ids, part.samples, by_sample)
 
 
-def _targets(chunk: SequenceChunk, window: _Window) -> ScoringTargets:
-    gaze = _recorded_gaze(chunk) if window.rules.recorded_motion else None
-    return targets_of(chunk, window.goals, gaze, window.scene)
+def _targets(chunk: SequenceChunk, part: _Part) -> ScoringTargets:
+    gaze = _recorded_gaze(chunk) if part.rules.recorded_motion else None
+    return targets_of(chunk, part.goals, gaze, part.scene)
 
 
 def _recorded_gaze(chunk: SequenceChunk) -> GazeRays:
@@ -289,20 +296,20 @@ def _with_copies_marked(values: MetricValues, predicted: MotionBatch, recorded: 
     return replace(values, flags={**values.flags, RECORDED_MOTION: copies}) if copies.any() else values
 
 
-def _check(predicted: MotionBatch, recorded: MotionBatch, ids: list[str], sample: int, window: _Window) -> None:
+def _check(predicted: MotionBatch, recorded: MotionBatch, ids: list[str], sample: int, part: _Part) -> None:
     """Name the sequence where a motion cannot be scored."""
 
     def place(row: int) -> str:
-        return _place(row, ids, sample, window)
+        return _place(row, ids, sample, part)
 
-    remedy = SAME_LENGTH if window.rules.run_of is None else _NOT_AS_KEPT
+    remedy = SAME_LENGTH if part.rules.run_of is None else _NOT_AS_KEPT
     expected = recorded.n_frames
-    fps = _fps(window)
-    native_fps = window.rules.native_fps
+    fps = _fps(part)
+    native_fps = part.rules.native_fps
     if native_fps is not None:
         expected = native_frames(expected, fps=fps, native_fps=native_fps)
         fps = native_fps
-    if not window.rules.allow_length_mismatch:
+    if not part.rules.allow_length_mismatch:
         wrong = length_problem(place, expected, predicted.n_frames, fps=fps)
         if wrong is not None:
             raise PredictionsError(f"{wrong} {remedy}")
@@ -310,33 +317,33 @@ def _check(predicted: MotionBatch, recorded: MotionBatch, ids: list[str], sample
     if short.size:
         raise PredictionsError(f"{place(int(short[0]))}: expected 2 frames or more, found 1.")
     # Checked before resampling: an interpolated NaN would name the wrong frame.
-    impossible = np.flatnonzero(impossible_frames(predicted.values, window.rules.farthest))
+    impossible = np.flatnonzero(impossible_frames(predicted.values, part.rules.farthest))
     if impossible.size:
         row = int(predicted.sequence_of_row[impossible[0]])
         motion = predicted.values[predicted.offsets[row] : predicted.offsets[row + 1]]
-        kept = "" if window.rules.run_of is None else f" {_NOT_AS_KEPT}"
-        raise PredictionsError(f"{place(row)}, {coordinate_problem(motion, window.rules.farthest)}{kept}")
+        kept = "" if part.rules.run_of is None else f" {_NOT_AS_KEPT}"
+        raise PredictionsError(f"{place(row)}, {coordinate_problem(motion, part.rules.farthest)}{kept}")
 
 
-def _place(row: int, ids: list[str], sample: int, window: _Window) -> str:
-    where = window.predictions.where(window.names[row], sample)
-    method = window.rules.run_of
+def _place(row: int, ids: list[str], sample: int, part: _Part) -> str:
+    where = part.predictions.where(part.names[row], sample)
+    method = part.rules.run_of
     return f"{where}, {ids[row]}" if method is None else f"method '{method}', sequence {ids[row]} in {where}"
 
 
-def _check_gaze(rows: PredictionRows, ids: list[str], sample: int, window: _Window) -> None:
+def _check_gaze(rows: PredictionRows, ids: list[str], sample: int, part: _Part) -> None:
     """Name the sequence whose gaze cannot be scored."""
     assert rows.gaze is not None
     for row in range(len(ids)):
-        part = slice(rows.offsets[row], rows.offsets[row + 1])
-        problem = gaze_problem(rows.values[part], rows.gaze[part, 0], rows.gaze[part, 1])
+        frames = slice(rows.offsets[row], rows.offsets[row + 1])
+        problem = gaze_problem(rows.values[frames], rows.gaze[frames, 0], rows.gaze[frames, 1])
         if problem:
-            raise PredictionsError(f"{_place(row, ids, sample, window)}, gaze, {problem}")
+            raise PredictionsError(f"{_place(row, ids, sample, part)}, gaze, {problem}")
 
 
-def _at_table_rate(predicted: PredictionRows, recorded: MotionBatch, window: _Window) -> PredictionRows:
+def _at_table_rate(predicted: PredictionRows, recorded: MotionBatch, part: _Part) -> PredictionRows:
     """Motions at their own rate as a run resamples them before it keeps them."""
-    assert window.rules.native_fps is not None
+    assert part.rules.native_fps is not None
     n_frames = np.diff(predicted.offsets)
     valid = np.arange(int(n_frames.max())) < n_frames[:, None]
 
@@ -351,21 +358,21 @@ def _at_table_rate(predicted: PredictionRows, recorded: MotionBatch, window: _Wi
     asked = ConditionBatch(
         condition=Condition.NONE,
         n_frames=recorded.n_frames,
-        fps=_fps(window),
-        opaque_id=window.names,
-        noise_seed=(0,) * len(window.names),
+        fps=_fps(part),
+        opaque_id=part.names,
+        noise_seed=(0,) * len(part.names),
     )
     motions = Motions(padded(predicted.values), n_frames, gaze=gaze)
-    resampled = at_table_rate(motions, asked, native_fps=window.rules.native_fps)
+    resampled = at_table_rate(motions, asked, native_fps=part.rules.native_fps)
     rays = None
     if resampled.gaze is not None:
         rays = np.stack((resampled.gaze.origin, resampled.gaze.direction), axis=2)
     return PredictionRows.from_padded(resampled.joints, resampled.n_frames, gaze=rays)
 
 
-def _fps(window: _Window) -> float:
+def _fps(part: _Part) -> float:
     """Return the frame rate of the table; a selection has one rate."""
-    return float(SequenceChunk(window.recorded).numbers("fps")[0])
+    return float(SequenceChunk(part.recorded).numbers("fps")[0])
 
 
 def _long_form(dataset: str, ids: list[str], samples: Sequence[int], by_sample: list[list[MetricValues]]) -> pa.Table:

@@ -6,7 +6,7 @@ import itertools
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -34,7 +34,7 @@ class TrainingSplit(SequenceTable):
         *,
         split: str | None = None,
         columns: Sequence[str] | None = None,
-        ids: frozenset[str] | None = None,
+        ids: Collection[str] | None = None,
         rows: int = 256,
     ) -> Iterator[SequenceChunk]:
         """Stream the training rows.

@@ -47,29 +47,24 @@ class CodedScores:
     def of(cls, tables: Iterable[pa.Table | pa.RecordBatch]) -> CodedScores:
         """Take up rows in long form, some at a time."""
         texts: dict[str, dict[str, int]] = {name: {} for name in ("sequence_id", "dataset", "metric", "flag")}
-        parts: dict[str, list[np.ndarray]] = {name: [] for name in SCORES.names}
+        columns = {name: _Growing(np.float64 if name == "value" else np.int8) for name in SCORES.names}
         for table in tables:
             for name in SCORES.names:
                 column = table.column(name)
                 column = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
                 numbers = _codes(column, texts[name]) if name in texts else column.to_numpy()
-                parts[name].append(numbers if name == "value" else _narrow(numbers))
-
-        def joined(name: str) -> np.ndarray:
-            empty = SCORES.field(name).type.to_pandas_dtype() if name not in texts else np.int32
-            return np.concatenate(parts.pop(name) or [np.empty(0, dtype=empty)])
-
+                columns[name].append(numbers if name == "value" else _narrow(numbers))
         return cls(
             tuple(texts["sequence_id"]),
             tuple(texts["dataset"]),
             tuple(texts["metric"]),
             tuple(texts["flag"]),
-            joined("sequence_id"),
-            joined("dataset"),
-            joined("sample"),
-            joined("metric"),
-            joined("value"),
-            joined("flag"),
+            columns["sequence_id"].whole(),
+            columns["dataset"].whole(),
+            columns["sample"].whole(),
+            columns["metric"].whole(),
+            columns["value"].whole(),
+            columns["flag"].whole(),
         )
 
     @classmethod
@@ -83,24 +78,40 @@ class CodedScores:
         """
         with open_scores(path) as file:
             scores = cls.of(file.iter_batches(batch_size=_ROWS_AT_ONCE))
-        key = scores.dataset.astype(np.int64)
-        for numbers, texts in ((scores.sequence, scores.sequence_ids), (scores.metric, scores.metrics)):
-            key = key * len(texts) + numbers
-        samples, sample = np.unique(scores.sample, return_inverse=True)
-        key = key * len(samples) + sample
-        ordered = np.sort(key)
-        twice = ordered[1:][ordered[1:] == ordered[:-1]]
-        if twice.size:  # repeated rows would enter a mean twice
-            first = int(np.flatnonzero(np.isin(key, twice))[0])
-            raise repeated_row(path, scores.long_form(slice(first, first + 1)).to_pylist()[0])
+        repeated = scores._first_repeated()
+        if repeated is not None:  # repeated rows would enter a mean twice
+            raise repeated_row(path, scores.long_form(slice(repeated, repeated + 1)).to_pylist()[0])
         return scores
+
+    def _first_repeated(self) -> int | None:
+        """Return the first of several rows of one dataset, sequence, sample and metric; None without any."""
+        # Rows in the order in which prbench writes them ascend, so that a part at a time is looked at.
+        starts = range(0, len(self), _ROWS_AT_ONCE)
+        if all((np.diff(self._keys(slice(start, start + _ROWS_AT_ONCE + 1))) > 0).all() for start in starts):
+            return None
+        keys = self._keys(slice(None))
+        ordered = np.sort(keys)
+        twice = ordered[1:][ordered[1:] == ordered[:-1]]
+        return int(np.flatnonzero(np.isin(keys, twice))[0]) if twice.size else None
+
+    def _keys(self, rows: slice) -> Int[np.ndarray, " rows"]:
+        """Return one number a row that tells datasets, sequences, samples and metrics apart."""
+        lowest = int(self.sample.min(initial=0))  # below 0 in a file that prbench has not written
+        samples = int(self.sample.max(initial=0)) - lowest + 1
+        keys = self.dataset[rows].astype(np.int64) * len(self.sequence_ids) + self.sequence[rows]
+        keys = keys * samples + (self.sample[rows].astype(np.int64) - lowest)
+        return keys * len(self.metrics) + self.metric[rows]
 
     def long_form(self, rows: slice = slice(None)) -> pa.Table:
         """Return rows as ``scores.parquet`` has them."""
         flags = pa.array((*self.flags, None), pa.string())
         flag = pa.array(np.where(self.flag[rows] == _NO_FLAG, len(self.flags), self.flag[rows].astype(np.int64)))
+        sequence = self.sequence[rows]
+        # Only the ids between these: those of all sequences are many for a few rows.
+        first = int(sequence.min(initial=len(self.sequence_ids)))
+        last = int(sequence.max(initial=0))
         columns = [
-            pa.array(self.sequence_ids, pa.string()).take(pa.array(self.sequence[rows])),
+            pa.array(self.sequence_ids[first : last + 1], pa.string()).take(pa.array(sequence - first)),
             pa.array(self.datasets, pa.string()).take(pa.array(self.dataset[rows])),
             pa.array(self.sample[rows].astype(np.int32)),
             pa.array(self.metrics, pa.string()).take(pa.array(self.metric[rows])),
@@ -148,6 +159,28 @@ class CodedScores:
             self.value[rows],
             self.flag[rows],
         )
+
+
+class _Growing:
+    """An array that grows where it lies: parts that are joined at the end are twice in memory then."""
+
+    def __init__(self, kind: type[np.generic]) -> None:
+        self._values = np.empty(0, dtype=kind)
+        self._count = 0
+
+    def append(self, values: np.ndarray) -> None:
+        """Add values; the type widens where they need it."""
+        self._values = self._values.astype(np.promote_types(self._values.dtype, values.dtype), copy=False)
+        end = self._count + len(values)
+        if end > len(self._values):
+            self._values.resize(end + end // 8, refcheck=False)
+        self._values[self._count : end] = values
+        self._count = end
+
+    def whole(self) -> np.ndarray:
+        """Return all values; none can be added any more."""
+        self._values.resize(self._count, refcheck=False)
+        return self._values
 
 
 def _codes(column: pa.Array, known: dict[str, int]) -> Int[np.ndarray, " rows"]:

@@ -67,6 +67,7 @@ def write_scores(path: Path, tables: Iterable[pa.Table]) -> None:
     ):
         for table in tables:
             writer.write_table(table.cast(schema))
+            del table  # before the next one is made
 
 
 @foreign_input()

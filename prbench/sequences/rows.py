@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from bisect import bisect_left
-from collections.abc import Iterator, Mapping
+from bisect import bisect_left, bisect_right
+from collections.abc import Collection, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
 from pathlib import Path
 
@@ -38,7 +38,7 @@ def stream_chunks(
     columns: list[str],
     *,
     split: str | None,
-    ids: frozenset[str] | None,
+    ids: Collection[str] | None,
     rows: int,
 ) -> Iterator[SequenceChunk]:
     """Stream rows of Parquet files in order.
@@ -55,8 +55,9 @@ def stream_chunks(
     wanted: dict[str, list[str]] = {}
     if split is not None:
         wanted["split"] = [split]
+    ordered = sorted(ids or ())
     if ids is not None:
-        wanted["sequence_id"] = sorted(ids)
+        wanted["sequence_id"] = ordered
     for path in paths:
         with naming(path):
             file = open_parquet(path)
@@ -64,9 +65,11 @@ def stream_chunks(
             for batch in file.iter_batches(batch_size=rows, row_groups=groups, columns=read):
                 if split is not None:
                     batch = _kept(batch, pc.call_function("equal", [batch.column("split"), pa.scalar(split)]))
-                if ids is not None:
+                if ids is not None and batch.num_rows:
+                    names = batch.column("sequence_id").to_pylist()
                     # Not Arrow's is_in, which builds its table of all ids anew for every batch.
-                    batch = _kept(batch, pa.array([name in ids for name in batch.column("sequence_id").to_pylist()]))
+                    near = set(ordered[bisect_left(ordered, min(names)) : bisect_right(ordered, max(names))])
+                    batch = _kept(batch, pa.array([name in near for name in names]))
                 if batch.num_rows:
                     yield SequenceChunk(batch.select(columns))
 
@@ -78,7 +81,11 @@ def groups_that_may_hold(metadata: pq.FileMetaData, wanted: Mapping[str, Sequenc
         metadata: The footer. It holds the smallest and the largest text of each column of every row group.
         wanted: Maps names of text columns to sorted values; a row is wanted if it has one of them in each column.
     """
-    paths = [metadata.schema.column(place).path for place in range(metadata.num_columns)]
+    if not metadata.num_row_groups:
+        return []
+    first = metadata.row_group(0)
+    # Not from `metadata.schema`: pyarrow then never frees the footer (a cycle that no collector sees).
+    paths = [first.column(place).path_in_schema for place in range(metadata.num_columns)]
     places = {paths.index(name): values for name, values in wanted.items() if name in paths}
     return [
         number

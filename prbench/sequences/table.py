@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from functools import cached_property
@@ -87,7 +87,7 @@ class BuiltTable(Generic[Info]):
         *,
         split: str | None = None,
         columns: SequenceOf[str] | None = None,
-        ids: frozenset[str] | None = None,
+        ids: Collection[str] | None = None,
         rows: int = 256,
     ) -> Iterator[SequenceChunk]:
         """Stream the rows of the main table in table order.

@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 
 import prbench
-from prbench.api import tables
 from prbench.sequences import SequenceTable
 from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES
 from tests import fakes
@@ -39,13 +38,37 @@ def test_iteration_holds_a_few_rows_at_a_time(table, monkeypatch):
             sizes.append(len(chunk))
             yield chunk
 
-    monkeypatch.setattr(SequenceTable, "chunks", _counted)
-    monkeypatch.setattr(tables, "_ROWS_AT_ONCE", 10)
+    monkeypatch.setattr(SequenceTable, "chunks", lambda self, **options: _counted(self, **options, rows=10))
     iterator = iter(table)
     first = next(iterator)
     assert sizes == [10]
-    assert first.joints.base is None, "a kept sequence must not keep the rows that were read with it"
     assert len(list(iterator)) == 47
+    assert first.joints.base is None, "a kept sequence must not keep the rows that were read with it"
+
+
+def test_kept_sequences_have_arrays_of_their_own_and_the_values_that_they_had(table, monkeypatch):
+    chunks = SequenceTable.chunks
+    monkeypatch.setattr(SequenceTable, "chunks", lambda self, **options: chunks(self, **options, rows=7))
+    kept = []
+    seen = []
+    for sequence in table:
+        seen.append((sequence.joints, sequence.goal.box_corners, sequence.gaze.valid, sequence.previous_joints))
+        kept.append(sequence)
+    for sequence, arrays in zip(kept, seen, strict=True):
+        own = (sequence.joints, sequence.goal.box_corners, sequence.gaze.valid, sequence.previous_joints)
+        for array, earlier in zip(own, arrays, strict=True):
+            assert not np.shares_memory(array, earlier)
+            assert not array.flags.writeable
+            np.testing.assert_array_equal(array, earlier)
+
+
+def test_a_sequence_of_an_iteration_that_was_given_up_has_all_its_values(table):
+    iterator = iter(table)
+    first = next(iterator)
+    iterator.close()
+    assert first.joints.base is None
+    assert first.text == table[0].text
+    np.testing.assert_array_equal(first.next_joints, table[0].next_joints)
 
 
 def test_values_are_those_of_the_file(table):

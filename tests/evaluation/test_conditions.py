@@ -13,7 +13,8 @@ import pytest
 
 from prbench.contract import GIVEN, Condition, ConditionBatch
 from prbench.errors import UsageError
-from prbench.evaluation.conditions import ConditionSource, derangement, opaque_ids, run_salt
+from prbench.evaluation import planning
+from prbench.evaluation.conditions import ConditionSource, ConditionStream, derangement, opaque_ids, run_salt
 from prbench.evaluation.planning import select
 from prbench.randomness import noise_seed
 from tests.fakes import fake_sequence
@@ -166,3 +167,16 @@ def test_shuffled_goals_change_the_goal_and_nothing_else(source, table):
 def test_goals_of_a_single_sequence_cannot_be_shuffled(table):
     with pytest.raises(UsageError, match=r"two sequences or more, found 1"):
         derangement(select(table, split="test", limit=1), seed=0)
+
+
+def test_a_stream_gives_the_conditions_of_the_whole_however_windows_lie(table, source, monkeypatch):
+    monkeypatch.setattr(planning, "WINDOW", 4)
+    stream = ConditionStream(select(table, split="test", limit=None))
+    for rows in ([2, 0, 3], [9], [13, 12, 14], [1, 2]):  # the last ones lie before: they are read again
+        own, places = stream.around(np.array(rows))
+        assert len(own.sequence_ids) <= 4
+        for condition in Condition:
+            expected = batch_of(source, condition, rows)
+            found = batch_of(own, condition, places)
+            for name, value in vars(expected).items():
+                np.testing.assert_array_equal(getattr(found, name), value)

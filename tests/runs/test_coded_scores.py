@@ -63,3 +63,13 @@ def test_two_values_of_one_motion_are_refused(tmp_path, read):
     write_scores(tmp_path / "scores.parquet", [table, table.slice(3, 1)])
     with pytest.raises(RunError, match="d/r000000/o/pick/1/fake, sample 1, reach_success"):
         read(tmp_path / "scores.parquet")
+
+
+def test_rows_in_any_order_repeat_nothing_and_a_repeated_one_is_found(tmp_path):
+    table = scores()
+    backwards = table.take(list(range(table.num_rows))[::-1])
+    write_scores(tmp_path / "backwards.parquet", [backwards])
+    assert CodedScores.read(tmp_path / "backwards.parquet").long_form().equals(backwards)
+    write_scores(tmp_path / "twice.parquet", [backwards, table.slice(7, 1)])
+    with pytest.raises(RunError, match=r"r000001.*sample 1, reach_success"):
+        CodedScores.read(tmp_path / "twice.parquet")

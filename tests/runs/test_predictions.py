@@ -40,6 +40,19 @@ def test_motions_come_back_in_the_order_asked_for(folder):
     assert ("a", 2) not in Predictions.open(folder.predictions)
 
 
+def test_some_motions_are_those_of_the_whole_and_name_no_other(folder):
+    whole = Predictions.open(folder.predictions)
+    for some in (whole.only(["c", "b"], [0, 1]), whole.only(["c", "a", "b"], [1, 0]).only(["b", "c"], [0, 1])):
+        for sample in (0, 1):
+            expected = whole.motions(["b", "c"], sample)
+            found = some.motions(["b", "c"], sample)
+            assert np.array_equal(found.values, expected.values)
+            assert np.array_equal(found.offsets, expected.offsets)
+        assert some.where("c", 1) == whole.where("c", 1)
+        assert ("a", 0) not in some
+        assert set(some.ids) == {"b", "c"}
+
+
 def test_a_small_cache_changes_nothing(folder, monkeypatch):
     whole = Predictions.open(folder.predictions).motions(["a", "c", "b"], 0).values
     monkeypatch.setattr(parquet, "_CACHED_BYTES", 1)

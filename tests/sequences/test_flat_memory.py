@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+import weakref
 from pathlib import Path
 
 import pyarrow as pa
@@ -34,6 +35,14 @@ def test_the_footer_names_the_groups_that_may_hold_an_id(tmp_path):
     assert groups_that_may_hold(metadata, {"sequence_id": ["z"]}) == []
     assert groups_that_may_hold(metadata, {"split": ["test"]}) == [0, 1, 2]
     assert groups_that_may_hold(metadata, {}) == list(range(6))
+
+
+def test_a_footer_that_was_looked_at_is_freed(tmp_path):
+    metadata = open_parquet(ids_file(tmp_path / "a.parquet", groups=3)).metadata
+    groups_that_may_hold(metadata, {"sequence_id": ["z"]})
+    freed = weakref.ref(metadata)
+    del metadata
+    assert freed() is None
 
 
 def test_without_statistics_every_group_may_hold_it(tmp_path):

@@ -15,8 +15,14 @@ from prbench.evaluation.agreement import agreement_with_people, require_agreemen
 from prbench.evaluation.benchmark import CaseWork
 from prbench.evaluation.best_of import ChoiceRules
 from prbench.evaluation.carry_on import Carrying, measure_carried
-from prbench.evaluation.conditions import ConditionSource, derangement, run_salt
-from prbench.evaluation.controls import HOLDS_RECORDINGS, RECORDED_MOTION, SHUFFLED_GOAL, control_motions
+from prbench.evaluation.conditions import ConditionSource, ConditionStream, derangement, run_salt
+from prbench.evaluation.controls import (
+    HOLDS_RECORDINGS,
+    NEAREST_NEIGHBOUR,
+    RECORDED_MOTION,
+    SHUFFLED_GOAL,
+    control_motions,
+)
 from prbench.evaluation.planning import Selection, plan_batches
 from prbench.evaluation.prime_and_reach.question import MotionQuestion
 from prbench.evaluation.request import RunRequest
@@ -46,13 +52,17 @@ class MotionWork(CaseWork):
         self._method = method
         self._condition = condition
         self._protocol = protocol
-        self._source = ConditionSource.read(selection, obstacles=method.wants_obstacles)
+        self._source: ConditionSource | ConditionStream = ConditionStream(selection, obstacles=method.wants_obstacles)
         self._scored_goals: Float[np.ndarray, "n 3"] | None = None
-        if request.control == SHUFFLED_GOAL:
-            self._source = self._source.with_goals_of(derangement(selection, seed=request.seed))
-            if request.method in RECORDED_MOTION:
-                self._scored_goals = self._source.goal_location
         self._carrying = Carrying.of(selection) if request.carry_on else None
+        # These put conditions of sequences together that lie anywhere in the table.
+        if request.control == SHUFFLED_GOAL or request.carry_on or request.method == NEAREST_NEIGHBOUR:
+            whole = ConditionSource.read(selection, obstacles=method.wants_obstacles)
+            if request.control == SHUFFLED_GOAL:
+                whole = whole.with_goals_of(derangement(selection, seed=request.seed))
+                if request.method in RECORDED_MOTION:
+                    self._scored_goals = whole.goal_location
+            self._source = whole
 
     @property
     def holds_recordings(self) -> bool:
@@ -99,18 +109,19 @@ class MotionWork(CaseWork):
             motions = next(given) if given is not None else None
             if index not in wanted:
                 continue
-            sources = [source for source, _ in carried] or [self._source] * request.samples
-            first = [source.batch(rows, self._condition, seed=request.seed, salt=salt, sample=0) for source in sources]
+            source, places = self._source.around(rows)
+            sources = [source for source, _ in carried] or [source] * request.samples
+            first = [one.batch(places, self._condition, seed=request.seed, salt=salt, sample=0) for one in sources]
             yield (
                 index,
                 MotionQuestion(
                     # Motions of one sample are consecutive draws, so that one of one is the sample itself.
                     conditions=tuple(
-                        self._source.redrawn(first[draw // request.best_of], rows, seed=request.seed, sample=draw)
+                        source.redrawn(first[draw // request.best_of], places, seed=request.seed, sample=draw)
                         for draw in range(request.samples * request.best_of)
                     ),
                     choice=ChoiceRules.of(
-                        self._protocol, best_of=request.best_of, head_tilt_deg=self._source.head_tilt_deg[rows]
+                        self._protocol, best_of=request.best_of, head_tilt_deg=source.head_tilt_deg[places]
                     ),
                     given=motions,
                     placements=tuple(placements[rows] for _, placements in carried),
@@ -119,6 +130,7 @@ class MotionWork(CaseWork):
 
     def _carried(self, files: DatasetFolder, sample: int) -> tuple[ConditionSource, np.ndarray]:
         assert self._carrying is not None
+        assert isinstance(self._source, ConditionSource), "a put needs its pick"
         predictions = Predictions.open(files.predictions)
         predictions.make_ready()
         return self._carrying.source(self._source, predictions, sample)

@@ -73,10 +73,9 @@ def find_mesh(folder: Path, source: str) -> Path | None:
         source: What stands in ``scene.xml``, for example ``mogaze/meshfiles/cup.obj``.
     """
     written = PurePosixPath(source.replace("\\", "/"))
-    home = folder.resolve()
     for candidate in (folder.parent / written, folder / written, folder / mogaze.MESH_FOLDER / written.name):
-        place = candidate.resolve()
-        if place.is_relative_to(home) and place.is_file():
+        # Asked first, because following links takes ten times as long, and few candidates are there.
+        if candidate.is_file() and (place := candidate.resolve()).is_relative_to(folder.resolve()):
             return place
     return None
 

@@ -6,11 +6,12 @@ import itertools
 import re
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Int
 
 from prbench.boundary import foreign_input
 from prbench.bounded import open_regular
@@ -73,6 +74,9 @@ class _NumberedMotions:
 class Predictions(IndexedRows):
     """Finished motions with an index of them."""
 
+    rows: Int[np.ndarray, " n"] | None = None
+    """Row of every motion in the store, where the store holds more motions; None where they are the same."""
+
     @classmethod
     @foreign_input()
     def open(cls, path: Path | str, *, numbering: Numbering | None = None) -> Predictions:
@@ -88,32 +92,54 @@ class Predictions(IndexedRows):
         """
         return cls(**vars(_indexed(Path(path), numbering)))
 
+    def only(self, ids: Sequence[str], samples: Sequence[int]) -> Predictions:
+        """Return some of the motions, without the index of all others.
+
+        Args:
+            ids: Their ids.
+            samples: Their samples; every id has each of them.
+        """
+        keys = [(name, sample) for sample in samples for name in ids]
+        places = np.array([self._place(*key) for key in keys], dtype=np.int64)
+        return replace(
+            self,
+            ids=tuple(name for name, _ in keys),
+            samples=tuple(sample for _, sample in keys),
+            n_frames=None if self.n_frames is None else self.n_frames[places],
+            rows=places if self.rows is None else self.rows[places],
+        )
+
     @cached_property
     def _is_sorted(self) -> bool:
         """True if there is one motion an id, and the ids are sorted: then no table of them is needed."""
         return len(set(self.samples)) == 1 and all(one < other for one, other in itertools.pairwise(self.ids))
 
     @cached_property
-    def _row_of(self) -> dict[int, dict[str, int]]:
-        """Maps a sample, then an id to the row; of repeated ones to the last."""
-        rows: dict[int, dict[str, int]] = {}
-        for row, (name, sample) in enumerate(zip(self.ids, self.samples)):
-            rows.setdefault(sample, {})[name] = row
-        return rows
+    def _place_of(self) -> dict[int, dict[str, int]]:
+        """Maps a sample, then an id to the place; of repeated ones to the last."""
+        places: dict[int, dict[str, int]] = {}
+        for place, (name, sample) in enumerate(zip(self.ids, self.samples)):
+            places.setdefault(sample, {})[name] = place
+        return places
 
     def _find(self, name: str, sample: int) -> int | None:
-        """Return the row of a motion, or None if it is not there."""
+        """Return the place of a motion in the index, or None if it is not there."""
         if not self._is_sorted:
-            return self._row_of.get(sample, {}).get(name)
-        row = bisect_left(self.ids, name)
-        there = row < len(self.ids) and self.ids[row] == name and self.samples[row] == sample
-        return row if there else None
+            return self._place_of.get(sample, {}).get(name)
+        place = bisect_left(self.ids, name)
+        there = place < len(self.ids) and self.ids[place] == name and self.samples[place] == sample
+        return place if there else None
+
+    def _place(self, name: str, sample: int) -> int:
+        place = self._find(name, sample)
+        if place is None:
+            raise KeyError((name, sample))
+        return place
 
     def _row(self, name: str, sample: int) -> int:
-        row = self._find(name, sample)
-        if row is None:
-            raise KeyError((name, sample))
-        return row
+        """Return the row of a motion in the store."""
+        place = self._place(name, sample)
+        return place if self.rows is None else int(self.rows[place])
 
     def __contains__(self, key: tuple[str, int]) -> bool:
         return self._find(*key) is not None
@@ -121,7 +147,7 @@ class Predictions(IndexedRows):
     @property
     def repeats(self) -> bool:
         """True if several motions have the same id and sample."""
-        return not self._is_sorted and sum(map(len, self._row_of.values())) < len(self.ids)
+        return not self._is_sorted and sum(map(len, self._place_of.values())) < len(self.ids)
 
     @foreign_input()
     def make_ready(self, together: Iterable[Sequence[str]] = ()) -> None:
@@ -130,13 +156,12 @@ class Predictions(IndexedRows):
         Args:
             together: Ids whose motions of one sample will be asked for together, as far as that is known.
         """
-        self.store.make_ready(
-            [row_of[name] for name in names] for names in together for row_of in self._row_of.values()
-        )
+        samples = sorted(set(self.samples))
+        self.store.make_ready([self._row(name, sample) for name in names] for names in together for sample in samples)
 
     def length(self, name: str, sample: int) -> int | None:
         """Frames of a motion, if they are known without reading it."""
-        return None if self.n_frames is None else int(self.n_frames[self._row(name, sample)])
+        return None if self.n_frames is None else int(self.n_frames[self._place(name, sample)])
 
     def where(self, name: str, sample: int) -> str:
         """The file that a motion stands in and its place there, for messages."""

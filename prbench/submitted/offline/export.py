@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import itertools
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,8 @@ import numpy as np
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.errors import AdapterError, RedistributionError, UsageError
-from prbench.evaluation.conditions import ConditionSource, derangement, run_salt
+from prbench.evaluation import planning
+from prbench.evaluation.conditions import ConditionSource, ConditionStream, derangement, opaque_ids, run_salt
 from prbench.evaluation.controls import SHUFFLED_GOAL
 from prbench.evaluation.planning import Selection, open_tables, select, supported
 from prbench.locks import sole_writer
@@ -139,7 +141,6 @@ def conditions_of(tables: list[SequenceTable], request: ExportRequest) -> MadeCo
     # Several datasets become one file, in which nothing tells which rows are of which.
     selections = []
     left_out = []
-    batches = []
     for table in tables:
         chosen = select(table, split=request.split, limit=request.limit)
         selection = supported(chosen, max_frames=request.max_frames, native_fps=request.native_fps)
@@ -150,7 +151,6 @@ def conditions_of(tables: list[SequenceTable], request: ExportRequest) -> MadeCo
             )
         selections.append(selection)
         left_out.append(len(chosen) - len(selection))
-        batches += _batches(selection, request)
     info = ConditionsInfo(
         condition=request.condition,
         seed=request.seed,
@@ -162,42 +162,59 @@ def conditions_of(tables: list[SequenceTable], request: ExportRequest) -> MadeCo
         protocol_version=load_protocol().version,
         tables=fingerprints(table.identity for table in tables),
     )
-    return MadeConditions(_sorted_rows(info, batches), tuple(selections), tuple(left_out))
+    return MadeConditions(_sorted_rows(info, selections, request), tuple(selections), tuple(left_out))
 
 
-def _batches(selection: Selection, request: ExportRequest) -> list[ConditionBatch]:
-    """All chosen sequences of one table, one batch a sample."""
-    source = ConditionSource.read(selection)
-    if request.control == SHUFFLED_GOAL:
-        source = source.with_goals_of(derangement(selection, seed=request.seed))
-    rows = np.arange(len(selection))
-    salt = run_salt(request.seed, selection.table.identity)
-    first = source.batch(rows, request.condition, seed=request.seed, salt=salt, sample=0)
-    if request.native_fps is not None:
-        first = at_native_rate(first, request.native_fps)
-    return [source.redrawn(first, rows, seed=request.seed, sample=sample) for sample in range(request.samples)]
-
-
-def _sorted_rows(info: ConditionsInfo, batches: list[ConditionBatch]) -> ConditionsFile:
-    """One row a sequence and sample, by opaque id, then sample."""
-    samples = np.concatenate([np.full(len(batch), i % info.samples) for i, batch in enumerate(batches)])
-    names = tuple(name for batch in batches for name in batch.opaque_id)
-    columns: dict[str, Any] = {
-        name: [getattr(batch, name) for batch in batches] for name in given_columns(info.condition)
-    }
-    text = columns.pop("text", None)
-    unsorted = ConditionsFile(
+def _sorted_rows(info: ConditionsInfo, selections: list[Selection], request: ExportRequest) -> ConditionsFile:
+    """One row a sequence and sample, by opaque id, then sample; each window goes where its rows belong at once."""
+    ids = [
+        name
+        for selection in selections
+        for name in opaque_ids(selection.sequence_ids, run_salt(request.seed, selection.table.identity))
+    ]
+    order = sorted(range(len(ids)), key=ids.__getitem__)
+    first_row = np.empty(len(ids), dtype=np.int64)
+    first_row[order] = np.arange(len(ids)) * info.samples
+    rows = len(ids) * info.samples
+    columns: dict[str, np.ndarray] = {"noise_seed": np.empty(rows, np.int64), "n_frames": np.empty(rows, np.int32)}
+    columns["fps"] = np.empty(rows)
+    done = 0
+    for samples in itertools.chain.from_iterable(_batches(selection, request) for selection in selections):
+        first = samples[0]
+        for sample, batch in enumerate(samples):
+            here = first_row[done : done + len(first)] + sample
+            columns["noise_seed"][here] = batch.noise_seed
+            columns["n_frames"][here] = first.n_frames
+            columns["fps"][here] = first.fps
+            for name in given_columns(info.condition):
+                values = np.asarray(getattr(first, name), dtype=object if name == "text" else None)
+                if name not in columns:
+                    columns[name] = np.empty((rows, *values.shape[1:]), dtype=values.dtype)
+                columns[name][here] = values
+        done += len(first)
+    given: dict[str, Any] = dict(columns)
+    if "text" in given:
+        given["text"] = tuple(given["text"].tolist())
+    return ConditionsFile(
         info=info,
-        opaque_id=names,
-        sample=samples.astype(np.int32),
-        noise_seed=np.array([seed for batch in batches for seed in batch.noise_seed], dtype=np.int64),
-        n_frames=np.concatenate([batch.n_frames for batch in batches]).astype(np.int32),
-        fps=np.concatenate([np.full(len(batch), batch.fps) for batch in batches]),
-        text=None if text is None else tuple(line for lines in text for line in lines),
-        **{name: np.concatenate(arrays) for name, arrays in columns.items()},
+        opaque_id=tuple(ids[number] for number in order for _ in range(info.samples)),
+        sample=np.tile(np.arange(info.samples, dtype=np.int32), len(ids)),
+        **given,
     )
-    # lexsort takes the last key first: by opaque id, then by sample.
-    return unsorted.rows(np.lexsort((samples, np.array(names))))
+
+
+def _batches(selection: Selection, request: ExportRequest) -> Iterator[list[ConditionBatch]]:
+    """Yield the chosen sequences of one table, a window at a time, one batch a sample."""
+    source: ConditionSource | ConditionStream = ConditionStream(selection)
+    if request.control == SHUFFLED_GOAL:  # goals of sequences that lie anywhere in the table
+        source = ConditionSource.read(selection).with_goals_of(derangement(selection, seed=request.seed))
+    salt = run_salt(request.seed, selection.table.identity)
+    for start in range(0, len(selection), planning.WINDOW):
+        own, rows = source.around(np.arange(start, min(start + planning.WINDOW, len(selection))))
+        first = own.batch(rows, request.condition, seed=request.seed, salt=salt, sample=0)
+        if request.native_fps is not None:
+            first = at_native_rate(first, request.native_fps)
+        yield [own.redrawn(first, rows, seed=request.seed, sample=sample) for sample in range(request.samples)]
 
 
 def _require_may_export(info: DatasetInfo, request: ExportRequest) -> None:

@@ -16,6 +16,7 @@ from prbench.evaluation.request import ProgressCallback, reported
 from prbench.evaluation.results import ScoredSet, summarise
 from prbench.evaluation.scoring import ScoringRules, score_selection
 from prbench.manifests import BenchmarkProtocol
+from prbench.memory import give_back
 from prbench.metrics import METRICS
 from prbench.own_protocol import write_protocol
 from prbench.runs import record as run_record
@@ -89,6 +90,9 @@ class Scored:
         windows = score_selection(selection, predictions, samples=samples, rules=rules, engine=work.engine)
         dataset = selection.table.info.dataset
         scores = CodedScores.of(reported(windows, dataset, len(selection), work.progress))
+        give_back()
+        agreement = agreement_with_people(selection, scores, protocol=protocol)
+        give_back()
         scored = ScoredSet(
             info=selection.table.info,
             metrics=METRICS,
@@ -104,7 +108,6 @@ class Scored:
             obstacles=about.obstacles,
             carry_on=about.carry_on,
         )
-        agreement = agreement_with_people(selection, scores, protocol=protocol)
         return cls(chosen, selection, scores, summarise(scores, scored), agreement)
 
 
@@ -175,6 +178,7 @@ def write_submission(
     _require_no_run(folder)
     run = RunFolder.prepare(folder, record, protocol)
     parts = [run.dataset(one.summary.dataset) for one in scored]
+    give_back()
     for part, one in zip(parts, scored):
         one.scores.write(part.scores)
         total_cost([], batches=0).write(part.cost)  # nothing was measured
