@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from prbench.api.arguments import require_positive
 from prbench.engine import close_engine
 from prbench.engine.choice import DEFAULT_SPILL_LIMIT_GB, RAY, EngineChoice
+from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.engine import Engine
@@ -22,6 +23,9 @@ class Cluster:
 
     Give it to :func:`prbench.build_dataset`, :func:`prbench.run` or :func:`prbench.score`. Results have the bytes of
     one process. Every node sees the same files under the same absolute paths.
+
+    Raises:
+        UsageError: for numbers that no cluster has.
     """
 
     address: str | None = None
@@ -34,14 +38,30 @@ class Cluster:
     spill_limit: float = DEFAULT_SPILL_LIMIT_GB
     """Gigabytes of work that may wait in Ray's memory, and be spilled to its disk, at a time."""
 
+    def __post_init__(self) -> None:
+        require_positive(workers=self.workers)
+        if self.gpus_per_worker < 0:
+            raise UsageError(f"gpus_per_worker: expected 0 or more, found {self.gpus_per_worker}.")
+        if self.spill_limit <= 0:
+            raise UsageError(f"spill_limit: expected gigabytes above 0, found {self.spill_limit}.")
+
 
 Workers = int | Cluster
 """Processes of this machine, or a cluster."""
 
 
 def local(workers: Workers) -> int:
-    """Return the number of processes for work that stays on this machine."""
-    return 1 if isinstance(workers, Cluster) else workers
+    """Return the number of processes for work that stays on this machine.
+
+    Raises:
+        UsageError: for anything but a number of processes or a cluster.
+    """
+    if isinstance(workers, Cluster):
+        return 1
+    if not isinstance(workers, int):
+        raise UsageError(f"workers: expected a number of processes or a prbench.Cluster, found {workers!r}.")
+    require_positive(workers=workers)
+    return workers
 
 
 @contextlib.contextmanager
@@ -53,14 +73,12 @@ def engine_of(workers: Workers, **needs: Any) -> Iterator[Engine]:
         needs: What work on a cluster needs of every node: see :meth:`prbench.engine.choice.EngineChoice.open`.
 
     Raises:
-        UsageError: for a number of workers below 1.
+        UsageError: for anything but a number of processes or a cluster.
     """
     if isinstance(workers, Cluster):
-        require_positive(workers=workers.workers)
         choice = EngineChoice(RAY, **vars(workers))
     else:
-        require_positive(workers=workers)
-        choice = EngineChoice(workers=workers)
+        choice = EngineChoice(workers=local(workers))
     engine = choice.open(**needs, tell=lambda line: warnings.warn(line, stacklevel=2))
     try:
         yield engine

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from typing import Any
 
 import pytest
 
@@ -21,6 +22,15 @@ def test_numbers_are_processes_of_this_machine():
         pass
     assert local(3) == 3
     assert local(prbench.Cluster()) == 1
+
+
+def test_what_is_no_number_of_processes_and_no_cluster_is_named():
+    wrong: Any = "4"
+    with pytest.raises(UsageError, match=r"expected a number of processes or a prbench\.Cluster, found '4'"):
+        local(wrong)
+    for name, value in (("workers", 0), ("gpus_per_worker", -1), ("spill_limit", 0)):
+        with pytest.raises(UsageError, match=f"{name}: expected"):
+            prbench.Cluster(**{name: value})
 
 
 def test_a_cluster_is_opened_with_what_the_work_needs_and_closed(monkeypatch, tmp_path):
