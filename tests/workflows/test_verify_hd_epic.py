@@ -115,7 +115,7 @@ def test_every_outcome_that_the_page_explains_occurs() -> None:
     assert {miss.outcome for index in MANY for miss in _found(index).missed_sequences} == EXPLAINED
 
 
-@pytest.mark.parametrize("indices", [range(8), pytest.param(range(40), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("indices", [range(8), pytest.param(MANY, marks=pytest.mark.slow)])
 @pytest.mark.unchecked_shapes
 def test_hands_are_wrong_only_where_both_wrists_are_at_the_place(indices: range) -> None:
     """In a work pose the idle hand often is as near to the place as the one that acts: then nothing tells which it was.
