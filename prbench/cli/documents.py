@@ -97,8 +97,10 @@ def write_document(document: Document, path: Path | Remote) -> None:
 
 def _encoded(document: Document) -> bytes:
     """Encode a document; what JSON cannot say (NaN, infinity) becomes null."""
-    encoded = msgspec.json.format(msgspec.json.encode(document, enc_hook=_plain), indent=2)
-    return session().shown_place(encoded.decode()).encode()  # messages name places as well
+    report = msgspec.json.encode(document.report, enc_hook=_plain).decode()
+    # Messages in a report name places as well. Notes stay as they were told: some say where a local copy lies.
+    document = msgspec.structs.replace(document, report=msgspec.Raw(session().shown_place(report).encode()))
+    return msgspec.json.format(msgspec.json.encode(document), indent=2)
 
 
 def _plain(value: Any) -> Any:

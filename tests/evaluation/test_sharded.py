@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import uuid
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,9 @@ from prbench.errors import AdapterError, PrbenchError, RunError, ShardError, Sto
 from prbench.evaluation.request import RunRequest
 from prbench.evaluation.run import run_method
 from prbench.evaluation.sharded import merge_run_shards, run_shard
+from prbench.object_stores.outputs import written_folder
 from prbench.runs import RunFolder
+from prbench.sequences import SequenceTable
 from prbench.shards import Shard, require_whole
 from tests.evaluation.test_run import reproducible_bytes, request
 from tests.fakes import fake_dataset
@@ -250,6 +253,20 @@ def test_a_shard_whose_first_batch_fails_leaves_nothing(table, tmp_path, install
     with pytest.raises(AdapterError):
         run_shard(request(table, tmp_path / "shard", "made"), Shard(1, 2))
     assert not (tmp_path / "shard").exists()
+
+
+def test_a_merge_finds_a_table_at_the_url_that_its_shards_name(table, tmp_path, monkeypatch):
+    pytest.importorskip("fsspec")
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
+    url = f"memory://tables-{uuid.uuid4().hex}/table"
+    moved = tmp_path / "moved"
+    shutil.copytree(table.folder, moved)
+    with written_folder(url) as (folder, _):
+        shutil.copytree(table.folder, folder, dirs_exist_ok=True)
+    run_method(request(SequenceTable.open(moved), tmp_path / "whole", "ground-truth"))
+    run_shard(request(SequenceTable.open(moved), tmp_path / "shard", "ground-truth"), Shard(1, 1), tables_at=[url])
+    shutil.rmtree(moved)
+    assert run_bytes(merged([tmp_path / "shard"], tmp_path / "merged")) == run_bytes(tmp_path / "whole")
 
 
 def test_puts_that_carry_on_are_not_sharded(table, tmp_path):

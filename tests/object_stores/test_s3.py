@@ -20,6 +20,7 @@ from prbench.object_stores.describe import describe
 from prbench.object_stores.inputs import fetched
 from prbench.object_stores.manifest import FINISHED, OWN_PREFIX, UNFINISHED, WORK_PREFIX
 from prbench.object_stores.store import ObjectStoreError, Store
+from prbench.storage import cache_folder
 from tests.fakes import fake_dataset
 from tests.object_stores.conftest import contents, local_contents, start_moto, use_server
 from tests.object_stores.test_outputs import publish
@@ -53,6 +54,10 @@ def test_commands_read_and_write_there_and_show_urls_in_place_of_local_copies(bu
     assert main([*RUN, "--data", stored_table, "--out", run, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["report"]["runs"][0]["folder"] == run
+    assert f"the local copy is {cache_folder()}" in document["notes"][-1]
+    assert main(["leaderboard", "compare", run, run, "--json"]) == 0
+    unverified = json.loads(capsys.readouterr().out)["report"]["unverified"]
+    assert unverified[0].startswith(f"{run}: ")
     assert {FINISHED, "run.json", "summary.json"} <= set(contents(run))
     assert b"s3:" not in contents(run)["run.json"]
     assert main([*RUN, "--seed", "1", "--data", stored_table, "--out", run]) == RunError.exit_code
