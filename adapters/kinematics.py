@@ -23,7 +23,7 @@ from functools import lru_cache
 import torch
 from jaxtyping import Float
 
-from prbench.skeleton import N_JOINTS, PARENTS, Joint
+from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
 
 _SHORTEST = 1e-12  # of a vector that is made a unit vector; keeps zero vectors, and their gradients, finite
 _OPPOSITE = 1e-6  # length of the sum of two unit vectors below which they count as opposite

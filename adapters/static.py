@@ -13,9 +13,9 @@ import numpy as np
 
 from prbench.contract import Condition, ConditionBatch, Motions, TrainingRun
 from prbench.errors import AdapterError, InputFileError
+from prbench.files.storage import read_json, write_json
+from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.sequences import SequenceTable
-from prbench.skeleton import N_JOINTS, Joint
-from prbench.storage import read_json, write_json
 
 _CHECKPOINT = "mean_pose.json"
 _OPTIONS = {"pose-only": ("true", "false")}

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 from prbench.viewing.event_story import StoryMotion
 from prbench.viewing.figures import draw_figure, horizontal_direction, new_figure, write_png
 from prbench.workflows.explain import explain_event

@@ -1,15 +1,15 @@
-"""Rays and closest points on a mesh by a loop over its triangles: the oracle of :mod:`prbench.meshes`."""
+"""Rays and closest points on a mesh by a loop over its triangles: the oracle of :mod:`prbench.geometry.meshes`."""
 
 from __future__ import annotations
 
 import numpy as np
 import trimesh
 
-from prbench.meshes import TriangleMesh
+from prbench.geometry.meshes import TriangleMesh
 
 
 class SlowMesh(TriangleMesh):
-    """Answers what :class:`prbench.meshes.TriangleMesh` answers."""
+    """Answers what :class:`prbench.geometry.meshes.TriangleMesh` answers."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         self._triangles = vertices[faces]

@@ -13,22 +13,20 @@ from scipy.sparse.csgraph import connected_components
 ROOT = Path(__file__).parents[1]
 
 LAYERS = {
-    **dict.fromkeys(
-        ("boxes", "limits", "shown", "skeleton", "axes", "published", "randomness", "paths", "rates_of_people", "rays"),
-        0,
-    ),
-    **dict.fromkeys(("entry_points", "errors", "joint_names", "progress_bar"), 1),
-    **dict.fromkeys(("boundary", "bounded", "datasets", "meshes", "ranges", "timelines", "workers"), 2),
-    **dict.fromkeys(("manifests", "storage", "parquet_files", "numpy_files", "memory", "engine", "recording"), 3),
-    **dict.fromkeys(("benchmarks", "locks", "own_protocol", "shards"), 4),
-    **dict.fromkeys(("metrics", "object_stores", "sequences", "representation", "text"), 5),
-    **dict.fromkeys(("contract", "prediction", "readers", "runs"), 6),
-    **dict.fromkeys(("curation", "corpora", "methods", "release"), 7),
-    **dict.fromkeys(("evaluation", "synthetic"), 8),
-    **dict.fromkeys(("training", "submitted", "viewing"), 9),
-    **dict.fromkeys(("checking", "leaderboard", "prbench_adapters"), 10),
-    "workflows": 11,
-    **dict.fromkeys(("api", "cli"), 12),
+    **dict.fromkeys(("limits", "shown", "randomness"), 0),
+    **dict.fromkeys(("entry_points", "errors"), 1),
+    **dict.fromkeys(("geometry", "progress_bar", "datasets"), 2),
+    "files": 3,
+    "protocol": 4,
+    **dict.fromkeys(("engine", "recording"), 5),
+    **dict.fromkeys(("metrics", "object_stores", "sequences", "representation", "text"), 6),
+    **dict.fromkeys(("contract", "prediction", "readers"), 7),
+    **dict.fromkeys(("curation", "corpora", "release"), 8),
+    **dict.fromkeys(("harness", "synthetic"), 9),
+    **dict.fromkeys(("training", "viewing"), 10),
+    **dict.fromkeys(("checking", "board", "prbench_adapters"), 11),
+    "workflows": 12,
+    **dict.fromkeys(("api", "cli"), 13),
     "prbench_data_manifests": 0,
     "prbench_benchmarks": 0,
 }
@@ -81,9 +79,9 @@ def test_imports_point_downwards(module, path):
 
 def test_an_upward_import_would_be_noticed(tmp_path):
     file = tmp_path / "x.py"
-    file.write_text("from prbench.cli import main\nimport prbench.sequences.table\nfrom prbench import rays\n")
-    assert [_package(name) for name in _imports(file)] == ["cli", "sequences", "rays"]
-    assert LAYERS["cli"] > LAYERS["sequences"] > LAYERS["rays"]
+    file.write_text("from prbench.cli import main\nimport prbench.sequences.table\nfrom prbench import geometry\n")
+    assert [_package(name) for name in _imports(file)] == ["cli", "sequences", "geometry"]
+    assert LAYERS["cli"] > LAYERS["sequences"] > LAYERS["geometry"]
 
 
 def _imported_modules(path: Path, modules: set[str]) -> set[str]:

@@ -11,7 +11,7 @@ import pytest
 from prbench.cli import main
 from prbench.datasets import find_reader, installed_readers, readable_datasets
 from prbench.errors import InputFileError, UsageError
-from prbench.manifests import dataset_names, load_manifest
+from prbench.protocol.manifests import dataset_names, load_manifest
 from prbench.readers import reader_for
 from prbench.readers.discover import usable_readers
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from prbench.manifests import load_protocol
+from prbench.protocol.manifests import load_protocol
 
 pytestmark = pytest.mark.slow
 
@@ -72,7 +72,7 @@ def test_data_files_are_found_in_the_installed_wheel(distributions, tmp_path):
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path)
     script = (
-        "from prbench.manifests import load_manifest, load_protocol\n"
+        "from prbench.protocol.manifests import load_manifest, load_protocol\n"
         "import prbench\n"
         "print(prbench.__file__, load_manifest('adt').name, load_protocol().version)\n"
     )

@@ -8,11 +8,11 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from prbench.axes import y_up
+from prbench.files.ranges import first_repeated, require_times
+from prbench.geometry.axes import y_up
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.foot_skating import Fps
 from prbench.metrics.targets import GazeRays
-from prbench.ranges import first_repeated, require_times
 from tests import shapes
 
 pytestmark = pytest.mark.skipif(os.environ.get("PRBENCH_CHECK_SHAPES", "1") != "1", reason="shapes are not checked")

@@ -14,7 +14,7 @@ from torch.nn.functional import pad
 
 from prbench.contract import Condition, ConditionBatch, Cost, Motions
 from prbench.errors import AdapterError
-from prbench.skeleton import N_JOINTS, Joint
+from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench_adapters.dart.configuration import OPTIONS, DartSettings, dart_settings
 from prbench_adapters.dart.guidance import GuidedDenoiser, by_ddim, by_ddpm
 from prbench_adapters.dart.model import DartModel

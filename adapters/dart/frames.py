@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from prbench.skeleton import N_JOINTS, Joint
+from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench_adapters.kinematics import fitted_rotations, matrices_of, rows_of, unit
 
 N_FEATURES = 276

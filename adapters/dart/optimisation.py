@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 from prbench_adapters.dart.configuration import DartSettings, GradientNorm
 from prbench_adapters.diffusion.noise_optimisation.objective import (
     Targets,

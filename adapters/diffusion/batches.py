@@ -22,10 +22,10 @@ import torch
 from jaxtyping import Float, Int
 
 from prbench.contract import ConditionBatch, Motions
+from prbench.geometry.skeleton import BONES, N_JOINTS, PARENTS
 from prbench.randomness import sequence_generator
 from prbench.representation import UniformSkeleton
 from prbench.representation.features import N_FEATURES
-from prbench.skeleton import BONES, N_JOINTS, PARENTS
 
 _MOST_PADDING = 0.25  # of the shortest sequence of a part
 _PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
@@ -130,7 +130,7 @@ class ModelBodies:
 
 
 def bone_lengths(pose: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.Tensor, "*batch 21"]:
-    """Lengths of the bones of a pose, metres, in the order of :data:`prbench.skeleton.BONES`."""
+    """Lengths of the bones of a pose, metres, in the order of :data:`prbench.geometry.skeleton.BONES`."""
     return (pose[..., _CHILDREN, :] - pose[..., _PARENTS, :]).norm(dim=-1)
 
 

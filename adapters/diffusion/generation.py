@@ -17,7 +17,7 @@ from torch import Tensor
 
 from prbench.contract import ConditionBatch, Cost, Motions
 from prbench.errors import AdapterError
-from prbench.skeleton import N_JOINTS
+from prbench.geometry.skeleton import N_JOINTS
 from prbench_adapters.diffusion.batches import ModelBodies, SequenceNoise, parts_of_similar_length
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser, frame_mask

@@ -26,7 +26,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from prbench.skeleton import BONES, N_JOINTS, PARENTS, TOES, WRISTS, Joint
+from prbench.geometry.skeleton import BONES, N_JOINTS, PARENTS, TOES, WRISTS, Joint
 from prbench_adapters.diffusion.footsteps import stepped
 
 FADE = 0.5
@@ -327,7 +327,7 @@ def sight(
 def head_axes(
     joints: Float[Tensor, "*batch 22 3"],
 ) -> tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
-    """The unit vectors that :func:`prbench.skeleton.head_forward` mixes: forward without tilt, and neck to head."""
+    """The unit vectors that ``skeleton.head_forward`` mixes: forward without tilt, and neck to head."""
     up = _unit(joints[..., Joint.HEAD, :] - joints[..., Joint.NECK, :])
     left = joints[..., Joint.LEFT_SHOULDER, :] - joints[..., Joint.RIGHT_SHOULDER, :]
     left = _unit(left - (left * up).sum(dim=-1, keepdim=True) * up)

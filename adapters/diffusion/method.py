@@ -9,7 +9,7 @@ import numpy as np
 
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 
 if TYPE_CHECKING:
     from prbench_adapters.diffusion.generation import SamplingSettings

@@ -15,11 +15,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from prbench.boxes import Boxes, deepest
 from prbench.contract import ConditionBatch, Motions
 from prbench.errors import AdapterError
+from prbench.geometry.boxes import Boxes, deepest
+from prbench.geometry.skeleton import PARENTS, WRISTS, Joint
 from prbench.metrics.scene_penetration import without_goal
-from prbench.skeleton import PARENTS, WRISTS, Joint
 from prbench_adapters.diffusion.batches import bone_lengths, with_bone_lengths
 
 _TOES = (Joint.LEFT_FOOT, Joint.RIGHT_FOOT)

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from prbench.skeleton import TOES, WRISTS, Joint
+from prbench.geometry.skeleton import TOES, WRISTS, Joint
 from prbench_adapters.diffusion.goal_frame import head_axes, still_steps
 
 Joints = Float[Tensor, "batch frames 22 3"]

@@ -19,9 +19,9 @@ from jaxtyping import Bool, Float, Int
 from torch import nn
 
 from prbench.contract import Adapter
-from prbench.manifests import load_protocol
+from prbench.geometry.skeleton import BONES
+from prbench.protocol.manifests import load_protocol
 from prbench.representation.tensors import decode
-from prbench.skeleton import BONES
 from prbench.training import MotionBatch
 from prbench.training.task import TrainingModule
 from prbench.training.weights import representation_entry, weights_header

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float, Int
 
 from prbench.contract import Condition, ConditionBatch, Cost, Motions
-from prbench.skeleton import N_JOINTS
+from prbench.geometry.skeleton import N_JOINTS
 from prbench_adapters.diffusion.batches import ModelBodies, SequenceNoise, on_own_bones, parts_of_similar_length
 from prbench_adapters.diffusion.bundled import own_weights
 from prbench_adapters.diffusion.generation import require_lengths

@@ -13,9 +13,9 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import pad
 
+from prbench.geometry.skeleton import Joint
 from prbench.randomness import named_generator
 from prbench.representation.features import JOINT_POSITIONS, N_FEATURES, ROOT_HEIGHT
-from prbench.skeleton import Joint
 
 HEADING = slice(0, 1)
 """Half the turn of the heading since the first frame, radians."""

@@ -19,11 +19,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, UsageError
-from prbench.numpy_files import load_array
+from prbench.files.boundary import foreign_input
+from prbench.files.numpy_files import load_array
+from prbench.files.storage import file_digest
 from prbench.representation.features import N_FEATURES
-from prbench.storage import file_digest
 from prbench_adapters.gmd.features import ROOT_XZ, FeatureSpace
 
 RELEASED = {

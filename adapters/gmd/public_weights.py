@@ -17,8 +17,8 @@ from torch import Tensor
 
 import prbench
 from prbench.errors import InputFileError, UsageError
+from prbench.files.storage import file_digest
 from prbench.representation.features import N_FEATURES
-from prbench.storage import file_digest
 from prbench.text.pretrained import CLIP
 from prbench.training.weights import representation_entry, weights_header, write_weights
 from prbench_adapters.gmd.features import N_ROOT

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 from prbench_adapters.diffusion.sampling import Chain, Denoise
 from prbench_adapters.gmd.features import N_POSE, ROOT_XZ, FeatureSpace, half_turn_of, pose_columns
 

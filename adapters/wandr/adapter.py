@@ -17,9 +17,9 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.contract import Condition, ConditionBatch, Cost, Motions
 from prbench.errors import AdapterError
+from prbench.geometry.skeleton import Joint
 from prbench.randomness import sequence_generator
 from prbench.representation import check_joints, mirror
-from prbench.skeleton import Joint
 from prbench_adapters.diffusion.bundled import own_weights
 from prbench_adapters.diffusion.method import require_goals_within_reach
 from prbench_adapters.diffusion.options import choice, number, require_known

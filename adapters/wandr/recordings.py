@@ -8,8 +8,8 @@ from functools import cached_property
 import torch
 from jaxtyping import Bool, Float, Int
 
+from prbench.geometry.skeleton import Joint
 from prbench.representation.clips import MIRRORED_JOINTS
-from prbench.skeleton import Joint
 from prbench.training import MotionBatch
 from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.kinematics import rest_offsets, root_orientation

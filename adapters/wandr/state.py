@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from jaxtyping import Float
 
-from prbench.skeleton import N_JOINTS, Joint
+from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench_adapters.kinematics import (
     fitted_rotations,
     forward_kinematics,

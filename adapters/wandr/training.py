@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Int
 
 from prbench.contract import Adapter
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 from prbench.training import MotionBatch
 from prbench.training.task import TrainingModule
 from prbench_adapters.wandr.adapter import WANDR

@@ -19,12 +19,12 @@ import numpy as np
 from prbench.curation import BuildOptions, CurationOptions, build_from_sources
 from prbench.curation.curate import curate_recording
 from prbench.curation.options import DEFAULTS
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
-from prbench.manifests import BenchmarkProtocol, load_manifest, load_protocol
-from prbench.own_protocol import FILE_NAME
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+from prbench.harness.run_folder import read_scores
+from prbench.protocol.manifests import BenchmarkProtocol, load_manifest, load_protocol
+from prbench.protocol.own_protocol import FILE_NAME
 from prbench.recording import Recording
-from prbench.runs import read_scores
 from prbench.sequences import SequenceTable
 from prbench.synthetic.layouts import layout_for
 from prbench.workflows.matching import match_events

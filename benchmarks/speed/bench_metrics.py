@@ -18,11 +18,11 @@ import pyarrow.parquet as pq
 
 from benchmarks.speed.naive_metrics import naive_metrics
 from benchmarks.speed.timing import Row, print_rows, timed
-from prbench.manifests import load_protocol
+from prbench.geometry.skeleton import N_JOINTS
+from prbench.harness.run_folder.scores import predictions_schema
 from prbench.metrics import STUDY_METRICS, MotionBatch, ScoringTargets, score
-from prbench.runs.scores import predictions_schema
+from prbench.protocol.manifests import load_protocol
 from prbench.sequences.write import write_table
-from prbench.skeleton import N_JOINTS
 
 NAIVE_SEQUENCES = 20
 

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from prbench.runs.scores import predictions_schema
+from prbench.harness.run_folder.scores import predictions_schema
 from prbench.sequences import SequenceTable
 from prbench.sequences.rows import open_parquet
 from prbench.sequences.write import write_dataset, write_table

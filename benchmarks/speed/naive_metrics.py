@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from prbench.manifests import MetricConstants
-from prbench.skeleton import TOES, WRISTS, Joint, head_forward
+from prbench.geometry.skeleton import TOES, WRISTS, Joint, head_forward
+from prbench.protocol.manifests import MetricConstants
 
 
 def naive_metrics(

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.statistics.designs import Sizes, draw_metres, draw_rates
-from prbench.evaluation.clusters import SIGNIFICANCE, PerSet, mean_bounds, measure_spread, p_values, rate_bounds
-from prbench.runs.means import bounds_of_mean
+from prbench.harness.clusters import SIGNIFICANCE, PerSet, mean_bounds, measure_spread, p_values, rate_bounds
+from prbench.harness.run_folder.means import bounds_of_mean
 
 DATASETS = 5
 """Datasets of a mean over datasets, as in the study."""
@@ -79,7 +79,7 @@ def _rates(
     successes = totals.sum(axis=1)
     low = np.zeros(sets)
     high = np.ones(sets)
-    # 0 % and 100 % have the interval of one trial a recording (prbench.evaluation.intervals.rate_interval).
+    # 0 % and 100 % have the interval of one trial a recording (prbench.harness.intervals.rate_interval).
     beyond = 1 - ((1 - 0.95) / 2) ** (1 / len(sizes))
     high[successes == 0] = beyond
     low[successes == n] = 1 - beyond

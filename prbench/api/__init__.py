@@ -16,7 +16,7 @@ from prbench.api.scoring import Scores, score
 from prbench.api.sequences import Gaze, Goal, Head, Sequence
 from prbench.api.tables import Table, embedded_tables, open_table
 from prbench.errors import PrbenchError
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 
 __all__ = [
     "Build",

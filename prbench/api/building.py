@@ -176,7 +176,7 @@ def build_dataset(
     from prbench.curation import BuildOptions
     from prbench.curation import build_dataset as build
     from prbench.curation.options import CurationOptions
-    from prbench.own_protocol import read_protocol
+    from prbench.protocol.own_protocol import read_protocol
 
     if dataset == _EVERYTHING:
         raise UsageError(

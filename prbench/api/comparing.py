@@ -17,7 +17,7 @@ from prbench.errors import UsageError
 if TYPE_CHECKING:
     import pandas as pd
 
-    from prbench.leaderboard.comparison import ComparedMetric, RunComparison
+    from prbench.board.comparison import ComparedMetric, RunComparison
 
 _COLUMNS = (
     "dataset", "metric", "title", "unit", "difference", "low", "high", "p_value", "adjusted_p_value", "conclusion",
@@ -145,9 +145,9 @@ def compare(
             protocol, tables and sequences.
         UsageError: if scores were never written.
     """
+    from prbench.board import compare_runs
     from prbench.engine import engine_for
-    from prbench.leaderboard import compare_runs
-    from prbench.submitted.verification import RunChecker
+    from prbench.harness.verification import RunChecker
     from prbench.workflows.first_run import table_finder
 
     require_positive(workers=workers)

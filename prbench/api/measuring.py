@@ -14,12 +14,12 @@ from jaxtyping import Float
 
 from prbench.api.frames import frozen
 from prbench.errors import UsageError, did_you_mean
-from prbench.manifests import load_protocol
-from prbench.methods.coordinates import coordinate_problem
+from prbench.geometry.skeleton import N_JOINTS
+from prbench.harness.methods.coordinates import coordinate_problem
 from prbench.metrics import METRICS_OF_MOTIONS, STUDY_METRICS, UNKNOWN_HAND, MotionBatch, ScoringTargets, printed_unit
 from prbench.metrics import score as score_metrics
+from prbench.protocol.manifests import load_protocol
 from prbench.shown import html
-from prbench.skeleton import N_JOINTS
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from prbench.boundary import foreign_input
+from prbench.files.boundary import foreign_input
 from prbench.sequences import SequenceChunk, SequenceTable
 from prbench.sequences.rows import naming, open_parquet, read_parquet
 from prbench.sequences.schema import SEQUENCES

@@ -21,13 +21,13 @@ from prbench.api.conditions import condition_of
 from prbench.api.progress import progress
 from prbench.api.runs import Run
 from prbench.api.tables import Table, embedded_tables, table_folders
-from prbench.benchmarks import find_benchmark
 from prbench.errors import UsageError
-from prbench.manifests import PROTOCOL_NAME
+from prbench.protocol.benchmarks import find_benchmark
+from prbench.protocol.manifests import PROTOCOL_NAME
 
 if TYPE_CHECKING:
     from prbench.engine import Engine
-    from prbench.evaluation.request import RunRequest
+    from prbench.harness.request import RunRequest
 
 _EVERYTHING = "all"
 
@@ -106,8 +106,8 @@ def run(
         StorageError: if the run folder cannot be written.
         ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
-    from prbench.evaluation.request import RunRequest
-    from prbench.evaluation.run import run_method
+    from prbench.harness.request import RunRequest
+    from prbench.harness.run import run_method
     from prbench.workflows import first_run
 
     _require_one(method, condition)
@@ -167,8 +167,8 @@ def _engine(workers: Workers, request: RunRequest, out: Path | None) -> Abstract
     """Open the engine of a run; every node of a cluster needs the tables, the run folder and the method."""
     if not isinstance(workers, Cluster):
         return engine_of(workers)
-    from prbench.evaluation.preparation import DEFAULT_PARENT
-    from prbench.methods.installed import packages_of
+    from prbench.harness.methods.installed import packages_of
+    from prbench.harness.preparation import DEFAULT_PARENT
 
     files = [path for path in (request.weights, Path(request.method)) if path is not None and path.exists()]
     return engine_of(

@@ -15,9 +15,9 @@ from prbench.api.frames import frozen
 from prbench.api.pictures import Picture, Replay, picture_of, replay_of
 from prbench.api.scored import described, irrelevant_metrics, scores_for_notebook, scores_frame, summary_frame
 from prbench.api.tables import Table, table_folders
-from prbench.benchmarks import find_benchmark
 from prbench.errors import RunError, UsageError
-from prbench.runs import DatasetSummary, Predictions, RunCost, RunFolder, RunRecord, read_scores
+from prbench.harness.run_folder import DatasetSummary, Predictions, RunCost, RunFolder, RunRecord, read_scores
+from prbench.protocol.benchmarks import find_benchmark
 from prbench.shown import html
 
 if TYPE_CHECKING:
@@ -250,7 +250,7 @@ class Run:
 
 def _claims(method: str) -> list[str]:
     """Name the packages that offer a method under a name that belongs to prbench; theirs is never run."""
-    from prbench.methods.installed import list_adapters
+    from prbench.harness.methods.installed import list_adapters
 
     return [
         f"{adapter.package} {adapter.version} is not used: {adapter.problem}."

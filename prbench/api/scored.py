@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import pyarrow as pa
 
 from prbench.api.frames import frame_from_rows, frame_of, notebook_table
+from prbench.harness.run_folder import DatasetSummary, MetricSummary
 from prbench.metrics import METRICS, printed_scale, printed_unit
-from prbench.runs import DatasetSummary, MetricSummary
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -16,15 +16,15 @@ from prbench.api.progress import progress
 from prbench.api.scored import described, irrelevant_metrics, scores_for_notebook, scores_frame, summary_frame
 from prbench.api.tables import Table, table_folders
 from prbench.errors import PredictionsError
-from prbench.runs import DatasetSummary, Predictions
-from prbench.skeleton import N_JOINTS
-from prbench.storage import bytes_digest, text_digest
+from prbench.files.storage import bytes_digest, text_digest
+from prbench.geometry.skeleton import N_JOINTS
+from prbench.harness.run_folder import DatasetSummary, Predictions
 
 if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import ArrayLike
 
-    from prbench.submitted.score_predictions import GivenMotions, ScoreReport
+    from prbench.harness.score_predictions import GivenMotions, ScoreReport
 
 _IN_MEMORY = Path("motions")
 """What messages and records call motions that come from memory."""
@@ -134,7 +134,7 @@ def score(
         StorageError: if ``out`` cannot be written.
         ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
-    from prbench.submitted.score_predictions import ScoreRequest, score_predictions
+    from prbench.harness.score_predictions import ScoreRequest, score_predictions
 
     require_positive(limit=limit, max_frames=max_frames)
     given = _given(motions) if isinstance(motions, Mapping) else None
@@ -166,7 +166,7 @@ def score(
 
 @dataclass(frozen=True, eq=False)
 class _ArraysInMemory:
-    """Motions as a list of arrays; see :class:`prbench.runs.predictions.rows.MotionStore`."""
+    """Motions as a list of arrays; see :class:`prbench.harness.run_folder.predictions.rows.MotionStore`."""
 
     arrays: tuple[np.ndarray, ...]
 
@@ -192,8 +192,8 @@ def _given(motions: Mapping[str, ArrayLike]) -> GivenMotions:
     Raises:
         PredictionsError: if there are none, or one is not of the right form.
     """
-    from prbench.runs.predictions.rows import as_float32
-    from prbench.submitted.score_predictions import GivenMotions
+    from prbench.harness.run_folder.predictions.rows import as_float32
+    from prbench.harness.score_predictions import GivenMotions
 
     if not motions:
         raise PredictionsError(

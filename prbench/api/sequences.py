@@ -18,8 +18,8 @@ from prbench.api.arguments import PathLike, as_native_root, as_texts
 from prbench.api.frames import frozen
 from prbench.api.pictures import Picture, Replay, picture_of, replay_of
 from prbench.api.rows import read_row
+from prbench.geometry.skeleton import N_JOINTS, Joint, invert_rigid, transform_points
 from prbench.sequences import SequenceChunk, SequenceTable
-from prbench.skeleton import N_JOINTS, Joint, invert_rigid, transform_points
 
 if TYPE_CHECKING:
     import pandas as pd

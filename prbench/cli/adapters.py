@@ -14,9 +14,9 @@ from prbench.cli.options import ALL_CONDITIONS, SECONDS, benchmark_option, out_f
 from prbench.cli.terminal import print_columns
 
 if TYPE_CHECKING:
-    from prbench.benchmarks import AboutBenchmark
-    from prbench.methods.describe import Description
-    from prbench.methods.installed import InstalledAdapter
+    from prbench.harness.methods.describe import Description
+    from prbench.harness.methods.installed import InstalledAdapter
+    from prbench.protocol.benchmarks import AboutBenchmark
 
 _CONVERTERS = Path("prbench_converters.py")
 
@@ -150,8 +150,8 @@ def list_methods(names: tuple[str, ...], details: bool, timeout: float, benchmar
 
     With NAME only these methods are listed.
     """
-    from prbench.benchmarks import default_benchmark, find_benchmark
-    from prbench.methods.installed import list_adapters, no_such_method
+    from prbench.harness.methods.installed import list_adapters, no_such_method
+    from prbench.protocol.benchmarks import default_benchmark, find_benchmark
 
     about = find_benchmark(benchmark or default_benchmark().name)
     found = list_adapters(about.entry_points)
@@ -194,7 +194,7 @@ def new(
 
     NAME is that of the method, such as glide: what --method will be given.
     """
-    from prbench.benchmarks import default_benchmark
+    from prbench.protocol.benchmarks import default_benchmark
     from prbench.workflows.scaffold import ScaffoldRequest, new_adapter
 
     request = ScaffoldRequest(
@@ -239,7 +239,7 @@ def _installed(
 
 def _problem(adapter: InstalledAdapter, found: Sequence[InstalledAdapter]) -> str:
     """Say what keeps a method from being used, as far as metadata tell."""
-    from prbench.methods.installed import offered_twice
+    from prbench.harness.methods.installed import offered_twice
 
     if adapter.problem:
         return adapter.problem
@@ -265,7 +265,7 @@ def _detailed(
         about: The benchmark.
         time_limit: Seconds for each.
     """
-    from prbench.methods.describe import describe_adapters
+    from prbench.harness.methods.describe import describe_adapters
     from prbench.training.installed import list_tasks
 
     tasks = list_tasks()
@@ -297,7 +297,7 @@ def _trains(description: Description, tasks: Sequence[str]) -> str:
 
 
 def _controls() -> list[ControlMethod]:
-    from prbench.evaluation.controls import CONTROLS
+    from prbench.harness.controls import CONTROLS
 
     return [ControlMethod(use=control.use, name=control.name, summary=control.summary) for control in CONTROLS]
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from prbench.benchmarks import default_benchmark
 from prbench.cli.commands import Answer, command
 from prbench.cli.options import PATH, SECONDS, benchmark_option, method_settings
 from prbench.cli.progress import progress
+from prbench.protocol.benchmarks import default_benchmark
 from prbench.shown import clean
 
 if TYPE_CHECKING:

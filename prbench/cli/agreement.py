@@ -12,7 +12,7 @@ from prbench.cli.commands import Answer, command
 from prbench.cli.options import PATH, data_option, workers_option
 from prbench.cli.summaries import AgreementReport, agreement_report, phi_cell
 from prbench.cli.terminal import print_table
-from prbench.rates_of_people import BinRate
+from prbench.harness.run_folder.rates_of_people import BinRate
 
 _UNITS = {"bearing": "°", "distance": " m", "height": " m"}
 
@@ -58,8 +58,8 @@ class AgreementsReport(msgspec.Struct, frozen=True, kw_only=True):
 @workers_option()
 def agreement(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> Answer:
     """Say on which sequences methods succeed: those of recorded people, and by where the goal is."""
-    from prbench.runs import RunFolder
-    from prbench.runs.agreement import DatasetAgreement
+    from prbench.harness.run_folder import RunFolder
+    from prbench.harness.run_folder.agreement import DatasetAgreement
 
     checker = run_checker(data, workers)
     found = []

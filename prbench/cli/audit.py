@@ -158,7 +158,7 @@ def _audited_table(each: TableAudit) -> AuditedTable:
 
 
 def _means_report(control: ControlMeans) -> ControlMeansReport:
-    from prbench.runs.means import intervals_of_means
+    from prbench.harness.run_folder.means import intervals_of_means
 
     return ControlMeansReport(
         name=control.name,

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from prbench.corpora import CorpusOptions, CorpusReport
     from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
-    from prbench.shards import Shard
+    from prbench.engine.shards import Shard
 
 _SYNTHETIC = "synthetic"
 """Corpus that is generated on the spot."""

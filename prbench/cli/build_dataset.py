@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from prbench.curation.options import BuildOptions
     from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
+    from prbench.engine.shards import Shard
     from prbench.sequences import RecordingRecord
-    from prbench.shards import Shard
 
 EVERYTHING = "all"
 """Stands in place of a dataset's name for whatever is found."""
@@ -127,7 +127,7 @@ def build_dataset(
     DATASET is its name, for example adt (`prbench datasets` lists them), or 'all' for whatever lies below --root.
     """
     from prbench.curation.options import BuildOptions, CurationOptions
-    from prbench.own_protocol import read_protocol
+    from prbench.protocol.own_protocol import read_protocol
 
     part = chosen_shard(shard, replace=replace, dry_run=dry_run, everything=dataset == EVERYTHING)
     source = _meshes(dataset, in_hand=in_hand, occlusion=occlusion) | dict(options)

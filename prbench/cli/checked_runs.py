@@ -10,8 +10,8 @@ from prbench.cli.commands import note
 from prbench.cli.options import data_option
 
 if TYPE_CHECKING:
-    from prbench.leaderboard.collect import CollectedRuns
-    from prbench.submitted.verification import RunChecker
+    from prbench.board.collect import CollectedRuns
+    from prbench.harness.verification import RunChecker
 
 
 def tables_option(function: Callable) -> Callable:
@@ -26,7 +26,7 @@ def tables_option(function: Callable) -> Callable:
 def run_checker(data: Sequence[Path], workers: int) -> RunChecker:
     """Make what scores again on the named tables and the embedded ones."""
     from prbench.engine import engine_for
-    from prbench.submitted.verification import RunChecker
+    from prbench.harness.verification import RunChecker
     from prbench.workflows.first_run import table_finder
 
     return RunChecker(table_finder(data), engine_for(workers))
@@ -43,7 +43,7 @@ def collected_runs(
         workers: Number of processes.
         any_benchmark: The command knows runs of every benchmark.
     """
-    from prbench.leaderboard import collect_runs
+    from prbench.board import collect_runs
 
     collected = collect_runs(runs, check=run_checker(data, workers).check, any_benchmark=any_benchmark)
     for reason in collected.left_out:

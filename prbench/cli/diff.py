@@ -152,7 +152,7 @@ def _print_changes(changes: list[EventChange], *, everything: bool) -> None:
 def _write_csv(difference: Difference, path: Path) -> None:
     import csv
 
-    from prbench.locks import sole_file
+    from prbench.files.locks import sole_file
     from prbench.shown import csv_text
 
     with sole_file(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:

@@ -15,7 +15,7 @@ from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
-    from prbench.evaluation.intervals import Estimate
+    from prbench.harness.intervals import Estimate
     from prbench.workflows.diversity import DatasetDiversity
 
 
@@ -126,7 +126,7 @@ def diversity(
 
     RUN is the folder of a run with --samples 2 or more.
     """
-    from prbench.runs import RunFolder
+    from prbench.harness.run_folder import RunFolder
     from prbench.viewing.fan import draw_fan
     from prbench.viewing.figures import require_drawable
     from prbench.workflows.diversity import measure_diversity, read_fan

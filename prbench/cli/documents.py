@@ -82,8 +82,8 @@ def write_document(document: Document, path: Path | Remote) -> None:
     Raises:
         StorageError: if it cannot be written.
     """
-    from prbench.locks import sole_writer
-    from prbench.storage import write_json
+    from prbench.files.locks import sole_writer
+    from prbench.files.storage import write_json
 
     if isinstance(path, Remote):
         from prbench.object_stores.outputs import written_file

@@ -10,7 +10,6 @@ from pathlib import Path
 import click
 import msgspec
 
-from prbench.benchmarks import default_benchmark
 from prbench.cli.commands import Answer, command, note
 from prbench.cli.options import (
     ALL_CONDITIONS,
@@ -27,6 +26,7 @@ from prbench.cli.options import (
     usual_number,
 )
 from prbench.errors import UsageError
+from prbench.protocol.benchmarks import default_benchmark
 
 
 class ExportedDataset(msgspec.Struct, frozen=True, kw_only=True):
@@ -106,10 +106,10 @@ def export_conditions(
 
     `prbench score` takes the motions that the method makes from it.
     """
-    from prbench.benchmarks import find_benchmark
     from prbench.contract import Condition
-    from prbench.submitted.offline import ExportRequest
-    from prbench.submitted.offline import export_conditions as export
+    from prbench.harness.offline import ExportRequest
+    from prbench.harness.offline import export_conditions as export
+    from prbench.protocol.benchmarks import find_benchmark
 
     about = find_benchmark(benchmark or default_benchmark().name)
     if condition not in about.conditions:
@@ -162,7 +162,7 @@ def _windows(
     permission: tuple[str, ...],
 ) -> Answer:
     """Write what a predictor may see."""
-    from prbench.submitted.futures import WindowsRequest, export_windows
+    from prbench.harness.motion_prediction.offline import WindowsRequest, export_windows
 
     exported = export_windows(
         WindowsRequest(

@@ -14,7 +14,7 @@ from prbench.cli.options import PATH, workers_option
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
-    from prbench.leaderboard.comparison import ComparedMetric
+    from prbench.board.comparison import ComparedMetric
 
 
 class ComparedRun(msgspec.Struct, frozen=True, kw_only=True):
@@ -103,7 +103,7 @@ class CompareReport(msgspec.Struct, frozen=True, kw_only=True):
 @workers_option()
 def compare(first: Path, second: Path, data: tuple[Path, ...], workers: int) -> Answer:
     """Say where two runs on the same sequences differ, and whether the data support it."""
-    from prbench.leaderboard import compare_runs
+    from prbench.board import compare_runs
 
     compared = compare_runs(first, second, checker=run_checker(data, workers))
     for line in compared.left_out:
@@ -120,7 +120,7 @@ def compare(first: Path, second: Path, data: tuple[Path, ...], workers: int) -> 
 
 def _compared_run(path: Path, datasets: list[str]) -> ComparedRun:
     """Name the method of a run and its origin, and the datasets for which it handed in recorded motions."""
-    from prbench.runs import DatasetSummary, RunFolder
+    from prbench.harness.run_folder import DatasetSummary, RunFolder
 
     run = RunFolder.open(path, any_benchmark=True)
     marks = {name: DatasetSummary.read(run.dataset(name).path).mark for name in datasets}
@@ -133,7 +133,7 @@ def _compared_run(path: Path, datasets: list[str]) -> ComparedRun:
 
 
 def _metric_difference(row: ComparedMetric) -> MetricDifference:
-    from prbench.evaluation.comparisons import POINTS
+    from prbench.harness.comparisons import POINTS
 
     difference = row.comparison.difference
     return MetricDifference(

@@ -14,7 +14,7 @@ from prbench.cli.leaderboard import EXAMPLE
 from prbench.cli.options import PATH, out_file_option, workers_option
 
 if TYPE_CHECKING:
-    from prbench.leaderboard.tables import Leaderboard
+    from prbench.board.tables import Leaderboard
 
 
 class BoardMetric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -324,9 +324,9 @@ def export(
 
     RUN are run folders, or folders that hold some.
     """
-    from prbench import leaderboard as boards
-    from prbench.locks import sole_writer
-    from prbench.storage import write_text
+    from prbench import board as boards
+    from prbench.files.locks import sole_writer
+    from prbench.files.storage import write_text
 
     board = boards.make_leaderboard(collected_runs(runs, data, workers, any_benchmark=True))
     text = _exported(board, format, with_published=with_published)
@@ -340,7 +340,7 @@ def export(
 
 def _exported(board: Leaderboard, format: str, *, with_published: bool) -> str:
     """Write a leaderboard in a format, with the study's numbers behind it if asked for."""
-    from prbench import leaderboard as boards
+    from prbench import board as boards
 
     text = boards.export(board, format)
     if not with_published:

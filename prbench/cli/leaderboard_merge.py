@@ -43,7 +43,7 @@ def merge(runs: tuple[Path, ...], out: Path | None, data: tuple[Path, ...], work
 
     The runs are made by `prbench run --split participants --fold K/N`, one for each K.
     """
-    from prbench.leaderboard.merging import merge_folds
+    from prbench.board.merging import merge_folds
 
     merged = merge_folds(runs, checker=run_checker(data, workers))
     protocol = merged.folds[0].protocol

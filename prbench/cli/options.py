@@ -9,10 +9,10 @@ from typing import Any, TypeVar, cast
 
 import click
 
-from prbench.benchmarks import benchmarks, default_benchmark
 from prbench.cli.commands import SeveralValues
 from prbench.cli.places import PlaceType
 from prbench.engine.choice import DEFAULT_SPILL_LIMIT_GB, LOCAL, RAY, EngineChoice
+from prbench.protocol.benchmarks import benchmarks, default_benchmark
 
 CONDITIONS = tuple(default_benchmark().conditions)
 """Conditions that a method of the default benchmark can be given."""
@@ -375,9 +375,9 @@ def replace_option(what: str = "table") -> _Decorator:
 
 def complete_method(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:  # noqa: ARG001
     """Return the installed methods and the controls that begin with what was typed, for the shell's completion."""
-    from prbench.benchmarks import find_benchmark
-    from prbench.methods.installed import list_adapters
-    from prbench.methods.names import METHOD_CONTROLS
+    from prbench.harness.methods.installed import list_adapters
+    from prbench.harness.methods.names import METHOD_CONTROLS
+    from prbench.protocol.benchmarks import find_benchmark
 
     about = find_benchmark(ctx.params.get("benchmark") or default_benchmark().name)
     names = {adapter.name for adapter in list_adapters(about.entry_points) if not adapter.problem}

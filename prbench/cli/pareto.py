@@ -14,7 +14,7 @@ from prbench.cli.options import PATH, data_option, out_file_option, workers_opti
 from prbench.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
-    from prbench.leaderboard.collect import LeaderboardRow
+    from prbench.board.collect import LeaderboardRow
     from prbench.metrics import MetricInfo
     from prbench.viewing.pareto import ScoredMethod
 
@@ -125,8 +125,8 @@ def _rows(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> tuple
     Raises:
         UsageError: if the runs do not compare.
     """
-    from prbench import leaderboard as boards
-    from prbench.leaderboard.tables import of_all_methods
+    from prbench import board as boards
+    from prbench.board.tables import of_all_methods
 
     board = boards.make_leaderboard(collected_runs(runs, data, workers))
     # Where a method left sequences out, all are shown on those that every one generated.
@@ -147,7 +147,7 @@ def _rows(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> tuple
 
 
 def _scored(row: LeaderboardRow, info: MetricInfo, against: str) -> ScoredMethod | None:
-    from prbench.runs.summary import TWICE_DAGGER
+    from prbench.harness.run_folder.summary import TWICE_DAGGER
     from prbench.viewing.pareto import ScoredMethod
 
     metric = row.metric(info.id)

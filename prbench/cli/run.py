@@ -49,10 +49,10 @@ from prbench.errors import UsageError
 if TYPE_CHECKING:
     from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
-    from prbench.evaluation.request import RunRequest
-    from prbench.evaluation.run import RunReport
-    from prbench.runs import RunFolder
-    from prbench.shards import Shard
+    from prbench.engine.shards import Shard
+    from prbench.harness.request import RunRequest
+    from prbench.harness.run import RunReport
+    from prbench.harness.run_folder import RunFolder
     from prbench.workflows.experiment import Experiment, ExperimentMethod
 
 _FIRST_RUN_WORKERS = 2
@@ -197,7 +197,7 @@ def _require_fits_benchmark(given: Mapping[str, Any]) -> None:
     Raises:
         UsageError: naming the option.
     """
-    from prbench.benchmarks import default_benchmark, find_benchmark
+    from prbench.protocol.benchmarks import default_benchmark, find_benchmark
 
     own = default_benchmark()
     about = find_benchmark(given["benchmark"] or own.name)
@@ -275,7 +275,7 @@ def _run_all(
 
 
 def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> MadeShard:
-    from prbench.evaluation.sharded import run_shard
+    from prbench.harness.sharded import run_shard
 
     if request.isolate:
         _tell_isolation(request.method)
@@ -300,8 +300,8 @@ def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> MadeS
 
 def _opened(choice: EngineChoice, experiment: Experiment) -> Engine:
     """Open the engine; on a cluster every node needs the tables, the run folder, and what the methods are made of."""
-    from prbench.evaluation.preparation import DEFAULT_PARENT
-    from prbench.methods.installed import packages_of
+    from prbench.harness.methods.installed import packages_of
+    from prbench.harness.preparation import DEFAULT_PARENT
     from prbench.workflows.first_run import default_folder
 
     first_run = not experiment.data
@@ -326,9 +326,9 @@ def _opened(choice: EngineChoice, experiment: Experiment) -> Engine:
 
 def _require_runnable(method: ExperimentMethod, device: str) -> None:
     """Refuse an unknown method, or one that has to be told its condition, before half a minute goes into tables."""
-    from prbench.methods.adapters import chosen_condition, find_adapter, load_adapter
-    from prbench.methods.names import METHOD_CONTROLS
-    from prbench.methods.programs.words import is_program
+    from prbench.harness.methods.adapters import chosen_condition, find_adapter, load_adapter
+    from prbench.harness.methods.names import METHOD_CONTROLS
+    from prbench.harness.methods.programs.words import is_program
 
     if method.name in METHOD_CONTROLS or is_program(method.name):
         return
@@ -351,14 +351,14 @@ def _on_embedded_tables(experiment: Experiment, engine: Engine) -> Experiment:
 
 def _group(experiment: Experiment) -> str:
     """Entry-point group of the methods of an experiment."""
-    from prbench.benchmarks import find_benchmark
+    from prbench.protocol.benchmarks import find_benchmark
 
     return find_benchmark(experiment.benchmark).entry_points
 
 
 def _tell_claims(method: str, entry_points: str) -> None:
     """Name the packages that offer a method under a name that belongs to prbench; theirs is never run."""
-    from prbench.methods.installed import list_adapters
+    from prbench.harness.methods.installed import list_adapters
 
     for adapter in list_adapters(entry_points):
         if adapter.name == method and adapter.problem:
@@ -366,7 +366,7 @@ def _tell_claims(method: str, entry_points: str) -> None:
 
 
 def _generated(request: RunRequest, engine: Engine) -> RunReport:
-    from prbench.evaluation.run import run_method
+    from prbench.harness.run import run_method
 
     if request.isolate:
         _tell_isolation(request.method)
@@ -384,7 +384,7 @@ def _generated(request: RunRequest, engine: Engine) -> RunReport:
 
 def _tell_crashes(report: RunReport) -> None:
     """Tell how often a program crashed, which its motions do not show."""
-    from prbench.runs.cost import RunCost
+    from prbench.harness.run_folder.cost import RunCost
 
     for table in report.folder.record.tables:
         cost = report.folder.dataset(table.dataset).cost
@@ -395,8 +395,8 @@ def _tell_crashes(report: RunReport) -> None:
 
 
 def _tell_isolation(method: str) -> None:
-    from prbench.methods.isolation import available_fence
-    from prbench.methods.programs import runs_in_container
+    from prbench.harness.methods.isolation import available_fence
+    from prbench.harness.methods.programs import runs_in_container
 
     in_container = "isolated in its container, which shows what its TOML file mounts; tables in there are covered."
     note(in_container if runs_in_container(method) else available_fence().notice)

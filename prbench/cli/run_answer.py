@@ -22,12 +22,12 @@ from prbench.cli.summaries import (
     print_summary,
 )
 from prbench.cli.table_two import TableTwoAnswer
-from prbench.rates_of_people import CarriedOn
+from prbench.harness.run_folder.rates_of_people import CarriedOn
 
 if TYPE_CHECKING:
-    from prbench.evaluation.benchmark import Benchmark
-    from prbench.evaluation.run import RunReport
-    from prbench.runs.agreement import DatasetAgreement
+    from prbench.harness.benchmark import Benchmark
+    from prbench.harness.run import RunReport
+    from prbench.harness.run_folder.agreement import DatasetAgreement
 
 
 class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
@@ -119,7 +119,7 @@ def shards_answer(made: list[MadeShard]) -> Answer:
 
 
 def _made(report: RunReport) -> MadeRun:
-    from prbench.runs.means import intervals_of_means, means_over_datasets, share_a_mean
+    from prbench.harness.run_folder.means import intervals_of_means, means_over_datasets, share_a_mean
 
     record = report.folder.record
     several = len(report.summaries) > 1 and share_a_mean(record.tables)
@@ -144,14 +144,14 @@ def _made(report: RunReport) -> MadeRun:
 def _carried_on(report: RunReport) -> list[CarriedOn]:
     if not report.folder.record.carry_on:
         return []
-    from prbench.runs.carry_on import read_carried_on
+    from prbench.harness.run_folder.carry_on import read_carried_on
 
     return [read_carried_on(report.folder.dataset(summary.dataset).path) for summary in report.summaries]
 
 
 def _agreement(report: RunReport, dataset: str) -> DatasetAgreement | None:
     """Return the agreement with recorded people; None for a benchmark that has none."""
-    from prbench.runs.agreement import DatasetAgreement
+    from prbench.harness.run_folder.agreement import DatasetAgreement
 
     files = report.folder.dataset(dataset)
     return DatasetAgreement.read(files.path) if files.agreement.is_file() else None
@@ -166,13 +166,13 @@ def _print_run(report: RunReport, *, single: bool) -> None:
 
 
 def _benchmark(report: RunReport) -> Benchmark:
-    from prbench.evaluation.benchmark import load_benchmark
+    from prbench.harness.benchmark import load_benchmark
 
     return load_benchmark(report.folder.record.benchmark)
 
 
 def _print_scores(report: RunReport) -> None:
-    from prbench.runs.means import share_a_mean
+    from prbench.harness.run_folder.means import share_a_mean
 
     method = report.folder.record.method
     benchmark = _benchmark(report)

@@ -12,7 +12,7 @@ import msgspec
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
-    from prbench.runs import RunFolder
+    from prbench.harness.run_folder import RunFolder
     from prbench.workflows.experiment import Experiment
 
 _OF_AN_EXPERIMENT = ("benchmark", "method", "condition", "options", "control", "sequences", "minutes")

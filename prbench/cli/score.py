@@ -31,7 +31,7 @@ from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
-    from prbench.submitted.score_predictions import ScoreReport as Scored
+    from prbench.harness.score_predictions import ScoreReport as Scored
 
 
 class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
@@ -119,9 +119,9 @@ def score(
     .npz, n_frames; or a folder of motions/0000000000.npy, numbered by the rows of --conditions. Of
     motion-prediction it is .npz with opaque_id and joints (windows, samples, frames, joints, 3).
     """
-    from prbench.benchmarks import default_benchmark, find_benchmark
     from prbench.contract import Condition
-    from prbench.submitted.score_predictions import ScoreRequest, score_predictions
+    from prbench.harness.score_predictions import ScoreRequest, score_predictions
+    from prbench.protocol.benchmarks import default_benchmark, find_benchmark
 
     about = find_benchmark(benchmark or default_benchmark().name)
     if not about.default:
@@ -184,7 +184,7 @@ def _futures(
     engine: EngineChoice,
 ) -> Answer:
     """Score the finished futures of a predictor."""
-    from prbench.submitted.futures import FuturesRequest, score_futures
+    from prbench.harness.motion_prediction.offline import FuturesRequest, score_futures
 
     if conditions is None:
         raise UsageError("--conditions FILE: futures are scored with the file of windows that they were made from.")
@@ -210,7 +210,7 @@ def _futures(
 
 
 def _print(scored: Sequence[Scored], out: Path | None) -> None:
-    from prbench.submitted.score_predictions import UNSTATED
+    from prbench.harness.score_predictions import UNSTATED
 
     for each in scored:
         print_summary(each.summary, origin=each.origin, motionless=each.motionless)

@@ -12,7 +12,7 @@ import msgspec
 from prbench.cli.commands import Answer, note
 
 if TYPE_CHECKING:
-    from prbench.shards import Shard
+    from prbench.engine.shards import Shard
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -61,8 +61,8 @@ def chosen_shard(text: str | None, **refused: object) -> Shard | None:
     """
     if text is None:
         return None
+    from prbench.engine.shards import Shard
     from prbench.errors import UsageError
-    from prbench.shards import Shard
 
     shard = Shard.parse(text)
     for name, value in refused.items():

@@ -13,7 +13,7 @@ from prbench.cli.options import OUT_FILE, data_arguments
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
-    from prbench.published import PublishedRow
+    from prbench.protocol.published import PublishedRow
     from prbench.sequences import DatasetInfo
     from prbench.sequences.table_one import TableStatistics
 
@@ -84,7 +84,7 @@ class StatsReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option("--draw", type=OUT_FILE, metavar="FILE", help="Draw the six panels of Figure S2 as PNG or SVG.")
 def stats(data: tuple[Path, ...], draw: Path | None) -> Answer:
     """Print how many sequences tables hold, how long they are and how far people move, beside the study."""
-    from prbench.published import load_table_one
+    from prbench.protocol.published import load_table_one
     from prbench.sequences import SequenceTable
     from prbench.sequences.table_one import table_statistics
 
@@ -108,7 +108,7 @@ def stats(data: tuple[Path, ...], draw: Path | None) -> Answer:
 
 
 def _table_stats(each: TableStatistics, published: PublishedRow | None, remarks: list[str]) -> TableStats:
-    from prbench.published import QUANTITIES
+    from prbench.protocol.published import QUANTITIES
 
     quantities = {}
     for name, unit in QUANTITIES.items():
@@ -199,7 +199,7 @@ def _remarks(info: DatasetInfo) -> list[str]:
 
 
 def _ours(each: TableStatistics) -> tuple[str, ...]:
-    from prbench.published import QUANTITIES
+    from prbench.protocol.published import QUANTITIES
 
     spreads = [each.spread(name) for name in QUANTITIES]
     counts = [str(each.by_split[split]) for split in ("train", "validation", "test")]
@@ -208,7 +208,7 @@ def _ours(each: TableStatistics) -> tuple[str, ...]:
 
 
 def _theirs(row: PublishedRow) -> tuple[str, ...]:
-    from prbench.published import QUANTITIES
+    from prbench.protocol.published import QUANTITIES
 
     spreads = [getattr(row, name) for name in QUANTITIES]
     numbers = [f"{spread.mean:.2f} ± {spread.sd:.2f}" for spread in spreads]
@@ -216,7 +216,7 @@ def _theirs(row: PublishedRow) -> tuple[str, ...]:
 
 
 def _deviations(each: TableStatistics, row: PublishedRow) -> tuple[str, ...]:
-    from prbench.published import QUANTITIES
+    from prbench.protocol.published import QUANTITIES
 
     numbers = [f"{each.deviation(name, getattr(row, name)):+.2f} sd" for name in QUANTITIES]
     return ("  difference", "", "", "", "", *numbers, "")

@@ -15,7 +15,7 @@ from prbench.cli.study_answers import StudyReport, require_formats, runs_argumen
 from prbench.errors import RunError, UsageError
 
 if TYPE_CHECKING:
-    from prbench.leaderboard.tables import DatasetTable, Leaderboard
+    from prbench.board.tables import DatasetTable, Leaderboard
     from prbench.workflows.study.document import StudyTable
 
 
@@ -209,7 +209,7 @@ def table_s8(reports: tuple[Path, ...], with_published: bool, files: tuple[Path,
 
 def _board(runs: Sequence[Path], data: Sequence[Path], workers: int) -> Leaderboard:
     """Collect finished runs, whose scores are held against their motions."""
-    from prbench.leaderboard import make_leaderboard
+    from prbench.board import make_leaderboard
 
     collected = collected_runs(runs, data, workers)
     if not collected.rows:

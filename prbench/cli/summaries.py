@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from prbench.cli.terminal import print_table, shown_width
-from prbench.rates_of_people import BinRate, CarriedOn, RateAgreement, SceneOfPeople
+from prbench.harness.run_folder.rates_of_people import BinRate, CarriedOn, RateAgreement, SceneOfPeople
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from prbench.harness.run_folder import RunFolder
+    from prbench.harness.run_folder.agreement import DatasetAgreement
+    from prbench.harness.run_folder.means import MeanOverDatasets
+    from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
     from prbench.metrics import MetricInfo
-    from prbench.runs import RunFolder
-    from prbench.runs.agreement import DatasetAgreement
-    from prbench.runs.means import MeanOverDatasets
-    from prbench.runs.summary import DatasetSummary, MetricSummary
 
 _MARKS = {
     "few_recordings": "few recordings",
@@ -195,7 +195,7 @@ def print_scene(summaries: Sequence[DatasetSummary], agreements: Sequence[Datase
         summaries: Scores of one method, one a dataset.
         agreements: One a dataset, in the same order; None for a run of an earlier version.
     """
-    from prbench.manifests import load_scene_constants
+    from prbench.protocol.manifests import load_scene_constants
 
     lines = []
     for summary, agreement in zip(summaries, agreements, strict=True):
@@ -300,7 +300,7 @@ def print_summary(
 
 def _design_lines(summary: DatasetSummary, ranked: Sequence[MetricInfo]) -> list[str]:
     """Say what the data cannot decide, and what makes the first metric uncertain."""
-    from prbench.leaderboard.decidable import undecided
+    from prbench.board.decidable import undecided
     from prbench.metrics import RANKED_METRICS
 
     found = undecided(
@@ -338,8 +338,8 @@ def print_datasets(
         metrics: All metrics of the benchmark.
         one_mean: The datasets may enter one mean.
     """
+    from prbench.harness.run_folder.means import means_over_datasets
     from prbench.metrics import GAZE_METRICS
-    from prbench.runs.means import means_over_datasets
 
     first = summaries[0]
     by_gaze = [info for info in metrics if info.id in GAZE_METRICS]
@@ -385,7 +385,7 @@ def print_datasets(
 
 def _print_decidable(summaries: Sequence[DatasetSummary], ranked: Sequence[MetricInfo]) -> None:
     """Print which datasets decide nothing, and the smallest differences that the others could find."""
-    from prbench.leaderboard.decidable import why_undecided
+    from prbench.board.decidable import why_undecided
 
     reasons: dict[str, list[str]] = {}
     for each in summaries:
@@ -416,8 +416,8 @@ def print_methods_on_datasets(
         origins: Whose methods they are, in words, one a method.
         motionless: Names of methods that stand still, which get no Foot Skating and the like.
     """
+    from prbench.harness.run_folder.means import means_over_datasets
     from prbench.metrics import MAIN_METRICS
-    from prbench.runs.means import means_over_datasets
 
     firsts = [summaries[0] for summaries in methods]
     means = [means_over_datasets(summaries) for summaries in methods]
@@ -524,7 +524,7 @@ def print_sequence_scores(run: RunFolder, metrics: Sequence[MetricInfo]) -> None
         run: The run.
         metrics: All metrics of its benchmark.
     """
-    from prbench.runs import read_scores
+    from prbench.harness.run_folder import read_scores
 
     for table in run.record.tables:
         rows = read_scores(run.dataset(table.dataset).scores).to_pylist()

@@ -13,7 +13,7 @@ from typing import Any
 from prbench.engine import end_with_parent
 from prbench.entry_points import ADAPTERS
 from prbench.errors import AdapterError
-from prbench.methods.remote.faults import exit_story
+from prbench.harness.methods.remote.faults import exit_story
 
 _Command = Callable[[Sequence[str]], int]
 
@@ -22,7 +22,7 @@ def calls_foreign_code(method: str, *, isolate: bool, entry_points: str = ADAPTE
     """Return True where an installed method of another package would be called in this process."""
     if isolate:
         return False
-    from prbench.methods.installed import list_adapters
+    from prbench.harness.methods.installed import list_adapters
 
     claims = (adapter for adapter in list_adapters(entry_points) if adapter.name == method)
     return any(not adapter.built_in and not adapter.problem for adapter in claims)

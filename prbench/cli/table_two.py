@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from prbench.engine.choice import EngineChoice
-    from prbench.evaluation.request import ProgressCallback
+    from prbench.harness.request import ProgressCallback
     from prbench.workflows.table_two import Cell, DatasetLayout, TableLayout, TableRequest
     from prbench.workflows.table_two.plan import PlannedRow
 
@@ -50,7 +50,7 @@ class TableTwoAnswer(msgspec.Struct, frozen=True, kw_only=True):
 
 def run_table_two(given: Mapping[str, Any], *, minutes: int | None, choice: EngineChoice) -> Answer:
     """Run what is missing of the table; the exit code is 1 if a row failed."""
-    from prbench.evaluation.preparation import DEFAULT_PARENT
+    from prbench.harness.preparation import DEFAULT_PARENT
     from prbench.workflows.table_two import run_table
     from prbench.workflows.table_two.as_markdown import as_builtins
     from prbench.workflows.table_two.run import JSON, MARKDOWN, Say

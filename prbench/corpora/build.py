@@ -17,15 +17,15 @@ import msgspec
 from prbench.corpora.job import CorpusJob, FinishedGroup, GroupReceipt, describe
 from prbench.corpora.sources import Corpus, CorpusOptions, RecordingGroup, corpus_for, find_groups
 from prbench.engine import Engine, InProcess
-from prbench.locks import sole_writer
-from prbench.manifests import digest_of, load_protocol
+from prbench.engine.shards import Shard, ShardRecord, require_settings
+from prbench.files.locks import sole_writer
+from prbench.files.storage import require_replaceable, text_digest
+from prbench.protocol.manifests import digest_of, load_protocol
 from prbench.sequences import parts
 from prbench.sequences.corpus import CORPUS_TABLES, CorpusRecord
 from prbench.sequences.corpus_table import write_corpus
 from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
 from prbench.sequences.shard_parts import ShardReport, finish_shard, making_shard, shard_parts
-from prbench.shards import Shard, ShardRecord, require_settings
-from prbench.storage import require_replaceable, text_digest
 
 _IN_PROCESS = InProcess()
 _DEFAULTS = CorpusOptions()
@@ -129,7 +129,7 @@ def merge_corpus_shards(shards: Sequence[tuple[Path, ShardRecord]], out: Path, *
     """Write the corpus of an unsharded build from all of its shards, with the same bytes.
 
     Args:
-        shards: All of them (:func:`prbench.shards.require_whole`).
+        shards: All of them (:func:`prbench.engine.shards.require_whole`).
         out: See :func:`build_corpus`.
         replace: Replace a corpus that holds recordings which the shards lack.
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.sequences.sequence import FrameSource
-from prbench.skeleton import canonical_frame, invert_rigid, transform_points
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ import prbench
 from prbench.corpora.sources import CorpusOptions, CorpusRecording, ReadRecording, RecordingGroup
 from prbench.engine import is_out_of_memory
 from prbench.errors import InputFileError, PrbenchError
-from prbench.manifests import Manifest, digest_of, load_protocol
+from prbench.files.storage import text_digest
+from prbench.protocol.manifests import Manifest, digest_of, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences import parts
 from prbench.sequences.corpus import (
@@ -27,7 +28,6 @@ from prbench.sequences.corpus import (
 )
 from prbench.sequences.dataset_info import CorpusCounts, CorpusInfo, QuarantinedRecording
 from prbench.shown import quoted
-from prbench.storage import text_digest
 
 
 class GroupReceipt(msgspec.Struct, frozen=True, kw_only=True):

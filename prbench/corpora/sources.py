@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
 from prbench.errors import InputFileError, UsageError
-from prbench.manifests import Manifest, load_protocol
+from prbench.files.storage import text_digest
+from prbench.protocol.manifests import Manifest, load_protocol
 from prbench.sequences.corpus import Annotation, Clip
-from prbench.storage import text_digest
 
 CORPUS_MODULES = {
     "nymeria": "prbench.corpora.nymeria",

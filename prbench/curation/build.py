@@ -21,17 +21,17 @@ from prbench.curation.options import NO_OPTIONS, BuildOptions
 from prbench.curation.provenance import describe
 from prbench.curation.sources import RecordingSource, native_sources
 from prbench.engine import Engine, InProcess
+from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, StorageError, TableError
-from prbench.locks import sole_writer
-from prbench.manifests import BuildEstimate, digest_of, load_manifest, load_protocol
+from prbench.files.locks import sole_writer
+from prbench.files.storage import require_replaceable
+from prbench.protocol.manifests import BuildEstimate, digest_of, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.parts import read_batches, work_folder, working_in_parts
 from prbench.sequences.sequence import RecordingRecord
 from prbench.sequences.shard_parts import ShardReport, finish_shard, making_shard, shard_parts
 from prbench.sequences.write import write_dataset
-from prbench.shards import Shard, ShardRecord, require_settings
-from prbench.storage import require_replaceable
 
 _IN_PROCESS = InProcess()
 _UNMEASURED = BuildEstimate(megabytes_per_second=30.0, table_share=0.02)
@@ -187,7 +187,7 @@ def merge_dataset_shards(shards: SequenceOf[tuple[Path, ShardRecord]], out: Path
     """Write the table of an unsharded build from all of its shards, with the same bytes.
 
     Args:
-        shards: All of them (:func:`prbench.shards.require_whole`).
+        shards: All of them (:func:`prbench.engine.shards.require_whole`).
         out: See :func:`build_dataset`.
         replace: Replace a table that holds recordings which the shards lack.
 

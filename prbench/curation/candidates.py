@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from prbench.geometry.skeleton import Joint
+from prbench.geometry.timelines import nearest_index
 from prbench.recording import BodyStream, Recording
 from prbench.recording.streams import Side
-from prbench.skeleton import Joint
-from prbench.timelines import nearest_index
 
 _SIDES: tuple[Side, Side] = ("left", "right")
 _ARMS = (

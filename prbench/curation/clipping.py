@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from prbench.curation.events import Decision
-from prbench.manifests import BenchmarkProtocol
+from prbench.geometry.skeleton import facing_yaw
+from prbench.geometry.timelines import SequenceGrid, covered, interpolate, slerp
+from prbench.protocol.manifests import BenchmarkProtocol
 from prbench.recording import BodyStream, GazeStream, PoseStream, Recording
 from prbench.sequences.sequence import FrameSource
-from prbench.skeleton import facing_yaw
-from prbench.timelines import SequenceGrid, covered, interpolate, slerp
 
 _SLACK = 1e-6  # seconds; streams of one recording are written with different rounding
 

@@ -8,11 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from prbench.curation.rest import Departure
 from prbench.errors import UsageError
-from prbench.manifests import InHandRule
-from prbench.meshes import TriangleMesh
+from prbench.geometry.meshes import TriangleMesh
+from prbench.geometry.timelines import covered, interpolate
+from prbench.protocol.manifests import InHandRule
 from prbench.recording import HandStream, ObjectTrack, Recording
 from prbench.recording.streams import Side
-from prbench.timelines import covered, interpolate
 
 _SLACK = 1e-6  # seconds; times are computed, so equality needs room
 _LONGEST_HAND_GAP = 1.0

@@ -16,13 +16,13 @@ from prbench.curation.options import DEFAULTS, CurationOptions, minimum_movement
 from prbench.curation.priming import Prime, find_prime, gaze_rays, published_prime
 from prbench.curation.scene import scene_boxes
 from prbench.errors import RecordingUnusable
-from prbench.manifests import BenchmarkProtocol, InHandRule, Manifest, SplitRule
+from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
+from prbench.protocol.manifests import BenchmarkProtocol, InHandRule, Manifest, SplitRule
 from prbench.randomness import hash_fraction
 from prbench.recording import Recording
 from prbench.recording.reaching_hand import wrists_at
 from prbench.sequences.sequence import EventRecord, RecordingRecord, SceneBox, Sequence
 from prbench.sequences.table_one import body_movement, hand_movement
-from prbench.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
 
 Split = Literal["train", "validation", "test"]
 

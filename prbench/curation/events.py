@@ -13,7 +13,7 @@ from jaxtyping import Float
 from prbench.curation.contact import contact_streams, nearest_hand
 from prbench.curation.in_hand import Holding, find_holdings
 from prbench.curation.rest import LONGEST_SURE_GAP, Departure
-from prbench.manifests import InHandRule
+from prbench.protocol.manifests import InHandRule
 from prbench.recording import AnnotatedEvent, PublishedPriming, Recording
 from prbench.recording.reaching_hand import ReachingHand, reaching_hand, wrists_at
 from prbench.recording.streams import Action, HandSource, Side

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.curation.contact import close_to, contact_distance, contact_streams, held_segments, require_surfaces
 from prbench.curation.rest import Departure, Track, find_departure, placed_in_gap, windowed_speed
-from prbench.manifests import InHandRule
+from prbench.protocol.manifests import InHandRule
 from prbench.recording import HandStream, ObjectTrack, Recording
 
 

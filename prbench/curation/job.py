@@ -17,11 +17,11 @@ from prbench.curation.options import CurationOptions
 from prbench.curation.sources import RecordingSource
 from prbench.engine import is_out_of_memory
 from prbench.errors import InputFileError, PrbenchError
-from prbench.manifests import BenchmarkProtocol, Manifest, digest_of
+from prbench.files.storage import text_digest
+from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of
 from prbench.sequences import parts
 from prbench.sequences.sequence import RecordingRecord, event_batch, recording_batch, scene_batch, sequence_batch
 from prbench.shown import quoted
-from prbench.storage import text_digest
 
 
 @dataclass(frozen=True)

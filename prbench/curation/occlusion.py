@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from prbench.meshes import TriangleMesh
+from prbench.geometry.meshes import TriangleMesh
 from prbench.recording import ObjectTrack, Occluder, Recording
 
 OcclusionMode = Literal["off", "mark", "require"]

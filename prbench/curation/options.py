@@ -18,10 +18,10 @@ from prbench.curation.events import Decision, PickPutEvent, Place
 from prbench.curation.occlusion import OcclusionMode
 from prbench.curation.priming import RAY_ORIGINS
 from prbench.errors import UsageError
-from prbench.manifests import BenchmarkProtocol, CurationConstants, InHandRule, Manifest, digest_of
-from prbench.meshes import import_open3d
+from prbench.geometry.meshes import import_open3d
+from prbench.geometry.skeleton import WRISTS
+from prbench.protocol.manifests import BenchmarkProtocol, CurationConstants, InHandRule, Manifest, digest_of
 from prbench.sequences.table_one import body_movement
-from prbench.skeleton import WRISTS
 
 _PrimingSource = Literal["rule", "published"]
 
@@ -166,7 +166,7 @@ class BuildOptions:
     on_error: Literal["skip", "fail"] = "skip"
     """``skip`` reports a recording that cannot be read while the others go on, ``fail`` ends the build."""
     protocol: BenchmarkProtocol | None = None
-    """The user's own protocol (:func:`prbench.own_protocol.read_protocol`); None = prbench's."""
+    """The user's own protocol (:func:`prbench.protocol.own_protocol.read_protocol`); None = prbench's."""
     replace: bool = False
     """Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
 

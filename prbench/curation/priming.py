@@ -10,10 +10,10 @@ from jaxtyping import Bool, Float
 
 from prbench.curation.events import Decision, Place
 from prbench.curation.occlusion import View
-from prbench.manifests import CurationConstants
-from prbench.rays import near_miss, slab_test
+from prbench.geometry.rays import near_miss, slab_test
+from prbench.geometry.timelines import interpolate
+from prbench.protocol.manifests import CurationConstants
 from prbench.recording import PublishedPriming, Recording
-from prbench.timelines import interpolate
 
 _PrimeKind = Literal["hit", "near_miss", "published"]
 RAY_ORIGINS = ("eye", "camera")

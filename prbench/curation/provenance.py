@@ -12,12 +12,12 @@ import msgspec
 import prbench
 from prbench.curation.job import PartReceipt
 from prbench.curation.options import BuildOptions
-from prbench.manifests import BenchmarkProtocol, Manifest, digest_of
-from prbench.own_protocol import OPTION
+from prbench.files.storage import text_digest
+from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of
+from prbench.protocol.own_protocol import OPTION
 from prbench.readers import SYNTHETIC_PREFIX, described_options, reader_for
 from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
 from prbench.sequences.schema import OUTCOMES, SCHEMA_VERSION
-from prbench.storage import text_digest
 
 _STAGES = {
     "located": ("other_wearer", "excluded_category", "no_location", "tracking_lost"),

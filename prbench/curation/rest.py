@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from prbench.geometry.timelines import covered, interpolate
 from prbench.recording import HandStream
-from prbench.timelines import covered, interpolate
 
 _LONGEST_REST = 1.0  # seconds of rest that are averaged: enough to suppress sensor noise, short enough to be local
 

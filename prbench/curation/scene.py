@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from prbench.boxes import Boxes, deepest
+from prbench.geometry.boxes import Boxes, deepest
 from prbench.recording import ObjectTrack, Recording
 from prbench.sequences.sequence import SceneBox
 

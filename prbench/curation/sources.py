@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from prbench.boundary import foreign_input
 from prbench.curation.options import BuildOptions
 from prbench.errors import InputFileError
-from prbench.manifests import load_manifest
-from prbench.ranges import first_repeated
+from prbench.files.boundary import foreign_input
+from prbench.files.ranges import first_repeated
+from prbench.files.storage import text_digest
+from prbench.protocol.manifests import load_manifest
 from prbench.readers import (
     Reader,
     RecordingFiles,
@@ -26,7 +27,6 @@ from prbench.readers.cut_short import cut_short
 from prbench.readers.parse_cache import remembered_digest
 from prbench.readers.synthetic_tree import require_marked
 from prbench.recording import Recording
-from prbench.storage import text_digest
 
 
 @runtime_checkable

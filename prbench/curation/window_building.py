@@ -19,19 +19,19 @@ from prbench.curation.sources import native_sources
 from prbench.curation.window_job import CutRecording, NativeWindows, WindowsJob, WindowSource, WindowsReceipt
 from prbench.curation.window_runs import window_starts
 from prbench.engine import Engine, InProcess
+from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, UsageError
-from prbench.locks import sole_writer
-from prbench.manifests import Manifest, digest_of, load_manifest
+from prbench.files.locks import sole_writer
+from prbench.files.storage import require_replaceable, text_digest
 from prbench.prediction.protocol import PredictionProtocol, load_prediction_protocol
 from prbench.prediction.table import FILE_NAME, SCHEMA_VERSION, WindowsInfo, write_windows
 from prbench.prediction.window_parts import read_cut_runs
+from prbench.protocol.manifests import Manifest, digest_of, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, PublishedForPrediction, reader_for
 from prbench.recording.pose_origin import is_estimated
 from prbench.sequences.dataset_info import QuarantinedRecording
 from prbench.sequences.parts import work_folder, working_in_parts
 from prbench.sequences.shard_parts import ShardReport, finish_shard, making_shard, shard_parts
-from prbench.shards import Shard, ShardRecord, require_settings
-from prbench.storage import require_replaceable, text_digest
 
 JointChoice = Literal["native", "smpl22"]
 """``native``: joints that a study scored, where the reader gives them; ``smpl22``: the 22 joints of every dataset."""
@@ -200,7 +200,7 @@ def merge_windows_shards(shards: Sequence[tuple[Path, ShardRecord]], out: Path) 
     """Write the table of an unsharded build from all of its shards, with the same bytes.
 
     Args:
-        shards: All of them (:func:`prbench.shards.require_whole`).
+        shards: All of them (:func:`prbench.engine.shards.require_whole`).
         out: See :func:`build_windows`.
 
     Raises:

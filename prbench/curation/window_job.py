@@ -14,15 +14,15 @@ from prbench.curation.sources import NativeSource
 from prbench.curation.window_runs import runs_of_recording, runs_of_tracks
 from prbench.engine import is_out_of_memory
 from prbench.errors import InputFileError, PrbenchError
-from prbench.manifests import Manifest, digest_of, load_protocol
+from prbench.files.storage import text_digest
 from prbench.prediction.joint_sets import SMPL22, joint_set
 from prbench.prediction.protocol import PredictionProtocol
 from prbench.prediction.table import CutRun
 from prbench.prediction.window_parts import write_cut_runs
+from prbench.protocol.manifests import Manifest, digest_of, load_protocol
 from prbench.readers import PublishedForPrediction, Reader, reader_for
 from prbench.sequences import parts
 from prbench.shown import quoted
-from prbench.storage import text_digest
 
 Status = Literal["read", "failed", "skipped"]
 

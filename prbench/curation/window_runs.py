@@ -12,12 +12,12 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from prbench.geometry.skeleton import head_forward
+from prbench.geometry.timelines import covered, interpolate, nearest_index
 from prbench.prediction.protocol import WindowRules
 from prbench.prediction.table import CutRun, Run, Window
 from prbench.recording.published_tracks import PublishedTrack
 from prbench.recording.streams import BodyStream, Recording
-from prbench.skeleton import head_forward
-from prbench.timelines import covered, interpolate, nearest_index
 
 _ROUNDING = 1e-6  # seconds
 _RATE_TOLERANCE = 0.005

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from prbench.manifests import MetricConstants
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.registry import (
     MetricFamily,
@@ -20,6 +19,7 @@ from prbench.metrics.registry import (
 )
 from prbench.metrics.scoring import CHUNK_FRAMES, score_pair
 from prbench.metrics.targets import UNKNOWN_HAND, GazeRays, ScoringPair, ScoringTargets
+from prbench.protocol.manifests import MetricConstants
 
 FAMILIES: tuple[MetricFamily, ...] = find_families(__name__, __path__)
 METRICS: tuple[MetricInfo, ...] = tuple(

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.skeleton import N_JOINTS
+from prbench.geometry.skeleton import N_JOINTS
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.manifests import MetricConstants
+from prbench.geometry.skeleton import BONES
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair
-from prbench.skeleton import BONES
+from prbench.protocol.manifests import MetricConstants
 
 _NO_LENGTH = 1e-6  # metres; what float32 resolves a few metres from the origin
 
@@ -29,7 +29,7 @@ def bone_length_change(motion: MotionBatch) -> tuple[Float[np.ndarray, " n"], Bo
 
 
 def change_of_each_bone(motion: MotionBatch) -> tuple[Float[np.ndarray, "21 n"], Bool[np.ndarray, "21 n"]]:
-    """Largest relative change of each bone against frame 0, in the order of :data:`~prbench.skeleton.BONES`.
+    """Largest relative change of each bone against frame 0, in the order of :data:`~prbench.geometry.skeleton.BONES`.
 
     Args:
         motion: Metres, any frame.

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from prbench.manifests import MetricConstants
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair
+from prbench.protocol.manifests import MetricConstants
 
 
 def goal_mpjpe(predicted: MotionBatch, recorded: MotionBatch) -> Float[np.ndarray, " n"]:

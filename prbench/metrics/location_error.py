@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from prbench.manifests import MetricConstants
+from prbench.geometry.skeleton import Joint
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair
-from prbench.skeleton import Joint
+from prbench.protocol.manifests import MetricConstants
 
 
 def location_error(

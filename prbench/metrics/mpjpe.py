@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from prbench.manifests import MetricConstants
+from prbench.geometry.skeleton import N_JOINTS
 from prbench.metrics.batch import MotionBatch, require_equal_lengths, sum_rows
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair
-from prbench.skeleton import N_JOINTS
+from prbench.protocol.manifests import MetricConstants
 
 
 def mpjpe(predicted: MotionBatch, recorded: MotionBatch) -> Float[np.ndarray, " n"]:

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from prbench.geometry.skeleton import TOES, Joint
 from prbench.metrics.batch import MotionBatch
-from prbench.skeleton import TOES, Joint
 
 _FEET = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, *TOES)
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from prbench.manifests import MetricConstants
+from prbench.geometry.skeleton import Joint, head_forward
 from prbench.metrics.batch import MotionBatch, moving_sum, odd_window, ranges
 from prbench.metrics.targets import GazeRays
-from prbench.skeleton import Joint, head_forward
+from prbench.protocol.manifests import MetricConstants
 
 _TIME_TOLERANCE = 1e-9  # seconds
 
@@ -87,7 +87,7 @@ def head_track(
         motion: Canonical frame, metres.
         candidates: Decide which frames are looked at.
         goal_location: Same frame and unit.
-        head_tilt_deg: See :func:`prbench.skeleton.head_forward`.
+        head_tilt_deg: See :func:`prbench.geometry.skeleton.head_forward`.
         fps: Frames per second.
         constants: Of the protocol; with ``head_smoothing`` above 0 the joints are averaged over time first.
     """

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.manifests import MetricConstants
+from prbench.geometry.skeleton import WRISTS
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair, final_reaching_wrist
-from prbench.skeleton import WRISTS
+from prbench.protocol.manifests import MetricConstants
 
 
 def reach_success(

@@ -15,8 +15,8 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.manifests import MetricConstants
 from prbench.metrics.targets import ScoringPair
+from prbench.protocol.manifests import MetricConstants
 
 
 @dataclass(frozen=True)

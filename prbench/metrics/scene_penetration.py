@@ -1,7 +1,7 @@
 """Scene penetration: how often and how deep a body comes into the boxes of what stands around it.
 
 Definition: docs/specification/scene.md#scene-penetration. Which boxes are solid is decided by whoever hands them in
-(:func:`prbench.evaluation.obstacles.solid_boxes`); a box that holds the goal is left out here, because whatever is
+(:func:`prbench.harness.obstacles.solid_boxes`); a box that holds the goal is left out here, because whatever is
 reached in a cupboard lies in the cupboard's box.
 """
 
@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from prbench.boxes import Boxes, deepest
-from prbench.manifests import MetricConstants, load_scene_constants
+from prbench.geometry.boxes import Boxes, deepest
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair, ScoringTargets
+from prbench.protocol.manifests import MetricConstants, load_scene_constants
 
 
 def scene_penetration(

@@ -6,10 +6,10 @@ from collections.abc import Collection
 
 import numpy as np
 
-from prbench.manifests import MetricConstants
 from prbench.metrics.batch import require_equal_lengths
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.targets import ScoringPair
+from prbench.protocol.manifests import MetricConstants
 
 CHUNK_FRAMES = 8192
 LENGTH_MISMATCH = "length_mismatch"

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from prbench.boxes import Boxes
+from prbench.geometry.boxes import Boxes
+from prbench.geometry.skeleton import WRISTS
 from prbench.metrics.batch import MotionBatch
-from prbench.skeleton import WRISTS
 
 UNKNOWN_HAND = -1
 """Value of :attr:`ScoringTargets.hand` where the recording does not say which hand reached."""

@@ -1,4 +1,4 @@
-"""``python -m prbench.object_stores.describe DIR``: the manifest of a local folder, for other programs that copy it.
+"""``python -m prbench.object_stores.describe DIR``: the manifest of a folder, for programs that copy it.
 
 Copy the folder to a store, the manifest last; ``--data`` and others then read it there.
 """
@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 from prbench.errors import InputFileError
+from prbench.files.storage import file_digest, write_bytes
 from prbench.object_stores.manifest import FINISHED, FolderManifest, StoredFile
-from prbench.storage import file_digest, write_bytes
 
 
 def describe(folder: Path) -> FolderManifest:

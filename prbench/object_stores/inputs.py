@@ -15,14 +15,14 @@ import msgspec
 
 from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError, PrbenchError, StorageError
-from prbench.locks import in_turn
-from prbench.manifests import load_manifest
+from prbench.files.locks import in_turn
+from prbench.files.storage import remove_folder, text_digest, write_bytes
 from prbench.object_stores.manifest import FINISHED, LARGEST_MANIFEST, UNFINISHED, FolderManifest, decode_manifest
 from prbench.object_stores.opened import opened_elsewhere
 from prbench.object_stores.store import Store, StoredObject
 from prbench.object_stores.urls import StoreUrl
+from prbench.protocol.manifests import load_manifest
 from prbench.shown import clean
-from prbench.storage import remove_folder, text_digest, write_bytes
 
 Tell = Callable[[str], None]
 Download = Callable[[], None]

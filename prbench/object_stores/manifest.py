@@ -11,11 +11,11 @@ from pathlib import PurePosixPath
 
 import msgspec
 
-from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
+from prbench.files.boundary import foreign_input
+from prbench.files.storage import bytes_digest
 from prbench.limits import LARGEST_JSON
 from prbench.shown import clean
-from prbench.storage import bytes_digest
 
 FINISHED = "prbench-manifest.json"
 """Name of the manifest of a finished folder."""

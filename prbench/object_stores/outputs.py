@@ -14,7 +14,8 @@ from pathlib import Path
 import msgspec
 
 from prbench.errors import InputFileError, StorageError, UsageError
-from prbench.locks import sole_writer
+from prbench.files.locks import sole_writer
+from prbench.files.storage import file_digest, remove_folder, write_bytes
 from prbench.object_stores.inputs import Tell, fetch_files, finished_manifest
 from prbench.object_stores.manifest import (
     FINISHED,
@@ -30,7 +31,6 @@ from prbench.object_stores.manifest import (
 from prbench.object_stores.opened import opened, opened_elsewhere
 from prbench.object_stores.store import ObjectStoreError, Store
 from prbench.object_stores.urls import StoreUrl
-from prbench.storage import file_digest, remove_folder, write_bytes
 
 SECONDS_VARIABLE = "PRBENCH_UPLOAD_SECONDS"
 """Environment variable: seconds between two uploads of finished parts while a command works."""

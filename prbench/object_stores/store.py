@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from prbench.errors import ErrorOfParts, InputFileError, MissingExtraError, PrbenchError, StorageError, UsageError
+from prbench.files.storage import atomic_path
 from prbench.object_stores.urls import StoreUrl
 from prbench.shown import quoted
-from prbench.storage import atomic_path
 
 _BLOCK = 8 * 2**20
 """Bytes that are asked for at once."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.errors import UsageError
+from prbench.files.storage import cache_folder, is_path_part, text_digest
 from prbench.shown import clean, quoted
-from prbench.storage import cache_folder, is_path_part, text_digest
 
 _URL = re.compile(r"[a-zA-Z][a-zA-Z0-9+.-]+(::[^/]*)?://")
 _SWALLOWED = re.compile(r"(s3a?|gs|gcs|az|abfss?|hf|https?|memory):/(?!/)")

@@ -14,14 +14,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.errors import UsageError
-from prbench.locks import sole_writer
+from prbench.files.locks import sole_writer
+from prbench.geometry.skeleton import head_forward, transform_points
 from prbench.prediction.protocol import AnchoredRules, WindowRules, load_prediction_protocol
 from prbench.prediction.table import SCHEMA_VERSION, CutRun, Run, Window, WindowsInfo, write_windows
 from prbench.recording.pose_origin import is_estimated
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.dataset_info import Provenance
 from prbench.sequences.table import SequenceTable
-from prbench.skeleton import head_forward, transform_points
 
 _TEXT = ("sequence_id", "recording_id", "participant_id", "split", "action", "pose_source")
 _NUMBERS = ("n_frames", "prime_frame", "start_time", "fps", "head_tilt_deg")

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import UsageError
-from prbench.skeleton import PARENTS, Joint, invert_rigid
+from prbench.geometry.skeleton import PARENTS, Joint, invert_rigid
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,8 @@ class JointSet:
     def last_pose_frame(self, poses: Float[np.ndarray, "batch joints 3"]) -> Float[np.ndarray, "batch 4 4"]:
         """``room_from_batch`` of each pose: its pelvis over the origin, facing +Z; heights stay as they are.
 
-        The heading is that of :func:`prbench.skeleton.facing_yaw`. A pose without a heading keeps the room's axes.
+        The heading is that of :func:`prbench.geometry.skeleton.facing_yaw`. A pose without a heading keeps the room's
+        axes.
 
         Args:
             poses: Last observed poses, room, metres, Y up.
@@ -132,7 +133,7 @@ def joint_set(name: str) -> JointSet:
 def transform_each(
     frames: Float[np.ndarray, "batch 4 4"], points: Float[np.ndarray, "batch *shape 3"]
 ) -> Float[np.ndarray, "batch *shape 3"]:
-    """:func:`prbench.skeleton.transform_points` with a transform of its own for every row; float64.
+    """:func:`prbench.geometry.skeleton.transform_points` with a transform of its own for every row; float64.
 
     Written out axis by axis: a matrix product may round differently with another number of rows.
     """
@@ -142,7 +143,7 @@ def transform_each(
 
 
 def invert_each(frames: Float[np.ndarray, "batch 4 4"]) -> Float[np.ndarray, "batch 4 4"]:
-    """:func:`prbench.skeleton.invert_rigid` of every row."""
+    """:func:`prbench.geometry.skeleton.invert_rigid` of every row."""
     return np.stack([invert_rigid(frame) for frame in frames])
 
 

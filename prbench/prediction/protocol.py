@@ -7,7 +7,7 @@ from typing import Literal
 
 import msgspec
 
-from prbench.manifests import digest_of, read_toml
+from prbench.protocol.manifests import digest_of, read_toml
 
 FrameName = Literal["room", "last-pose"]
 """``room``: the recording's world; ``last-pose``: last observed pelvis over the origin, facing +Z."""

@@ -13,8 +13,8 @@ from importlib import resources
 
 import msgspec
 
-from prbench.manifests import read_toml
 from prbench.prediction.batch import Condition
+from prbench.protocol.manifests import read_toml
 
 _PACKAGE = "prbench_benchmarks.motion_prediction"
 TABLES = ("1", "2", "3")

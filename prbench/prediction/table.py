@@ -18,8 +18,9 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Bool, Float, Int
 
-from prbench.boundary import foreign_input
 from prbench.errors import TableError, UsageError
+from prbench.files.boundary import foreign_input
+from prbench.files.storage import atomic_folder, require_replaceable
 from prbench.prediction.batch import Condition, ObservedBatch, window_keys
 from prbench.prediction.joint_sets import JointSet, invert_each, joint_set, rotations_alone, transform_each
 from prbench.prediction.protocol import FrameName
@@ -30,7 +31,6 @@ from prbench.sequences.digests import require_unchanged
 from prbench.sequences.rows import naming, open_parquet, read_parquet, require_distinct, table_parts
 from prbench.sequences.schema import column_field
 from prbench.sequences.write import write_tables
-from prbench.storage import atomic_folder, require_replaceable
 
 SCHEMA_VERSION = 1
 FILE_NAME = "windows.json"

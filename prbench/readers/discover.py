@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.boundary import foreign_input
 from prbench.datasets import installed_readers, readable_datasets
 from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
-from prbench.manifests import load_manifest
+from prbench.files.boundary import foreign_input
+from prbench.protocol.manifests import load_manifest
 from prbench.readers import Reader, RecordingFiles, read_synthetic_tree, reader_for
 from prbench.readers.found import names_in
 from prbench.readers.synthetic_tree import SYNTHETIC_FILE

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.bounded import open_regular, read_end
+from prbench.files.bounded import open_regular, read_end
 from prbench.limits import LARGEST_UNPACKED_FOR_ITS_END
 from prbench.readers.files import header_names
 from prbench.readers.found import InputFile

@@ -14,9 +14,9 @@ import pyarrow as pa
 import pyarrow.csv
 from jaxtyping import Bool, Float, Int
 
-from prbench.boundary import foreign_input
-from prbench.bounded import open_regular, require_size, too_long_line, whole_lines
 from prbench.errors import InputFileError
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import open_regular, require_size, too_long_line, whole_lines
 from prbench.limits import LARGEST_FILE, LARGEST_JSON, LARGEST_TABLE, LONGEST_LINE
 from prbench.readers.zipped import RememberingTail, Source, opened, read_all, require_whole_last_line, shown
 

@@ -12,11 +12,11 @@ from pathlib import Path
 import h5py
 import msgspec
 
-from prbench.boundary import foreign_input
-from prbench.bounded import read_end, read_whole, require_size
 from prbench.errors import InputFileError
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_end, read_whole, require_size
+from prbench.files.numpy_files import map_array, read_header
 from prbench.limits import LARGEST_UNPACKED, LONGEST_LINE
-from prbench.numpy_files import map_array, read_header
 from prbench.readers.found import InputFile
 
 _TAIL = 65536  # bytes; longer than any line of the formats that are read

@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 import msgspec
 
 from prbench.errors import UsageError, did_you_mean
-from prbench.storage import file_digest
+from prbench.files.storage import file_digest
 
 
 class ReaderOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

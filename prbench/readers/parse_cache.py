@@ -23,9 +23,9 @@ import pyarrow as pa
 import pyarrow.ipc
 
 from prbench.errors import StorageError, UsageError
-from prbench.locks import sole_file, sole_writer
+from prbench.files.locks import sole_file, sole_writer
+from prbench.files.storage import cache_folder, file_digest, text_digest, write_json
 from prbench.readers.zipped import Source, ZippedFile
-from prbench.storage import cache_folder, file_digest, text_digest, write_json
 
 CACHE_VARIABLE = "PRBENCH_PARSE_CACHE"
 _DEFAULT_MEGABYTES = 2048

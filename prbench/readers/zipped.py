@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from prbench.bounded import read_end, read_whole, require_size, require_unpackable
 from prbench.errors import InputFileError
+from prbench.files.bounded import read_end, read_whole, require_size, require_unpackable
 from prbench.limits import LARGEST_ARCHIVE, LARGEST_FILE, LARGEST_UNPACKED
 from prbench.readers.found import InputFile
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.skeleton import bone_lengths
-from prbench.timelines import nearest_index
+from prbench.geometry.skeleton import bone_lengths
+from prbench.geometry.timelines import nearest_index
 
 _BONE_TOLERANCE = 0.20  # share of the recording's median bone length
 _FASTEST_JOINT = 10.0  # m/s

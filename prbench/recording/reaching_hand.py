@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from prbench.geometry.skeleton import WRISTS
+from prbench.geometry.timelines import covered, interpolate
 from prbench.recording.streams import SIDES, BodyStream, HandSource, HandStream, Side
-from prbench.skeleton import WRISTS
-from prbench.timelines import covered, interpolate
 
 _LONGEST_WRIST_GAP = 0.15
 """Seconds between two measurements of a wrist that tell where it was in between: hands are tracked at 10 Hz."""

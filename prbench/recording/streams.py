@@ -17,10 +17,10 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import RecordingUnusable
+from prbench.files.ranges import first_repeated, require_near, require_times, require_unit_length
+from prbench.geometry.timelines import interpolate, slerp
 from prbench.limits import FARTHEST_POSITION, LARGEST_OBJECT
-from prbench.ranges import first_repeated, require_near, require_times, require_unit_length
 from prbench.shown import quoted
-from prbench.timelines import interpolate, slerp
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -99,7 +99,7 @@ class PoseStream:
 
 @dataclass(frozen=True)
 class BodyStream:
-    """The 22 joints of :class:`prbench.skeleton.Joint`."""
+    """The 22 joints of :class:`prbench.geometry.skeleton.Joint`."""
 
     times: Float[np.ndarray, " n"]
     joints: Float[np.ndarray, "n 22 3"]

@@ -17,9 +17,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from prbench.bounded import open_regular
 from prbench.errors import InputFileError
-from prbench.numpy_files import Archive, ArrayHeader, read_header
+from prbench.files.bounded import open_regular
+from prbench.files.numpy_files import Archive, ArrayHeader, read_header
 
 _REQUIRED = ("previous_joints", "next_joints", "gaze_origin", "gaze_direction", "gaze_valid")
 _HEAD = ("head_position", "head_rotation")  # both or none

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from prbench.bounded import read_text
 from prbench.errors import InputFileError
+from prbench.files.bounded import read_text
 from prbench.limits import LARGEST_JSON
 from prbench.release.fields import names_a_field
 from prbench.release.known import letters

@@ -16,14 +16,14 @@ import numpy as np
 
 import prbench
 from prbench.errors import UsageError
-from prbench.locks import sole_writer
+from prbench.files.locks import sole_writer
+from prbench.files.storage import atomic_folder, inside, require_replaceable, write_json
+from prbench.geometry.skeleton import transform_points
 from prbench.release.block import Block, pack_arrays
 from prbench.release.known import folder_of
 from prbench.release.layout import EXPORT_RECORD, FURTHER, GAZES, MOTIONS, TARGETS
 from prbench.sequences import DatasetInfo, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import NOTICE_FILE, notice, require_may_pass_on
-from prbench.skeleton import transform_points
-from prbench.storage import atomic_folder, inside, require_replaceable, write_json
 
 Frame = Literal["canonical", "world"]
 

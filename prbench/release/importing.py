@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, RecordingsWouldBeLost
-from prbench.locks import sole_writer
-from prbench.manifests import Manifest, load_manifest, load_protocol
+from prbench.files.boundary import foreign_input
+from prbench.files.locks import sole_writer
+from prbench.files.storage import require_replaceable
+from prbench.protocol.manifests import Manifest, load_manifest, load_protocol
 from prbench.release.interpret import ImportOptions, Interpreted, interpret, require_some
 from prbench.release.judge import UNKNOWN, Conclusions, conclude
 from prbench.release.known import SYNTHETIC_PREFIX, dataset_of
@@ -26,7 +27,6 @@ from prbench.release.writing import ImportedRows, describe, read_export_record, 
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.write import write_dataset
-from prbench.storage import require_replaceable
 
 NO_OPTIONS = ImportOptions()
 Progress = Callable[[str, str], None]

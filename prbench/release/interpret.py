@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
+from prbench.files.boundary import foreign_input
 from prbench.release.candidates import Found, find_candidates
 from prbench.release.entries import Entries, read_entries
 from prbench.release.fields import choose_fields

@@ -7,7 +7,7 @@ from functools import cache
 
 import msgspec
 
-from prbench.manifests import read_toml
+from prbench.protocol.manifests import read_toml
 
 SYNTHETIC_PREFIX = "synthetic-"
 

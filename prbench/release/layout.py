@@ -7,8 +7,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
+from prbench.files.boundary import foreign_input
 from prbench.readers.found import names_in
 from prbench.release.known import dataset_of
 

@@ -13,9 +13,9 @@ from typing import Any, Literal
 
 import msgspec
 
+from prbench.files.storage import write_json
 from prbench.release.known import KnownDataset
 from prbench.sequences import DatasetInfo
-from prbench.storage import write_json
 
 Certainty = Literal["certain", "likely", "assumed", "unknown"]
 """In this order: stated and confirmed; measured with room for doubt; taken for granted; not found out."""

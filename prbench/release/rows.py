@@ -12,9 +12,10 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from prbench.bounded import read_whole
 from prbench.errors import InputFileError
-from prbench.manifests import TextTemplates
+from prbench.files.bounded import read_whole
+from prbench.geometry.skeleton import WRISTS, Joint, invert_rigid, transform_points
+from prbench.protocol.manifests import TextTemplates
 from prbench.release.block import Block, fits, parse_array, unpack_arrays
 from prbench.release.candidates import Candidate
 from prbench.release.judge import UNKNOWN, Conclusions, is_canonical_already
@@ -23,7 +24,6 @@ from prbench.release.survey import Measured, clean_gaze, goal_transform
 from prbench.release.values import action_of_text, parse_action, parse_goal, parse_hand, parse_name, parse_text
 from prbench.sequences.sequence import EventRecord, Sequence
 from prbench.sequences.table_one import body_movement, hand_movement
-from prbench.skeleton import WRISTS, Joint, invert_rigid, transform_points
 
 POSE_SOURCE = "release"
 _UNKNOWN_ACTION = "unknown"

@@ -12,17 +12,17 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.axes import Y_UP_FROM_Z_UP
-from prbench.boundary import foreign_input
-from prbench.bounded import read_whole
 from prbench.errors import InputFileError
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_whole
+from prbench.files.storage import bytes_digest
+from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.skeleton import BONES, WRISTS, Joint, bone_lengths, canonical_frame, transform_points
 from prbench.limits import HARMLESS_SIZE
 from prbench.metrics.ray_track import ray_distance
 from prbench.release.block import fits, parse_array, unpack_arrays
 from prbench.release.candidates import Candidate, Found
 from prbench.release.known import load_known
-from prbench.skeleton import BONES, WRISTS, Joint, bone_lengths, canonical_frame, transform_points
-from prbench.storage import bytes_digest
 
 GOAL_FRAMES = ("as the motions", "z up", "canonical", "canonical, z up")
 """Frames in which goals may be given, in the order in which they are tested."""

@@ -16,7 +16,8 @@ import pyarrow as pa
 
 import prbench
 from prbench.errors import InputFileError
-from prbench.manifests import Manifest, digest_of, load_citations, load_protocol
+from prbench.files.storage import file_digest, read_json, text_digest
+from prbench.protocol.manifests import Manifest, digest_of, load_citations, load_protocol
 from prbench.release.candidates import Candidate, Found
 from prbench.release.interpret import Interpreted
 from prbench.release.known import SYNTHETIC_PREFIX
@@ -28,7 +29,6 @@ from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, Quarantine
 from prbench.sequences.redistribution import strictest
 from prbench.sequences.schema import OUTCOMES, SCHEMA_VERSION
 from prbench.sequences.sequence import EventRecord, RecordingRecord, event_batch, recording_batch, sequence_batch
-from prbench.storage import file_digest, read_json, text_digest
 
 _ROWS = 64  # sequences that are converted at once
 _STUDY_TERMS = "Prime and Reach release (its page states no licence known to prbench; ask its authors)"

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
+from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint, canonical_frame, invert_rigid, transform_points
+from prbench.geometry.timelines import SequenceGrid, interpolate
 from prbench.representation.features import FRAME_RATE
-from prbench.skeleton import N_JOINTS, PARENTS, Joint, canonical_frame, invert_rigid, transform_points
-from prbench.timelines import SequenceGrid, interpolate
 
 _TALLEST_BODY = 20.0  # metres; larger ones are in millimetres or centimetres
 _STEEPEST_LEAN = 60.0  # degrees between ankle-to-head and +y
@@ -115,7 +115,7 @@ def _check_up_axis(joints: np.ndarray, source: Path | str) -> None:
             "",
             expected="bodies along +y, the axis that points up",
             found=f"a median ankle-to-head vector {lean:.0f} degrees away from it, nearest to {axis}",
-            remedy="Turn the axes (prbench.axes.y_up for Z up), or say upright=False if people lie or crawl.",
+            remedy="Turn the axes (prbench.geometry.axes.y_up for Z up), or say upright=False if people lie or crawl.",
         )
 
 
@@ -140,7 +140,8 @@ def canonicalise(
 ) -> Float[np.ndarray, "frames 22 3"]:
     """The motion with its first pelvis over the origin, facing +Z, and its lowest joint at Y = 0.
 
-    Steps 2 to 4 of docs/specification/humanml3d.md#forward-conversion; :func:`prbench.skeleton.canonical_frame` is the
+    Steps 2 to 4 of docs/specification/humanml3d.md#forward-conversion;
+    :func:`prbench.geometry.skeleton.canonical_frame` is the
     transform. A body that faces exactly -Z is turned by half a turn.
 
     Args:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.representation.clips import IN_MEMORY, check_joints
 from prbench.representation.features import (
     CONTACT_JOINTS,
@@ -28,7 +29,6 @@ from prbench.representation.features import (
     Mode,
     heading_kernel,
 )
-from prbench.skeleton import N_JOINTS, PARENTS, Joint
 
 
 def encode(
@@ -82,7 +82,7 @@ def _headings(motion: np.ndarray, mode: Mode) -> tuple[np.ndarray, np.ndarray, n
     """Cosine and sine (N,) of the turn from the world to each frame's heading, and the half angles (N-1,) between them.
 
     Two quirks of the original are part of the representation: the hips enter with the opposite sign of
-    :func:`prbench.skeleton.facing_yaw`, and frame 0 is not turned at all.
+    :func:`prbench.geometry.skeleton.facing_yaw`, and frame 0 is not turned at all.
     """
     if mode == "reference":
         return _reference_headings(_forward(motion.astype(np.float32)))

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from prbench.skeleton import CHAINS, N_JOINTS, Joint
+from prbench.geometry.skeleton import CHAINS, N_JOINTS, Joint
 
 N_FEATURES = 263
 FRAME_RATE = 20.0

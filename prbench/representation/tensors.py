@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float, Int
 from torch.nn.functional import conv1d, pad
 
+from prbench.geometry.skeleton import PARENTS, Joint
 from prbench.representation.features import (
     CONTACT_JOINTS,
     CONTACT_THRESHOLD,
@@ -28,7 +29,6 @@ from prbench.representation.features import (
     Mode,
     heading_kernel,
 )
-from prbench.skeleton import PARENTS, Joint
 
 _TINY = 1e-12  # added under square roots so that a zero vector has a gradient
 

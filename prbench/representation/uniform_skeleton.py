@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint, bone_lengths
 from prbench.representation.clips import IN_MEMORY, check_joints
 from prbench.representation.features import REST_DIRECTIONS, REST_OFFSETS
-from prbench.skeleton import N_JOINTS, PARENTS, Joint, bone_lengths
 
 _LEG = (Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE)  # ends of the two bones that decide the scale: right thigh and shin
 

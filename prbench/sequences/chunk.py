@@ -11,8 +11,8 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int, Shaped
 
+from prbench.geometry.skeleton import N_JOINTS
 from prbench.sequences.schema import KEY_VALUES
-from prbench.skeleton import N_JOINTS
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,15 @@ from typing import ClassVar
 
 import pyarrow as pa
 
-from prbench.boundary import foreign_input
 from prbench.errors import TableError
+from prbench.files.boundary import foreign_input
+from prbench.files.storage import atomic_folder, require_replaceable
 from prbench.sequences.corpus import CLIPS, CORPUS_TABLES, check_corpus_schema
 from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
 from prbench.sequences.replacing import Holdings, require_no_loss
 from prbench.sequences.rows import open_parquet
 from prbench.sequences.table import BuiltTable
 from prbench.sequences.write import write_tables
-from prbench.storage import atomic_folder, require_replaceable
 
 
 class CorpusTable(BuiltTable[CorpusInfo]):

@@ -11,10 +11,10 @@ from typing import Any
 
 import pyarrow as pa
 
+from prbench.files.storage import file_digest, write_json
 from prbench.sequences.dataset_info import DatasetInfo
 from prbench.sequences.digests import files_of_table
 from prbench.sequences.schema import KEY_VALUES
-from prbench.storage import file_digest, write_json
 
 FILE_NAME = "croissant.json"
 

@@ -7,12 +7,12 @@ from typing import ClassVar, Self
 
 import msgspec
 
-from prbench.boundary import foreign_input
-from prbench.bounded import read_whole
 from prbench.errors import TableError
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_whole
+from prbench.files.storage import is_path_part, write_json
 from prbench.limits import LARGEST_JSON
 from prbench.shown import quoted
-from prbench.storage import is_path_part, write_json
 
 FILE_NAME = "dataset.json"
 CORPUS_FILE = "corpus.json"

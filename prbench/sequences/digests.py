@@ -21,8 +21,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from prbench.errors import TableError
+from prbench.files.storage import file_digest
 from prbench.sequences.schema import SEQUENCES, SEQUENCES_VERSION
-from prbench.storage import file_digest
 
 _ROUNDING = 1e-5  # metres, seconds and unit vectors alike: 10 micrometres
 _SHOWN = 12  # characters of a digest

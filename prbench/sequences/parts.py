@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from prbench.shards import code_digest
-from prbench.storage import atomic_folder, read_json, remove_folder, remove_leftovers, text_digest, write_json
+from prbench.engine.shards import code_digest
+from prbench.files.storage import atomic_folder, read_json, remove_folder, remove_leftovers, text_digest, write_json
 
 _RECEIPT = "receipt.json"
 

@@ -12,10 +12,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from prbench import parquet_files
-from prbench.boundary import foreign_input
 from prbench.errors import TableError
-from prbench.ranges import first_repeated
+from prbench.files import parquet_files
+from prbench.files.boundary import foreign_input
+from prbench.files.ranges import first_repeated
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.digests import files_of_table
 from prbench.shown import quoted

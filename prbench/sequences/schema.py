@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import pyarrow as pa
 
 from prbench.errors import TableError
-from prbench.skeleton import JOINT_SET, N_JOINTS
+from prbench.geometry.skeleton import JOINT_SET, N_JOINTS
 
 SCHEMA_VERSION = 3
 """2: ``events`` tell wrists and published priming, ``recordings`` count two more outcomes. 3: ``events`` tell what told

@@ -15,14 +15,14 @@ from typing import Generic, TypeVar
 
 import msgspec
 
-from prbench.boundary import foreign_input
-from prbench.bounded import read_whole
+from prbench.engine.shards import FILE_NAME, Shard, ShardRecord, begin_shard
 from prbench.errors import ShardError
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_whole
+from prbench.files.locks import sole_writer
+from prbench.files.storage import file_digest, inside, remove_leftovers, require_replaceable, write_json
 from prbench.limits import LARGEST_JSON
-from prbench.locks import sole_writer
 from prbench.sequences.parts import read_receipt
-from prbench.shards import FILE_NAME, Shard, ShardRecord, begin_shard
-from prbench.storage import file_digest, inside, remove_leftovers, require_replaceable, write_json
 
 Record = TypeVar("Record")
 _PARTS = "parts"
@@ -104,7 +104,7 @@ def shard_parts(shards: Iterable[tuple[Path, ShardRecord]]) -> list[tuple[Path, 
     """Return folder and receipt of the parts of all shards of a build, in the order of its plan.
 
     Args:
-        shards: All of them (:func:`prbench.shards.require_whole`).
+        shards: All of them (:func:`prbench.engine.shards.require_whole`).
 
     Raises:
         ShardError: if one is unfinished, or a file of it is missing or changed.

@@ -15,9 +15,9 @@ from typing import ClassVar, Generic, TypeVar
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from prbench.boundary import foreign_input
 from prbench.errors import TableError, UsageError
-from prbench.own_protocol import DescribedTable
+from prbench.files.boundary import foreign_input
+from prbench.protocol.own_protocol import DescribedTable
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.dataset_info import DatasetInfo, Provenance
 from prbench.sequences.digests import ContentDigest, identity_of_rows, require_unchanged

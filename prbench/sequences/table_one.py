@@ -16,10 +16,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Float
 
-from prbench.published import QUANTITIES, Spread
+from prbench.geometry.skeleton import Joint
+from prbench.protocol.published import QUANTITIES, Spread
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.table import SequenceTable
-from prbench.skeleton import Joint
 
 _GAZE_SHIFT_SPAN = (-2.0, 8.0)
 """Seconds before and after the prime time over which the gaze shift is averaged."""

@@ -13,15 +13,15 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from prbench.manifests import BenchmarkProtocol
-from prbench.own_protocol import write_protocol
+from prbench.files.storage import atomic_folder, atomic_path, require_replaceable
+from prbench.protocol.manifests import BenchmarkProtocol
+from prbench.protocol.own_protocol import write_protocol
 from prbench.sequences.croissant import write_croissant
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.digests import RowDigests, digests_of_files
 from prbench.sequences.replacing import Holdings, require_no_loss
 from prbench.sequences.schema import DATASET_TABLES, OPTIONAL_TABLES, with_metadata
 from prbench.sequences.table import Info, SequenceTable
-from prbench.storage import atomic_folder, atomic_path, require_replaceable
 
 _ROW_GROUP_ROWS = 256
 _LARGEST_PART_BYTES = 512 * 1024**2

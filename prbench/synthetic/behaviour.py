@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Float
 
-from prbench.skeleton import WRISTS, Joint, bone_lengths
+from prbench.geometry.skeleton import WRISTS, Joint, bone_lengths
 from prbench.synthetic.people.kinematics import forward_of
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.statistics import TARGETS, clips_of, sequence_statistics

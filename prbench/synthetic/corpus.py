@@ -20,11 +20,11 @@ from prbench.corpora.nymeria.suit import clean_suit
 from prbench.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
 from prbench.engine import engine_for
 from prbench.errors import UsageError
-from prbench.locks import sole_writer
-from prbench.manifests import Manifest, load_manifest
+from prbench.files.locks import sole_writer
+from prbench.files.storage import atomic_folder, text_digest, write_json
+from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, described_options
 from prbench.readers.options import ReaderOptions, parse_options
-from prbench.storage import atomic_folder, text_digest, write_json
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities import identity_of, narrated_recording
 from prbench.synthetic.defects import defect

@@ -18,15 +18,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
+from prbench.files.storage import atomic_path, write_text
+from prbench.geometry.skeleton import PARENTS, Joint
+from prbench.geometry.timelines import interpolate, slerp
 from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize, device_from_cpf
 from prbench.readers.egoallo import format as ego
-from prbench.skeleton import PARENTS, Joint
-from prbench.storage import atomic_path, write_text
 from prbench.synthetic.people.kinematics import soft_limit, two_bone, wobble
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors.errors import Sensing, Switches
 from prbench.synthetic.sensors.smplh import model_rotations, shape_of, synthetic_smplh
-from prbench.timelines import interpolate, slerp
 
 NATIVE_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 """The performance's Y up to the Z up of native worlds: (x, y, z) becomes (x, -z, y)."""

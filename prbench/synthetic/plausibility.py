@@ -11,11 +11,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from jaxtyping import Float
 
-from prbench.manifests import load_protocol
+from prbench.geometry.skeleton import WRISTS, Joint, bone_lengths
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.foot_skating import contact_share, foot_skating
 from prbench.metrics.smoothness import jitter
-from prbench.skeleton import WRISTS, Joint, bone_lengths
+from prbench.protocol.manifests import load_protocol
 from prbench.synthetic.activities import NarratedMotion
 from prbench.synthetic.people.kinematics import forward_of
 from prbench.synthetic.performance import Performance

@@ -14,13 +14,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline
 
-from prbench.manifests import load_protocol
+from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.prime_success import prime_success
 from prbench.metrics.reach_success import reach_success
 from prbench.metrics.targets import ScoringTargets
-from prbench.published import Spread, load_table_one
-from prbench.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
+from prbench.protocol.manifests import load_protocol
+from prbench.protocol.published import Spread, load_table_one
 from prbench.synthetic.performance import Performance, TrueEvent
 
 PREROLL = 2.0

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
-from prbench.storage import atomic_path
+from prbench.files.storage import atomic_path
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors.errors import Switches

@@ -20,8 +20,8 @@ import pyarrow as pa
 import prbench
 from prbench.engine import engine_for
 from prbench.errors import UsageError
-from prbench.locks import sole_writer
-from prbench.storage import atomic_folder, write_json
+from prbench.files.locks import sole_writer
+from prbench.files.storage import atomic_folder, write_json
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.defects import defect
 from prbench.synthetic.layouts import SHARED_PARTS, layout_for

@@ -10,11 +10,11 @@ from typing import Any
 import safetensors.torch
 from safetensors import SafetensorError
 
-from prbench.boundary import foreign_input
-from prbench.bounded import require_size
 from prbench.errors import InputFileError, TrainingError
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import require_size
+from prbench.files.storage import atomic_folder, read_json, remove_folder, write_json
 from prbench.limits import LARGEST_UNPACKED
-from prbench.storage import atomic_folder, read_json, remove_folder, write_json
 from prbench.training.state import Tally, TrainingState
 
 KEPT = 2

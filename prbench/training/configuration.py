@@ -14,9 +14,9 @@ from typing import Any, Literal
 
 import msgspec
 
-from prbench.boundary import foreign_input
-from prbench.bounded import read_whole
 from prbench.errors import InputFileError, UsageError, did_you_mean
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_whole
 from prbench.limits import HARMLESS_SIZE
 
 DEFAULT_STAGES = ("pretrain", "finetune")

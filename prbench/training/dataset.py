@@ -12,11 +12,11 @@ from torch.utils.data import Dataset
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import TableError, UsageError
+from prbench.files.storage import cache_folder
 from prbench.randomness import named_generator
 from prbench.representation import Mode, Statistics, StatisticsAccumulator
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.sequences.table import SPLITS
-from prbench.storage import cache_folder
 from prbench.training.configuration import TrainingConfiguration
 from prbench.training.feature_store import FeatureStore
 from prbench.training.items import ConditionStatistics, Goal, MotionItem, collate, condition_statistics

@@ -15,8 +15,8 @@ import pyarrow as pa
 import pyarrow.ipc
 from jaxtyping import Float, Int
 
+from prbench.geometry.skeleton import N_JOINTS
 from prbench.representation import N_FEATURES
-from prbench.skeleton import N_JOINTS
 from prbench.training.motions import Motion
 
 _POSE = pa.list_(pa.float32(), 3 * N_JOINTS)

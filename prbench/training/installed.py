@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from prbench.entry_points import ADAPTERS, PREDICTORS
 from prbench.errors import AdapterError, PrbenchError, did_you_mean
-from prbench.methods.installed import entry_points_of, list_adapters
+from prbench.harness.methods.installed import entry_points_of, list_adapters
 
 if TYPE_CHECKING:
     from prbench.training.task import TrainingTask

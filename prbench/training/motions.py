@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, TableError
+from prbench.files.boundary import foreign_input
+from prbench.geometry.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 from prbench.representation import Mode, encode, mirror
 from prbench.sequences import CorpusTable, SequenceChunk, SequenceTable
 from prbench.sequences.dataset_info import CORPUS_FILE
-from prbench.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 
 _LEFT_RIGHT = re.compile(r"\b(left|right)", re.IGNORECASE)
 _SHORTEST_ACROSS = 1e-6  # metres

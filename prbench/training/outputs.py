@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from prbench.errors import MissingExtraError
+from prbench.files.storage import atomic_path, remove_leftovers, write_json
 from prbench.shown import figure_text
-from prbench.storage import atomic_path, remove_leftovers, write_json
 from prbench.training.checkpoints import Checkpoints
 from prbench.training.record import training_times
 from prbench.training.state import Row, TrainingState

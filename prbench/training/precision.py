@@ -10,7 +10,7 @@ from typing import Literal
 import torch
 from torch import nn
 
-from prbench.storage import cache_folder, read_json, write_json
+from prbench.files.storage import cache_folder, read_json, write_json
 from prbench.training.record import RECORD, read_record
 
 Precision = Literal["32-true", "bf16-mixed"]

@@ -15,13 +15,13 @@ import msgspec
 import torch
 
 import prbench
-from prbench.boundary import foreign_input
-from prbench.bounded import read_whole
 from prbench.errors import StorageError, TrainingError
-from prbench.evaluation.preparation import package_versions
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_whole
+from prbench.files.storage import read_json, remove_leftovers, write_json
+from prbench.harness.preparation import package_versions
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.sequences.folds import OPTION
-from prbench.storage import read_json, remove_leftovers, write_json
 from prbench.training.configuration import TrainingConfiguration
 from prbench.training.motions import parts_of
 from prbench.training.state import Row, TrainingState

@@ -13,7 +13,7 @@ import torch
 
 from prbench.engine import Engine, InProcess, close_engine
 from prbench.errors import TrainingStopped, UsageError
-from prbench.locks import sole_writer
+from prbench.files.locks import sole_writer
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.folds import fold_table, parse_fold
 from prbench.training.batches import LengthBatches, load_batches

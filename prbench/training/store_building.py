@@ -16,12 +16,12 @@ import pyarrow.ipc
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import InputFileError, TableError
-from prbench.locks import in_turn, sole_writer
+from prbench.files.locks import in_turn, sole_writer
+from prbench.files.storage import atomic_path, read_json, text_digest, write_json
 from prbench.representation import N_FEATURES, Mode, check_joints
 from prbench.sequences import CorpusTable
 from prbench.sequences.chunk import column
 from prbench.sequences.rows import table_parts
-from prbench.storage import atomic_path, read_json, text_digest, write_json
 from prbench.training.feature_store import STORE, FeatureStore
 from prbench.training.motions import Row, Table, check_headings, cut, encoded, mirrored, mirrored_text, read_rows
 

@@ -21,14 +21,14 @@ import torch
 from prbench.contract import Adapter, Condition
 from prbench.engine import Engine, InProcess
 from prbench.errors import UsageError
-from prbench.evaluation.conditions import ConditionSource, run_salt
-from prbench.evaluation.planning import Selection, plan_batches, select, supported
-from prbench.evaluation.scoring import ScoringRules, score_selection
-from prbench.manifests import load_protocol
-from prbench.methods.declared import Declared
-from prbench.methods.motions import generate_checked
+from prbench.harness.conditions import ConditionSource, run_salt
+from prbench.harness.methods.declared import Declared
+from prbench.harness.methods.motions import generate_checked
+from prbench.harness.planning import Selection, plan_batches, select, supported
+from prbench.harness.run_folder.predictions import PredictionRows, write_part
+from prbench.harness.scoring import ScoringRules, score_selection
 from prbench.metrics import MAIN_METRICS
-from prbench.runs.predictions import PredictionRows, write_part
+from prbench.protocol.manifests import load_protocol
 from prbench.sequences import SequenceTable
 from prbench.sequences.table import by_share
 from prbench.training.configuration import TrainingConfiguration

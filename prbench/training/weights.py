@@ -20,11 +20,11 @@ import safetensors.torch
 import torch
 from safetensors import SafetensorError
 
-from prbench.boundary import foreign_input
-from prbench.bounded import read_whole
 from prbench.errors import InputFileError
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_whole
+from prbench.files.storage import atomic_path, bytes_digest, write_json
 from prbench.limits import LARGEST_HEADER
-from prbench.storage import atomic_path, bytes_digest, write_json
 
 _FORMAT = "prbench-weights"
 FORMAT_VERSION = "1"

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from prbench.geometry.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 from prbench.shown import figure_text
-from prbench.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 from prbench.synthetic.activities import narrated_recording
 from prbench.viewing.figures import draw_figure, grid_shape, new_figure, write_png
 

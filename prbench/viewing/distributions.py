@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from prbench.datasets import SYNTHETIC_PREFIX
-from prbench.published import Spread, load_table_one
+from prbench.protocol.published import Spread, load_table_one
 from prbench.sequences.table_one import TableStatistics
 from prbench.shown import figure_text
 from prbench.synthetic.performance import Performance

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from jaxtyping import Float
 
+from prbench.geometry.skeleton import WRISTS, Joint, head_forward
 from prbench.metrics.ray_track import ray_distance
 from prbench.sequences import EventRecord
 from prbench.shown import clean, figure_text
-from prbench.skeleton import WRISTS, Joint, head_forward
 from prbench.viewing.figures import draw_box, draw_figure, flattened, horizontal_direction, new_figure, write_png
 from prbench.viewing.replay.measures import gaze_distance
 from prbench.viewing.replay.scene import Gaze, Goal

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from prbench.evaluation.diversity import MotionsToGoal, timing
-from prbench.manifests import MetricConstants
+from prbench.geometry.skeleton import CHAINS, Joint, head_forward
+from prbench.harness.diversity import MotionsToGoal, timing
+from prbench.protocol.manifests import MetricConstants
 from prbench.shown import figure_text
-from prbench.skeleton import CHAINS, Joint, head_forward
 from prbench.viewing.figures import (
     draw_chains,
     flattened,

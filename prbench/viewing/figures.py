@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import UsageError
-from prbench.locks import sole_file
-from prbench.skeleton import CHAINS, WRISTS, Joint, head_forward
+from prbench.files.locks import sole_file
+from prbench.geometry.skeleton import CHAINS, WRISTS, Joint, head_forward
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -122,7 +122,7 @@ def draw_figure(
     Args:
         axes: Panel to draw into; x is the horizontal of the picture, y the height, both in metres.
         joints: World frame, metres.
-        head_tilt_deg: See :func:`prbench.skeleton.head_forward`.
+        head_tilt_deg: See :func:`prbench.geometry.skeleton.head_forward`.
         sideways: Unit horizontal vector that points to the right in the picture.
         at: Horizontal place of the pelvis in the picture.
         finger_bases: Ends of the hands, left and right.

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from prbench.geometry.skeleton import TOES, WRISTS, Joint, head_forward
 from prbench.metrics.ray_track import ray_distance
-from prbench.skeleton import TOES, WRISTS, Joint, head_forward
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.viewing.figures import draw_figure, flattened, grid_shape, horizontal_direction, new_figure, write_png

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from prbench.geometry.skeleton import CHAINS, Joint, head_forward
 from prbench.shown import figure_text
-from prbench.skeleton import CHAINS, Joint, head_forward
 from prbench.viewing.figures import (
     flattened,
     grid_shape,

@@ -14,15 +14,15 @@ from pathlib import Path
 
 from prbench.contract import Condition
 from prbench.engine import Engine
-from prbench.evaluation.controls import CONTROLS, GROUND_TRUTH, RECORDED_MOTION, SHUFFLED_GOAL, round_trip_fps
-from prbench.evaluation.planning import open_tables, select
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
-from prbench.locks import sole_writer
+from prbench.files.locks import sole_writer
+from prbench.harness.controls import CONTROLS, GROUND_TRUTH, RECORDED_MOTION, SHUFFLED_GOAL, round_trip_fps
+from prbench.harness.planning import open_tables, select
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+from prbench.harness.run_folder.agreement import DatasetAgreement
+from prbench.harness.run_folder.means import MeanOverDatasets, means_over_datasets
+from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.metrics import METRICS, MetricInfo
-from prbench.runs.agreement import DatasetAgreement
-from prbench.runs.means import MeanOverDatasets, means_over_datasets
-from prbench.runs.summary import DatasetSummary
 
 _ONLY_METHOD = "--method"
 

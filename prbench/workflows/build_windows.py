@@ -16,12 +16,12 @@ from prbench.curation.window_building import plan_windows as plan_of_reader
 from prbench.curation.window_runs import runs_of_recording
 from prbench.engine import Engine
 from prbench.errors import InputFileError, UsageError
-from prbench.manifests import digest_of
+from prbench.files.storage import text_digest
 from prbench.prediction.joint_sets import SMPL22
 from prbench.prediction.protocol import PredictionProtocol
 from prbench.prediction.table import CutRun
+from prbench.protocol.manifests import digest_of
 from prbench.readers import described_options
-from prbench.storage import text_digest
 
 NYMERIA = "nymeria"
 

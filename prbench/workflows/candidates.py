@@ -10,11 +10,11 @@ from pathlib import Path
 from prbench.curation.candidates import Candidate, propose_pick
 from prbench.engine import Engine, InProcess
 from prbench.errors import PrbenchError, StorageError, UsageError
-from prbench.locks import sole_writer
+from prbench.files.locks import sole_writer
+from prbench.files.storage import atomic_path
 from prbench.readers import AnnotatedByHand, AnnotationLine, RecordingFiles, reader_for
 from prbench.readers.discover import usable_readers
 from prbench.shown import csv_text
-from prbench.storage import atomic_path
 
 _IN_PROCESS = InProcess()
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import prbench
 from prbench.datasets import own_datasets, readable_datasets
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.manifests import Manifest, dataset_names, load_citations, load_manifest
+from prbench.protocol.manifests import Manifest, dataset_names, load_citations, load_manifest
 from prbench.readers import reader_for
 from prbench.readers.discover import Discovery, FoundDataset, discover, usable_readers
 from prbench.sequences import CorpusTable, DatasetInfo, SequenceTable

@@ -13,15 +13,15 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import RunError, UsageError
-from prbench.evaluation.diversity import SPREADS, MotionsToGoal, SpreadInfo, spreads
-from prbench.evaluation.intervals import Estimate, difference_interval, mean_interval
-from prbench.evaluation.similar_tasks import Tasks, at_length, laid_on_goal, read_motions
-from prbench.manifests import BenchmarkProtocol, load_protocol
-from prbench.runs import RunFolder
+from prbench.harness.diversity import SPREADS, MotionsToGoal, SpreadInfo, spreads
+from prbench.harness.intervals import Estimate, difference_interval, mean_interval
+from prbench.harness.run_folder import RunFolder
+from prbench.harness.score_predictions.again import scored_sequences
+from prbench.harness.similar_tasks import Tasks, at_length, laid_on_goal, read_motions
+from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice, require_may_pass_on
 from prbench.sequences.table import find_sequence_id
-from prbench.submitted.score_predictions.again import scored_sequences
 from prbench.viewing.fan import Fan, FanGroup
 from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
 from prbench.viewing.replay.read import RunMotions, run_labels

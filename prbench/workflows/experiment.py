@@ -13,18 +13,18 @@ from pathlib import Path
 
 import msgspec
 
-from prbench.benchmarks import benchmarks, find_benchmark
-from prbench.boundary import foreign_input
-from prbench.bounded import read_whole
 from prbench.errors import InputFileError, RunError, UsageError, did_you_mean
-from prbench.evaluation.preparation import DEFAULT_PARENT
-from prbench.evaluation.request import RunRequest
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_whole
+from prbench.harness.preparation import DEFAULT_PARENT
+from prbench.harness.request import RunRequest
+from prbench.harness.run_folder import RunFolder, read_scores
+from prbench.harness.run_folder.record import FILE, FILE_NAME, PROGRAM, UNKNOWN, TableRecord
 from prbench.limits import HARMLESS_SIZE
-from prbench.manifests import PROTOCOL_NAME
 from prbench.object_stores.urls import is_url
-from prbench.own_protocol import FILE_NAME as PROTOCOL_FILE
-from prbench.runs import RunFolder, read_scores
-from prbench.runs.record import FILE, FILE_NAME, PROGRAM, UNKNOWN, TableRecord
+from prbench.protocol.benchmarks import benchmarks, find_benchmark
+from prbench.protocol.manifests import PROTOCOL_NAME
+from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.folds import fold_table, parse_fold
 from prbench.workflows.first_run import table_finder

@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 
 from prbench.curation.priming import OCCLUSION_STAGE, PUBLISHED_STAGE
 from prbench.errors import TableError, UsageError
-from prbench.manifests import BenchmarkProtocol, load_protocol
+from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import EventRecord, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.shown import clean

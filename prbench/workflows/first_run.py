@@ -13,22 +13,22 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import prbench
-from prbench.benchmarks import benchmarks
 from prbench.contract import Condition
 from prbench.engine import Engine
 from prbench.errors import RunError, TableError, UsageError
-from prbench.evaluation.benchmark import CaseTable, load_benchmark
-from prbench.evaluation.controls import GROUND_TRUTH, SCRIPTED
-from prbench.evaluation.request import RunRequest
-from prbench.locks import in_turn
-from prbench.manifests import digest_of, load_manifest, load_protocol
-from prbench.methods.installed import list_adapters
-from prbench.runs import RunFolder
-from prbench.runs.record import TableRecord
+from prbench.files.locks import in_turn
+from prbench.files.storage import cache_folder, text_digest
+from prbench.harness.benchmark import CaseTable, load_benchmark
+from prbench.harness.controls import GROUND_TRUTH, SCRIPTED
+from prbench.harness.methods.installed import list_adapters
+from prbench.harness.request import RunRequest
+from prbench.harness.run_folder import RunFolder
+from prbench.harness.run_folder.record import TableRecord
+from prbench.protocol.benchmarks import benchmarks
+from prbench.protocol.manifests import digest_of, load_manifest, load_protocol
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.schema import SCHEMA_VERSION
-from prbench.storage import cache_folder, text_digest
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.people.presets import PRESETS
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from prbench.boundary import foreign_input
 from prbench.corpora.sources import CORPUS_MODULES, CorpusOptions, CorpusRecording, corpus_for
 from prbench.errors import InputFileError, PrbenchError
-from prbench.manifests import load_manifest
+from prbench.files.boundary import foreign_input
+from prbench.protocol.manifests import load_manifest
 from prbench.readers import RecordingFiles, reader_for
 from prbench.readers.aria_mps.trajectory import check_trajectory
 from prbench.readers.cut_short import cut_short

@@ -11,11 +11,11 @@ from prbench.curation import BuildReport
 from prbench.curation.build import merge_dataset_shards
 from prbench.curation.window_building import WindowsReport, merge_windows_shards
 from prbench.engine import Engine
+from prbench.engine.shards import require_whole
 from prbench.errors import ShardError, UsageError
-from prbench.evaluation.request import Progress, silent
-from prbench.evaluation.run import RunReport
-from prbench.evaluation.sharded import merge_run_shards
-from prbench.shards import require_whole
+from prbench.harness.request import Progress, silent
+from prbench.harness.run import RunReport
+from prbench.harness.sharded import merge_run_shards
 
 
 def merge(

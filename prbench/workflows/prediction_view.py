@@ -11,6 +11,7 @@ import numpy as np
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import UsageError
+from prbench.files.storage import turn_into_paths
 from prbench.prediction.batch import Condition, Futures, ObservedBatch, Predictor, ask
 from prbench.prediction.folds import Fold, default_split, folds, share_of
 from prbench.prediction.joint_sets import transform_each
@@ -20,7 +21,6 @@ from prbench.prediction.published import TableRow
 from prbench.prediction.table import Truth, WindowsTable
 from prbench.sequences.redistribution import notice, require_may_pass_on
 from prbench.sequences.table import find_sequence_id
-from prbench.storage import turn_into_paths
 from prbench.viewing.figures import FORMATS
 from prbench.viewing.futures import MOST_ROWS, Fan, ShownWindow, draw_futures
 from prbench.viewing.replay.parts import METHOD_COLOURS

@@ -17,15 +17,15 @@ import pyarrow.csv
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, UsageError
+from prbench.files.boundary import foreign_input
+from prbench.geometry.meshes import import_open3d
+from prbench.geometry.skeleton import Joint, invert_rigid, transform_points
 from prbench.limits import LARGEST_FILE
-from prbench.meshes import import_open3d
 from prbench.readers import AriaGlasses, RecordingFiles, reader_for
 from prbench.readers.zipped import Source, opened, shown
 from prbench.recording import ObjectTrack, Recording
 from prbench.sequences import SequenceChunk
-from prbench.skeleton import Joint, invert_rigid, transform_points
 
 _BETWEEN_POINTS = 0.02  # metres; what is drawn
 _POINTS_ON_AREA = 3 / _BETWEEN_POINTS**2  # a square metre gets more than are drawn, so that no cell stays empty

@@ -10,10 +10,10 @@ import numpy as np
 from prbench.curation import curate_recording
 from prbench.engine import Engine, InProcess
 from prbench.errors import UsageError
-from prbench.manifests import MetricConstants, load_manifest, load_protocol
+from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.plausible import BodyNumbers, body_numbers, plausible
-from prbench.skeleton import canonical_frame, invert_rigid, transform_points
+from prbench.protocol.manifests import MetricConstants, load_manifest, load_protocol
 from prbench.synthetic.behaviour import Range, measure_behaviour, ranges
 from prbench.synthetic.people import PRESETS, perform
 from prbench.synthetic.performance import Performance

@@ -14,9 +14,9 @@ from prbench.curation import BuildOptions, BuildReport, build_from_sources
 from prbench.curation.options import NO_OPTIONS
 from prbench.engine import Engine, InProcess
 from prbench.errors import UsageError
+from prbench.files.storage import text_digest
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.recording import ObjectTrack, Recording
-from prbench.storage import text_digest
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.layouts import layout_for, synthetic_recording
 from prbench.synthetic.people.perform import name_of_recording, perform

@@ -19,7 +19,7 @@ from prbench.curation.options import BuildOptions, CurationOptions
 from prbench.curation.sources import NativeSource, native_sources
 from prbench.engine import Engine, InProcess
 from prbench.errors import PrbenchError, TableError, UsageError
-from prbench.manifests import load_manifest, load_protocol
+from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import DatasetInfo

@@ -13,7 +13,7 @@ import numpy as np
 from prbench.curation import curate_recording
 from prbench.curation.options import DEFAULTS, CurationOptions
 from prbench.engine import Engine, InProcess
-from prbench.manifests import load_manifest, load_protocol
+from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.readers import reader_for
 from prbench.readers.found import RecordingFiles
 from prbench.sequences import EventRecord

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.errors import UsageError
-from prbench.evaluation.controls import GROUND_TRUTH
-from prbench.runs import RunFolder
+from prbench.files.storage import turn_into_paths
+from prbench.harness.controls import GROUND_TRUTH
+from prbench.harness.run_folder import RunFolder
+from prbench.harness.verification import RunChecker
 from prbench.sequences import SequenceTable
 from prbench.sequences.table import by_share, find_sequence_id
-from prbench.storage import turn_into_paths
-from prbench.submitted.verification import RunChecker
 from prbench.viewing.replay.parts import METHOD_COLOURS
 from prbench.viewing.replay.read import RunMotions, read_scenes, run_labels
 from prbench.viewing.replay.scene import Scene

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from prbench.storage import file_digest
+from prbench.files.storage import file_digest
 
 
 def described(weights: Path, *, largest: int) -> dict[str, Any]:

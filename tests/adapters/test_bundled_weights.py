@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from prbench.storage import file_digest
+from prbench.files.storage import file_digest
 from prbench_adapters.diffusion.bundled import bundled_names, bundled_weights
 from prbench_adapters.diffusion.model import MotionModel
 from prbench_adapters.pr.gaze.network import load_network

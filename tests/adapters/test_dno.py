@@ -5,7 +5,7 @@ import pytest
 
 from prbench.contract import Adapter, Condition, ConditionBatch
 from prbench.errors import AdapterError
-from prbench.skeleton import Joint, bone_lengths
+from prbench.geometry.skeleton import Joint, bone_lengths
 from prbench_adapters import dno
 from prbench_adapters.diffusion.batches import ModelBodies
 from prbench_adapters.diffusion.noise_optimisation.generation import optimise_batch

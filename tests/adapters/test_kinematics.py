@@ -7,8 +7,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import z_up
-from prbench.skeleton import Joint
+from prbench.geometry.axes import z_up
+from prbench.geometry.skeleton import Joint
 from prbench_adapters.kinematics import (
     DART,
     WANDR,

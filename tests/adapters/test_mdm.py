@@ -9,12 +9,12 @@ import torch
 
 from prbench.contract import Condition
 from prbench.errors import AdapterError
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
-from prbench.methods.adapters import load_adapter
-from prbench.runs.predictions import Predictions
-from prbench.runs.record import RunRecord
-from prbench.storage import file_digest
+from prbench.files.storage import file_digest
+from prbench.harness.methods.adapters import load_adapter
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+from prbench.harness.run_folder.predictions import Predictions
+from prbench.harness.run_folder.record import RunRecord
 from prbench_adapters.mdm import DEFAULT_WEIGHTS, MDM
 from tests.adapters.diffusion import tiny
 from tests.fakes import fake_dataset

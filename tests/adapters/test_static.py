@@ -7,8 +7,8 @@ import pytest
 
 from prbench.contract import Adapter, Condition, ConditionBatch, Trainable, TrainingRun
 from prbench.errors import AdapterError
+from prbench.geometry.skeleton import Joint
 from prbench.sequences import SequenceTable
-from prbench.skeleton import Joint
 from prbench_adapters.static import load
 from tests.fakes import fake_dataset, fake_sequence
 

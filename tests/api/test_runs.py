@@ -13,8 +13,8 @@ import pandas as pd
 import pytest
 
 import prbench
-from prbench.runs import DatasetSummary
-from prbench.submitted.score_predictions import ScoreRequest, score_predictions
+from prbench.harness.run_folder import DatasetSummary
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
 
 
 @pytest.fixture(scope="module")

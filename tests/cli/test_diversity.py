@@ -10,8 +10,8 @@ import pytest
 from prbench.cli import main
 from prbench.cli.diversity import DiversityReport
 from prbench.contract import Condition
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
 from prbench.sequences import SequenceTable
 from tests.cli.reports import reported
 from tests.fakes import fake_dataset

@@ -8,7 +8,7 @@ import pytest
 
 from prbench.cli import main, table_two
 from prbench.contract import Condition
-from prbench.runs import RunFolder
+from prbench.harness.run_folder import RunFolder
 from tests.fakes import fake_dataset
 
 

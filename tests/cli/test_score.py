@@ -7,8 +7,8 @@ import pytest
 
 from prbench.cli.export_conditions import ConditionsReport
 from prbench.cli.score import ScoreReport
-from prbench.runs import DatasetSummary
-from prbench.submitted.offline import read_conditions_file
+from prbench.harness.offline import read_conditions_file
+from prbench.harness.run_folder import DatasetSummary
 from tests.cli.reports import printed_document, refused, reported
 from tests.fakes import fake_dataset
 

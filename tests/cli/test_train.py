@@ -15,9 +15,9 @@ import pytest
 from prbench.cli import main
 from prbench.cli.train import TrainReport
 from prbench.errors import TrainingError, UsageError
+from prbench.files.storage import file_digest, read_json
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import participant_folds
-from prbench.storage import file_digest, read_json
 from prbench.training import installed
 from prbench.training.dataset import SequenceDataset
 from prbench.training.motions import REFIT

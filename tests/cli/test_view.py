@@ -6,7 +6,7 @@ import pytest
 
 from prbench.cli import main
 from prbench.cli.view import ViewReport
-from prbench.runs import RunRecord
+from prbench.harness.run_folder import RunRecord
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 
@@ -82,7 +82,7 @@ def test_a_single_sequence_is_run_recorded_scored_and_shown(data, tmp_path, caps
 
 
 def test_the_single_sequence_gets_the_motion_that_the_whole_run_gives_it(run, data, tmp_path):
-    from prbench.runs import Predictions
+    from prbench.harness.run_folder import Predictions
 
     out = tmp_path / "one"
     words = ["run", "--method", "scripted", "--condition", "goal-loc", "--data", str(data), "--out", str(out)]

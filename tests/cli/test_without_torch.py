@@ -157,8 +157,8 @@ def test_a_method_that_needs_torch_says_so(folder):
 
 
 def test_scores_are_those_of_a_machine_with_torch(answers, folder):
-    from prbench.evaluation.request import RunRequest
-    from prbench.evaluation.run import run_method
+    from prbench.harness.request import RunRequest
+    from prbench.harness.run import run_method
 
     assert answers["static"].status == 0
     report = run_method(RunRequest(method="static", data=(folder / "table",), limit=4, out=folder / "runs" / "here"))

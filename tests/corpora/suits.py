@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from prbench.corpora.nymeria.format import Suit
-from prbench.joint_names import XSENS_SEGMENTS
-from prbench.manifests import load_manifest
+from prbench.geometry.joint_names import XSENS_SEGMENTS
+from prbench.protocol.manifests import load_manifest
 from tests.fakes import STANDING
 
 THRESHOLDS = load_manifest("nymeria").thresholds

@@ -14,7 +14,7 @@ from prbench.corpora.nymeria.format import participant_of
 from prbench.corpora.nymeria.source import CORPUS, split_by_participant
 from prbench.engine import ProcessPool
 from prbench.errors import InputFileError, UsageError
-from prbench.manifests import load_manifest
+from prbench.protocol.manifests import load_manifest
 from prbench.sequences import CorpusTable
 from tests.corpora.conftest import SEED
 

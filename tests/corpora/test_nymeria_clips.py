@@ -11,7 +11,7 @@ from prbench.corpora.nymeria.clips import clips_of
 from prbench.corpora.nymeria.clock import ClockOffset
 from prbench.corpora.nymeria.format import Narration
 from prbench.corpora.sources import ClipLimits, RecordingIdentity
-from prbench.skeleton import Joint, transform_points
+from prbench.geometry.skeleton import Joint, transform_points
 from tests.corpora.suits import THRESHOLDS
 from tests.fakes import STANDING, smooth_motion
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import y_up
 from prbench.corpora.nymeria.clock import ClockOffset
 from prbench.corpora.nymeria.gaze import gaze_in_suit_world, head_from_device
 from prbench.corpora.nymeria.suit import clean_suit
-from prbench.joint_names import XSENS_SEGMENTS
+from prbench.geometry.axes import y_up
+from prbench.geometry.joint_names import XSENS_SEGMENTS
 from prbench.readers.aria_mps import format as mps
 from tests.corpora.suits import THRESHOLDS, walking_suit
 

@@ -11,8 +11,8 @@ import pytest
 from prbench.corpora import CorpusOptions, build_corpus
 from prbench.corpora.nymeria.body import read_smpl_fit
 from prbench.errors import InputFileError
+from prbench.geometry.skeleton import PARENTS, Joint
 from prbench.sequences import CorpusTable
-from prbench.skeleton import PARENTS, Joint
 from tests.fakes import STANDING
 
 N_VERTICES = 24

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prbench.axes import y_up
 from prbench.corpora.nymeria.body import measured_head_tilt, suit_motion
 from prbench.corpora.nymeria.format import Suit
 from prbench.corpora.nymeria.suit import clean_suit, read_suit
 from prbench.errors import InputFileError
-from prbench.joint_names import XSENS_SEGMENTS
-from prbench.manifests import load_manifest
-from prbench.skeleton import Joint
+from prbench.geometry.axes import y_up
+from prbench.geometry.joint_names import XSENS_SEGMENTS
+from prbench.geometry.skeleton import Joint
+from prbench.protocol.manifests import load_manifest
 from tests.corpora.suits import THRESHOLDS, walking_suit, write_arrays
 from tests.fakes import STANDING
 

@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from prbench.curation import build_from_sources
 from prbench.curation.build import build_shard_from_sources, merge_dataset_shards
-from prbench.shards import Shard, require_whole
+from prbench.engine.shards import Shard, require_whole
 from tests.crashes import in_a_child, operations
 from tests.curation.sources import folder_bytes, some_sources
 

@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from prbench.manifests import load_manifest, load_protocol
+from prbench.geometry.skeleton import Joint
+from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.recording import BodyStream, GazeStream, HandStream, ObjectTrack, OtherPerson, PoseStream, Recording
-from prbench.skeleton import Joint
 from tests.fakes import STANDING
 
 MANIFEST, PROTOCOL = load_manifest("adt"), load_protocol()

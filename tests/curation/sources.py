@@ -12,8 +12,8 @@ import pyarrow as pa
 from prbench.curation import build_from_sources
 from prbench.engine import engine_for
 from prbench.errors import InputFileError
+from prbench.files.storage import text_digest
 from prbench.recording import Recording
-from prbench.storage import text_digest
 from tests.curation.scenes import PICK, PUT, clock, cup_centre, finger_path, hand, scene, track
 
 

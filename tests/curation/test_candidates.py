@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from prbench.curation.candidates import propose_pick
+from prbench.geometry.skeleton import Joint
 from prbench.recording import BodyStream, GazeStream, Recording
-from prbench.skeleton import Joint
 from tests.curation.scenes import minimum_jerk
 from tests.fakes import STANDING
 from tests.readers import gimo_sample

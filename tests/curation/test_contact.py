@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from prbench.curation.contact import close_to, contact_distance, held_segments, require_surfaces, runs
 from prbench.curation.in_hand import find_holdings
 from prbench.errors import UsageError
-from prbench.manifests import load_manifest
+from prbench.protocol.manifests import load_manifest
 from prbench.recording import HandStream, ObjectTrack, Occluder
 from tests.curation.scenes import RULE, scene
 

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from prbench.curation import CurationOptions, curate_recording
 from prbench.curation.curate import CuratedRecording, hash_fraction, split_of
 from prbench.errors import UsageError
+from prbench.geometry.skeleton import Joint, transform_points
 from prbench.recording import BodyStream, Recording
 from prbench.sequences.sequence import sequence_batch
-from prbench.skeleton import Joint, transform_points
 from tests.curation.scenes import DURATION, LOOK_A, LOOK_B, MANIFEST, PLACE_A, PROTOCOL, body, clock, gaze, scene
 
 SLOW, FAST = clock(30), clock(120)

@@ -13,7 +13,7 @@ from prbench.curation.contact import contact_distance
 from prbench.curation.events import find_events
 from prbench.curation.rest import Departure, placed_in_gap
 from prbench.errors import RecordingUnusable
-from prbench.manifests import InHandRule
+from prbench.protocol.manifests import InHandRule
 from prbench.recording import AnnotatedEvent, HandStream, Recording
 from tests.curation.scenes import (
     DURATION,

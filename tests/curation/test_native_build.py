@@ -9,8 +9,8 @@ import pytest
 
 from prbench.curation import BuildOptions, build_dataset, plan_build
 from prbench.errors import InputFileError, StorageError, UsageError
+from prbench.files.storage import read_json
 from prbench.sequences import SequenceTable
-from prbench.storage import read_json
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.curation.sources import folder_bytes
 from tests.fakes import fake_dataset

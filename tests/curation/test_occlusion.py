@@ -11,7 +11,7 @@ import pytest
 from prbench.curation import CurationOptions, curate_recording
 from prbench.curation.occlusion import MARGIN, Surroundings
 from prbench.errors import MissingExtraError, UsageError
-from prbench.manifests import load_manifest
+from prbench.protocol.manifests import load_manifest
 from prbench.recording import Occluder, Recording
 from tests.curation.scenes import EYE, LOOK_A, LOOK_B, MANIFEST, PLACE_A, PLACE_B, PROTOCOL, clock, gaze, scene, track
 

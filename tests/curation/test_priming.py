@@ -12,7 +12,7 @@ from prbench.curation.events import Decision, Place
 from prbench.curation.options import CurationOptions
 from prbench.curation.priming import Prime, find_prime, gaze_rays
 from prbench.errors import UsageError
-from prbench.manifests import load_manifest
+from prbench.protocol.manifests import load_manifest
 from tests.curation.scenes import PROTOCOL, clock, gaze, scene
 
 CONSTANTS = PROTOCOL.curation

@@ -10,7 +10,7 @@ import pytest
 from prbench.curation import build_dataset, curate_recording, plan_build
 from prbench.curation.options import BuildOptions, CurationOptions
 from prbench.errors import RecordingUnusable, UsageError
-from prbench.manifests import load_manifest, load_protocol
+from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.recording import AnnotatedEvent, PublishedPriming, Recording
 from tests.curation.scenes import LOOK_A, PICK, PLACE_A, PLACE_B, PUT, clock, finger_path, hand, scene
 

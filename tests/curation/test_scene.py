@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from prbench.curation.scene import scene_boxes
+from prbench.geometry.skeleton import Joint
 from prbench.recording import ObjectTrack
-from prbench.skeleton import Joint
 from tests.curation.scenes import UPRIGHT, scene
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from prbench.curation import BuildOptions, CurationOptions, build_from_sources
 from prbench.curation.build import build_shard_from_sources, merge_dataset_shards
+from prbench.engine.shards import Shard, require_whole
 from prbench.errors import RecordingsWouldBeLost, ShardError, StorageError
-from prbench.shards import Shard, require_whole
 from tests.crashes import tried_by
 from tests.curation.sources import SceneSource, folder_bytes, some_sources
 

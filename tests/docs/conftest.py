@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from prbench.contract import Condition, ConditionBatch
-from prbench.evaluation.conditions import ConditionSource, run_salt
-from prbench.evaluation.planning import select
+from prbench.harness.conditions import ConditionSource, run_salt
+from prbench.harness.planning import select
 from prbench.sequences import SequenceTable
 from tests.docs.by_hand import ByHand
 from tests.docs.interpreters import EXAMPLES

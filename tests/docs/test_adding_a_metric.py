@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from prbench.runs import DatasetSummary, read_scores
+from prbench.harness.run_folder import DatasetSummary, read_scores
 from tests.docs.interpreters import ROOT
 from tests.fakes import fake_dataset
 

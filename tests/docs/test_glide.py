@@ -16,12 +16,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from prbench.contract import Condition
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
-from prbench.runs import read_scores
-from prbench.skeleton import WRISTS, bone_lengths
-from prbench.submitted.offline import ExportRequest, export_conditions, read_conditions
-from prbench.submitted.score_predictions import ScoreRequest, score_predictions
+from prbench.geometry.skeleton import WRISTS, bone_lengths
+from prbench.harness.offline import ExportRequest, export_conditions, read_conditions
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+from prbench.harness.run_folder import read_scores
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from tests.docs.by_hand import ByHand
 from tests.docs.exchange import Exchange, decoded
 from tests.docs.interpreters import EXAMPLES, javascript, older_python

@@ -7,11 +7,11 @@ import tomllib
 
 import pytest
 
-from prbench.methods.remote.messages import WIRE_VERSION
-from prbench.runs.scores import RUN_SCHEMA_VERSION
+from prbench.harness.methods.remote.messages import WIRE_VERSION
+from prbench.harness.offline.conditions_file import FORMAT_VERSION
+from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION
 from prbench.sequences.corpus import CORPUS_SCHEMA_VERSION
 from prbench.sequences.schema import SCHEMA_VERSION
-from prbench.submitted.offline.conditions_file import FORMAT_VERSION
 from tests.docs.test_citations import ROOT, text_of
 
 GITHUB = ROOT / ".github"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
 from tests.method_fixtures import install, own_cache
 from tests.prediction.windows import write
 

@@ -15,12 +15,12 @@ import pytest
 
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
-from prbench.methods.motions import generate_checked
-from prbench.methods.names import NAME_FORM
-from prbench.methods.remote import answers, messages, process
-from prbench.methods.remote.adapter import RemoteAdapter
-from prbench.methods.remote.process import Program
-from prbench.skeleton import PARENTS, Joint
+from prbench.geometry.skeleton import PARENTS, Joint
+from prbench.harness.methods.motions import generate_checked
+from prbench.harness.methods.names import NAME_FORM
+from prbench.harness.methods.remote import answers, messages, process
+from prbench.harness.methods.remote.adapter import RemoteAdapter
+from prbench.harness.methods.remote.process import Program
 from tests.docs.exchange import PAGE, Exchange, batch, decoded, page_with
 from tests.docs.interpreters import javascript
 from tests.fakes import STANDING

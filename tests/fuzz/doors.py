@@ -19,8 +19,8 @@ from prbench.corpora.sources import CorpusOptions, corpus_for, find_groups
 from prbench.curation.options import BuildOptions
 from prbench.curation.sources import native_sources
 from prbench.errors import PrbenchError, UnforeseenInput
-from prbench.methods.programs.description import read_description
-from prbench.submitted.offline import ConditionsFile, read_conditions, read_conditions_file
+from prbench.harness.methods.programs.description import read_description
+from prbench.harness.offline import ConditionsFile, read_conditions, read_conditions_file
 from prbench.synthetic.corpus import synthesize_corpus_tree
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.training.configuration import load_configuration
@@ -28,8 +28,8 @@ from prbench.training.weights import read_weights
 from prbench.workflows.inspection import inspect_folder
 from tests.fakes import fake_dataset
 from tests.fuzz.judging import Seen
+from tests.harness.offline import method
 from tests.release.releases import rows, write_release
-from tests.submitted.offline import method
 
 UNFORESEEN_WORDS = "expected content that prbench can read, found what ends in"
 """What the message of the boundary around readers says where a command prints it."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from prbench.manifests import load_protocol
+from prbench.geometry.skeleton import Joint
 from prbench.metrics import MotionBatch, ScoringTargets
-from prbench.skeleton import Joint
+from prbench.protocol.manifests import load_protocol
 
 CONSTANTS = load_protocol().metrics
 FPS = 20.0

@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from prbench.geometry.skeleton import BONES, TOES, Joint
 from prbench.metrics.batch import odd_window
 from prbench.metrics.bone_length_change import bone_length_change
 from prbench.metrics.foot_skating import contact_share, foot_skating, toe_steps
 from prbench.metrics.smoothness import jitter, max_jerk
-from prbench.skeleton import BONES, TOES, Joint
 from tests.metrics.motions import CONSTANTS, FPS, STANDING, batch, random_motion, standing
 
 

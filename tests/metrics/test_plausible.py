@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from prbench.geometry.skeleton import TOES, Joint
 from prbench.metrics import score
 from prbench.metrics.foot_skating import foot_skating, slow_slides
 from prbench.metrics.initial_state import first_frame_error, first_step
 from prbench.metrics.plausible import body_numbers, broken_limits, largest_speed, plausible
 from prbench.metrics.posture import floating, largest_trunk_tilt, lowest_pelvis, penetration
 from prbench.metrics.smoothness import largest_jerk, max_jerk
-from prbench.skeleton import TOES, Joint
 from tests.metrics.motions import CONSTANTS, FPS, STANDING, batch, random_motion, standing, targets
 
 

@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from prbench.geometry.skeleton import Joint, head_forward
 from prbench.metrics import GazeRays, score
 from prbench.metrics.prime_success import prime_success
 from prbench.metrics.prime_success_gaze import prime_success_gaze
 from prbench.metrics.ray_track import candidate_frames, head_track, ray_distance
-from prbench.skeleton import Joint, head_forward
 from tests.metrics.motions import CONSTANTS, FPS, batch, looking, random_problem, standing, targets
 
 A = (40, 25, 12, 5, 3, 3, 3, 3)

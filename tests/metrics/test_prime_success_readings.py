@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from prbench.geometry.skeleton import Joint
 from prbench.metrics import score
 from prbench.metrics.prime_success import prime_success
-from prbench.skeleton import Joint
 from tests.metrics.motions import CONSTANTS, batch, looking, standing, targets
 from tests.metrics.test_prime_success import A
 

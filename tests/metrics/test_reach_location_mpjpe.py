@@ -6,11 +6,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from prbench.geometry.skeleton import Joint
 from prbench.metrics.goal_mpjpe import goal_mpjpe
 from prbench.metrics.location_error import location_error
 from prbench.metrics.mpjpe import mpjpe
 from prbench.metrics.reach_success import reach_success, reach_wrist
-from prbench.skeleton import Joint
 from tests.metrics.motions import CONSTANTS, batch, random_problem, standing
 
 GOAL = np.array([[0.0, 1.0, 0.0]])

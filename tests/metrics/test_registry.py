@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from prbench.evaluation.intervals import metric_interval
+from prbench.harness.intervals import metric_interval
 from prbench.metrics import METRICS, MetricInfo, exported_unit, printed_unit
 from prbench.metrics.registry import find_families
 

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from prbench.boxes import Boxes
+from prbench.geometry.boxes import Boxes
+from prbench.geometry.skeleton import Joint
 from prbench.metrics import score
 from prbench.metrics.scene_penetration import scene_penetration
-from prbench.skeleton import Joint
 from tests.metrics.motions import CONSTANTS, batch, standing, targets
 
 

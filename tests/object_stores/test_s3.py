@@ -15,12 +15,12 @@ import pytest
 import prbench
 from prbench.cli.main import main
 from prbench.errors import InputFileError, RunError
-from prbench.evaluation import run as running
+from prbench.files.storage import cache_folder
+from prbench.harness import run as running
 from prbench.object_stores.describe import describe
 from prbench.object_stores.inputs import fetched
 from prbench.object_stores.manifest import FINISHED, OWN_PREFIX, UNFINISHED, WORK_PREFIX
 from prbench.object_stores.store import ObjectStoreError, Store
-from prbench.storage import cache_folder
 from tests.fakes import fake_dataset
 from tests.object_stores.conftest import contents, local_contents, start_moto, use_server
 from tests.object_stores.test_outputs import publish

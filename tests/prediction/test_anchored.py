@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from prbench.errors import UsageError
+from prbench.geometry.skeleton import transform_points
 from prbench.prediction.anchored import anchors, build_anchored_windows
 from prbench.prediction.batch import Condition
 from prbench.prediction.predictors import NearestPast, ZeroVelocity
 from prbench.prediction.scoring import score_predictor
 from prbench.prediction.table import WindowsTable
 from prbench.sequences.table import SequenceTable
-from prbench.skeleton import transform_points
 from tests.fakes import fake_dataset
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from prbench.curation.window_runs import sliding_windows
+from prbench.geometry.skeleton import head_forward
 from prbench.prediction.joint_sets import SMPL22
 from prbench.prediction.protocol import load_prediction_protocol
 from prbench.prediction.table import SCHEMA_VERSION, CutRun, Run, WindowsInfo, write_windows
-from prbench.skeleton import head_forward
 from tests.fakes import STANDING
 
 RULES = load_prediction_protocol().windows

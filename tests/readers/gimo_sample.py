@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from prbench.manifests import load_manifest
+from prbench.geometry.skeleton import PARENTS
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
 from prbench.readers.gimo.readings import read_readings
 from prbench.readers.gimo.segments import GimoOptions, find_segments
-from prbench.skeleton import PARENTS
 from prbench.synthetic.layouts.gimo import LAYOUT, write_events, write_sequence, write_table
 from prbench.synthetic.sensors.gimo import DEPTH_FIRST, SKELETON_NAMES
 from tests.fakes import STANDING

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from prbench.files.storage import write_json
 from prbench.readers.aria_mps.format import MpsReadings, trajectory_rows
 from prbench.readers.hot3d import format as hot3d
-from prbench.storage import write_json
 from prbench.synthetic.layouts import SHARED_PARTS
 from prbench.synthetic.layouts import hot3d as layout
 

@@ -8,7 +8,7 @@ import pytest
 
 from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError
-from prbench.manifests import load_manifest
+from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.discover import discover
 from prbench.synthetic.write_tree import synthesize_tree

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import UsageError
+from prbench.files.storage import file_digest
 from prbench.readers import parse_cache
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps import trajectory
@@ -19,7 +20,6 @@ from prbench.readers.aria_mps.sparse_rows import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.readers.parse_cache import remembered_digest
 from prbench.readers.zipped import ZippedFile
-from prbench.storage import file_digest
 from tests.readers.mps_files import NearTimes, trajectory_lines, write_lines, zipped
 
 START = 5_000_000_000

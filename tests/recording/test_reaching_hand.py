@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from prbench.geometry.skeleton import N_JOINTS, WRISTS
 from prbench.recording.reaching_hand import Wrist, reaching_hand, wrists_at
 from prbench.recording.streams import BodyStream, HandStream
-from prbench.skeleton import N_JOINTS, WRISTS
 
 PLACE = np.zeros(3)
 

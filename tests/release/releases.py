@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from prbench.geometry.skeleton import transform_points
 from prbench.sequences import Sequence as Row
-from prbench.skeleton import transform_points
 from tests.release.tables import looking_sequence
 
 NAMES = {

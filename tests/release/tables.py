@@ -9,12 +9,12 @@ import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from prbench.manifests import load_protocol
+from prbench.geometry.skeleton import Joint, canonical_frame, invert_rigid, transform_points
+from prbench.protocol.manifests import load_protocol
 from prbench.randomness import named_generator
 from prbench.sequences import EventRecord, RecordingRecord, Sequence, SequenceTable
 from prbench.sequences.sequence import event_batch, recording_batch, sequence_batch
 from prbench.sequences.write import write_dataset
-from prbench.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 from tests.fakes import fake_info, fake_sequence
 
 HALF_EXTENTS = np.array([0.05, 0.1, 0.07])

@@ -9,8 +9,8 @@ import pyarrow as pa
 import pytest
 
 from prbench.errors import TableError, UsageError
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
 from prbench.release import ImportOptions, export_release, import_release
 from prbench.sequences import SequenceTable
 from prbench.sequences.schema import SEQUENCES

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError, TableError
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
+from prbench.geometry.skeleton import transform_points
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
 from prbench.release import ImportOptions
 from prbench.sequences import SequenceTable
-from prbench.skeleton import transform_points
 from tests.release.imports import imported, motions, table_values, value
 from tests.release.releases import Style, in_world, plain_entry, rows
 

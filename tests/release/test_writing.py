@@ -9,7 +9,7 @@ import pytest
 
 from prbench.cli import main
 from prbench.errors import RedistributionError
-from prbench.manifests import load_manifest
+from prbench.protocol.manifests import load_manifest
 from prbench.release import export_release, import_release
 from prbench.release.known import dataset_of, folder_of, load_known
 from prbench.release.writing import terms_of

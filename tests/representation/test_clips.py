@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
+from prbench.geometry.skeleton import Joint, facing_yaw
 from prbench.representation import at_20_fps, canonicalise, check_joints, encode, every_stride, retarget
-from prbench.skeleton import Joint, facing_yaw
 from tests.fakes import STANDING, smooth_motion
 from tests.representation.motions import turned
 
@@ -148,5 +148,5 @@ def test_a_pose_that_faces_nowhere_cannot_be_canonical():
 
 
 def test_torch_is_not_imported_by_the_numpy_side_or_the_controls():
-    code = "import sys, prbench.representation, prbench.evaluation.controls; sys.exit('torch' in sys.modules)"
+    code = "import sys, prbench.representation, prbench.harness.controls; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths
 from prbench.representation import BLOCKS, canonicalise, decode, decode_rotations, encode, mirror, rest_offsets
 from prbench.representation.features import REST_DIRECTIONS, REST_OFFSETS
-from prbench.skeleton import PARENTS, Joint, bone_lengths
 from tests.fakes import STANDING, smooth_motion
 from tests.representation.motions import turned, walk
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from prbench.geometry.skeleton import PARENTS
 from prbench.representation import REST_OFFSETS, Mode, decode, encode, tensors
-from prbench.skeleton import PARENTS
 from tests.fakes import STANDING
 from tests.representation.motions import walk
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
+from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths
 from prbench.representation import REST_OFFSETS, UniformSkeleton, rest_offsets, retarget, root_scale
 from prbench.representation.features import BONE_LENGTHS
-from prbench.skeleton import PARENTS, Joint, bone_lengths
 from tests.fakes import STANDING
 from tests.representation.motions import walk
 

@@ -6,23 +6,23 @@ import msgspec
 import pyarrow as pa
 import pytest
 
+from prbench.board.collect import CollectedRuns, collect_runs
+from prbench.board.merging import merge_folds
+from prbench.board.tables import make_leaderboard
 from prbench.cli.leaderboard_merge import MergeReport
 from prbench.cli.main import main
 from prbench.cli.split_dataset import SplitReport
 from prbench.errors import RunError, StorageError, TableError, UsageError
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.results import summary_of
-from prbench.evaluation.run import run_method
-from prbench.leaderboard.collect import CollectedRuns, collect_runs
-from prbench.leaderboard.merging import merge_folds
-from prbench.leaderboard.tables import make_leaderboard
-from prbench.runs.folder import RunFolder
-from prbench.runs.scores import read_scores, write_scores
-from prbench.runs.summary import DatasetSummary
+from prbench.harness.request import RunRequest
+from prbench.harness.results import summary_of
+from prbench.harness.run import run_method
+from prbench.harness.run_folder.folder import RunFolder
+from prbench.harness.run_folder.scores import read_scores, write_scores
+from prbench.harness.run_folder.summary import DatasetSummary
+from prbench.harness.verification import RunChecker
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import participant_folds, write_fold
 from prbench.sequences.ids import recording_key
-from prbench.submitted.verification import RunChecker
 from prbench.workflows.first_run import table_finder
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset

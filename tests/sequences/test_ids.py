@@ -13,9 +13,9 @@ from prbench.cli.main import main
 from prbench.curation.options import NO_OPTIONS
 from prbench.curation.sources import native_sources
 from prbench.errors import InputFileError, RunError, TableError
-from prbench.runs.scores import SCORES, read_scores, write_scores
+from prbench.files.storage import is_path_part
+from prbench.harness.run_folder.scores import SCORES, read_scores, write_scores
 from prbench.sequences import SequenceTable
-from prbench.storage import is_path_part
 from tests.fakes import fake_dataset
 
 

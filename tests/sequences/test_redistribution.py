@@ -9,8 +9,8 @@ import pytest
 
 from prbench.cli import main
 from prbench.errors import RedistributionError
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
 from prbench.sequences import DatasetInfo
 from prbench.sequences.redistribution import (
     NOTICE_FILE,

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from prbench.published import QUANTITIES, load_table_one
+from prbench.protocol.published import QUANTITIES, load_table_one
 from prbench.sequences import SequenceTable
 from prbench.sequences.sequence import event_batch, recording_batch, sequence_batch
 from prbench.sequences.table_one import table_statistics

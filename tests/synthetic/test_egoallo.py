@@ -10,7 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
-from prbench.manifests import load_manifest
+from prbench.geometry.skeleton import Joint, bone_lengths, head_forward, invert_rigid
+from prbench.geometry.timelines import interpolate, slerp
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.aria_mps.format import AriaTrajectory, device_from_cpf
 from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.format import EgoAlloBody
@@ -19,12 +21,10 @@ from prbench.readers.egoallo.places import find_outputs
 from prbench.readers.egoallo.to_recording import body_from_outputs, body_stream
 from prbench.readers.found import RecordingFiles
 from prbench.recording import PoseStream
-from prbench.skeleton import Joint, bone_lengths, head_forward, invert_rigid
 from prbench.synthetic.egoallo import NATIVE_FROM_WORLD, sense_egoallo, write_outputs, write_smplh_model
 from prbench.synthetic.people import perform
 from prbench.synthetic.sensors.errors import Switches
 from prbench.synthetic.sensors.smplh import synthetic_smplh
-from prbench.timelines import interpolate, slerp
 from tests.comparing import differences
 
 START_US = 150_000_000

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from prbench.errors import TableError, UsageError
+from prbench.geometry.skeleton import Joint, facing_yaw
 from prbench.representation import canonicalise, encode
-from prbench.skeleton import Joint, facing_yaw
 from prbench.training.dataset import SequenceDataset
 from prbench.training.motions import mirrored_text
 from tests.training.tables import CAPTIONS, corpus_table, sequence_table

@@ -11,7 +11,7 @@ import torch
 from safetensors.torch import load_file
 
 from prbench.errors import TrainingError, TrainingStopped, UsageError
-from prbench.storage import read_json, write_json
+from prbench.files.storage import read_json, write_json
 from prbench.training.configuration import (
     OptimisationConfiguration,
     TrainingConfiguration,

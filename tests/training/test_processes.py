@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from prbench.errors import UsageError
-from prbench.storage import read_json, write_json
+from prbench.files.storage import read_json, write_json
 from prbench.training.configuration import OptimisationConfiguration, TrainingConfiguration
 from prbench.training.items import MotionBatch
 from prbench.training.loop import fit

@@ -10,7 +10,7 @@ import pytest
 
 from prbench.contract import ENTRY_POINT_GROUP as METHODS
 from prbench.errors import AdapterError, StorageError, TrainingError
-from prbench.storage import write_json
+from prbench.files.storage import write_json
 from prbench.training import installed
 from prbench.training.configuration import OptimisationConfiguration, TrainingConfiguration
 from prbench.training.installed import load_task

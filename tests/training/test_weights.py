@@ -14,7 +14,7 @@ from safetensors.torch import save_file
 from torch import nn
 
 from prbench.errors import InputFileError
-from prbench.storage import file_digest, read_json
+from prbench.files.storage import file_digest, read_json
 from prbench.training.configuration import resolve
 from prbench.training.weights import origin_of, read_weights, write_weights
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
 from prbench.viewing.gallery import Scene, curves_of, render_gallery, sequences_of

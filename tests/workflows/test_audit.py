@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from prbench.engine import InProcess
-from prbench.evaluation.controls import CONTROLS
+from prbench.harness.controls import CONTROLS
 from prbench.metrics import METRICS
 from prbench.sequences import SequenceTable
 from prbench.workflows.audit import TableAudit, audit, metrics_of, not_worse_than_people

@@ -5,7 +5,7 @@ import pytest
 
 from prbench.corpora import build_corpus
 from prbench.errors import InputFileError, TableError, UsageError
-from prbench.manifests import dataset_names, load_manifest
+from prbench.protocol.manifests import dataset_names, load_manifest
 from prbench.sequences import SequenceTable
 from prbench.synthetic.corpus import synthesize_corpus_tree
 from prbench.workflows.catalogue import catalogue, citation_text

@@ -10,7 +10,7 @@ import pytest
 from prbench.cli import main
 from prbench.contract import Condition
 from prbench.errors import InputFileError, UsageError
-from prbench.runs import RunFolder
+from prbench.harness.run_folder import RunFolder
 from prbench.workflows.experiment import Experiment, read_experiment, run_of, same_scores
 from tests.fakes import fake_dataset
 

@@ -12,14 +12,14 @@ import pytest
 from prbench.cli import main
 from prbench.contract import Condition
 from prbench.engine import InProcess
-from prbench.evaluation.request import RunRequest
-from prbench.methods.installed import list_adapters
+from prbench.harness.methods.installed import list_adapters
+from prbench.harness.request import RunRequest
 from prbench.sequences import DatasetInfo
 from prbench.synthetic.people.world import Source, assign
 from prbench.workflows import first_run
 from prbench.workflows.synthetic_table import recordings_of_people
 from tests.fakes import fake_dataset
-from tests.test_locks import holder
+from tests.files.test_locks import holder
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ import pytest
 from prbench.cli.main import main
 from prbench.cli.poses import PosesReport
 from prbench.errors import InputFileError, UsageError
+from prbench.geometry.skeleton import Joint
 from prbench.readers import reader_for
-from prbench.skeleton import Joint
 from prbench.synthetic.egoallo import write_smplh_model
 from prbench.workflows.poses import make_poses, pose_states, read_config
 from prbench.workflows.poses.prepare import prepare

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from prbench.errors import RunError, UsageError
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
 from prbench.prediction.batch import Condition
 from prbench.prediction.table import WindowsTable
 from prbench.workflows.prediction_tables import TablesRequest, run_tables

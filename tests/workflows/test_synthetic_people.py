@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from prbench.errors import UsageError
-from prbench.manifests import load_protocol
+from prbench.protocol.manifests import load_protocol
 from prbench.synthetic.behaviour import Range, ranges
 from prbench.synthetic.people import PRESETS
 from prbench.workflows.synthetic_people import PeopleNumber, people_numbers

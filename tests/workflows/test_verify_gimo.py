@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prbench.curation import build_dataset, curate_recording
-from prbench.manifests import load_manifest, load_protocol
+from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.synthetic.statistics import TARGETS
 from prbench.synthetic.write_tree import synthesize_tree

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from prbench.curation import build_dataset, curate_recording
-from prbench.manifests import load_manifest, load_protocol
+from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import Performance

@@ -15,8 +15,8 @@ import pytest
 
 from prbench.curation import build_dataset, curate_recording
 from prbench.curation.options import BuildOptions, CurationOptions
-from prbench.manifests import load_manifest, load_protocol
-from prbench.published import QUANTITIES, load_table_one
+from prbench.protocol.manifests import load_manifest, load_protocol
+from prbench.protocol.published import QUANTITIES, load_table_one
 from prbench.sequences import SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.workflows.synthetic_table import Staging, build_synthetic_table

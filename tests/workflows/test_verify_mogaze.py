@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from prbench.curation import build_dataset
-from prbench.published import Spread
+from prbench.protocol.published import Spread
 from prbench.sequences import SequenceTable
 from prbench.synthetic.statistics import TARGETS, SequenceStatistics
 from prbench.synthetic.write_tree import synthesize_tree

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from prbench.curation import build_dataset, curate_recording
-from prbench.manifests import load_manifest, load_protocol
+from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.workflows.matching import Verification, match_events, verification

@@ -10,9 +10,9 @@ import pytest
 
 from prbench.contract import Condition
 from prbench.errors import RedistributionError, RunError, StorageError, TableError, UsageError
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
-from prbench.runs import Predictions, RunFolder, read_scores
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+from prbench.harness.run_folder import Predictions, RunFolder, read_scores
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.viewing.replay.measures import score_row
 from prbench.viewing.replay.scene import RECORDED

@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 import torch
 from jaxtyping import Float, Int
 
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 from prbench_adapters.diffusion.noise_optimisation.settings import Hand, OptimisationSettings
 
 Joints = Float[torch.Tensor, "batch frames 22 3"]

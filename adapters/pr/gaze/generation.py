@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from prbench.contract import ConditionBatch, Gaze, Motions
-from prbench.evaluation.best_of import goal_of
+from prbench.harness.best_of import goal_of
 from prbench.randomness import named_generator
 from prbench_adapters.pr.gaze.network import GazeNetwork, Seen
 

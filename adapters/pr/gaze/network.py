@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from prbench.skeleton import BONES, WRISTS, Joint
+from prbench.geometry.skeleton import BONES, WRISTS, Joint
 from prbench.training.weights import read_weights, weights_header
 from prbench_adapters.diffusion.goal_frame import head_axes
 from prbench_adapters.diffusion.model import torch_device

@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from prbench.errors import TableError, UsageError
+from prbench.geometry.skeleton import Joint, head_forward
 from prbench.sequences import SequenceChunk, SequenceTable
-from prbench.skeleton import Joint, head_forward
 from prbench.training import MotionBatch
 from prbench.training.task import TrainingData, TrainingModule
 from prbench.training.weights import origin_of, read_weights

@@ -14,8 +14,8 @@ from jaxtyping import Float
 from prbench.checking.conformance.generators import generator_states, generators_set_to, generators_touched
 from prbench.contract import Adapter, ConditionBatch, Motions
 from prbench.errors import PrbenchError
-from prbench.methods.motions import generate_checked
-from prbench.methods.users_environment import computing_threads
+from prbench.harness.methods.motions import generate_checked
+from prbench.harness.methods.users_environment import computing_threads
 
 STATE_SEED = 20_240_607
 """Seed of the global generators before every call. Only the check of global generators uses another one."""

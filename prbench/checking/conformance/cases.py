@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from prbench.evaluation.conditions import ConditionSource
-from prbench.evaluation.planning import rows_of, select
-from prbench.manifests import load_protocol
+from prbench.files.storage import atomic_path
+from prbench.harness.conditions import ConditionSource
+from prbench.harness.planning import rows_of, select
+from prbench.protocol.manifests import load_protocol
 from prbench.sequences import DatasetInfo, RecordingRecord, Sequence, SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME as INFO_FILE
 from prbench.sequences.dataset_info import FunnelCounts
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.sequence import recording_batch, sequence_batch
 from prbench.sequences.write import write_dataset
-from prbench.storage import atomic_path
 
 SEQUENCES = 12
 """Asked about, unless a method is slow."""

@@ -17,10 +17,10 @@ from prbench.checking.conformance.judges import judge_of
 from prbench.checking.conformance.method_subject import MethodSubject
 from prbench.checking.conformance.report import CheckRequest, Outcome
 from prbench.errors import PrbenchError
-from prbench.evaluation.benchmark import load_benchmark
-from prbench.methods.loaded_methods import forget_loaded_methods
-from prbench.methods.methods import method_spec
-from prbench.methods.programs import is_program
+from prbench.harness.benchmark import load_benchmark
+from prbench.harness.methods.loaded_methods import forget_loaded_methods
+from prbench.harness.methods.methods import method_spec
+from prbench.harness.methods.programs import is_program
 
 Tell = Callable[..., None]
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.benchmarks import default_benchmark
 from prbench.checking.conformance.cases import cases_of_table, kept_synthetic_cases
 from prbench.checking.conformance.check import Check
 from prbench.checking.conformance.checks import CHECKS, loading, reproducibility, resources
@@ -17,7 +16,8 @@ from prbench.checking.conformance.predictors.subject import BENCHMARK, Predictor
 from prbench.checking.conformance.report import CheckRequest
 from prbench.checking.conformance.subject import Subject
 from prbench.errors import UsageError
-from prbench.methods.loaded_methods import MethodSpec
+from prbench.harness.methods.loaded_methods import MethodSpec
+from prbench.protocol.benchmarks import default_benchmark
 
 
 @dataclass(frozen=True)

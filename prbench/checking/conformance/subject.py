@@ -14,12 +14,12 @@ from prbench.checking.conformance.cases import Cases, write_training_table
 from prbench.checking.conformance.method_subject import MethodSubject
 from prbench.checking.conformance.report import Remedy
 from prbench.contract import Condition, ConditionBatch
-from prbench.evaluation.conditions import ConditionSource, run_salt
-from prbench.evaluation.planning import rows_of
-from prbench.manifests import load_protocol
-from prbench.methods.loaded_methods import LoadedMethod, MethodSpec
-from prbench.methods.methods import fit_to_training_rows, fitted_to
-from prbench.methods.motions import native_frames
+from prbench.harness.conditions import ConditionSource, run_salt
+from prbench.harness.methods.loaded_methods import LoadedMethod, MethodSpec
+from prbench.harness.methods.methods import fit_to_training_rows, fitted_to
+from prbench.harness.methods.motions import native_frames
+from prbench.harness.planning import rows_of
+from prbench.protocol.manifests import load_protocol
 from prbench.sequences import SequenceTable
 
 RICHEST_FIRST = (Condition.GOAL_LOCATION, Condition.GOAL_POSE, Condition.TEXT, Condition.NONE)

@@ -14,12 +14,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import ClassVar
 
-from prbench.benchmarks import default_benchmark
 from prbench.checking.conformance.judges import judge_of
 from prbench.checking.conformance.predictors.subject import BENCHMARK
 from prbench.checking.conformance.report import START_LIMIT, TIME_LIMIT, CheckRequest, Finding, Outcome, Report
 from prbench.checking.conformance.session import check
 from prbench.errors import UsageError
+from prbench.protocol.benchmarks import default_benchmark
 
 
 class ConformanceWarning(UserWarning):

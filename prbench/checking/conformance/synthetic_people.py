@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from prbench.manifests import load_protocol
+from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
+from prbench.protocol.manifests import load_protocol
 from prbench.sequences import Sequence
-from prbench.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.synthetic.people.perform import name_of_recording, perform
 from prbench.synthetic.people.world import Source, assign
 from prbench.synthetic.performance import Performance

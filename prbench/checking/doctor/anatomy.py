@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from prbench.geometry.skeleton import PARENTS, Joint
 from prbench.representation import REST_OFFSETS
-from prbench.skeleton import PARENTS, Joint
 
 _NEGLIGIBLE = 1e-9
 _LENGTHS = np.linalg.norm(REST_OFFSETS, axis=1)

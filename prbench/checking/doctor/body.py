@@ -6,8 +6,8 @@ import numpy as np
 
 from prbench.checking.doctor.anatomy import Distances
 from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding, on_straight_lines
-from prbench.methods.coordinates import wrong_unit
-from prbench.skeleton import N_JOINTS, bone_lengths
+from prbench.geometry.skeleton import N_JOINTS, bone_lengths
+from prbench.harness.methods.coordinates import wrong_unit
 
 _SHAPELESS = 3.0  # times the spread of a coordinate; a body's joints have mean heights much farther apart
 _FLABBY = 0.12  # change of the distances that change least, as a share of themselves

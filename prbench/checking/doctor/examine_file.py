@@ -12,11 +12,11 @@ from prbench.checking.doctor.diagnose import diagnose
 from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Diagnosis, Expected
 from prbench.checking.doctor.reading import NamedMotion, read_motions
 from prbench.errors import UsageError
-from prbench.evaluation.conditions import opaque_ids, run_salt
+from prbench.files.storage import turn_into_paths
+from prbench.harness.conditions import opaque_ids, run_salt
+from prbench.harness.offline import read_conditions_file
+from prbench.harness.offline.conditions_file import ConditionsFile
 from prbench.sequences import SequenceTable
-from prbench.storage import turn_into_paths
-from prbench.submitted.offline import read_conditions_file
-from prbench.submitted.offline.conditions_file import ConditionsFile
 
 _COLUMNS = ("fps", "joints", "previous_joints", "goal_location")
 DEFAULT_LIMIT = 200

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 
 _CERTAIN = np.deg2rad(25.0)  # from the wanted heading
 _SUSPICIOUS = np.deg2rad(15.0)
@@ -136,7 +136,7 @@ def _on_the_floor(motion_set: MotionSet) -> MotionSet:
 
 
 def headings(poses: np.ndarray) -> np.ndarray:
-    """Return the heading of each pose, as :func:`prbench.skeleton.facing_yaw` defines it; (…, 22, 3) to (…)."""
+    """Return the heading of each pose, as ``skeleton.facing_yaw`` defines it; (…, 22, 3) to (…)."""
     across = (
         poses[..., Joint.RIGHT_HIP, :]
         - poses[..., Joint.LEFT_HIP, :]

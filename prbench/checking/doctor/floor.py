@@ -8,7 +8,7 @@ import numpy as np
 
 from prbench.checking.doctor.facing import headings, turned, wrapped
 from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 
 _CERTAIN = 0.08  # metres over or under the floor
 _SUSPICIOUS = 0.04  # metres

@@ -17,7 +17,7 @@ from prbench.checking.doctor.motion_set import (
     on_straight_lines,
 )
 from prbench.checking.doctor.quality import SMOOTHED_OVER, Tremor, smoothed
-from prbench.skeleton import TOES, WRISTS, Joint
+from prbench.geometry.skeleton import TOES, WRISTS, Joint
 
 _EDGE = 0.2  # of a movement's peak speed: where it begins and ends
 _FAR = 0.3  # metres from its beginning to its end

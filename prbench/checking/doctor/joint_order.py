@@ -21,11 +21,11 @@ from prbench.checking.doctor.anatomy import (
 from prbench.checking.doctor.body import not_positions
 from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
 from prbench.checking.doctor.orders import ORDERS_OF_22, OTHER_ORDERS, Order
+from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.randomness import named_generator
 from prbench.representation import REST_OFFSETS
 from prbench.representation.clips import MIRRORED_JOINTS
 from prbench.representation.converters import JOINT_MAPS
-from prbench.skeleton import N_JOINTS, PARENTS, Joint
 
 _STARTS = 120
 _LOOSENESS = 0.5  # of the last guess: how much chance may change a joint's likeness
@@ -95,7 +95,7 @@ def _side(motion_set: MotionSet, index: Sequence[int]) -> float:
 
 def _reordered(motion_set: MotionSet, index: Sequence[int], before: float, after: float, cause: str) -> Finding:
     evidence = f"as HumanML3D's order, bones miss people's lengths by {before:.0%}; in the order found by {after:.0%}"
-    remedy = f"Put them into HumanML3D's order: joints[:, {list(index)}] (names: prbench.skeleton.Joint)."
+    remedy = f"Put them into HumanML3D's order: joints[:, {list(index)}] (names: prbench.geometry.skeleton.Joint)."
     found = Diagnosis("joint-order", True, evidence, cause, remedy)
     return Finding((found,), motion_set.changed(lambda motion: motion[:, list(index)]))
 
@@ -121,7 +121,7 @@ def _another_skeleton(motion_set: MotionSet, distances: Distances) -> Finding:
         evidence += f"; as {order.name}, bones miss people's lengths by {known[order]:.0%}"
         found = Diagnosis("joint-order", True, evidence, f"the skeleton is that of {order.name}", order.remedy)
         return Finding((found,), motion_set, unreadable=True)
-    remedy = "Write a map of its joints (prbench.representation.converters.JointMap); the 22 are in prbench.skeleton."
+    remedy = "Write a map of its joints (prbench.representation.converters.JointMap) to prbench.geometry.skeleton."
     return Finding(
         (Diagnosis("joint-order", True, evidence, "a skeleton of its own", remedy),), motion_set, unreadable=True
     )
@@ -178,7 +178,7 @@ def _no_body(motion_set: MotionSet, misfit: float) -> Finding:
     standardised = not_positions(motion_set, evidence)
     if standardised is not None:
         return Finding((standardised,), motion_set, unreadable=True)
-    remedy = "Check that joints are positions in space, and their order against prbench.skeleton.Joint."
+    remedy = "Check that joints are positions in space, and their order against prbench.geometry.skeleton.Joint."
     found = Diagnosis(
         "joint-order", True, evidence, "an order or a skeleton that is not known, or no positions", remedy
     )

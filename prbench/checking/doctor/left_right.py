@@ -14,9 +14,9 @@ from prbench.checking.doctor.anatomy import (
     with_sides,
 )
 from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet, no_finding
+from prbench.geometry.skeleton import N_JOINTS, bone_lengths
 from prbench.representation import REST_OFFSETS
 from prbench.representation.clips import MIRRORED_JOINTS
-from prbench.skeleton import N_JOINTS, bone_lengths
 
 _WRONG_SIDE = -0.5  # mean cosine between the front of toes and knees and the one that left and right say
 _ASYMMETRIC = 0.004  # mean log ratio of left to right bones

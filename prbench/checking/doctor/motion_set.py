@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from prbench.methods.coordinates import spread_poses
+from prbench.harness.methods.coordinates import spread_poses
 
 AT_RATE = (
     "Resample to the asked rate (prbench.representation.converters.at_rate), or let the method declare native_fps: an"

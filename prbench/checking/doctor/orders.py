@@ -1,10 +1,10 @@
-"""Orders in which other programs write joints, with the names of :class:`prbench.skeleton.Joint`."""
+"""Orders in which other programs write joints, with the names of :class:`prbench.geometry.skeleton.Joint`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from prbench.skeleton import CHAINS, Joint
+from prbench.geometry.skeleton import CHAINS, Joint
 
 _LEG = ("hip", "knee", "ankle", "foot")
 _ARM = ("collar", "shoulder", "elbow", "wrist")

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.checking.doctor.motion_set import Diagnosis, Finding, MotionSet
-from prbench.skeleton import BONES, Joint, bone_lengths
+from prbench.geometry.skeleton import BONES, Joint, bone_lengths
 
 _TREMBLING = 1.2  # second over first differences (noise 1.7, movement 0.3)
 _TREMOR = 0.003  # metres

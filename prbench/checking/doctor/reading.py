@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from prbench.boundary import foreign_input
-from prbench.bounded import open_regular
 from prbench.errors import InputFileError
-from prbench.numpy_files import Archive, ArrayHeader, map_array, read_header
-from prbench.parquet_files import read_parquet
-from prbench.skeleton import N_JOINTS
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import open_regular
+from prbench.files.numpy_files import Archive, ArrayHeader, map_array, read_header
+from prbench.files.parquet_files import read_parquet
+from prbench.geometry.skeleton import N_JOINTS
 
 _LARGEST = 8 * 1024**3  # bytes of one array
 _IDS = ("sequence_id", "opaque_id")

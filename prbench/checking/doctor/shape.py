@@ -11,9 +11,9 @@ import numpy as np
 from prbench.checking.doctor.anatomy import Distances, fit
 from prbench.checking.doctor.motion_set import NOTHING_KNOWN, Diagnosis, Finding, MotionSet, no_finding
 from prbench.checking.doctor.orders import OTHER_ORDERS
+from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.representation import N_FEATURES, decode
 from prbench.representation.converters import JOINT_MAPS
-from prbench.skeleton import N_JOINTS, Joint
 
 _BODY_PARAMETERS = {
     72: "SMPL: 24 rotations as axis-angle",

@@ -11,7 +11,7 @@ from prbench.corpora.cutting import cut_motion
 from prbench.corpora.humanml3d import files as layout
 from prbench.corpora.humanml3d.files import TextLine
 from prbench.corpora.sources import ClipLimits, RecordingIdentity
-from prbench.manifests import Manifest
+from prbench.protocol.manifests import Manifest
 from prbench.sequences.corpus import Annotation, Caption, Clip
 
 _WHOLE = "caption"

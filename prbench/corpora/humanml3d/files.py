@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.bounded import read_text
 from prbench.errors import InputFileError
+from prbench.files.bounded import read_text
+from prbench.files.numpy_files import load_array
+from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.limits import HARMLESS_SIZE
-from prbench.numpy_files import load_array
-from prbench.skeleton import N_JOINTS, Joint
 
 JOINTS_FOLDER = "new_joints"
 """Joint positions, one (F, 22, 3) array a motion: metres, Y up, 20 fps."""

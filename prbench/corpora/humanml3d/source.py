@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from prbench.boundary import foreign_input
-from prbench.bounded import read_text
 from prbench.corpora.humanml3d import files as layout
 from prbench.corpora.humanml3d.clips import clips_of
 from prbench.corpora.humanml3d.files import read_joints, read_texts
@@ -21,10 +19,12 @@ from prbench.corpora.sources import (
     without_folders,
 )
 from prbench.errors import InputFileError, UsageError
-from prbench.manifests import Manifest, load_manifest
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_text
+from prbench.files.storage import file_digest, text_digest
+from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree
 from prbench.readers.options import ReaderOptions, parse_options
-from prbench.storage import file_digest, text_digest
 
 _BYTES_A_SECOND = 3.6e6
 _TABLE_SHARE = 2.7

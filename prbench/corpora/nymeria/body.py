@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.axes import y_up
 from prbench.corpora.nymeria.format import SUIT_RATE, Suit
 from prbench.corpora.nymeria.suit import CleanSuit
 from prbench.errors import InputFileError
-from prbench.joint_names import XSENS_SEGMENTS
-from prbench.numpy_files import Archive
+from prbench.files.numpy_files import Archive
+from prbench.geometry.axes import y_up
+from prbench.geometry.joint_names import XSENS_SEGMENTS
+from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths
 from prbench.representation.converters import SmplParameters, read_rest_joints, smpl_joints
-from prbench.skeleton import PARENTS, Joint, bone_lengths
 
 _SPEED_STEP = 24  # frames; a tenth of a second
 _FEWEST_WALKING = 20  # tenths of a second in which the body walks, before its direction means anything

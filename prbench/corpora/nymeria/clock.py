@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 from prbench.corpora.nymeria.format import SUIT_RATE, Narration
 from prbench.corpora.nymeria.suit import CleanSuit
 from prbench.errors import InputFileError
+from prbench.files.storage import read_json
+from prbench.geometry.timelines import slerp
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP
-from prbench.storage import read_json
-from prbench.timelines import slerp
 
 _SMOOTHING = 0.05  # s: what the glasses shake on the head and the suit does not see
 _SECOND_PEAK_AWAY = 1.0  # s

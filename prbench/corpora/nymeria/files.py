@@ -9,10 +9,10 @@ import csv
 import os
 from pathlib import Path
 
-from prbench.bounded import require_size
 from prbench.corpora.nymeria import format as nymeria
 from prbench.corpora.nymeria.format import Narration
 from prbench.errors import InputFileError
+from prbench.files.bounded import require_size
 from prbench.readers import SYNTHETIC_PREFIX, InputFile, RecordingFiles, synthetic_tree_around
 from prbench.readers.found import input_file
 from prbench.readers.synthetic_tree import require_marked

@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import y_up
 from prbench.corpora.nymeria.clock import ClockOffset
 from prbench.corpora.nymeria.format import SUIT_RATE
 from prbench.corpora.nymeria.suit import CleanSuit
+from prbench.geometry.axes import y_up
+from prbench.geometry.timelines import slerp
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.find import find_gaze_file
-from prbench.timelines import slerp
 
 _STEP = 0.1  # s between two poses whose turn is compared
 _LEAST_TURN = np.deg2rad(2.0)  # smaller turns tell more of noise than of an axis

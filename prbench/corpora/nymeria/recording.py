@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.boundary import foreign_input
 from prbench.corpora.nymeria.body import BodyMotion
 from prbench.corpora.nymeria.clock import ClockOffset, offset_by_correlation, offset_from_file
 from prbench.corpora.nymeria.files import OFFSET, SUIT, TRAJECTORY
@@ -16,13 +15,14 @@ from prbench.corpora.nymeria.gaze import gaze_file, gaze_in_suit_world, head_fro
 from prbench.corpora.nymeria.source import NymeriaSource
 from prbench.corpora.nymeria.suit import CleanSuit, clean_suit, read_suit
 from prbench.errors import InputFileError
-from prbench.manifests import load_manifest
+from prbench.files.boundary import foreign_input
+from prbench.files.storage import file_digest, text_digest
+from prbench.geometry.skeleton import Joint
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.aria_mps.readings import read_gaze_angles
 from prbench.readers.aria_mps.sparse_rows import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.recording.streams import BodyStream, GazeStream, PoseStream, Recording
-from prbench.skeleton import Joint
-from prbench.storage import file_digest, text_digest
 
 _NO_TIMES = np.empty(0, dtype=np.int64)
 

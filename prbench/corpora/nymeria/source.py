@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Int
 
-from prbench.boundary import foreign_input
 from prbench.corpora.nymeria import format as nymeria
 from prbench.corpora.nymeria.body import BodyMotion, read_smpl_fit, smpl_motion, suit_motion
 from prbench.corpora.nymeria.clips import clips_of
@@ -27,14 +26,15 @@ from prbench.corpora.sources import (
     without_folders,
 )
 from prbench.errors import InputFileError, PrbenchError, UsageError
-from prbench.manifests import Manifest, load_manifest
+from prbench.files.boundary import foreign_input
+from prbench.files.storage import file_digest, read_json, text_digest
+from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.randomness import hash_fraction
 from prbench.readers import RecordingFiles, described_options, require_one_origin
 from prbench.readers.aria_mps.sparse_rows import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.readers.extents import SEVERAL_SENSORS
 from prbench.readers.options import ReaderOptions, parse_options
-from prbench.storage import file_digest, read_json, text_digest
 
 _BYTES_A_SECOND = 50e6
 _TABLE_SHARE = 0.06

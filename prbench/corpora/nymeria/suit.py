@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float
 
 from prbench.corpora.nymeria.format import N_SEGMENTS, SUIT_RATE, Suit
 from prbench.errors import InputFileError
-from prbench.joint_names import XSENS_SEGMENTS
-from prbench.numpy_files import Archive
+from prbench.files.numpy_files import Archive
+from prbench.geometry.joint_names import XSENS_SEGMENTS
 
 _DOWNLOAD = "The file may be truncated or another version; download it again."
 _NEEDED = ("timestamps_us", "segment_tXYZ", "segment_qWXYZ")

@@ -8,9 +8,10 @@ from typing import Literal
 
 import msgspec
 
-from prbench.boundary import foreign_input
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
+from prbench.files.boundary import foreign_input
+from prbench.files.storage import inside
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps.find import find_gaze_file
 from prbench.readers.aria_mps.format import CALIBRATION_FILE, PERSONALIZED_GAZE_FILES, SUMMARY_FILE, TIME_COLUMN
@@ -21,7 +22,6 @@ from prbench.readers.found import InputFile, RecordingFiles, existing_folder, in
 from prbench.readers.options import ReaderOptions
 from prbench.readers.synthetic_tree import read_synthetic_tree
 from prbench.recording import Recording
-from prbench.storage import inside
 
 
 class AdtOptions(ReaderOptions, frozen=True, kw_only=True):

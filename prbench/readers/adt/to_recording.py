@@ -12,7 +12,9 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
-from prbench.manifests import Manifest
+from prbench.geometry.skeleton import invert_rigid
+from prbench.geometry.timelines import require_overlap, stream_ranges
+from prbench.protocol.manifests import Manifest
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, GlassesSize
 from prbench.readers.aria_mps.to_recording import gaze_in_world, head_and_camera, size_remark
@@ -29,8 +31,6 @@ from prbench.recording.streams import (
     PoseStream,
     Recording,
 )
-from prbench.skeleton import invert_rigid
-from prbench.timelines import require_overlap, stream_ranges
 
 ASSUMED_SIZE: GlassesSize = "DVT-L"
 """Size of glasses where no file tells it (choice: the public sample's)."""

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.csv
 from jaxtyping import Int
 
-from prbench.bounded import open_regular
+from prbench.files.bounded import open_regular
 from prbench.readers.aria_mps.format import POSE_RATE, grid_times_us, rows_around, wanted_times_us
 from prbench.readers.aria_mps.line_search import NEWLINE, QUOTE, Block, Lines, NotSearchable, TimedLines
 from prbench.readers.files import (

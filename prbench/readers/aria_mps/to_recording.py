@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from prbench.geometry.timelines import covered
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, WIDEST_GAZE_ANGLE, gaze_directions_cpf
 from prbench.recording.streams import SIDES, GazeStream, HandStream, PoseStream
-from prbench.timelines import covered
 
 ASSUMED_SIZE: mps.GlassesSize = "DVT-S"
 """Size of glasses where no file tells it."""

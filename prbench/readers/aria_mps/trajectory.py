@@ -15,8 +15,8 @@ import pyarrow.compute as pc
 import pyarrow.csv
 from jaxtyping import Bool
 
-from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
+from prbench.files.boundary import foreign_input
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.line_search import NotSearchable
 from prbench.readers.aria_mps.sparse_rows import NearGaze, search_rows

@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
+from prbench.geometry.skeleton import Joint
+from prbench.geometry.timelines import covered
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.joints import read_window
@@ -16,8 +18,6 @@ from prbench.readers.egoallo.places import MODEL_ROLE, OUTPUT_ROLE
 from prbench.readers.egoallo.to_recording import joined_windows
 from prbench.readers.found import RecordingFiles
 from prbench.recording.streams import PoseStream
-from prbench.skeleton import Joint
-from prbench.timelines import covered
 
 _MARGIN = 1.0  # seconds
 _REMEDY = "Move it to the recording it was made from, or delete it and run `prbench poses egoallo` again."

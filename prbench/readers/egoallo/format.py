@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from prbench.skeleton import N_JOINTS, PARENTS
+from prbench.geometry.skeleton import N_JOINTS, PARENTS
 
 OUTPUT_FOLDER = "egoallo_outputs"
 POSES_FOLDER = "egoallo"

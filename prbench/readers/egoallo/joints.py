@@ -13,16 +13,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.boundary import foreign_input
-from prbench.bounded import read_whole, require_regular
 from prbench.errors import InputFileError, StorageError
-from prbench.locks import sole_file
-from prbench.numpy_files import Archive
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_whole, require_regular
+from prbench.files.locks import sole_file
+from prbench.files.numpy_files import Archive
+from prbench.files.storage import bytes_digest, cache_folder
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.outputs import JointsOnly, parse_output
 from prbench.readers.egoallo.to_recording import window_joints
 from prbench.readers.found import is_present
-from prbench.storage import bytes_digest, cache_folder
 
 HOW_TO_GET = (
     "Download the 'Extended SMPL+H model' (16 shape parameters) from https://mano.is.tue.mpg.de/ (free registration)"

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.boundary import foreign_input
-from prbench.bounded import read_whole
 from prbench.errors import InputFileError
-from prbench.numpy_files import Archive
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_whole
+from prbench.files.numpy_files import Archive
 from prbench.readers.egoallo import format as ego
 from prbench.readers.files import require_increasing
 

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from prbench.geometry.skeleton import transform_points
+from prbench.geometry.timelines import covered
 from prbench.readers.egoallo import format as ego
 from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
 from prbench.recording.streams import BodyStream, PoseStream
-from prbench.skeleton import transform_points
-from prbench.timelines import covered
 
 NO_OUTPUTS = "no EgoAllo outputs: no body (`prbench poses egoallo` says how to make them)"
 """Message about a recording without outputs."""

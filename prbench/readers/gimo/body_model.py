@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
-from prbench.numpy_files import Archive
+from prbench.files.numpy_files import Archive
+from prbench.geometry.skeleton import N_JOINTS
 from prbench.readers.files import missing_file
 from prbench.readers.gimo import format as gimo
-from prbench.skeleton import N_JOINTS
 
 _REGRESSOR = "J_regressor"
 _TEMPLATE = "v_template"

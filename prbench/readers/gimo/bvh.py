@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from prbench.bounded import read_text
 from prbench.errors import InputFileError
+from prbench.files.bounded import read_text
 from prbench.readers.files import missing_file
 
 POSITION_CHANNELS = ("Xposition", "Yposition", "Zposition")

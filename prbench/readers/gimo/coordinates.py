@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from prbench.bounded import read_text
 from prbench.errors import InputFileError
+from prbench.files.bounded import read_text
 from prbench.limits import HARMLESS_SIZE
 from prbench.readers.files import decode_json, must_exist
 from prbench.readers.gimo import format as gimo

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.bounded import require_size
 from prbench.errors import InputFileError
+from prbench.files.bounded import require_size
 from prbench.readers.files import missing_file
 from prbench.readers.gimo import format as gimo
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.bounded import open_regular, read_whole
 from prbench.errors import InputFileError
+from prbench.files.bounded import open_regular, read_whole
 from prbench.readers.files import must_exist
 from prbench.readers.gimo import format as gimo
 

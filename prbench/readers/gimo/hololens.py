@@ -11,14 +11,14 @@ import pyarrow.csv
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from prbench.bounded import read_text, require_size
 from prbench.errors import InputFileError
+from prbench.files.bounded import read_text, require_size
+from prbench.geometry.skeleton import invert_rigid, transform_points
+from prbench.geometry.timelines import covered, interpolate, slerp
 from prbench.readers.files import must_exist, require_increasing
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.coordinates import read_matrix
 from prbench.recording.streams import PoseStream
-from prbench.skeleton import invert_rigid, transform_points
-from prbench.timelines import covered, interpolate, slerp
 
 _WIDTH = 861
 _TICK = 0

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from prbench.bounded import read_whole
 from prbench.errors import InputFileError
+from prbench.files.bounded import read_whole
 from prbench.limits import LARGEST_PICKLE
 from prbench.readers.files import must_exist
 from prbench.readers.gimo.pickle_machine import Name, PickleMachine, PickleRefused, Unfinished

@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.manifests import Manifest
+from prbench.geometry.skeleton import transform_points
+from prbench.protocol.manifests import Manifest
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.dataset_csv import read_segments
 from prbench.readers.gimo.segments import GimoOptions
 from prbench.readers.gimo.to_recording import filled
 from prbench.recording.published_tracks import PublishedTrack
 from prbench.recording.streams import BodyStream, Recording
-from prbench.skeleton import transform_points
 
 GIMO23 = "gimo23"
 """The study's joint set: the 22 joints and the jaw."""

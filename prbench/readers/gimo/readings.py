@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.manifests import Manifest
+from prbench.protocol.manifests import Manifest
 from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo import segments

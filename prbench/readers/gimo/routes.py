@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from prbench.bounded import read_whole
 from prbench.errors import InputFileError
+from prbench.files.bounded import read_whole
+from prbench.geometry.skeleton import PARENTS, Joint
 from prbench.readers.egoallo.format import forward_kinematics
 from prbench.readers.files import must_exist
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.body_model import PoseDecoder, SmplxModel
 from prbench.readers.gimo.pickled_tensors import load_tensors
-from prbench.skeleton import PARENTS, Joint
 
 _SIZES = {"orient": 3, "trans": 3, "latent": gimo.N_LATENT}
 _SHAPE_KEYS = ("beta", "expression")

@@ -11,6 +11,7 @@ from typing import Literal
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
+from prbench.files.storage import inside
 from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent
 from prbench.readers.found import (
     FilesOnDemand,
@@ -35,7 +36,6 @@ from prbench.readers.gimo.to_recording import GazeOrigin, Target
 from prbench.readers.options import ReaderOptions
 from prbench.readers.synthetic_tree import SyntheticTree, read_synthetic_tree
 from prbench.recording import Recording
-from prbench.storage import inside
 
 Route = Literal["smplx", "mesh", "bvh"]
 

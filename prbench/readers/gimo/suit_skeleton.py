@@ -14,10 +14,10 @@ from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
 from prbench.errors import InputFileError
-from prbench.joint_names import match_names
+from prbench.geometry.joint_names import match_names
+from prbench.geometry.skeleton import Joint
+from prbench.geometry.timelines import interpolate
 from prbench.readers.gimo.bvh import BvhMotion, joint_positions
-from prbench.skeleton import Joint
-from prbench.timelines import interpolate
 
 _UNITS = (1.0, 0.01, 0.001)
 """Metres a file unit, in the order of trial."""

@@ -12,7 +12,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from prbench.manifests import Manifest
+from prbench.geometry.skeleton import WRISTS, Joint, transform_points
+from prbench.geometry.timelines import covered, interpolate
+from prbench.protocol.manifests import Manifest
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.hololens import GlassesStreams, glasses_streams
 from prbench.readers.gimo.suit_skeleton import place_skeleton
@@ -28,8 +30,6 @@ from prbench.recording.streams import (
     Recording,
     Side,
 )
-from prbench.skeleton import WRISTS, Joint, transform_points
-from prbench.timelines import covered, interpolate
 
 Target = Literal["point", "cube"]
 GazeOrigin = Literal["head", "hololens"]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.boundary import foreign_input
-from prbench.manifests import load_manifest
+from prbench.files.boundary import foreign_input
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.egoallo.inputs import GlassesWithMps
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles

@@ -15,13 +15,13 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from prbench.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.skeleton import transform_points
 from prbench.readers.aria_mps.to_recording import MpsStreams
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.priming import MaskedEvent, published_priming
 from prbench.recording.reaching_hand import reaching_hand, wrists_at
 from prbench.recording.streams import AnnotatedEvent, BodyStream, PublishedPriming
-from prbench.skeleton import transform_points
 
 BoxKind = Literal["point", "cube"]
 

@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.errors import InputFileError
-from prbench.manifests import Manifest
+from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.timelines import covered, interpolate, require_overlap, slerp, stream_ranges
+from prbench.protocol.manifests import Manifest
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, MpsReadings
 from prbench.readers.aria_mps.to_recording import (
     ASSUMED_SIZE,
@@ -27,7 +28,6 @@ from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.events import BoxKind, annotated_events
 from prbench.recording.streams import GazeStream, PoseStream, Recording
-from prbench.timelines import covered, interpolate, require_overlap, slerp, stream_ranges
 
 
 def recording_from_hd_epic(

@@ -7,8 +7,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from prbench.bounded import require_size
 from prbench.errors import InputFileError
+from prbench.files.bounded import require_size
 from prbench.readers.files import decode_json, missing_file
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d import format as hot3d

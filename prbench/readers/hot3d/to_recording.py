@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import Y_UP_FROM_Z_UP, y_up
-from prbench.manifests import Manifest
+from prbench.geometry.axes import Y_UP_FROM_Z_UP, y_up
+from prbench.geometry.timelines import nearest_index, require_overlap, stream_ranges
+from prbench.protocol.manifests import Manifest
 from prbench.readers.aria_mps.format import MpsReadings, thinned
 from prbench.readers.aria_mps.to_recording import MpsStreams, mps_streams
 from prbench.readers.egoallo.to_recording import body_stream
@@ -22,7 +23,6 @@ from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands_umetrack as umetrack
 from prbench.readers.hot3d.clock_match import ClockMatch, match_clocks
 from prbench.recording.streams import HandStream, ObjectTrack, Occluder, Recording
-from prbench.timelines import nearest_index, require_overlap, stream_ranges
 
 
 def recording_from_hot3d(

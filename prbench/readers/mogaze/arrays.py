@@ -12,8 +12,8 @@ import h5py
 import numpy as np
 from jaxtyping import Float
 
-from prbench.bounded import require_size
 from prbench.errors import InputFileError
+from prbench.files.bounded import require_size
 from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LARGEST_ARRAYS, LARGEST_UNPACKED
 
 _SHOWN = 8

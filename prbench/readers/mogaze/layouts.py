@@ -9,7 +9,7 @@ import h5py
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
-from prbench.manifests import load_manifest
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.extents import Extent
 from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
 from prbench.readers.mogaze import format as mogaze

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from prbench.geometry.skeleton import transform_points
 from prbench.readers.mogaze import body as mogaze_body
 from prbench.readers.mogaze import format as mogaze
 from prbench.recording.body_quality import hold_neighbours
 from prbench.recording.published_tracks import PublishedTrack
 from prbench.recording.streams import Recording
-from prbench.skeleton import transform_points
 
 _STEP = 4
 """120 frames a second become 30."""

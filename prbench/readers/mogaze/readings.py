@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.manifests import Manifest
+from prbench.protocol.manifests import Manifest
 from prbench.readers.found import RecordingFiles
 from prbench.readers.mogaze import body as mogaze_body
 from prbench.readers.mogaze import format as mogaze

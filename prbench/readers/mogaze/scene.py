@@ -13,9 +13,9 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.boundary import foreign_input
-from prbench.bounded import require_size
 from prbench.errors import InputFileError
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import require_size
 from prbench.limits import HARMLESS_SIZE
 from prbench.readers.mogaze import format as mogaze
 

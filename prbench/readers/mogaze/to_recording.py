@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import Y_UP_FROM_Z_UP
-from prbench.manifests import Manifest
+from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.skeleton import WRISTS, transform_points
+from prbench.protocol.manifests import Manifest
 from prbench.readers.mogaze import body as mogaze_body
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.events import annotated_events
@@ -27,7 +28,6 @@ from prbench.recording.streams import (
     PoseStream,
     Recording,
 )
-from prbench.skeleton import WRISTS, transform_points
 
 JointMapping = Literal["anatomical", "named"]
 """``anatomical``: the manifest's default; or one of its other mappings."""

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import UsageError, did_you_mean
-from prbench.skeleton import N_JOINTS, Joint
+from prbench.geometry.skeleton import N_JOINTS, Joint
 
 _AXES = ("@up", "@forward", "@left", "@ahead", "@above")
 """Directions of the trunk, each as long as the trunk (middle of the hips to middle of the shoulders): ``@up`` along it,

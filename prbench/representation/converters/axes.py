@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float, Num
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
+from prbench.geometry.timelines import interpolate
 from prbench.representation.clips import IN_MEMORY, check_rate
 from prbench.representation.features import FRAME_RATE
-from prbench.timelines import interpolate
 
 _TURNS: Mapping[str, tuple[tuple[int, int], ...]] = MappingProxyType(
     {

@@ -15,9 +15,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
-from prbench.numpy_files import load_array
+from prbench.files.boundary import foreign_input
+from prbench.files.numpy_files import load_array
+from prbench.geometry.skeleton import N_JOINTS
 from prbench.representation.converters.feature_checks import FEATURES, check_features
 from prbench.representation.encoding import decode, decode_rotations, yaw_matrices
 from prbench.representation.features import (
@@ -28,7 +29,6 @@ from prbench.representation.features import (
     ROOT_YAW_VELOCITY,
 )
 from prbench.representation.statistics import Statistics
-from prbench.skeleton import N_JOINTS
 
 Root = Literal["relative", "absolute"]
 Bones = Literal["positions", "rotations"]

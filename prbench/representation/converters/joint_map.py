@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Num
 
-from prbench.boundary import foreign_input
-from prbench.bounded import read_text
 from prbench.errors import InputFileError, UsageError, did_you_mean
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_text
+from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.limits import HARMLESS_SIZE
 from prbench.representation.converters.anatomy import (
     COMPLETIONS,
@@ -23,7 +24,6 @@ from prbench.representation.converters.anatomy import (
     placed,
     trunk_axes,
 )
-from prbench.skeleton import N_JOINTS, Joint
 
 _KEYS = ("name", "joints", "map")
 _TRUNK = (Joint.LEFT_HIP, Joint.RIGHT_HIP, Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER)

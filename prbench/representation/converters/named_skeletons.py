@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 from prbench.errors import UsageError, did_you_mean
-from prbench.joint_names import XSENS_SEGMENTS, match_names
+from prbench.geometry.joint_names import XSENS_SEGMENTS, match_names
+from prbench.geometry.skeleton import CHAINS, Joint
 from prbench.representation.converters.anatomy import NAMES
 from prbench.representation.converters.joint_map import JointMap
-from prbench.skeleton import CHAINS, Joint
 
 
 def joint_map(name: str) -> JointMap:

@@ -9,12 +9,12 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from prbench.geometry.skeleton import N_JOINTS, Joint, canonical_frame, facing_yaw, invert_rigid, transform_points
 from prbench.representation.clips import IN_MEMORY, canonicalise, check_joints, no_heading
 from prbench.representation.converters.axes import at_rate, to_y_up
 from prbench.representation.converters.plausibility import check_limbs, check_sides
 from prbench.representation.features import FRAME_RATE
 from prbench.representation.uniform_skeleton import rest_offsets, retarget
-from prbench.skeleton import N_JOINTS, Joint, canonical_frame, facing_yaw, invert_rigid, transform_points
 
 Height = Literal["pelvis", "floor"]
 

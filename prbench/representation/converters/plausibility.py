@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
+from prbench.geometry.skeleton import PARENTS, Joint
 from prbench.representation.clips import IN_MEMORY, check_finite
 from prbench.representation.converters.axes import UNITS
-from prbench.skeleton import PARENTS, Joint
 
 _BEND = 0.01  # metres between knee and the line from hip to ankle; below it a leg says nothing about its front
 _BACKWARDS = -0.3  # mean cosine between the front of the legs and that of the hips

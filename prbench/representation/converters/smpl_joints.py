@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
-from prbench.numpy_files import Archive
+from prbench.files.boundary import foreign_input
+from prbench.files.numpy_files import Archive
+from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.representation.converters.smpl_parameters import SmplParameters
 from prbench.representation.converters.smpl_rotations import to_matrices
-from prbench.skeleton import N_JOINTS, PARENTS, Joint
 
 REGRESSOR = "J_regressor"
 TEMPLATE = "v_template"

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from prbench.boundary import foreign_input
 from prbench.errors import InputFileError
-from prbench.numpy_files import Archive
+from prbench.files.boundary import foreign_input
+from prbench.files.numpy_files import Archive
+from prbench.geometry.skeleton import N_JOINTS
 from prbench.representation.converters.smpl_rotations import RotationForm, numbers_of, quaternions_of
-from prbench.skeleton import N_JOINTS
 
 _PARAMETERS = "parameters"
 """Name in messages of arrays that come from no file."""

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, MissingExtraError
+from prbench.files.boundary import foreign_input
+from prbench.geometry.skeleton import N_JOINTS
 from prbench.representation.converters.smpl_joints import (
     REGRESSOR,
     SHAPES,
@@ -30,7 +31,6 @@ from prbench.representation.converters.smpl_joints import (
     read_plain_arrays,
 )
 from prbench.representation.converters.smpl_parameters import SmplParameters
-from prbench.skeleton import N_JOINTS
 
 _BODY = (REGRESSOR, TEMPLATE, SHAPES, "posedirs", "weights", "f", "kintree_table")
 _HANDS = ("hands_componentsl", "hands_componentsr", "hands_meanl", "hands_meanr")

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.skeleton import Joint, facing_yaw
+from prbench.geometry.skeleton import Joint, facing_yaw
 from prbench.synthetic.activities.acts import PAUSE, SHORT
 from prbench.synthetic.activities.patterns import BODY_POSTURE
 from prbench.synthetic.activities.script import Act, Script

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from prbench.skeleton import WRISTS, Joint
+from prbench.geometry.skeleton import WRISTS, Joint
 from prbench.synthetic.activities.patterns import PATTERNS
 
 SLOW = 0.7

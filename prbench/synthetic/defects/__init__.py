@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from prbench.errors import UsageError, did_you_mean
-from prbench.storage import write_json
+from prbench.files.storage import write_json
 
 Damage = Callable[[Path, str], None]
 """Damages the recording of that id below the tree's root; deterministic."""

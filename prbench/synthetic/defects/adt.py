@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from prbench.files.storage import write_json
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps import format as mps
-from prbench.storage import write_json
 from prbench.synthetic.defects import Damage, Defect, Row, change_json, changed_rows, cut_in_half, missing, removed
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from prbench.corpora.humanml3d import files as layout
-from prbench.storage import atomic_path
+from prbench.files.storage import atomic_path
 from prbench.synthetic.defects import Damage, Defect, removed
 
 

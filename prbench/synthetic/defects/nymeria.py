@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from prbench.corpora.nymeria import format as nymeria
-from prbench.joint_names import XSENS_SEGMENTS
-from prbench.storage import atomic_path
+from prbench.files.storage import atomic_path
+from prbench.geometry.joint_names import XSENS_SEGMENTS
 from prbench.synthetic.defects import Damage, Defect, change_cells, cut_in_half, removed
 
 _ATOMIC = nymeria.NARRATION_FILES["atomic_action"]

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from prbench.errors import UsageError
-from prbench.manifests import load_manifest
+from prbench.protocol.manifests import load_manifest
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.recording import Recording
 from prbench.synthetic.people.presets import PRESETS

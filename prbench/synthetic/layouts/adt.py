@@ -8,12 +8,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from prbench.files.storage import atomic_folder, write_bytes, write_json
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.for_egoallo import prepared_trajectory
 from prbench.readers.adt.to_recording import recording_from_adt
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import format as ego
-from prbench.storage import atomic_folder, write_bytes, write_json
 from prbench.synthetic.egoallo import sense_egoallo, write_outputs, write_smplh_model
 from prbench.synthetic.layouts import Layout
 from prbench.synthetic.layouts.aria_mps import split_columns, write_csv

@@ -15,8 +15,8 @@ import pyarrow.csv
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from prbench.files.storage import atomic_path, write_json
 from prbench.readers.aria_mps import format as mps
-from prbench.storage import atomic_path, write_json
 from prbench.synthetic.sensors.aria_mps import GRAVITY
 
 _ROLES = (

@@ -20,16 +20,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from prbench.files.storage import atomic_folder, atomic_path, write_json, write_text
+from prbench.geometry.skeleton import WRISTS, Joint
+from prbench.geometry.timelines import interpolate
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import BvhMotion
 from prbench.readers.gimo.to_recording import recording_from_gimo
-from prbench.skeleton import WRISTS, Joint
-from prbench.storage import atomic_folder, atomic_path, write_json, write_text
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import gimo as sensors
-from prbench.timelines import interpolate
 
 _UNUSED_KEYS = {"lhand": 45, "rhand": 45, "beta": 10, "expression": 10, "jaw_pose": 3}
 _CONE_POINTS = 8

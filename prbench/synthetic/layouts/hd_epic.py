@@ -13,14 +13,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from prbench.manifests import Manifest
+from prbench.files.storage import atomic_path, write_json
+from prbench.protocol.manifests import Manifest
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.to_recording import recording_from_hd_epic
 from prbench.recording import Recording
-from prbench.storage import atomic_path, write_json
 from prbench.synthetic.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.layouts.aria_mps import write_csv, write_mps

@@ -9,12 +9,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from prbench.files.storage import atomic_folder, read_json, write_bytes, write_json
 from prbench.readers.egoallo import format as ego
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands_umetrack as umetrack
 from prbench.readers.hot3d.format import HandModel
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
-from prbench.storage import atomic_folder, read_json, write_bytes, write_json
 from prbench.synthetic.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.layouts.aria_mps import split_columns, write_csv, write_mps

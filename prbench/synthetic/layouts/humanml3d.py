@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.corpora.humanml3d import files as layout
-from prbench.skeleton import canonical_frame, invert_rigid, transform_points
-from prbench.storage import atomic_path, write_text
+from prbench.files.storage import atomic_path, write_text
+from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.synthetic.activities import NarratedMotion
 
 _LONGEST = 9.9

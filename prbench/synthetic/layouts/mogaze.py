@@ -14,11 +14,11 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from prbench.manifests import load_manifest
+from prbench.files.storage import atomic_path, write_json, write_text
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.body import STATE_COLUMNS
 from prbench.readers.mogaze.to_recording import recording_from_mogaze
-from prbench.storage import atomic_path, write_json, write_text
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.sensors import mogaze as sensors
 

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.axes import Y_UP_FROM_Z_UP, z_up
 from prbench.corpora.nymeria import format as nymeria
 from prbench.corpora.nymeria.format import SUIT_RATE, Narration, NymeriaRecording, Suit
-from prbench.joint_names import XSENS_SEGMENTS
-from prbench.manifests import load_manifest
+from prbench.files.storage import atomic_path, write_bytes, write_json
+from prbench.geometry.axes import Y_UP_FROM_Z_UP, z_up
+from prbench.geometry.joint_names import XSENS_SEGMENTS
+from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths
+from prbench.protocol.manifests import load_manifest
 from prbench.randomness import named_generator
 from prbench.readers.aria_mps import format as mps
-from prbench.skeleton import PARENTS, Joint, bone_lengths
-from prbench.storage import atomic_path, write_bytes, write_json
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities import NarratedMotion
 from prbench.synthetic.layouts.aria_mps import split_columns, write_csv

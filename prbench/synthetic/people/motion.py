@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.skeleton import N_JOINTS, Joint
+from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.synthetic.people.arms import Arms, move_wrists, pose_arms, turn_hands
 from prbench.synthetic.people.base import BasePath, sample_base
 from prbench.synthetic.people.gaze_plan import GazePlan, plan_gaze

@@ -5,7 +5,8 @@ docs/specification/curation.md#prime-time (degenerate rays and boxes) and
 docs/specification/synthetic-recordings.md#truth-record (what is ``thin``).
 
 The truth must not share a mistake with the curation that it judges. So the equations stand here a second time, as a
-slow loop over one ray, one box and one axis at a time, and nothing of ``prbench.rays`` or ``prbench.curation`` is
+slow loop over one ray, one box and one axis at a time, and nothing of ``prbench.geometry.rays`` or
+``prbench.curation`` is
 imported.
 """
 
@@ -19,7 +20,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from prbench.manifests import load_protocol
+from prbench.protocol.manifests import load_protocol
 
 _LASTING = 0.050
 """Seconds that a look lasts at least; a saccade that sweeps across the box is shorter."""

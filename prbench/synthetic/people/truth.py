@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from prbench.manifests import load_protocol
-from prbench.skeleton import WRISTS
+from prbench.geometry.skeleton import WRISTS
+from prbench.protocol.manifests import load_protocol
 from prbench.synthetic.people.gaze_plan import GazePlan
 from prbench.synthetic.people.person import SIDES
 from prbench.synthetic.people.plan import Action, Plan, Reach

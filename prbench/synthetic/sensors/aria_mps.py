@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.skeleton import WRISTS, invert_rigid
+from prbench.geometry.timelines import interpolate
 from prbench.readers.aria_mps import format as mps
-from prbench.skeleton import WRISTS, invert_rigid
 from prbench.synthetic.people.kinematics import wobble
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors.errors import Sensing, Switches, closed_eyes, gaze_bias_of, measured_gaze
-from prbench.timelines import interpolate
 
 POSE_RATE = 1000
 GAZE_RATE = 10

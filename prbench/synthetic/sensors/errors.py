@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
+from prbench.geometry.timelines import interpolate, slerp
 from prbench.randomness import named_generator
 from prbench.readers.aria_mps.format import gaze_angles
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.performance import ObjectMotion, Performance
-from prbench.timelines import interpolate, slerp
 
 _DEVICE_START = (100.0, 60_000.0)  # s, device time of the first frame
 _BLINKS_A_MINUTE = 15.0

@@ -11,15 +11,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from prbench.geometry.skeleton import PARENTS, Joint, invert_rigid, transform_points
+from prbench.geometry.timelines import interpolate, slerp
 from prbench.randomness import named_generator
 from prbench.readers.aria_mps.format import gaze_directions_cpf
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
-from prbench.skeleton import PARENTS, Joint, invert_rigid, transform_points
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors.errors import Sensing, Switches, gaze_bias_of, measured_gaze, sensor_generator
-from prbench.timelines import interpolate, slerp
 
 _SKELETON_RATE = 60.0
 """Frames of the suit a second."""

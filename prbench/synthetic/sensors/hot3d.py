@@ -16,10 +16,11 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import z_up
+from prbench.geometry.axes import z_up
+from prbench.geometry.skeleton import Joint
+from prbench.geometry.timelines import interpolate, slerp
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.readers.hot3d import format as hot3d
-from prbench.skeleton import Joint
 from prbench.synthetic.egoallo import NATIVE_FROM_WORLD, sense_egoallo
 from prbench.synthetic.performance import ObjectMotion, Performance
 from prbench.synthetic.sensors.aria_mps import sense_mps
@@ -34,7 +35,6 @@ from prbench.synthetic.sensors.errors import (
 )
 from prbench.synthetic.sensors.hot3d_hand import finger_angles, synthetic_hand, wrist_rotation
 from prbench.synthetic.sensors.smplh import synthetic_smplh
-from prbench.timelines import interpolate, slerp
 
 RATE = 30.0
 """RGB frames, Hz; SLAM frames follow each after :data:`SLAM_DELAY`."""

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import Y_UP_FROM_Z_UP
-from prbench.manifests import load_manifest
+from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.timelines import interpolate, slerp
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.aria_mps.format import gaze_directions_cpf
 from prbench.readers.mogaze import format as mogaze
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
@@ -28,7 +29,6 @@ from prbench.synthetic.sensors.errors import (
     untracked,
 )
 from prbench.synthetic.sensors.mogaze_body import solve_body
-from prbench.timelines import interpolate, slerp
 
 GOGGLES_ID = 1
 

@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.skeleton import Joint
 from prbench.readers.mogaze.body import LINKS, MODEL_OFFSETS, OFFSET_KEYS, PARENT_LINKS
-from prbench.skeleton import Joint
 
 _TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
 _SEGMENT_AXES = _TO_WORLD

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.readers.egoallo import format as ego
-from prbench.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.synthetic.performance import Performance
 
 _STATURE = 1.70  # of the template person, metres

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.errors import MissingExtraError, StorageError
-from prbench.locks import sole_file
+from prbench.files.locks import sole_file
+from prbench.geometry.skeleton import Joint
 from prbench.shown import figure_text
-from prbench.skeleton import Joint
 from prbench.viewing.figures import new_figure
 from prbench.viewing.replay.measures import gaze_distance, measure, phase, verdict
 from prbench.viewing.replay.parts import (

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from prbench.geometry.skeleton import WRISTS, Joint, head_forward
 from prbench.metrics import STUDY_METRICS, MetricInfo
 from prbench.metrics.ray_track import ray_distance
-from prbench.skeleton import WRISTS, Joint, head_forward
 from prbench.viewing.replay.scene import Gaze, Goal, Scene, ShownMotion
 
 # Rates are shown as yes or no, metres as lengths; a ratio such as Foot Skating says little of one sequence.

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from prbench.errors import MissingExtraError
-from prbench.locks import sole_writer
+from prbench.files.locks import sole_writer
+from prbench.files.storage import write_text
 from prbench.shown import html
-from prbench.storage import write_text
 from prbench.viewing.replay.measures import score_sentence
 from prbench.viewing.replay.page_stage import PageStage, set_up_scene
 from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, MARK_COLOUR

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 from prbench.viewing.figures import BOX_EDGES
 from prbench.viewing.replay.measures import phase
 from prbench.viewing.replay.parts import (

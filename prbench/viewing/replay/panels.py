@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
+from prbench.geometry.skeleton import Joint
 from prbench.shown import figure_text
-from prbench.skeleton import Joint
 from prbench.viewing.replay.measures import gaze_angle, gaze_distance, measure
 from prbench.viewing.replay.parts import (
     BOX_COLOUR,

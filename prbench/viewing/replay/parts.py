@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from prbench.skeleton import BONES, Joint, head_forward
+from prbench.geometry.skeleton import BONES, Joint, head_forward
 from prbench.viewing.figures import draw_box
 from prbench.viewing.replay.scene import RECORDED, Scene, ShownMotion
 
@@ -30,7 +30,7 @@ BOX_COLOUR = "#1b6f9c"
 MARK_COLOUR = "#555555"
 SURROUNDINGS_COLOUR = "#b8b8b8"
 IS_THICK = np.array([not Joint(child).name.startswith("LEFT") for _, child in BONES])
-"""True for right limbs and the trunk, in the order of :data:`prbench.skeleton.BONES`; left limbs are drawn thin."""
+"""True for right limbs and the trunk, in the order of ``skeleton.BONES``; left limbs are drawn thin."""
 SLICE = 0.6
 """Metres before and behind a body within which a side view shows the surroundings."""
 
@@ -51,7 +51,7 @@ def gaze_style(motion: ShownMotion) -> dict[str, Any]:
 
 
 def bone_segments(points: Float[np.ndarray, "*poses 22 k"]) -> Float[np.ndarray, "*poses 21 2 k"]:
-    """Return both ends of every bone, in the order of :data:`prbench.skeleton.BONES`."""
+    """Return both ends of every bone, in the order of ``skeleton.BONES``."""
     return points[..., _BONES, :]
 
 
@@ -100,7 +100,7 @@ def head_rays(
 
     Args:
         joints: Canonical frame, metres.
-        head_tilt_deg: See :func:`prbench.skeleton.head_forward`.
+        head_tilt_deg: See :func:`prbench.geometry.skeleton.head_forward`.
         goal: See :func:`rays`.
         longest: See :func:`rays`.
     """

@@ -12,12 +12,12 @@ import pyarrow.compute as pc
 from jaxtyping import Float
 
 from prbench.errors import PredictionsError, RunError
-from prbench.manifests import MetricConstants, load_protocol
+from prbench.geometry.skeleton import invert_rigid, transform_points
+from prbench.harness.run_folder import DatasetFolder, Predictions, RunFolder, RunRecord, read_scores
 from prbench.metrics import UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
-from prbench.runs import DatasetFolder, Predictions, RunFolder, RunRecord, read_scores
+from prbench.protocol.manifests import MetricConstants, load_protocol
 from prbench.sequences import DatasetInfo, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice, require_may_pass_on
-from prbench.skeleton import invert_rigid, transform_points
 from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
 from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotion
 

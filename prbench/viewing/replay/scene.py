@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.manifests import MetricConstants
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
+from prbench.protocol.manifests import MetricConstants
 from prbench.viewing.figures import horizontal_direction
 
 RECORDED = "ground truth"
@@ -68,7 +68,7 @@ class Scene:
     prime_time: float
     """Seconds after the first frame; the event is the last frame."""
     head_tilt_deg: float
-    """See :func:`prbench.skeleton.head_forward`."""
+    """See :func:`prbench.geometry.skeleton.head_forward`."""
     motions: tuple[ShownMotion, ...]
     """The recorded motion first, unless it is withheld."""
     thresholds: MetricConstants

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from prbench.evaluation.error_budget.bodies import PHASES
-from prbench.evaluation.error_budget.gains import gain
-from prbench.evaluation.error_budget.looking import CAUSES as LOOK_CAUSES
-from prbench.evaluation.error_budget.reaching import CAUSES as REACH_CAUSES
-from prbench.manifests import BenchmarkProtocol
+from prbench.harness.error_budget.bodies import PHASES
+from prbench.harness.error_budget.gains import gain
+from prbench.harness.error_budget.looking import CAUSES as LOOK_CAUSES
+from prbench.harness.error_budget.reaching import CAUSES as REACH_CAUSES
+from prbench.protocol.manifests import BenchmarkProtocol
 from prbench.workflows.error_budget.motions import BESIDE, FEATURES, METHOD, PEOPLE
 from prbench.workflows.error_budget.report import AngleGain, Group, Parts
 

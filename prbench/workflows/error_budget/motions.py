@@ -10,19 +10,19 @@ import numpy as np
 import pyarrow as pa
 
 from prbench.errors import RunError
-from prbench.evaluation.agreement import goal_places
-from prbench.evaluation.controls import recorded_through_features
-from prbench.evaluation.error_budget.bodies import PHASES, diagnose_bodies
-from prbench.evaluation.error_budget.looking import PRIMED, diagnose_looking
-from prbench.evaluation.error_budget.reaching import REACHED, diagnose_reaching
-from prbench.evaluation.scoring import COLUMNS, targets_of
-from prbench.manifests import MetricConstants, load_protocol
+from prbench.harness.agreement import goal_places
+from prbench.harness.controls import recorded_through_features
+from prbench.harness.error_budget.bodies import PHASES, diagnose_bodies
+from prbench.harness.error_budget.looking import PRIMED, diagnose_looking
+from prbench.harness.error_budget.reaching import REACHED, diagnose_reaching
+from prbench.harness.run_folder import RunFolder
+from prbench.harness.run_folder.predictions import Predictions
+from prbench.harness.score_predictions.again import scored_sequences
+from prbench.harness.scoring import COLUMNS, targets_of
 from prbench.metrics import MotionBatch, ScoringTargets
-from prbench.runs import RunFolder
-from prbench.runs.predictions import Predictions
+from prbench.protocol.manifests import MetricConstants, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.sequences.chunk import SequenceChunk
-from prbench.submitted.score_predictions.again import scored_sequences
 
 METHOD = "method"
 BESIDE = "beside"

@@ -10,12 +10,12 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from prbench.errors import RunError, TableError
-from prbench.locks import sole_writer
-from prbench.manifests import load_protocol
-from prbench.runs import RunFolder
-from prbench.runs.record import TableRecord
+from prbench.files.locks import sole_writer
+from prbench.files.storage import atomic_path, remove_leftovers
+from prbench.harness.run_folder import RunFolder
+from prbench.harness.run_folder.record import TableRecord
+from prbench.protocol.manifests import load_protocol
 from prbench.sequences import SequenceTable
-from prbench.storage import atomic_path, remove_leftovers
 from prbench.workflows.error_budget.budget import RATES, Motions, gains, groups, paired_outcomes, parts
 from prbench.workflows.error_budget.motions import BESIDE, METHOD, PEOPLE, diagnosed_motions
 from prbench.workflows.error_budget.report import Beside, ErrorBudgetReport, RunBudget

@@ -13,9 +13,9 @@ from typing import Annotated
 
 import msgspec
 
-from prbench.boundary import foreign_input
-from prbench.bounded import read_text
 from prbench.errors import InputFileError
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_text
 from prbench.limits import HARMLESS_SIZE
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.inputs import Need

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Literal
 
 from prbench.errors import InputFileError, PrbenchError, StorageError
-from prbench.locks import lock_file, sole_writer
+from prbench.files.locks import lock_file, sole_writer
+from prbench.files.storage import atomic_folder
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.inputs import EgoalloInputs
 from prbench.readers.egoallo.joints import read_window
 from prbench.readers.egoallo.places import find_model, poses_folder
-from prbench.storage import atomic_folder
 from prbench.workflows.poses.config import PosesConfig
 from prbench.workflows.poses.prepare import Prepared, guidance_mode, head_poses, prepare, source_trajectory
 from prbench.workflows.poses.program import run_program

@@ -16,6 +16,7 @@ import pyarrow.csv
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
+from prbench.files.storage import atomic_path
 from prbench.limits import LARGEST_FILE
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.format import AriaTrajectory
@@ -26,7 +27,6 @@ from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.inputs import POINT_FILES, EgoalloInputs
 from prbench.readers.zipped import Source, opened
 from prbench.recording import PoseStream
-from prbench.storage import atomic_path
 
 _FPS = 30.0
 _POINT_COLUMNS = ("uid", "graph_uid", "px_world", "py_world", "pz_world", "inv_dist_std", "dist_std")

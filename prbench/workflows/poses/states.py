@@ -11,7 +11,8 @@ from typing import Literal
 import numpy as np
 
 from prbench.errors import InputFileError, PrbenchError, UsageError
-from prbench.manifests import load_manifest
+from prbench.geometry.timelines import nearest_index
+from prbench.protocol.manifests import load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, AriaGlasses, RecordingFiles, reader_for
 from prbench.readers.discover import discover, usable_readers
 from prbench.readers.egoallo import format as ego
@@ -19,7 +20,6 @@ from prbench.readers.egoallo.bodies import check_output
 from prbench.readers.egoallo.inputs import EgoalloInputs
 from prbench.readers.egoallo.places import OUTPUT_ROLE, poses_folder
 from prbench.recording import PoseStream
-from prbench.timelines import nearest_index
 from prbench.workflows.poses.prepare import head_poses, source_trajectory
 
 _STEP = 0.033  # seconds between the instants that are asked about

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from prbench.evaluation.clusters import SIGNIFICANCE
-from prbench.evaluation.comparisons import Comparison
-from prbench.evaluation.intervals import Estimate
+from prbench.harness.clusters import SIGNIFICANCE
+from prbench.harness.comparisons import Comparison
+from prbench.harness.intervals import Estimate
 from prbench.prediction.protocol import load_prediction_protocol
 from prbench.prediction.published import PUBLISHED_METRICS
 from prbench.shown import markdown

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from prbench.evaluation.intervals import Estimate
+from prbench.harness.intervals import Estimate
 from prbench.prediction.protocol import load_prediction_protocol
 from prbench.prediction.published import TableRow
 from prbench.prediction.references import GROUND_TRUTH

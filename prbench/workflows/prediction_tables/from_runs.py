@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 
 from prbench.errors import RunError
+from prbench.harness.run_folder import RunFolder, RunRecord, read_scores
 from prbench.prediction.published import TableRow, load_tables
 from prbench.prediction.scoring import Scores
 from prbench.prediction.table import WindowsTable
-from prbench.runs import RunFolder, RunRecord, read_scores
 
 _BENCHMARK = "motion-prediction"
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from prbench.datasets import SYNTHETIC_PREFIX
-from prbench.evaluation.comparisons import Comparison, compare
-from prbench.evaluation.intervals import Estimate
+from prbench.harness.comparisons import Comparison, compare
+from prbench.harness.intervals import Estimate
 from prbench.prediction.published import (
     PUBLISHED_DATASETS,
     TABLES,

@@ -14,8 +14,9 @@ import pyarrow.parquet as pq
 
 import prbench
 from prbench.errors import PrbenchError, UsageError
-from prbench.locks import sole_writer
-from prbench.methods.adapters import weights_digest
+from prbench.files.locks import sole_writer
+from prbench.files.storage import atomic_path, text_digest, turn_into_paths, write_json, write_text
+from prbench.harness.methods.adapters import weights_digest
 from prbench.prediction.batch import Condition
 from prbench.prediction.folds import Fold, SplitChoice, default_split, folds, share_of
 from prbench.prediction.protocol import load_prediction_protocol
@@ -25,7 +26,6 @@ from prbench.prediction.scoring import Scores, SimilarPasts, score_predictor
 from prbench.prediction.table import WindowsTable
 from prbench.sequences.rows import open_parquet
 from prbench.shown import quoted
-from prbench.storage import atomic_path, text_digest, turn_into_paths, write_json, write_text
 from prbench.viewing.prediction_charts import draw_chart
 from prbench.workflows.prediction_tables.as_markdown import as_builtins, as_markdown
 from prbench.workflows.prediction_tables.charts import horizon_panels, value_panels

@@ -7,11 +7,11 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.benchmarks import default_benchmark, find_benchmark
 from prbench.contract import Condition
 from prbench.errors import StorageError, UsageError
-from prbench.locks import sole_writer
-from prbench.storage import atomic_folder
+from prbench.files.locks import sole_writer
+from prbench.files.storage import atomic_folder
+from prbench.protocol.benchmarks import default_benchmark, find_benchmark
 from prbench.workflows.scaffold import predictors
 from prbench.workflows.scaffold.one_file import ONE_FILE, converters_file
 from prbench.workflows.scaffold.values import (

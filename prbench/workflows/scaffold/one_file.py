@@ -18,7 +18,7 @@ from pathlib import Path
 
 import prbench
 from prbench.errors import StorageError
-from prbench.locks import sole_file
+from prbench.files.locks import sole_file
 
 ONE_FILE = "prbench_converters.py"
 _PACKAGES = ("prbench",)
@@ -29,8 +29,8 @@ _LEFT_OUT = frozenset({"SmplxModel"})
 """Needs torch and the package ``smplx``; ``smpl_joints`` gives the same joints."""
 _ROOTS: Mapping[str, tuple[str, ...]] = {
     "prbench.errors": ("PrbenchError", "InputFileError", "UsageError"),
-    "prbench.skeleton": ("Joint", "PARENTS"),
-    "prbench.axes": ("y_up", "z_up"),
+    "prbench.geometry.skeleton": ("Joint", "PARENTS"),
+    "prbench.geometry.axes": ("y_up", "z_up"),
     "prbench.randomness": ("sequence_generator",),
     "prbench.contract.noise": ("batch_noise", "sequence_noise"),
     "prbench.representation": ("Statistics", "UniformSkeleton", "canonicalise", "rest_offsets", "retarget"),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from prbench.benchmarks import find_benchmark
 from prbench.prediction.batch import Condition
+from prbench.protocol.benchmarks import find_benchmark
 from prbench.workflows.scaffold.values import MethodNames, aligned, common_values, first_commands
 
 BENCHMARK = "motion-prediction"

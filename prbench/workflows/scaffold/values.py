@@ -15,11 +15,11 @@ from enum import StrEnum
 from importlib.resources import files
 
 import prbench
-from prbench.benchmarks import benchmarks, default_benchmark, find_benchmark
 from prbench.contract import GIVEN, Condition
 from prbench.errors import UsageError
-from prbench.methods.installed import list_adapters
-from prbench.methods.names import name_problem
+from prbench.harness.methods.installed import list_adapters
+from prbench.harness.methods.names import name_problem
+from prbench.protocol.benchmarks import benchmarks, default_benchmark, find_benchmark
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _LONGEST = 40

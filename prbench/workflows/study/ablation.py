@@ -12,18 +12,18 @@ from pathlib import Path
 
 import msgspec
 
+from prbench.board import collect_runs, make_leaderboard
+from prbench.board.collect import Check
+from prbench.board.tables import DatasetTable, TableRow, of_all_methods
 from prbench.contract import Condition
 from prbench.engine import Engine
 from prbench.errors import PrbenchError, StorageError, TrainingStopped, UsageError
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
-from prbench.leaderboard import collect_runs, make_leaderboard
-from prbench.leaderboard.collect import Check
-from prbench.leaderboard.tables import DatasetTable, TableRow, of_all_methods
+from prbench.files.storage import file_digest
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+from prbench.harness.run_folder.record import FILE_NAME as RUN
 from prbench.metrics import MAIN_METRICS
-from prbench.published import DATASETS, load_published, published_table
-from prbench.runs.record import FILE_NAME as RUN
-from prbench.storage import file_digest
+from prbench.protocol.published import DATASETS, load_published, published_table
 from prbench.training.ablations import Ablation, load_ablations, overrides
 from prbench.training.installed import load_task
 from prbench.training.outputs import WEIGHTS

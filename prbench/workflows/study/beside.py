@@ -16,10 +16,11 @@ from typing import Any
 
 from scipy.stats import binomtest
 
-from prbench.leaderboard.collect import LeaderboardRow
-from prbench.leaderboard.tables import Leaderboard, TableRow, hides
+from prbench.board.collect import LeaderboardRow
+from prbench.board.tables import Leaderboard, TableRow, hides
+from prbench.harness.run_folder.record import BUILT_IN
 from prbench.metrics import METRICS, MetricInfo, exported_unit, printed_unit
-from prbench.published import (
+from prbench.protocol.published import (
     DATASETS,
     PublishedNumber,
     assumptions_for,
@@ -28,7 +29,6 @@ from prbench.published import (
     load_table_one,
     published_table,
 )
-from prbench.runs.record import BUILT_IN
 from prbench.shown import csv_text, markdown, markdown_code
 from prbench.workflows.table_two.request import load_table_two
 
@@ -65,7 +65,7 @@ class Difference:
     published_sequences: int
     verified: bool
     assumptions: tuple[str, ...]
-    """Ids of what the study leaves open and could explain it (:func:`prbench.published.load_assumptions`)."""
+    """Ids of what the study leaves open and could explain it (:func:`prbench.protocol.published.load_assumptions`)."""
     remarks: tuple[str, ...]
     """What else could."""
     source: str

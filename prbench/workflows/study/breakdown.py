@@ -14,12 +14,12 @@ import numpy as np
 import pyarrow.compute as pc
 
 from prbench.errors import UsageError
-from prbench.evaluation.clusters import FEWEST_FOR_TEST
-from prbench.evaluation.intervals import Estimate, metric_interval
+from prbench.geometry.skeleton import Joint
+from prbench.harness.clusters import FEWEST_FOR_TEST
+from prbench.harness.intervals import Estimate, metric_interval
+from prbench.harness.run_folder.scores import read_scores
 from prbench.metrics import MAIN_METRICS, MetricInfo, exported_unit
-from prbench.runs.scores import read_scores
 from prbench.sequences import SequenceTable
-from prbench.skeleton import Joint
 from prbench.workflows.study.document import (
     DASH,
     MEASURED,

@@ -13,9 +13,9 @@ from dataclasses import asdict, fields
 from pathlib import Path
 
 from prbench.errors import UsageError
-from prbench.locks import sole_writer
+from prbench.files.locks import sole_writer
+from prbench.files.storage import write_text
 from prbench.shown import csv_text, latex, markdown
-from prbench.storage import write_text
 from prbench.workflows.study.document import StudyTable, StudyValue
 
 _COLUMNS = ("table", *(field.name for field in fields(StudyValue)))

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from prbench.engine import Engine
 from prbench.errors import RunError, UsageError
-from prbench.manifests import BenchmarkProtocol, load_protocol
-from prbench.runs import RunFolder
-from prbench.runs.record import TableRecord
+from prbench.harness.run_folder import RunFolder
+from prbench.harness.run_folder.record import TableRecord
+from prbench.harness.verification import RunChecker
+from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.shown import clean
-from prbench.submitted.verification import RunChecker
 from prbench.workflows.first_run import tables_of_runs
 
 

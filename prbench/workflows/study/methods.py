@@ -10,10 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
-from prbench.leaderboard.tables import DatasetTable, Leaderboard, TableRow, hides, undecided_lines
+from prbench.board.tables import DatasetTable, Leaderboard, TableRow, hides, undecided_lines
+from prbench.harness.run_folder.record import CONTROL
 from prbench.metrics import MAIN_METRICS, METRICS, MetricInfo, exported_unit
-from prbench.published import PublishedNumber, load_assumptions, load_published, load_table_one, published_table
-from prbench.runs.record import CONTROL
+from prbench.protocol.published import (
+    PublishedNumber,
+    load_assumptions,
+    load_published,
+    load_table_one,
+    published_table,
+)
 from prbench.workflows.study.beside import PER_DATASET, Difference, differences, published_variant, why_not_beside
 from prbench.workflows.study.document import (
     DASH,

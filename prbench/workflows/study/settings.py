@@ -6,7 +6,7 @@ from functools import cache
 
 import msgspec
 
-from prbench.manifests import read_toml
+from prbench.protocol.manifests import read_toml
 
 
 class SweepSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -11,14 +11,14 @@ from jaxtyping import Float
 
 from prbench.engine import Engine
 from prbench.errors import RunError
-from prbench.evaluation.planning import Selection, select
-from prbench.manifests import MetricConstants
+from prbench.harness.planning import Selection, select
+from prbench.harness.run_folder.predictions import Predictions
+from prbench.harness.run_folder.record import CONTROL
+from prbench.harness.run_folder.scores import read_scores
 from prbench.metrics import MotionBatch
 from prbench.metrics.prime_success import Variant, primed
 from prbench.metrics.ray_track import candidate_frames, head_track
-from prbench.runs.predictions import Predictions
-from prbench.runs.record import CONTROL
-from prbench.runs.scores import read_scores
+from prbench.protocol.manifests import MetricConstants
 from prbench.workflows.study.document import MEASURED, SYNTHETIC, StudyBlock, StudyTable, StudyValue
 from prbench.workflows.study.genuine import GenuineRun
 from prbench.workflows.study.settings import load_study_settings

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from prbench.published import load_published, published_table
+from prbench.protocol.published import load_published, published_table
 from prbench.workflows.study.document import DASH, StudyBlock, StudyTable, StudyValue
 from prbench.workflows.text_to_motion.report import Interval, ResultRow, TextEvaluation
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 
-from prbench.leaderboard.tables import FEWEST_RANKED
+from prbench.board.tables import FEWEST_RANKED
+from prbench.harness.run_folder.summary import LOZENGE, PILCROW, SECTION
 from prbench.metrics import STUDY_METRICS, exported_unit
-from prbench.runs.summary import LOZENGE, PILCROW, SECTION
 from prbench.shown import markdown
 from prbench.workflows.table_two.layout import (
     ARRIVAL,

@@ -18,13 +18,13 @@ from jaxtyping import Int
 
 from prbench.engine import Engine
 from prbench.errors import PrbenchError, StorageError
-from prbench.evaluation.controls import GROUND_TRUTH
-from prbench.evaluation.planning import Selection
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
-from prbench.runs.cost import read_batch_costs
-from prbench.runs.folder import RunFolder
-from prbench.runs.record import FILE_NAME as RECORD
+from prbench.harness.controls import GROUND_TRUTH
+from prbench.harness.planning import Selection
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+from prbench.harness.run_folder.cost import read_batch_costs
+from prbench.harness.run_folder.folder import RunFolder
+from prbench.harness.run_folder.record import FILE_NAME as RECORD
 from prbench.workflows.table_two.plan import GOALS, PlannedRow
 from prbench.workflows.table_two.side_by_side import generate_side_by_side
 

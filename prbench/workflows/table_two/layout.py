@@ -13,14 +13,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
-from prbench.evaluation.comparisons import Comparison, compare
-from prbench.evaluation.planning import Selection, select
-from prbench.leaderboard import collect_runs, make_leaderboard
-from prbench.leaderboard.comparison import paired_scores
-from prbench.leaderboard.tables import FEWEST_RANKED, DatasetTable, TableRow, hides, of_all_methods, undecided_lines
+from prbench.board import collect_runs, make_leaderboard
+from prbench.board.comparison import paired_scores
+from prbench.board.tables import FEWEST_RANKED, DatasetTable, TableRow, hides, of_all_methods, undecided_lines
+from prbench.harness.comparisons import Comparison, compare
+from prbench.harness.planning import Selection, select
+from prbench.harness.run_folder.cost import RunCost
+from prbench.harness.run_folder.folder import RunFolder
 from prbench.metrics import METRICS, STUDY_METRICS, MetricInfo
-from prbench.runs.cost import RunCost
-from prbench.runs.folder import RunFolder
 from prbench.sequences import SequenceTable
 from prbench.workflows.table_two.plan import PlannedRow
 from prbench.workflows.table_two.request import load_table_two

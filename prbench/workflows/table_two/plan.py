@@ -7,10 +7,10 @@ from pathlib import Path
 
 from prbench.contract import Condition
 from prbench.errors import PrbenchError
-from prbench.evaluation.controls import GROUND_TRUTH, SHUFFLED_GOAL
-from prbench.evaluation.request import RunRequest
-from prbench.methods.adapters import load_adapter
-from prbench.methods.installed import list_adapters
+from prbench.harness.controls import GROUND_TRUTH, SHUFFLED_GOAL
+from prbench.harness.methods.adapters import load_adapter
+from prbench.harness.methods.installed import list_adapters
+from prbench.harness.request import RunRequest
 from prbench.workflows.table_two.request import CONTROLS, MORE_CONTROLS, Row, TableRequest, load_table_two
 
 ALL = "all"

@@ -16,16 +16,16 @@ import prbench
 from prbench.contract import Condition
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import UsageError, did_you_mean
-from prbench.evaluation.best_of import require_goal
-from prbench.evaluation.cheats import CHEATS
-from prbench.evaluation.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
-from prbench.evaluation.preparation import DEFAULT_PARENT
-from prbench.manifests import read_toml
-from prbench.methods.names import NEAREST_NEIGHBOUR
-from prbench.own_protocol import read_protocol
-from prbench.published import load_table_one
+from prbench.files.storage import text_digest
+from prbench.harness.best_of import require_goal
+from prbench.harness.cheats import CHEATS
+from prbench.harness.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
+from prbench.harness.methods.names import NEAREST_NEIGHBOUR
+from prbench.harness.preparation import DEFAULT_PARENT
+from prbench.protocol.manifests import read_toml
+from prbench.protocol.own_protocol import read_protocol
+from prbench.protocol.published import load_table_one
 from prbench.sequences import SequenceTable
-from prbench.storage import text_digest
 
 _PACKAGE = "prbench_benchmarks.prime_and_reach"
 _FILE = "table_2.toml"

@@ -16,11 +16,11 @@ from pathlib import Path
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import StorageError
-from prbench.evaluation.request import ProgressCallback, RunRequest, silent
-from prbench.evaluation.run import run_method
-from prbench.locks import sole_writer
+from prbench.files.locks import sole_writer
+from prbench.files.storage import remove_leftovers, write_json, write_text
+from prbench.harness.request import ProgressCallback, RunRequest, silent
+from prbench.harness.run import run_method
 from prbench.sequences import SequenceTable
-from prbench.storage import remove_leftovers, write_json, write_text
 from prbench.workflows.table_two.as_markdown import as_builtins, as_markdown
 from prbench.workflows.table_two.budget import DatasetSize, even_batch_size, kind
 from prbench.workflows.table_two.layout import RowOutcome, TableLayout, lay_out

@@ -14,13 +14,13 @@ from pathlib import Path
 
 from prbench.engine import Engine, is_out_of_memory
 from prbench.errors import PrbenchError, StorageError
-from prbench.evaluation.generation import BatchTask, run_batch
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import missing_batches
-from prbench.locks import sole_writer
-from prbench.methods.loaded_methods import forget_loaded_methods
-from prbench.runs.folder import RunFolder
-from prbench.runs.record import FILE_NAME as RECORD
+from prbench.files.locks import sole_writer
+from prbench.harness.generation import BatchTask, run_batch
+from prbench.harness.methods.loaded_methods import forget_loaded_methods
+from prbench.harness.request import RunRequest
+from prbench.harness.run import missing_batches
+from prbench.harness.run_folder.folder import RunFolder
+from prbench.harness.run_folder.record import FILE_NAME as RECORD
 
 Counting = Callable[[int, int, str], None]
 """Called with finished items, all items, and the next or last one's name."""

@@ -12,14 +12,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from prbench.boundary import foreign_input
-from prbench.bounded import read_whole
 from prbench.engine import Engine, capacity
 from prbench.errors import RunError, StorageError
-from prbench.evaluation.planning import select
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_whole
+from prbench.files.storage import remove_leftovers, write_json
+from prbench.harness.planning import select
 from prbench.sequences import SequenceTable
 from prbench.sequences.table import by_share
-from prbench.storage import remove_leftovers, write_json
 from prbench.workflows.table_two.budget import (
     DatasetSize,
     Measured,

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import TableError, UsageError
-from prbench.evaluation.text_to_motion.metrics import BATCH
-from prbench.evaluation.text_to_motion.networks import GLOVE, SNIPPET, EvaluatorConfiguration
-from prbench.evaluation.text_to_motion.words import GloveCaptions, WordVectors
+from prbench.harness.text_to_motion.metrics import BATCH
+from prbench.harness.text_to_motion.networks import GLOVE, SNIPPET, EvaluatorConfiguration
+from prbench.harness.text_to_motion.words import GloveCaptions, WordVectors
 from prbench.randomness import named_generator
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.text import TextEncoder, text_encoder

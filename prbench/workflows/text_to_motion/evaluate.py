@@ -12,9 +12,9 @@ from jaxtyping import Float
 
 import prbench
 from prbench.errors import UsageError
-from prbench.evaluation.text_to_motion import draw_multimodality_pairs, multimodality
-from prbench.evaluation.text_to_motion.extractor import Extractor
-from prbench.evaluation.text_to_motion.metrics import (
+from prbench.harness.text_to_motion import draw_multimodality_pairs, multimodality
+from prbench.harness.text_to_motion.extractor import Extractor
+from prbench.harness.text_to_motion.metrics import (
     DIVERSITY_PAIRS,
     FEWEST,
     MULTIMODALITY,
@@ -24,7 +24,7 @@ from prbench.evaluation.text_to_motion.metrics import (
     measure_motions,
     measure_pairs,
 )
-from prbench.evaluation.text_to_motion.networks import EvaluatorConfiguration
+from prbench.harness.text_to_motion.networks import EvaluatorConfiguration
 from prbench.training.motions import open_table
 from prbench.workflows.text_to_motion.clips import EvaluatedClips, Pass, draw, recorded_features
 from prbench.workflows.text_to_motion.generated import Generator, MethodRequest, Prompt

@@ -11,13 +11,13 @@ from jaxtyping import Float
 
 from prbench.contract import Adapter, Condition, ConditionBatch, Trainable
 from prbench.errors import UsageError
-from prbench.evaluation.text_to_motion.networks import EvaluatorConfiguration
-from prbench.methods.adapters import chosen_condition, load_adapter, weights_digest
-from prbench.methods.declared import Declared
-from prbench.methods.motions import generate_checked, native_frames
+from prbench.files.storage import text_digest
+from prbench.harness.methods.adapters import chosen_condition, load_adapter, weights_digest
+from prbench.harness.methods.declared import Declared
+from prbench.harness.methods.motions import generate_checked, native_frames
+from prbench.harness.text_to_motion.networks import EvaluatorConfiguration
 from prbench.randomness import noise_seed
 from prbench.representation import encode
-from prbench.storage import text_digest
 from prbench.workflows.text_to_motion.clips import Clip, Draw, longest
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from prbench.boundary import foreign_input
-from prbench.bounded import read_whole
-from prbench.evaluation.text_to_motion import Repeated
-from prbench.evaluation.text_to_motion.metrics import METRICS, Measured
-from prbench.locks import sole_writer
-from prbench.storage import write_json
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_whole
+from prbench.files.locks import sole_writer
+from prbench.files.storage import write_json
+from prbench.harness.text_to_motion import Repeated
+from prbench.harness.text_to_motion.metrics import METRICS, Measured
 from prbench.workflows.text_to_motion.generated import Generator
 
 SCHEMA_VERSION = 1
@@ -38,7 +38,7 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
     source: str
     """``real``, ``real, texts shuffled`` or a method's name."""
     metrics: dict[str, Interval]
-    """Maps ids of :data:`prbench.evaluation.text_to_motion.metrics.METRICS` to values; R-precision from 0 to 1."""
+    """Maps ids of :data:`prbench.harness.text_to_motion.metrics.METRICS` to values; R-precision from 0 to 1."""
     motions: int
     """A repetition."""
     ranked_pairs: int

@@ -13,10 +13,10 @@ from typing import Any, cast
 
 import torch
 
-from prbench.boundary import foreign_input
 from prbench.errors import InputFileError, UsageError
-from prbench.evaluation.text_to_motion.extractor import Extractor
-from prbench.evaluation.text_to_motion.networks import (
+from prbench.files.boundary import foreign_input
+from prbench.harness.text_to_motion.extractor import Extractor
+from prbench.harness.text_to_motion.networks import (
     GLOVE,
     EvaluatorConfiguration,
     MotionEncoder,

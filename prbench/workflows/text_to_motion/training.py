@@ -15,8 +15,8 @@ from torch import nn
 from torch.nn.functional import pairwise_distance
 
 from prbench.errors import TableError
-from prbench.evaluation.text_to_motion.extractor import cut_tokens
-from prbench.evaluation.text_to_motion.networks import (
+from prbench.harness.text_to_motion.extractor import cut_tokens
+from prbench.harness.text_to_motion.networks import (
     MOVEMENT_FEATURES,
     SNIPPET,
     EvaluatorConfiguration,

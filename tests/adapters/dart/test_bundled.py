@@ -11,12 +11,12 @@ from jaxtyping import Float
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.curation import build_from_sources
-from prbench.evaluation.conditions import ConditionSource, run_salt
-from prbench.evaluation.planning import select
-from prbench.methods.adapters import load_adapter
-from prbench.methods.motions import generate_checked
+from prbench.geometry.skeleton import Joint
+from prbench.harness.conditions import ConditionSource, run_salt
+from prbench.harness.methods.adapters import load_adapter
+from prbench.harness.methods.motions import generate_checked
+from prbench.harness.planning import select
 from prbench.sequences import SequenceTable
-from prbench.skeleton import Joint
 from prbench.workflows.synthetic_table import Staging, synthetic_source
 from prbench_adapters.dart import adapter
 from prbench_adapters.dart.model import DartModel

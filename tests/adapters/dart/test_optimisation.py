@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from prbench.contract import Condition
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 from prbench_adapters.dart.adapter import generate
 from prbench_adapters.dart.configuration import DartSettings
 from prbench_adapters.dart.optimisation import goal_loss, optimise, unit_gradient

@@ -14,8 +14,8 @@ import torch
 from prbench.cli import main
 from prbench.contract import Condition
 from prbench.errors import InputFileError, TrainingStopped, UsageError
-from prbench.methods.adapters import load_adapter
-from prbench.storage import read_json
+from prbench.files.storage import read_json
+from prbench.harness.methods.adapters import load_adapter
 from prbench.training import SequenceDataset, collate
 from prbench.training.configuration import OptimisationConfiguration, TrainingConfiguration
 from prbench.training.items import MotionBatch

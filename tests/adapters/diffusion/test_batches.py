@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from prbench import skeleton
 from prbench.contract import Condition, ConditionBatch
+from prbench.geometry import skeleton
+from prbench.geometry.skeleton import BONES, Joint
 from prbench.randomness import sequence_generator
 from prbench.representation import REST_OFFSETS
-from prbench.skeleton import BONES, Joint
 from prbench_adapters.diffusion.batches import (
     ModelBodies,
     SequenceNoise,

@@ -8,7 +8,7 @@ from importlib import resources
 import msgspec
 import pytest
 
-from prbench.manifests import load_protocol
+from prbench.protocol.manifests import load_protocol
 from prbench.training.configuration import TrainingConfiguration, list_configurations, load_configuration
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.model import network

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from prbench.contract import Condition, ConditionBatch
-from prbench.skeleton import BONES, Joint
+from prbench.geometry.skeleton import BONES, Joint
 from prbench.training import SequenceDataset, collate
 from prbench.training.task import TrainingData
 from prbench.training.weights import write_weights

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from prbench.skeleton import BONES, TOES, WRISTS, Joint, head_forward
+from prbench.geometry.skeleton import BONES, TOES, WRISTS, Joint, head_forward
 from prbench_adapters.diffusion.goal_frame import (
     N_GOAL_FRAME_FEATURES,
     N_POSE_FEATURES,

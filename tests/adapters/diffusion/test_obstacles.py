@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from prbench.boxes import Boxes, deepest
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
-from prbench.skeleton import BONES, Joint
+from prbench.geometry.boxes import Boxes, deepest
+from prbench.geometry.skeleton import BONES, Joint
 from prbench_adapters.diffusion.obstacles import led_around
 from tests.adapters.diffusion.goal_batches import conditions
 from tests.fakes import STANDING

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 from prbench_adapters.diffusion.scored_losses import foot_loss, ray_loss, wrist_loss
 from tests.fakes import STANDING
 

@@ -11,9 +11,9 @@ import torch
 
 from prbench.contract import Condition
 from prbench.errors import InputFileError, TableError, UsageError
+from prbench.geometry.skeleton import Joint
 from prbench.representation.statistics import Statistics
 from prbench.representation.tensors import decode
-from prbench.skeleton import Joint
 from prbench.training import SequenceDataset, collate
 from prbench.training.items import MotionBatch
 from prbench.training.task import TrainingData

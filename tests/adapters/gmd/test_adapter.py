@@ -10,10 +10,10 @@ import pytest
 
 from prbench.contract import Condition
 from prbench.errors import AdapterError, InputFileError
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
-from prbench.methods.adapters import load_adapter
-from prbench.runs.predictions import Predictions
+from prbench.harness.methods.adapters import load_adapter
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+from prbench.harness.run_folder.predictions import Predictions
 from prbench_adapters.diffusion import bundled
 from prbench_adapters.gmd.adapter import GMD, generate
 from prbench_adapters.gmd.stages import GMDSettings

@@ -15,10 +15,10 @@ import torch
 
 from prbench.contract import Condition
 from prbench.errors import InputFileError, UsageError
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
-from prbench.runs.predictions import Predictions
-from prbench.storage import file_digest
+from prbench.files.storage import file_digest
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+from prbench.harness.run_folder.predictions import Predictions
 from prbench_adapters.gmd.import_public import main
 from prbench_adapters.gmd.model import GMDModel
 from prbench_adapters.gmd.public_weights import PublicFiles, import_public

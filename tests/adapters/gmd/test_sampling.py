@@ -10,7 +10,7 @@ import torch
 
 from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError
-from prbench.skeleton import Joint, bone_lengths
+from prbench.geometry.skeleton import Joint, bone_lengths
 from prbench_adapters.diffusion.batches import SequenceNoise
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.gmd import stages

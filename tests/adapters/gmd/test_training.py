@@ -11,7 +11,7 @@ import torch
 
 from prbench.cli import main
 from prbench.errors import InputFileError, UsageError
-from prbench.storage import file_digest, read_json
+from prbench.files.storage import file_digest, read_json
 from prbench.training import SequenceDataset, collate
 from prbench.training.configuration import TrainingConfiguration, list_configurations, load_configuration
 from prbench.training.installed import load_task

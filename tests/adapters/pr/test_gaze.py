@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from prbench.boxes import Boxes
 from prbench.contract import Condition
 from prbench.errors import AdapterError, TableError, UsageError
-from prbench.skeleton import Joint
+from prbench.geometry.boxes import Boxes
+from prbench.geometry.skeleton import Joint
 from prbench.training import SequenceDataset, TrainingData, collate
 from prbench.training.installed import load_task
 from prbench.training.run import resolved

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from prbench.skeleton import BONES, Joint
+from prbench.geometry.skeleton import BONES, Joint
 from prbench_adapters.prediction.augmentation import augmented, mirror_partners
 
 NAMES = [joint.name.lower() for joint in Joint]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from torch.nn import Module
 
-from prbench.skeleton import PARENTS
+from prbench.geometry.skeleton import PARENTS
 
 PELVIS, RIGHT_WRIST = 0, 21
 

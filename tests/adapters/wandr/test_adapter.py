@@ -13,9 +13,9 @@ import torch
 
 from prbench.contract import Condition
 from prbench.errors import AdapterError, InputFileError
-from prbench.methods.adapters import load_adapter
+from prbench.geometry.skeleton import Joint, bone_lengths
+from prbench.harness.methods.adapters import load_adapter
 from prbench.representation import mirror
-from prbench.skeleton import Joint, bone_lengths
 from prbench_adapters.diffusion import bundled
 from prbench_adapters.wandr.adapter import WANDR, Generation
 from prbench_adapters.wandr.state import TRANSLATION

@@ -12,9 +12,9 @@ import torch
 
 from prbench.cli import main
 from prbench.errors import InputFileError, UsageError
-from prbench.methods.adapters import load_adapter
+from prbench.geometry.skeleton import Joint
+from prbench.harness.methods.adapters import load_adapter
 from prbench.representation import mirror
-from prbench.skeleton import Joint
 from prbench.training import SequenceDataset, collate
 from prbench.training.configuration import load_configuration
 from prbench.training.installed import list_tasks, load_task

@@ -10,9 +10,9 @@ from prbench.checking.conformance.checks.resources import growth_per_round
 from prbench.checking.conformance.report import CheckRequest
 from prbench.checking.conformance.subject import Subject
 from prbench.checking.conformance.synthetic_people import synthetic_sequences
-from prbench.methods.methods import method_spec
-from prbench.methods.training_split import TrainingSplit
-from prbench.skeleton import WRISTS, Joint, facing_yaw
+from prbench.geometry.skeleton import WRISTS, Joint, facing_yaw
+from prbench.harness.methods.methods import method_spec
+from prbench.harness.methods.training_split import TrainingSplit
 
 MIB = 2**20
 

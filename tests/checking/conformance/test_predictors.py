@@ -15,10 +15,10 @@ from prbench.checking.conformance.predictors.cases import AskedWindows, syntheti
 from prbench.checking.conformance.predictors.subject import BENCHMARK, PredictorSubject
 from prbench.checking.conformance.session import check
 from prbench.errors import TableError, UsageError
-from prbench.evaluation.benchmark import load_benchmark
-from prbench.methods.loaded_methods import forget_loaded_methods
-from prbench.methods.methods import method_spec
-from tests.evaluation.motion_prediction.test_run import PROGRAM
+from prbench.harness.benchmark import load_benchmark
+from prbench.harness.methods.loaded_methods import forget_loaded_methods
+from prbench.harness.methods.methods import method_spec
+from tests.harness.motion_prediction.test_run import PROGRAM
 from tests.prediction.windows import walking, write
 
 CHECKS = judge_of(BENCHMARK).checks

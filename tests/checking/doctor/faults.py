@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from prbench.checking.doctor.orders import ORDERS_OF_22
+from prbench.geometry.skeleton import Joint
 from prbench.representation import canonicalise, encode
 from prbench.representation.clips import MIRRORED_JOINTS
-from prbench.skeleton import Joint
 
 Change = Callable[[np.ndarray], np.ndarray]
 _NAMES = [joint.name.lower() for joint in Joint]

@@ -269,7 +269,7 @@ def test_another_number_of_joints_is_never_called_right(name: str, everybody: li
     joints = JOINT_MAPS[name].source_joints
     from_22 = {"nose": "head", "thorax": "spine3", "spine": "spine2", "hip": "pelvis", "mid_hip": "pelvis"}
     from_22 |= {"spine_base": "pelvis", "spine_mid": "spine2", "spine_shoulder": "spine3"}
-    from prbench.skeleton import Joint
+    from prbench.geometry.skeleton import Joint
 
     def place(joint: str) -> int:
         known_as = from_22.get(joint, joint).upper()

@@ -115,7 +115,7 @@ def test_a_table_adds_what_was_asked_for(tmp_path: Path) -> None:
 
 
 def test_opaque_ids_are_resolved_by_their_seed(tmp_path: Path) -> None:
-    from prbench.evaluation.conditions import opaque_ids, run_salt
+    from prbench.harness.conditions import opaque_ids, run_salt
 
     table = fake_dataset(tmp_path / "data", 3)
     ids = table.scalars()["sequence_id"].to_pylist()
@@ -132,7 +132,7 @@ def test_numbered_motions_are_rows_of_the_conditions_file(tmp_path: Path) -> Non
     conditions = tmp_path / "conditions.npz"
     data = str(tmp_path / "data")
     assert main(["export-conditions", "--data", data, "--condition", "goal-loc", "--out", str(conditions)]) == 0
-    from prbench.submitted.offline import read_conditions_file
+    from prbench.harness.offline import read_conditions_file
 
     asked = read_conditions_file(conditions)
     assert asked.initial_joints is not None

@@ -10,7 +10,9 @@ import pytest
 
 from prbench.curation.events import find_events
 from prbench.errors import InputFileError, UsageError
-from prbench.manifests import load_manifest
+from prbench.geometry.skeleton import Joint
+from prbench.geometry.timelines import interpolate
+from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.for_egoallo import glasses_z_up, prepared_trajectory
@@ -18,14 +20,12 @@ from prbench.readers.adt.to_recording import recording_from_adt
 from prbench.readers.egoallo.places import poses_folder
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.recording import Recording
-from prbench.skeleton import Joint
 from prbench.synthetic.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.layouts.adt import estimated_outputs, write
 from prbench.synthetic.people import perform
 from prbench.synthetic.sensors.errors import Switches
 from prbench.synthetic.sensors.smplh import synthetic_smplh
-from prbench.timelines import interpolate
 from tests.comparing import differences
 
 

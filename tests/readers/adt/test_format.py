@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.manifests import load_manifest
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.adt import format as adt
 
 

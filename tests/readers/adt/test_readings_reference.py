@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.rays import slab_test
+from prbench.geometry.rays import slab_test
+from prbench.geometry.timelines import nearest_index
 from prbench.readers.adt import find_recordings, read_readings, read_recording
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps.format import gaze_directions_cpf
 from prbench.recording import ObjectTrack, Recording
-from prbench.timelines import nearest_index
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths
 from prbench.readers.egoallo.format import SmplhRest, forward_kinematics
-from prbench.skeleton import PARENTS, Joint, bone_lengths
 from prbench.synthetic.sensors.smplh import synthetic_smplh
 
 IDENTITY = np.array([1.0, 0, 0, 0])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.manifests import load_manifest
 from prbench.prediction.joint_sets import JOINT_SETS
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.published import GIMO23, native_joints, published_track
 from prbench.readers.gimo.segments import GimoOptions

@@ -14,12 +14,12 @@ from prbench.curation import build_dataset
 from prbench.curation.options import BuildOptions
 from prbench.curation.sources import native_sources
 from prbench.errors import InputFileError
-from prbench.manifests import load_manifest
+from prbench.geometry.skeleton import Joint, transform_points
+from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo import segments
 from prbench.readers.gimo.to_recording import recording_from_gimo
-from prbench.skeleton import Joint, transform_points
 from prbench.synthetic.layouts.gimo import pickled_tensors, write_events
 from tests.comparing import differences
 from tests.readers import gimo_sample as sample

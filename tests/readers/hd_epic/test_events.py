@@ -10,14 +10,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from prbench.manifests import load_manifest
+from prbench.geometry.skeleton import N_JOINTS, WRISTS
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.aria_mps.to_recording import MpsStreams
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.events import annotated_events, masks_of_sides
 from prbench.readers.hd_epic.format import ObjectMask, ObjectTrack, PublishedSide
 from prbench.readers.hd_epic.priming import MaskedEvent, published_priming
 from prbench.recording.streams import BodyStream, GazeStream, HandStream, PoseStream
-from prbench.skeleton import N_JOINTS, WRISTS
 
 THRESHOLDS = hd_epic.Thresholds(**load_manifest("hd-epic").thresholds)
 CLOCK = hd_epic.VideoClock(50_000_000_000 + np.rint(np.arange(600) * 1e9 / 30).astype(np.int64))  # 20 s from 50 s on

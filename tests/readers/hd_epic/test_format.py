@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prbench.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.skeleton import transform_points
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.skeleton import transform_points
 
 # Frames 0 to 6 at 30 fps from 100 s on; frame 3 repeats frame 2, and an image is skipped after it.
 STEP = 33_333_333

@@ -7,7 +7,7 @@ import pytest
 
 from prbench.curation import curate_recording
 from prbench.curation.options import CurationOptions
-from prbench.manifests import load_manifest, load_protocol
+from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.readers import reader_for
 from prbench.readers.hd_epic import HdEpicOptions, read_readings
 from prbench.readers.hd_epic import format as hd_epic

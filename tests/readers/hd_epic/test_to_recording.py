@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import Y_UP_FROM_Z_UP
 from prbench.errors import InputFileError, StreamsDoNotOverlap
-from prbench.manifests import load_manifest
+from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.format import device_from_cpf
 from prbench.readers.hd_epic import format as hd_epic

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prbench.axes import z_up
 from prbench.errors import InputFileError
+from prbench.geometry.axes import z_up
 from prbench.readers import Reader, reader_for
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands_mano as mano

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import z_up
 from prbench.curation.contact import contact_distance
-from prbench.manifests import load_manifest
-from prbench.rays import slab_test
+from prbench.geometry.axes import z_up
+from prbench.geometry.rays import slab_test
+from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.aria_mps.readings import read_gaze_angles
 from prbench.readers.hot3d import Hot3dOptions, find_recordings, read_readings

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import Y_UP_FROM_Z_UP
-from prbench.manifests import load_manifest
+from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.skeleton import Joint
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.body import (
     HEAD_FORWARD,
@@ -24,7 +25,6 @@ from prbench.readers.mogaze.body import (
     intrinsic_xyz,
     link_offsets,
 )
-from prbench.skeleton import Joint
 
 GOLDEN = ("golden_zero", "golden_smooth_a", "golden_smooth_b", "golden_random_angles")
 

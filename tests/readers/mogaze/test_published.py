@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prbench.manifests import load_manifest
+from prbench.geometry.skeleton import Joint
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.mogaze.body import LINKS
 from prbench.readers.mogaze.format import MogazeReadings, Segment
 from prbench.readers.mogaze.published import published_tracks
 from prbench.readers.mogaze.to_recording import recording_from_mogaze
 from prbench.recording.published_tracks import PublishedTrack
-from prbench.skeleton import Joint
 from tests.recording.mogaze_scene import STANDING_HEIGHT, N, still_life
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.representation import canonicalise
-from prbench.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.synthetic.people.perform import perform
 from prbench.synthetic.sensors.smplh import model_rotations, synthetic_smplh
 

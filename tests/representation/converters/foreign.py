@@ -11,8 +11,8 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from prbench.geometry.skeleton import CHAINS, Joint
 from prbench.representation.converters import JOINT_MAPS
-from prbench.skeleton import CHAINS, Joint
 from prbench.synthetic.people.perform import perform
 
 _HEAD = {  # left, up, forward of the head joint

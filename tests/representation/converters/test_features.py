@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
+from prbench.geometry.skeleton import bone_lengths
 from prbench.representation import Statistics, canonicalise, encode, rest_offsets
 from prbench.representation.converters import (
     FeatureWarning,
@@ -22,7 +23,6 @@ from prbench.representation.converters import (
     relative_root,
 )
 from prbench.representation.uniform_skeleton import retarget
-from prbench.skeleton import bone_lengths
 from tests.representation.converters.bodies import person
 
 FEATURES = encode(person())

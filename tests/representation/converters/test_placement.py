@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.axes import z_up
 from prbench.errors import InputFileError
+from prbench.geometry.axes import z_up
+from prbench.geometry.skeleton import Joint, bone_lengths, facing_yaw
 from prbench.representation import canonicalise
 from prbench.representation.converters import (
     in_frame_of,
@@ -16,7 +17,6 @@ from prbench.representation.converters import (
     placed_on,
     to_canonical,
 )
-from prbench.skeleton import Joint, bone_lengths, facing_yaw
 from tests.fakes import STANDING
 from tests.representation.converters.bodies import person
 from tests.representation.motions import turned

@@ -12,8 +12,8 @@ import pytest
 from scipy.sparse import csc_matrix
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import z_up
 from prbench.errors import InputFileError, UsageError
+from prbench.geometry.axes import z_up
 from prbench.representation.converters import (
     RestJoints,
     SmplParameters,

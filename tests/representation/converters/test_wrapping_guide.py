@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 import torch
 
-from prbench.axes import z_up
 from prbench.checking.doctor import Expected, diagnose
 from prbench.cli import main
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions
 from prbench.errors import InputFileError
-from prbench.methods.motions import at_native_rate, at_table_rate
+from prbench.geometry.axes import z_up
+from prbench.geometry.skeleton import Joint
+from prbench.geometry.timelines import interpolate
+from prbench.harness.methods.motions import at_native_rate, at_table_rate
 from prbench.representation import canonicalise, encode
 from prbench.representation.clips import MIRRORED_JOINTS
 from prbench.representation.converters import (
@@ -28,8 +30,6 @@ from prbench.representation.converters import (
     to_canonical,
 )
 from prbench.representation.uniform_skeleton import retarget
-from prbench.skeleton import Joint
-from prbench.timelines import interpolate
 from tests.representation.converters.bodies import mean_error, person, person_rotations, write_body_model
 from tests.representation.converters.foreign import known_motion, seen_as
 from tests.representation.converters.test_smpl_joints import written

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from prbench.skeleton import WRISTS, Joint
+from prbench.geometry.skeleton import WRISTS, Joint
 from prbench.synthetic.activities import NarratedMotion, identity_of, narrated_recording
 from prbench.synthetic.activities.acts import SITTING, STANDING
 from prbench.synthetic.activities.narrate import spoken_name

@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prbench.manifests import load_manifest
+from prbench.geometry.skeleton import WRISTS
+from prbench.geometry.timelines import interpolate
+from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.gimo import GimoOptions, read_readings
 from prbench.readers.gimo import format as gimo
-from prbench.skeleton import WRISTS
 from prbench.synthetic.layouts.gimo import LAYOUT
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors.errors import Switches
 from prbench.synthetic.sensors.gimo import sense
 from prbench.synthetic.write_tree import synthesize_tree
-from prbench.timelines import interpolate
 from tests.comparing import differences
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from prbench.geometry.timelines import interpolate
 from prbench.readers import reader_for
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.hd_epic import format as hd_epic
@@ -21,7 +22,6 @@ from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import hd_epic as sensors
 from prbench.synthetic.sensors.errors import Sensing, Switches
 from prbench.synthetic.write_tree import synthesize_tree
-from prbench.timelines import interpolate
 from tests.comparing import differences
 
 SEED, N_EVENTS, RECORDINGS = 2, 4, 2

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from prbench.curation.in_hand import find_holdings
-from prbench.manifests import load_manifest
+from prbench.protocol.manifests import load_manifest
 from prbench.readers.hot3d import READER, find_recordings, read_readings
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.objects import read_glb

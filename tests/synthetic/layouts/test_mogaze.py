@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.axes import Y_UP_FROM_Z_UP
-from prbench.manifests import load_manifest
+from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.skeleton import Joint
+from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze import read_readings
 from prbench.readers.mogaze.body import MODEL_OFFSETS, body_joints, forward_kinematics, link_offsets
-from prbench.skeleton import Joint
 from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.layouts.mogaze import LAYOUT
 from prbench.synthetic.people import perform

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from prbench.geometry.skeleton import bone_lengths
 from prbench.randomness import named_generator
-from prbench.skeleton import bone_lengths
 from prbench.synthetic.people import PRESETS
 from prbench.synthetic.people.base import BasePose, plan_segment, sample_base
 from prbench.synthetic.people.grasp import kept_away, solve_posture, take_hold

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import UsageError
-from prbench.skeleton import WRISTS
+from prbench.geometry.skeleton import WRISTS
 from prbench.synthetic.people import PRESETS, perform
 from prbench.synthetic.people.kinematics import matrix_of
 from prbench.synthetic.people.plan import possible_tags

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 from prbench.synthetic.people import PRESETS
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.plausibility import checks, measure

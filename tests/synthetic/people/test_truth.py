@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.skeleton import PARENTS, WRISTS, Joint
+from prbench.geometry.skeleton import PARENTS, WRISTS, Joint
 from prbench.synthetic.people import PRESETS
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from prbench.geometry.skeleton import Joint, bone_lengths
 from prbench.readers.adt import format as adt
-from prbench.skeleton import Joint, bone_lengths
 from prbench.synthetic.behaviour import recorded_bone_change
 from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.layouts.adt import LAYOUT

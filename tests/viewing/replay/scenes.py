@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from prbench.manifests import load_protocol
+from prbench.protocol.manifests import load_protocol
 from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
 from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotion
 from tests.fakes import STANDING

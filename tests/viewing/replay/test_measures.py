@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.manifests import load_protocol
+from prbench.geometry.skeleton import Joint
 from prbench.metrics import MotionBatch
 from prbench.metrics.reach_success import reach_success
-from prbench.skeleton import Joint
+from prbench.protocol.manifests import load_protocol
 from prbench.viewing.replay.measures import gaze_angle, gaze_distance, measure, phase, score_row, score_sentence
 from prbench.viewing.replay.parts import RECORDED_COLOUR
 from prbench.viewing.replay.scene import Gaze, Goal, ShownMotion

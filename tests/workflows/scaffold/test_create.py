@@ -20,9 +20,9 @@ from prbench.checking.conformance.predictors.cases import windows_of_table
 from prbench.checking.conformance.predictors.subject import PredictorSubject
 from prbench.cli import main
 from prbench.errors import StorageError, UsageError
-from prbench.evaluation.benchmark import load_benchmark
-from prbench.methods.loaded_methods import forget_loaded_methods
-from prbench.methods.methods import method_spec
+from prbench.harness.benchmark import load_benchmark
+from prbench.harness.methods.loaded_methods import forget_loaded_methods
+from prbench.harness.methods.methods import method_spec
 from prbench.workflows import scaffold
 from prbench.workflows.scaffold import ScaffoldRequest, new_adapter
 from tests.fakes import fake_dataset

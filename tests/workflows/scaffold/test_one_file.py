@@ -14,9 +14,10 @@ import pytest
 
 import prbench.contract
 import prbench.errors
-from prbench import axes, randomness, representation, skeleton
-from prbench.axes import z_up
+from prbench import randomness, representation
 from prbench.cli import main
+from prbench.geometry import axes, skeleton
+from prbench.geometry.axes import z_up
 from prbench.representation import converters, encode, uniform_skeleton
 from prbench.workflows.scaffold import one_file
 from tests.docs.interpreters import older_python

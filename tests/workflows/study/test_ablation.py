@@ -11,7 +11,7 @@ import pytest
 from prbench.cli.main import main
 from prbench.engine import InProcess
 from prbench.errors import UsageError
-from prbench.submitted.verification import RunChecker
+from prbench.harness.verification import RunChecker
 from prbench.training.ablations import load_ablations
 from prbench.workflows.first_run import table_finder
 from prbench.workflows.study import ablation

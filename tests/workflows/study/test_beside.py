@@ -10,11 +10,11 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from prbench.leaderboard import collect_runs, export, make_leaderboard
-from prbench.published import load_published, load_table_one
-from prbench.submitted.verification import CheckedSummary
+from prbench.board import collect_runs, export, make_leaderboard
+from prbench.harness.verification import CheckedSummary
+from prbench.protocol.published import load_published, load_table_one
 from prbench.workflows.study.beside import add_published, differences, published_variant, why_not_beside
-from tests.leaderboard.test_tables import as_stored, by_means, write_run
+from tests.board.test_tables import as_stored, by_means, write_run
 
 REAL = {"synthetic": False, "title": "Aria Digital Twin"}
 

@@ -17,11 +17,11 @@ import pytest
 from prbench.cli.main import main
 from prbench.engine import InProcess
 from prbench.errors import PrbenchError, RunError, UsageError
-from prbench.evaluation.request import RunRequest
-from prbench.evaluation.run import run_method
-from prbench.manifests import load_protocol
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+from prbench.harness.run_folder.scores import read_scores
 from prbench.metrics import MotionBatch, ScoringTargets, score
-from prbench.runs.scores import read_scores
+from prbench.protocol.manifests import load_protocol
 from prbench.sequences import SequenceTable
 from prbench.viewing.study_charts import Bar, BarPanel, draw_bars
 from prbench.workflows.study.breakdown import GROUPINGS, break_down, breakdown_table

@@ -9,7 +9,7 @@ import json
 import msgspec
 import pytest
 
-from prbench.published import load_published, load_table_one
+from prbench.protocol.published import load_published, load_table_one
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
 from prbench.workflows.study.formats import FORMATS
@@ -17,8 +17,8 @@ from prbench.workflows.study.methods import methods_table, poses_table
 from prbench.workflows.study.sizes import table_one, table_s2
 from prbench.workflows.study.text import table_s8
 from prbench.workflows.text_to_motion.report import Interval, ResultRow, TextEvaluation
+from tests.board.test_tables import metrics, write_run
 from tests.fakes import fake_dataset
-from tests.leaderboard.test_tables import metrics, write_run
 from tests.workflows.study.test_beside import board_of, write_real
 from tests.workflows.study.test_formats import require_whole_latex
 

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from prbench.errors import UsageError
-from prbench.manifests import read_toml
+from prbench.protocol.manifests import read_toml
 from prbench.workflows.table_two.request import TableTwo, load_table_two
 from tests.workflows.table_two.conftest import TABLE
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import pyarrow.compute as pc
 import pytest
 
+from prbench.board.tables import FEWEST_RANKED
 from prbench.contract import Condition
 from prbench.errors import AdapterError, PrbenchError, RunError, StorageError, UsageError
-from prbench.leaderboard.tables import FEWEST_RANKED
-from prbench.locks import sole_writer
-from prbench.runs import RunFolder, read_scores
+from prbench.files.locks import sole_writer
+from prbench.harness.run_folder import RunFolder, read_scores
 from prbench.workflows.table_two import TableRequest, plan, run, run_table
 from prbench.workflows.table_two import state as subset
 from prbench.workflows.table_two.budget import RowCost

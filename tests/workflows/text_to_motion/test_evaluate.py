@@ -12,7 +12,7 @@ from prbench.cli.evaluate_text import TextReport
 from prbench.cli.main import main
 from prbench.contract import Condition, Motions
 from prbench.errors import AdapterError, InputFileError, TableError, UsageError
-from prbench.evaluation.text_to_motion.networks import EvaluatorConfiguration
+from prbench.harness.text_to_motion.networks import EvaluatorConfiguration
 from prbench.representation import encode
 from prbench.workflows.text_to_motion import generated
 from prbench.workflows.text_to_motion.clips import EvaluatedClips, Pass, draw, recorded_features

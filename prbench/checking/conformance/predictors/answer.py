@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from prbench.checking.conformance.generators import generator_states, generators_set_to, generators_touched
 from prbench.errors import PrbenchError
-from prbench.methods.motions import told
-from prbench.methods.users_environment import computing_threads
+from prbench.harness.methods.motions import told
+from prbench.harness.methods.users_environment import computing_threads
 from prbench.prediction.batch import Futures, ObservedBatch, Predictor, require_futures
 
 

@@ -12,12 +12,12 @@ import numpy as np
 
 from prbench.curation.window_runs import sliding_windows
 from prbench.errors import UsageError
+from prbench.geometry.skeleton import head_forward
 from prbench.prediction.joint_sets import SMPL22
 from prbench.prediction.protocol import load_prediction_protocol
 from prbench.prediction.table import FILE_NAME, SCHEMA_VERSION, CutRun, Run, Window, WindowsInfo, WindowsTable
 from prbench.prediction.table import write_windows as write
 from prbench.sequences.table import by_share
-from prbench.skeleton import head_forward
 
 if TYPE_CHECKING:
     from prbench.synthetic.performance import Performance

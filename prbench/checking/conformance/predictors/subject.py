@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from prbench.benchmarks import find_benchmark
 from prbench.checking.conformance.answer import STATE_SEED
 from prbench.checking.conformance.method_subject import MethodSubject
 from prbench.checking.conformance.predictors.answer import FuturesAnswer, ask_predictor
 from prbench.checking.conformance.predictors.cases import AskedWindows
 from prbench.checking.conformance.report import Remedy
-from prbench.evaluation.benchmark import load_benchmark
-from prbench.methods.loaded_methods import LoadedMethod, MethodSpec, unload_method
-from prbench.methods.remote.method import RemoteMethod
+from prbench.harness.benchmark import load_benchmark
+from prbench.harness.methods.loaded_methods import LoadedMethod, MethodSpec, unload_method
+from prbench.harness.methods.remote.method import RemoteMethod
 from prbench.prediction.batch import Condition, ObservedBatch
 from prbench.prediction.protocol import load_prediction_protocol
 from prbench.prediction.table import WindowsTable
+from prbench.protocol.benchmarks import find_benchmark
 
 BENCHMARK = "motion-prediction"
 RICHEST_FIRST = (Condition.POSE_GAZE, Condition.POSE_HEAD, Condition.POSE)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from prbench.skeleton import Joint
+from prbench.geometry.skeleton import Joint
 from prbench_adapters.diffusion.noise_optimisation.objective import (
     Keyframes,
     PrimeAndReach,

@@ -1,0 +1,227 @@
+"""Find run folders and read what stands in a leaderboard."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from prbench.board.costs import UNMEASURED, MotionCost, cost_of
+from prbench.board.merging import merge_folds
+from prbench.errors import RunError
+from prbench.files.boundary import foreign_input
+from prbench.harness.benchmark import Benchmark, load_benchmark
+from prbench.harness.methods.names import METHOD_CONTROLS, name_problem
+from prbench.harness.run_folder import record as run_record
+from prbench.harness.run_folder.folder import RunFolder
+from prbench.harness.run_folder.merged import FILE_NAME as MERGED
+from prbench.harness.run_folder.merged import FoldRun, MergedFrom
+from prbench.harness.run_folder.record import RunRecord, TableRecord
+from prbench.harness.run_folder.scores import read_scores
+from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
+from prbench.harness.verification import CheckedSummary, RunChecker, ScoredSequences
+from prbench.protocol.benchmarks import benchmarks, find_benchmark
+
+
+@dataclass(frozen=True)
+class LeaderboardRow:
+    """A run on one dataset."""
+
+    run: str
+    """Name of the run folder."""
+    record: RunRecord
+    table: TableRecord
+    summary: DatasetSummary
+    unverified: str = ""
+    """The reason why its scores were not checked against its motions; empty where they were."""
+    sequences: ScoredSequences | None = None
+    """What its numbers on some of the sequences are made from."""
+    protocol: str = ""
+    """Name and version of a user's own protocol; empty for prbench's."""
+    scores: Path | None = None
+    """Its ``scores.parquet``."""
+    only: frozenset[str] | None = None
+    """Ids of the sequences that its summary is of, and that it is compared on; None for all that were scored."""
+    cost: MotionCost = UNMEASURED
+
+    @property
+    def method(self) -> str:
+        """Name of the method."""
+        return self.record.method.name
+
+    @property
+    def benchmark(self) -> Benchmark:
+        """The benchmark of the run."""
+        return load_benchmark(self.record.benchmark)
+
+    @property
+    def origin(self) -> str:
+        """Origin of the method, in words; a record that claims a method for prbench without right is not believed."""
+        method = self.record.method
+        # run.json is a user's file: a method may claim to be built in without being so.
+        ours = {run_record.BUILT_IN: self.benchmark.about.methods, run_record.CONTROL: METHOD_CONTROLS}.get(method.kind)
+        return "unknown kind" if ours is not None and method.name not in ours else method.origin
+
+    @property
+    def is_control(self) -> bool:
+        """Made by the harness, or with another sequence's goals: shown, never ranked."""
+        return self.record.method.kind == run_record.CONTROL or self.record.control is not None
+
+    @property
+    def mark(self) -> str:
+        """A remark about the motions that readers must know, or an empty text."""
+        return self.summary.mark
+
+    @property
+    def variant(self) -> str:
+        """Control, choice, weights and options: the settings that distinguish runs of one method."""
+        method = self.record.method
+        parts = [self.record.control] if self.record.control else []
+        if self.record.best_of > 1:
+            parts.append(f"best of {self.record.best_of}")
+        if self.record.carry_on:
+            parts.append("carried on")
+        if method.weights:
+            parts.append(f"weights {method.weights}")
+        parts += [f"{key}={value}" for key, value in sorted(method.options.items())]
+        return "; ".join(parts)
+
+    @property
+    def scored(self) -> int:
+        """Number of sequences behind the numbers."""
+        return self.summary.sequences - self.summary.unsupported
+
+    def metric(self, name: str) -> MetricSummary | None:
+        """Return one metric, or None if the run lacks it."""
+        return self.summary.metric(name)
+
+
+@dataclass(frozen=True)
+class CollectedRuns:
+    """Rows of all finished runs, and what had to be left out."""
+
+    rows: tuple[LeaderboardRow, ...]
+    left_out: tuple[str, ...]
+
+
+Check = Callable[[RunFolder, TableRecord], CheckedSummary]
+"""Reads the summary of one dataset of a run, and says whether it could be verified."""
+
+
+@foreign_input()
+def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_benchmark: bool = False) -> CollectedRuns:
+    """Read run folders, or all run folders below a folder.
+
+    Args:
+        paths: In any order; a run that is named twice counts once.
+        check: By default a checker without tables, which leaves all runs unverified.
+        any_benchmark: The caller shows runs of every benchmark; without it, those of the default one alone.
+
+    Raises:
+        RunError: if a path holds no run, or a run is damaged, or its files do not follow from one another.
+    """
+    folders: dict[Path, None] = {}
+    for path in paths:
+        found = [path] if (path / run_record.FILE_NAME).is_file() else _runs_below(path)
+        if not found:
+            raise RunError(
+                f"{path}: expected a run folder (with {run_record.FILE_NAME}) or a folder of runs, found none."
+            )
+        # By real path, so that a run that is named twice, or through a link, counts once.
+        folders |= {Path(os.path.realpath(folder)): None for folder in found}
+    rows: list[LeaderboardRow] = []
+    left_out: list[str] = []
+    merged: list[tuple[LeaderboardRow, RunFolder]] = []
+    of_folds: dict[tuple[str, str], tuple[LeaderboardRow, RunFolder]] = {}
+    for folder in sorted(folders):
+        run = RunFolder.open(folder, any_benchmark=any_benchmark)
+        if run.record.benchmark not in benchmarks():
+            left_out.append(f"{folder.name}: of a benchmark that this version of prbench does not have")
+            continue
+        # A foreign method under the name of ours would stand in the study's own row.
+        if problem := _false_name(run.record):
+            left_out.append(f"{folder.name}: {problem}; run or score it again under another name")
+            continue
+        unfinished = [table.dataset for table in run.record.tables if not run.dataset(table.dataset).finished]
+        if unfinished:
+            left_out.append(f"{folder.name}: not finished on {', '.join(unfinished)}; run it again, it resumes")
+            continue
+        for table in run.record.tables:
+            checked = (check or RunChecker().check)(run, table)
+            files = run.dataset(table.dataset)
+            row = LeaderboardRow(
+                folder.name,
+                run.record,
+                table,
+                checked.summary,
+                checked.unverified,
+                sequences=checked.scored,
+                protocol=_own_protocol(run),
+                scores=files.scores,
+                cost=cost_of(files),
+            )
+            if (run.path / MERGED).is_file():
+                merged.append((row, run))
+            elif table.fold is not None:
+                of_folds[FoldRun.of(run).key] = row, run
+            else:
+                rows.append(row)
+    within: set[tuple[str, str]] = set()
+    for row, run in merged:
+        keys = [fold.key for fold in MergedFrom.read(run.path).folds]
+        rows.append(replace(row, unverified=_why_unverified(run, [of_folds.get(key) for key in keys])))
+        within.update(keys)
+    # The scores of a fold's run are among the merged ones; beside them it would count its sequences twice.
+    rows += [row for key, (row, _) in of_folds.items() if key not in within]
+    return CollectedRuns(tuple(rows), tuple(left_out))
+
+
+def _why_unverified(merged: RunFolder, named: Sequence[tuple[LeaderboardRow, RunFolder] | None]) -> str:
+    """Hold merged scores against those of the runs on the folds.
+
+    Args:
+        merged: The merged run.
+        named: The runs that it says it was put together from, as far as they were named.
+
+    Returns:
+        Why its scores are unverified, or an empty text.
+
+    Raises:
+        RunError: if it does not follow from those runs.
+    """
+    found = [pair for pair in named if pair is not None]
+    if len(found) < len(named):
+        return "the runs that it was merged from are not among those named; name them, too"
+    again = merge_folds([run.path for _, run in found])
+    table = again.record.tables[0]
+    stored = read_scores(merged.dataset(table.dataset).scores)
+    if again.record != merged.record or not again.scores.equals(stored.cast(again.scores.schema)):
+        raise RunError(
+            f"{merged.path}: does not follow from the runs that {MERGED} names. It was edited; merge them again into"
+            " another folder: `prbench leaderboard merge RUN … --out DIR`."
+        )
+    reasons = [row.unverified for row, _ in found if row.unverified]
+    return f"one of the runs that it was merged from is unverified: {reasons[0]}" if reasons else ""
+
+
+def _own_protocol(run: RunFolder) -> str:
+    """Name and version of the user's own protocol that a run follows; empty for prbench's.
+
+    Raises:
+        RunError: if the copy in its folder is not the protocol that it records.
+    """
+    protocol = run.protocol
+    return protocol.label if protocol is not None and protocol.is_own else ""
+
+
+def _false_name(record: RunRecord) -> str | None:
+    """Return what is wrong with the name of a foreign method; prbench 0.5 checked no names."""
+    method = record.method
+    own = find_benchmark(record.benchmark).methods
+    foreign = (run_record.PACKAGE, run_record.PROGRAM, run_record.FILE)
+    return name_problem(method.name, own=own) if method.kind in foreign else None
+
+
+def _runs_below(path: Path) -> list[Path]:
+    return sorted(file.parent for file in path.rglob(run_record.FILE_NAME)) if path.is_dir() else []

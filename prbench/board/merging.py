@@ -1,0 +1,226 @@
+"""Runs on the folds of one dataset, merged: every sequence is scored once, by a method that never saw its participant.
+
+Source: docs/specification/protocol.md#participant-folds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import pyarrow as pa
+
+from prbench.errors import RunError, StorageError
+from prbench.files.locks import sole_writer
+from prbench.files.storage import atomic_folder, text_digest
+from prbench.harness.results import summary_of
+from prbench.harness.run_folder.cost import RunCost, joined_costs
+from prbench.harness.run_folder.folder import RunFolder
+from prbench.harness.run_folder.merged import FILE_NAME, FoldRun, MergedFrom
+from prbench.harness.run_folder.record import BatchPlanRecord, MethodRecord, RunRecord, TableRecord
+from prbench.harness.run_folder.scores import read_scores, write_scores
+from prbench.harness.run_folder.summary import DatasetSummary
+from prbench.harness.verification import RunChecker
+from prbench.protocol.own_protocol import write_protocol
+from prbench.sequences.ids import recording_key
+
+
+@dataclass(frozen=True, eq=False)
+class MergedRun:
+    """The runs on all folds as one."""
+
+    record: RunRecord
+    """As of one run; digests are those of the folds' digests."""
+    summary: DatasetSummary
+    scores: pa.Table
+    """Of all folds, in their order."""
+    folds: tuple[RunFolder, ...]
+    """In the order of the folds."""
+    unverified: tuple[str, ...]
+    """A sentence for each run whose scores could not be verified."""
+
+    def write(self, out: Path) -> None:
+        """Write a run folder that ``prbench leaderboard export`` shows beside others, whole or not at all.
+
+        Raises:
+            StorageError: if the folder holds something else, or cannot be written.
+        """
+        with sole_writer(out):
+            if out.exists() and (not out.is_dir() or any(out.iterdir())):
+                self._require_same(out)
+                return
+            with atomic_folder(out) as folder:
+                self.record.write(folder)
+                protocol = self.folds[0].protocol
+                if protocol is not None:
+                    write_protocol(folder, protocol)
+                files = RunFolder(folder, self.record).dataset(self.summary.dataset)
+                write_scores(files.scores, [self.scores])
+                joined_costs([RunCost.read(run.dataset(self.summary.dataset).cost) for run in self.folds]).write(
+                    files.cost
+                )
+                MergedFrom(folds=tuple(map(FoldRun.of, self.folds))).write(folder)
+                self.summary.write(folder)
+
+    def _require_same(self, out: Path) -> None:
+        """Refuse a folder that holds anything but the very same merged run.
+
+        Raises:
+            StorageError: saying what it holds.
+        """
+        if not (out / FILE_NAME).is_file():
+            raise StorageError(
+                f"{out}: exists and holds no {FILE_NAME}, so it is no merged run. Choose a new folder for --out."
+            )
+        if MergedFrom.read(out).folds != tuple(map(FoldRun.of, self.folds)):
+            raise StorageError(f"{out}: holds the merged scores of other runs. Choose a new folder for --out.")
+
+
+def merge_folds(paths: Sequence[Path], *, checker: RunChecker | None = None) -> MergedRun:
+    """Summarise the scores of several runs as if they were one.
+
+    Weights and tables differ between folds; all else has to agree.
+
+    Args:
+        paths: Finished runs of one dataset each, one a fold.
+        checker: Holds the tables at hand, on which motions are scored again; by default none.
+
+    Raises:
+        RunError: if runs are unfinished, of more than one dataset, of different methods, conditions or protocols, are
+            not on the folds of one table, or a fold is missing or there twice.
+    """
+    runs = [RunFolder.open(path) for path in paths]
+    if len(runs) < 2:
+        raise RunError(f"expected a run of each fold, found {len(runs)}.")
+    for run in runs:
+        _require_alike(runs[0], run)
+    runs = _in_order(runs)
+    unverified = []
+    tables = []
+    for run in runs:
+        table = run.record.tables[0]
+        files = run.dataset(table.dataset)
+        if not files.finished:
+            raise RunError(f"{run.path}: not finished on {table.dataset}; run it again, it resumes.")
+        checked = (checker or RunChecker()).check(run, table)
+        if checked.unverified:
+            unverified.append(f"{run.path}: {checked.unverified}")
+        tables.append(read_scores(files.scores))
+    owner: dict[str, Path] = {}
+    for run, table in zip(runs, tables):
+        for name in set(table["sequence_id"].to_pylist()):
+            if name in owner:
+                raise RunError(f"{run.path}: sequence {name} is scored in {owner[name]}, too; folds share no sequence.")
+            owner[name] = run.path
+    record = _merged_record([run.record for run in runs], sorted(owner))
+    scores = pa.concat_tables(tables)
+    summary = summary_of(record, record.tables[0], scores, {name: recording_key(name) for name in owner})
+    return MergedRun(record, summary, scores, tuple(runs), tuple(unverified))
+
+
+def _in_order(runs: list[RunFolder]) -> list[RunFolder]:
+    """Sort runs by their folds, each of which has to be there once.
+
+    Raises:
+        RunError: naming the run that is no fold or is there twice, or the folds that are missing.
+    """
+    found: dict[int, RunFolder] = {}
+    folds = 0
+    for run in runs:
+        text = run.record.tables[0].fold
+        if text is None:
+            raise RunError(
+                f"{run.path}: expected a run on a fold of participants, found one on a table that is no fold. Run the"
+                " method with --split participants --fold K/N."
+            )
+        number, _, count = text.partition("/")
+        if not (number.isdecimal() and count.isdecimal() and len(text) < 16):
+            raise RunError(f"{run.path}: expected a fold such as 2/6 in run.json, found {text[:16]!r}.")
+        if int(number) in found and int(count) == (folds or int(count)):
+            raise RunError(f"{run.path}: fold {text} is that of {found[int(number)].path}, too.")
+        if folds and int(count) != folds:
+            raise RunError(f"{run.path}: expected one of {folds} folds as in {runs[0].path}, found fold {text}.")
+        folds = int(count)
+        found[int(number)] = run
+    missing = [str(number) for number in range(1, folds + 1) if number not in found]
+    if missing:
+        raise RunError(f"expected a run of each of the {folds} folds, found none of {', '.join(missing)}.")
+    return [found[number] for number in sorted(found)]
+
+
+def _merged_record(records: Sequence[RunRecord], sequence_ids: list[str]) -> RunRecord:
+    """Put the records together; whatever differs between folds becomes the digest of all of theirs."""
+    first = records[0]
+    tables = [record.tables[0] for record in records]
+    plans = [table.batch_plan for table in tables]
+    table = TableRecord(
+        dataset=tables[0].dataset,
+        title=tables[0].title,
+        synthetic=tables[0].synthetic,
+        redistribution=tables[0].redistribution,
+        identity_digest=text_digest(*(table.identity_digest for table in tables)),
+        content_digest=text_digest(*(table.content_digest for table in tables)),
+        sequences=sum(table.sequences for table in tables),
+        unsupported=sum(table.unsupported for table in tables),
+        selection_digest=text_digest(*sequence_ids),
+        batch_plan=BatchPlanRecord(
+            batch_size=plans[0].batch_size,
+            batches=sum(plan.batches for plan in plans),
+            digest=text_digest(*(plan.digest for plan in plans)),
+        ),
+        whole_table=tables[0].whole_table,
+    )
+    return msgspec.structs.replace(
+        first,
+        split=f"{len(records)} folds",
+        method=_merged_method([record.method for record in records]),
+        tables=(table,),
+    )
+
+
+def _merged_method(methods: Sequence[MethodRecord]) -> MethodRecord:
+    """The method of all folds, whose weights differ: each was trained on the other folds."""
+    digests = [method.weights_digest for method in methods]
+    if len(set(digests)) == 1:
+        return methods[0]
+    return msgspec.structs.replace(
+        methods[0],
+        weights=f"{len(methods)} folds",
+        weights_digest=text_digest(*(digest or "" for digest in digests)),
+    )
+
+
+def _require_alike(first: RunFolder, other: RunFolder) -> None:
+    """Refuse two runs that are no folds of one design.
+
+    Raises:
+        RunError: naming what differs.
+    """
+    if len(other.record.tables) != 1:
+        raise RunError(f"{other.path}: expected a run of one dataset, found {len(other.record.tables)}.")
+    expected = _design(first.record)
+    for name, found in _design(other.record).items():
+        if found != expected[name]:
+            raise RunError(f"{other.path}: expected {name} {expected[name]} as in {first.path}, found {found}.")
+
+
+def _design(record: RunRecord) -> dict[str, object]:
+    return {
+        "dataset": record.tables[0].dataset,
+        "whole table": record.tables[0].whole_table,
+        "protocol": record.protocol_digest,
+        "method": record.method.name,
+        "kind": record.method.kind,
+        "options": msgspec.json.encode(record.method.options).decode(),
+        "condition": record.condition,
+        "control": record.control,
+        "samples": record.samples,
+        "best of": record.best_of,
+        "gaze": record.method.gaze,
+        "obstacles": record.method.wants_obstacles,
+        "carry on": record.carry_on,
+        "split": record.split,
+        "limit": record.limit,
+    }

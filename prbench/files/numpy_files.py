@@ -1,0 +1,388 @@
+"""NumPy's own files, read without trust: headers first, no pickles, nothing larger than what was announced.
+
+``.npz`` is a ZIP archive of ``.npy`` members. A member that is stored as it is (``np.savez``) is mapped into memory, so
+that single motions can be read from a file of any size; a compressed one (``np.savez_compressed``) has to be unpacked
+as a whole.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import struct
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import BinaryIO, Protocol, runtime_checkable
+
+import numpy as np
+
+from prbench.errors import InputFileError, StorageError
+from prbench.files.bounded import require_size, require_unpackable
+from prbench.limits import HIGHEST_COMPRESSION, LARGEST_ARCHIVE, LARGEST_ARRAYS, LARGEST_UNPACKED, LONGEST_AXIS
+
+_LOCAL_HEADER_BYTES = 30  # of a ZIP member, before its name
+_PIECE = 4 * 1024**2
+_NO_OBJECTS = "Save numbers and text only: np.array(values, dtype=np.float32), or np.array(names) without dtype=object."
+
+
+@runtime_checkable
+class _ByteStream(Protocol):
+    """A file that is open for reading, in an archive or not."""
+
+    def read(self, size: int = ..., /) -> bytes:
+        """The next bytes; none at the end."""
+        ...
+
+    def tell(self) -> int:
+        """Number of bytes that were read."""
+        ...
+
+
+@dataclass(frozen=True)
+class ArrayHeader:
+    """The header of a ``.npy``."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    fortran_order: bool
+    offset: int
+    """Bytes before the values."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the values."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    def shaped(self, values: np.ndarray) -> np.ndarray:
+        """Flat values as the array that was saved."""
+        return values.reshape(self.shape, order="F" if self.fortran_order else "C")
+
+
+def read_header(stream: _ByteStream, path: Path, where: str, *, remedy: str = "") -> ArrayHeader:
+    """Read the header of a ``.npy``, up to its first value.
+
+    Args:
+        stream: At its beginning.
+        path: The file, for messages.
+        where: The array in it, for messages.
+        remedy: What to do if it is no ``.npy``, for messages.
+
+    Raises:
+        InputFileError: if it is no ``.npy``, or holds Python objects, which are never unpickled.
+    """
+    try:
+        version = np.lib.format.read_magic(stream)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran_order, dtype = read(stream)
+    except (ValueError, SyntaxError, TypeError, EOFError, tokenize.TokenError) as error:
+        first = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
+        raise InputFileError(
+            path, where, expected="an array as np.save writes it", found=first, remedy=remedy
+        ) from error
+    if dtype.hasobject:
+        raise InputFileError(
+            path, where, expected="numbers or text", found="Python objects", remedy=remedy or _NO_OBJECTS
+        )
+    if any(not 0 <= size <= LONGEST_AXIS for size in shape) or not dtype.itemsize:
+        found = f"the shape {shape} of {dtype}"
+        raise InputFileError(path, where, expected="an array as np.save writes it", found=found, remedy=remedy)
+    return ArrayHeader(shape, dtype, fortran_order, stream.tell())
+
+
+def map_array(path: Path, header: ArrayHeader, *, start: int = 0) -> np.ndarray:
+    """The array as a read-only view of its file.
+
+    Args:
+        path: The file.
+        header: Of the array.
+        start: Where the ``.npy`` begins in the file.
+
+    Raises:
+        InputFileError: if the file ends too early.
+    """
+    if not header.nbytes:
+        return np.empty(header.shape, header.dtype)
+    end = start + header.offset + header.nbytes
+    if path.stat().st_size < end:
+        raise InputFileError(
+            path, "", expected=f"{end} bytes", found=f"{path.stat().st_size}", remedy="It is cut off; write it again."
+        )
+    order = "F" if header.fortran_order else "C"
+    return np.memmap(path, header.dtype, mode="r", offset=start + header.offset, shape=header.shape, order=order)
+
+
+def load_array(path: Path, *, largest: int = LARGEST_ARRAYS, remedy: str = "") -> np.ndarray:
+    """A whole ``.npy``; nothing is allocated before its header agrees with the size of the file.
+
+    Args:
+        path: The file.
+        largest: Bytes beyond which it is refused unread.
+        remedy: What to do if it is damaged or another file, for messages.
+
+    Raises:
+        InputFileError: if it is missing, too large, cut off, no ``.npy``, or holds Python objects.
+    """
+    try:
+        require_size(path, largest=largest)
+        with open(path, "rb") as file:
+            header = read_header(file, path, "", remedy=remedy)
+            _require_bytes(path, header, largest=largest, present=path.stat().st_size)
+            return header.shaped(_values(file, header))
+    except FileNotFoundError as error:
+        raise InputFileError(path, "", expected="this file", found="no such file", remedy=remedy) from error
+
+
+def _require_bytes(path: Path, header: ArrayHeader, *, largest: int, present: int) -> None:
+    """Refuse an array that is larger than it may be, or than what stands in the file."""
+    form = f"(shape {header.shape} of {header.dtype})"
+    if header.nbytes > largest:
+        raise InputFileError(
+            path, "", expected=f"at most {largest:,} bytes", found=f"{header.nbytes:,} declared {form}"
+        )
+    if header.nbytes > present - header.offset:
+        raise InputFileError(
+            path,
+            "",
+            expected=f"{header.nbytes:,} bytes {form}",
+            found=f"{max(present - header.offset, 0):,}",
+            remedy="The file is cut off; write it again.",
+        )
+
+
+def _values(stream: _ByteStream, header: ArrayHeader) -> np.ndarray:
+    """The values behind a header, flat, in memory of their own."""
+    values = bytearray(header.nbytes)
+    filled = 0
+    while filled < header.nbytes and (part := stream.read(min(_PIECE, header.nbytes - filled))):
+        values[filled : filled + len(part)] = part
+        filled += len(part)
+    return np.frombuffer(values, header.dtype) if values else np.empty(header.shape, header.dtype).ravel()
+
+
+@dataclass(frozen=True)
+class Archive:
+    """An ``.npz``; arrays are read when they are asked for."""
+
+    path: Path
+    content: bytes | None = None
+    """The bytes, where they are at hand; ``path`` is then for messages."""
+    remedy: str = ""
+    """Advice for messages if it is damaged or another file."""
+
+    @cached_property
+    def members(self) -> dict[str, zipfile.ZipInfo]:
+        """Maps each array's name to the array.
+
+        Raises:
+            InputFileError: if the file is missing or no ZIP archive, or holds an array twice.
+        """
+        found: dict[str, zipfile.ZipInfo] = {}
+        with self._opened() as archive:
+            for info in archive.infolist():
+                name = info.filename.removesuffix(".npy")
+                if name in found:
+                    raise InputFileError(self.path, f"'{name}'", expected="an array once", found="it again")
+                found[name] = info
+        return found
+
+    def require(self, names: Iterable[str]) -> None:
+        """Refuse an archive that lacks an array.
+
+        Raises:
+            InputFileError: naming the first one, and those that are there.
+        """
+        missing = next((name for name in names if name not in self.members), None)
+        if missing is not None:
+            found = ", ".join(sorted(self.members)) or "nothing"
+            raise InputFileError(self.path, "", expected=f"an array '{missing}'", found=found, remedy=self.remedy)
+
+    def load(self, names: Iterable[str], *, largest: int = LARGEST_ARRAYS) -> dict[str, np.ndarray]:
+        """Those of some arrays that are there, whole and writable; their declared sizes are looked at first.
+
+        Args:
+            names: Of the arrays.
+            largest: Bytes of all of them beyond which none is unpacked.
+
+        Raises:
+            InputFileError: if they are too large, damaged, or hold Python objects.
+        """
+        present = [name for name in names if name in self.members]
+        declared = sum(self.members[name].file_size for name in present)
+        if declared > largest:
+            found = f"{declared:,} declared"
+            raise InputFileError(self.path, "", expected=f"arrays of at most {largest:,} bytes", found=found)
+        for name in present:
+            require_unpackable(self.path, self.members[name], where=f"'{name}'")
+        return dict(zip(present, self.read_all(present), strict=True))
+
+    def header(self, name: str) -> ArrayHeader:
+        """Shape and kind of an array; its values are not read.
+
+        Raises:
+            InputFileError: see :func:`read_header`; also if the member is not as long as its header says.
+        """
+        with self._opened() as archive, archive.open(self.members[name]) as stream:
+            return self._header(name, stream)
+
+    def read(self, name: str, *, largest: int) -> np.ndarray:
+        """A whole array.
+
+        Args:
+            name: Of the array.
+            largest: Bytes beyond which it is refused unread.
+
+        Raises:
+            InputFileError: if it is larger, damaged, or holds Python objects.
+        """
+        header = self.header(name)
+        require_unpackable(self.path, self.members[name], where=f"'{name}'")
+        if header.nbytes > largest:
+            raise InputFileError(
+                self.path,
+                f"'{name}'",
+                expected=f"at most {largest:,} bytes",
+                found=f"{header.nbytes:,} (shape {header.shape} of {header.dtype})",
+            )
+        return self.read_all([name])[0]
+
+    def headers(self) -> dict[str, ArrayHeader]:
+        """Shapes and kinds of all arrays.
+
+        Raises:
+            InputFileError: see :meth:`header`.
+        """
+        found = {}
+        with self._opened() as archive:
+            for name, info in self.members.items():
+                with archive.open(info) as stream:
+                    found[name] = self._header(name, stream)
+        return found
+
+    def read_all(self, names: Sequence[str]) -> list[np.ndarray]:
+        """Several whole arrays, of sizes that the caller has looked at.
+
+        Raises:
+            InputFileError: if one is damaged, or holds Python objects.
+        """
+        found = []
+        with self._opened() as archive:
+            for name in names:
+                with archive.open(self.members[name]) as stream:
+                    header = self._header(name, stream)
+                    found.append(header.shaped(_values(stream, header)))
+        return found
+
+    def stored_as_is(self, name: str) -> bool:
+        """Return True if :meth:`mapped` can give single rows without unpacking the whole."""
+        return self.members[name].compress_type == zipfile.ZIP_STORED
+
+    def mapped(self, name: str) -> np.ndarray:
+        """A read-only view of an array that is stored without compression.
+
+        Raises:
+            InputFileError: if the archive is damaged.
+        """
+        info = self.members[name]
+        header = self.header(name)
+        with open(self.path, "rb") as file:
+            file.seek(info.header_offset)
+            local = file.read(_LOCAL_HEADER_BYTES)
+        # The table of contents does not tell: the extra field beside the data may have another length.
+        name_bytes, extra_bytes = struct.unpack("<HH", local[26:30])
+        return map_array(self.path, header, start=info.header_offset + _LOCAL_HEADER_BYTES + name_bytes + extra_bytes)
+
+    def verify(self, name: str) -> None:
+        """Read an array once and compare its checksum.
+
+        Raises:
+            InputFileError: if the archive is damaged.
+        """
+        with self._opened() as archive, archive.open(self.members[name]) as stream:
+            while stream.read(_PIECE):
+                pass
+
+    def unpack(self, name: str, target: Path) -> None:
+        """Write the values of an array to a file of their own, a piece at a time.
+
+        Raises:
+            InputFileError: if the archive is damaged.
+            StorageError: if there is no space for them.
+        """
+        member = self.members[name]
+        if member.file_size > max(LARGEST_UNPACKED, HIGHEST_COMPRESSION * member.compress_size):
+            raise InputFileError(
+                self.path,
+                f"'{name}'",
+                expected=f"at most {HIGHEST_COMPRESSION} times the {member.compress_size:,} packed bytes",
+                found=f"{member.file_size:,} declared",
+                remedy="Save it without padding: the frames of all motions one after another.",
+            )
+        with self._opened() as archive, archive.open(member) as stream, open(target, "wb") as file:
+            self._header(name, stream)
+            while part := stream.read(_PIECE):
+                try:
+                    _write_piece(file, part)
+                except OSError as error:
+                    raise StorageError(
+                        f"{self.path}, '{name}': cannot be unpacked to {target} ({error.strerror}). Save it with"
+                        " np.savez, which does not compress, or let TMPDIR name a folder with more space."
+                    ) from error
+
+    def unpacked(self, name: str, target: Path) -> np.ndarray:
+        """A read-only view of what :meth:`unpack` wrote; the file has to stay as long as the view."""
+        header = self.header(name)
+        return map_array(target, replace(header, offset=0))
+
+    def _header(self, name: str, stream: _ByteStream) -> ArrayHeader:
+        header = read_header(stream, self.path, f"'{name}'", remedy=self.remedy)
+        info = self.members[name]
+        if header.offset + header.nbytes != info.file_size:
+            raise InputFileError(
+                self.path,
+                f"'{name}'",
+                expected=f"{header.offset + header.nbytes:,} bytes (shape {header.shape} of {header.dtype})",
+                found=f"{info.file_size:,}",
+                remedy="The file is damaged; write it again.",
+            )
+        return header
+
+    @contextlib.contextmanager
+    def _opened(self) -> Iterator[zipfile.ZipFile]:
+        """The archive; what is wrong with its bytes becomes an error that names it."""
+        try:
+            if self.content is None:
+                require_size(self.path, largest=LARGEST_ARCHIVE)
+            with zipfile.ZipFile(self.path if self.content is None else io.BytesIO(self.content)) as archive:
+                yield archive
+        except FileNotFoundError as error:
+            raise InputFileError(self.path, "", expected="an .npz file", found="no file", remedy=self.remedy) from error
+        except _DAMAGED as error:
+            raise InputFileError(
+                self.path,
+                "",
+                expected="a readable .npz file",
+                found=f"another form or a damaged one ({str(error) or type(error).__name__})",
+                remedy=self.remedy or "Write it with np.savez or np.savez_compressed.",
+            ) from error
+
+
+_DAMAGED = (
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    OSError,
+    ValueError,  # of a table of contents that points before the start of the file
+)
+"""Exceptions that zipfile raises for damaged archives."""
+
+
+def _write_piece(file: BinaryIO, part: bytes) -> None:
+    file.write(part)

@@ -1,0 +1,297 @@
+"""Files written whole or not at all, and digests of what they hold."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import json
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import platformdirs
+
+from prbench.errors import InputFileError, StorageError
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_text, require_regular
+from prbench.limits import LARGEST_JSON, LONGEST_NAME
+from prbench.shown import clean
+
+CACHE_VARIABLE = "PRBENCH_CACHE"
+_FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
+_FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EISDIR, errno.EEXIST}
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """A temporary path beside ``path`` that takes its name when the block ends well, and vanishes when it does not.
+
+    The temporary file keeps the suffix of ``path``, so that writers which look at suffixes still work.
+
+    Raises:
+        StorageError: if the folder cannot be written or the disk is full.
+    """
+    with _storage_errors(path, every_kind=True):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=f".partial{path.suffix}", dir=path.parent)
+        os.close(handle)
+    temporary = Path(name)
+    try:
+        with _storage_errors(path):
+            yield temporary
+            temporary.chmod(0o666 & ~_umask())  # mkstemp makes files that only their owner can read
+            with open(temporary, "r+b") as written:  # Windows syncs only what may be written
+                os.fsync(written.fileno())
+            temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def atomic_folder(path: Path, *, told_by: str | None = None) -> Iterator[Path]:
+    """A temporary folder beside ``path`` that takes its name when the block ends well, replacing what was there.
+
+    Args:
+        path: The folder.
+        told_by: File whose equal bytes tell that the folder which stands there is the same; then it stays. Two machines
+            may make the same folder at the same time, and neither may take it away from under the other's readers.
+
+    Raises:
+        StorageError: if the folder cannot be written or the disk is full.
+    """
+    with _storage_errors(path, every_kind=True):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", suffix=".partial", dir=path.parent))
+    try:
+        with _storage_errors(path):
+            yield temporary
+            temporary.chmod(0o777 & ~_umask())
+            if _told_equal(path, temporary, told_by):
+                return
+            replaced = temporary.with_suffix(".replaced")
+            if path.exists():
+                path.replace(replaced)
+            try:
+                temporary.replace(path)
+            except OSError:  # not empty: another machine was a moment faster
+                if not _told_equal(path, temporary, told_by):
+                    raise
+                shutil.rmtree(replaced, ignore_errors=True)
+                return
+            if replaced.exists():
+                replaced.replace(temporary)  # from here on half of it may be gone, so it is never put back
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _told_equal(one: Path, other: Path, told_by: str | None) -> bool:
+    if told_by is None:
+        return False
+    try:
+        return (one / told_by).read_bytes() == (other / told_by).read_bytes()
+    except OSError:
+        return False
+
+
+def remove_folder(path: Path) -> None:
+    """Delete a folder; whoever looks for it while it goes, or after a kill, finds none rather than half of it.
+
+    What a kill leaves is cleared by :func:`remove_leftovers`. A folder that cannot be moved or deleted stays.
+    """
+    if not path.is_dir():
+        return
+    with contextlib.suppress(OSError):
+        going = Path(tempfile.mkdtemp(prefix=f".{path.name}-", suffix=".partial", dir=path.parent))
+        try:
+            path.replace(going / path.name)
+        finally:
+            shutil.rmtree(going, ignore_errors=True)
+
+
+def remove_leftovers(path: Path) -> None:
+    """Clear away what a process that was killed left beside ``path``; call it before writing there again.
+
+    Half-written files and folders are deleted. A folder that was just about to be replaced gets its name back.
+    """
+    of_file = rf"{re.escape(path.stem)}-[a-z0-9_]{{8}}\.partial{re.escape(path.suffix)}"
+    of_folder = rf"{re.escape(path.name)}-[a-z0-9_]{{8}}\.(partial|replaced)"
+    mine = re.compile(rf"\.({of_file}|{of_folder})")
+    for left in path.parent.glob(".*-*.*") if path.parent.is_dir() else ():
+        match = mine.fullmatch(left.name)
+        if match and match[2] == "replaced" and not path.exists():
+            left.replace(path)
+        elif match and left.is_dir():
+            shutil.rmtree(left, ignore_errors=True)
+        elif match:
+            left.unlink(missing_ok=True)
+
+
+def remove_half_written(folder: Path) -> None:
+    """Delete the files that a process which was killed left half-written anywhere in a folder that it alone wrote."""
+    for left in folder.rglob(".*.partial*"):
+        left.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+@contextlib.contextmanager
+def _storage_errors(path: Path, *, every_kind: bool = False) -> Iterator[None]:
+    """Turn what went wrong with writing into a StorageError.
+
+    Inside a user's block only errors that writing alone can cause are turned; with ``every_kind`` all of them are.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno in _FULL:
+            raise StorageError(
+                f"{path}: no space left on the device. Nothing half-written was kept;"
+                " free some space and run the same command again."
+            ) from error
+        if every_kind or error.errno in _FORBIDDEN:
+            raise StorageError(f"{path}: cannot be written ({error.strerror}). Choose another folder.") from error
+        raise
+
+
+def require_replaceable(folder: Path, marker: str, *, kind: str) -> None:
+    """Refuse, before hours of work, a folder that a result could not replace.
+
+    Args:
+        folder: Where the result will stand.
+        marker: File that marks a folder as an earlier result.
+        kind: What such a result is called, for the message.
+
+    Raises:
+        StorageError: if it holds something else, or is a file.
+    """
+    if folder.is_file():
+        raise StorageError(f"{folder}: is a file. Choose an empty or new folder for --out.")
+    if folder.is_dir() and any(folder.iterdir()) and not (folder / marker).is_file():
+        raise StorageError(
+            f"{folder}: is not empty and holds no {marker}, so it is no {kind} that may be replaced."
+            " Choose an empty or new folder for --out."
+        )
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all.
+
+    Raises:
+        StorageError: if the folder cannot be written or the disk is full.
+    """
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text, line ends as they are, whole or not at all.
+
+    Raises:
+        StorageError: if the folder cannot be written or the disk is full.
+    """
+    write_bytes(path, text.encode())
+
+
+def write_json(path: Path, value: object) -> None:
+    """Write JSON with sorted keys, two-space indent and a final newline; equal values give equal bytes."""
+    write_text(path, json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+@foreign_input()
+def read_json(path: Path) -> object:
+    """Read a JSON file.
+
+    Raises:
+        InputFileError: if the file is missing, or is not JSON (naming line and column).
+    """
+    try:
+        return json.loads(read_text(path, largest=LARGEST_JSON))
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise InputFileError(path, "", expected="a JSON file", found="no file") from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        where = f"line {error.lineno} column {error.colno}" if isinstance(error, json.JSONDecodeError) else ""
+        raise InputFileError(
+            path,
+            where,
+            expected="valid JSON",
+            found=str(error),
+            remedy="The file may be truncated; copy or download it again.",
+        ) from error
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file's bytes, as hexadecimal text.
+
+    Raises:
+        InputFileError: if it is a folder, a pipe or a device.
+        FileNotFoundError: if there is no such file.
+    """
+    require_regular(path)
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def bytes_digest(content: bytes) -> str:
+    """SHA-256 of some bytes, as hexadecimal text."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def text_digest(*parts: str) -> str:
+    """SHA-256 of texts, joined so that no two different lists of parts agree."""
+    digest = hashlib.sha256()
+    for part in parts:
+        encoded = part.encode()
+        digest.update(len(encoded).to_bytes(8, "little"))
+        digest.update(encoded)
+    return digest.hexdigest()
+
+
+def inside(root: Path, relative: str) -> Path:
+    """A path below ``root``; names taken from files are resolved with this and never lead out.
+
+    Raises:
+        InputFileError: if ``relative`` is absolute or climbs out of ``root``.
+    """
+    # Not Path.resolve, which raises for a link that leads to itself: whoever reads the path reports that.
+    target = Path(os.path.realpath(root / relative))
+    if not target.is_relative_to(os.path.realpath(root)):
+        raise InputFileError(root, relative, expected="a path inside this folder", found="a path that leads out of it")
+    return target
+
+
+def is_path_part(name: str) -> bool:
+    """Return True if a name can be that of one folder or file: it leads nowhere else and is not taken for an option."""
+    return (
+        0 < len(name) <= LONGEST_NAME
+        and name[0] not in ".-"
+        and not any(letter in name for letter in "/\\:")
+        and clean(name) == name
+    )
+
+
+def cache_folder() -> Path:
+    """Return the folder of what prbench can make again: ``PRBENCH_CACHE``, else the user's cache."""
+    return Path(os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_dir("prbench", appauthor=False))
+
+
+def turn_into_paths(request: object, *names: str) -> None:
+    """Turn text in some attributes of a frozen data class into paths; for its ``__post_init__``.
+
+    Args:
+        request: The instance.
+        names: Attributes that hold a path, several paths, or None.
+    """
+    for name in names:
+        value = getattr(request, name)
+        if isinstance(value, str):
+            object.__setattr__(request, name, Path(value))
+        elif isinstance(value, tuple | list):
+            object.__setattr__(request, name, tuple(Path(each) for each in value))

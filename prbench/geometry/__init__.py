@@ -1,0 +1,1 @@
+"""Axes, rays, boxes, meshes, the skeleton and its joints, and streams on one clock."""

@@ -1,0 +1,360 @@
+"""A benchmark as a value: all that runs, resuming, intervals, comparisons and boards know of one.
+
+What is written once (runs, run folders and boards) asks these objects and
+nothing else. What a case is say :class:`Cases`, what a method may know and what it answers :class:`Question` and
+:class:`Answer`, who judges :meth:`CaseWork.scores` and :attr:`Benchmark.metrics`. docs/architecture.md, "Adding a
+benchmark", shows how one is added.
+"""
+
+from __future__ import annotations
+
+import importlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cache
+from pathlib import Path
+from typing import Any, Generic, Protocol, Self, TypeVar, runtime_checkable
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Int
+
+from prbench.engine import Engine
+from prbench.errors import UsageError, did_you_mean
+from prbench.harness.methods.groups import MethodGroup
+from prbench.harness.methods.loaded_methods import LoadedMethod, MethodSpec
+from prbench.harness.request import RunRequest
+from prbench.harness.run_folder.coded_scores import CodedScores
+from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
+from prbench.harness.run_folder.predictions import PredictionRows
+from prbench.harness.run_folder.record import MethodRecord
+from prbench.metrics import MetricInfo
+from prbench.protocol.benchmarks import AboutBenchmark, find_benchmark
+from prbench.protocol.manifests import BenchmarkProtocol
+from prbench.sequences.dataset_info import Provenance
+
+
+@runtime_checkable
+class Rules(Protocol):
+    """The rules that a run follows: a benchmark's protocol."""
+
+    @property
+    def version(self) -> int:
+        """Return the version of the protocol."""
+        ...
+
+    @property
+    def digest(self) -> str:
+        """Return the digest of its values."""
+        ...
+
+
+@runtime_checkable
+class CaseTable(Protocol):
+    """A table that cases are chosen from."""
+
+    @property
+    def folder(self) -> Path:
+        """Return the folder of the table."""
+        ...
+
+    @property
+    def info(self) -> Provenance:
+        """Return the provenance: what the table is and where it came from."""
+        ...
+
+    # Text in both; "Any" because a type checker takes a cached property for none of a protocol's.
+    @property
+    def identity(self) -> Any:
+        """Return the digest of which cases there are."""
+        ...
+
+    @property
+    def content(self) -> Any:
+        """Return the digest of all values."""
+        ...
+
+
+@runtime_checkable
+class Cases(Protocol):
+    """The chosen cases of one table, in the order of the table. Files call a case a sequence, whatever it is."""
+
+    @property
+    def table(self) -> CaseTable:
+        """Return the table that they are of."""
+        ...
+
+    @property
+    def sequence_ids(self) -> tuple[str, ...]:
+        """Return the id of each case."""
+        ...
+
+    @property
+    def recording_ids(self) -> tuple[str, ...]:
+        """Return the recording that each case comes from: recordings are independent, cases of one are not."""
+        ...
+
+    @property
+    def digest(self) -> str:
+        """Return the digest of the ids."""
+        ...
+
+    def chosen(self, keep: np.ndarray) -> Self:
+        """Return the cases where ``keep`` is true."""
+        ...
+
+    def __len__(self) -> int: ...
+
+
+Table = TypeVar("Table", bound=CaseTable)
+Chosen = TypeVar("Chosen", bound=Cases)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a method answered to the cases of one batch, as it is kept."""
+
+    samples: list[PredictionRows]
+    """For each sample the motions of the batch."""
+    seeds: list[tuple[int, ...]]
+    """For each sample the noise seed of each case."""
+    halvings: int = 0
+    """Number of times that the batch did not fit in memory and was cut in two."""
+    network_passes: int | None = None
+    """As the method declares them; None where it declares none."""
+
+
+@runtime_checkable
+class Question(Protocol):
+    """The cases of one batch as a method may see them. Goes to a worker as it is, and holds nothing else."""
+
+    def ask(
+        self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...], measure: Callable[[], None]
+    ) -> Answer:
+        """Ask the method, and check what it answers.
+
+        Args:
+            method: The method; None for a control, whose answer the question holds.
+            seed: Seed of the run.
+            sequence_ids: Ids of the cases, for messages alone.
+            measure: To be called while answers are in memory, after each call of the method.
+
+        Raises:
+            AdapterError: if the answer breaks the contract.
+        """
+        ...
+
+
+class CaseWork(ABC):
+    """The work of a run on the cases of one table."""
+
+    @property
+    @abstractmethod
+    def plan(self) -> list[Int[np.ndarray, "_"]]:
+        """Return the places of the cases of each batch; floating-point results may depend on them."""
+
+    @property
+    def holds_recordings(self) -> bool:
+        """Return True if the answers are recorded motion, for the notice that the data's terms may ask for."""
+        return False
+
+    def round_of(self, batch: int) -> int:
+        """Return the round in which a batch is made: those of round 1 need what those of round 0 have answered."""
+        del batch
+        return 0
+
+    @abstractmethod
+    def questions(self, wanted: frozenset[int], files: DatasetFolder) -> Iterator[tuple[int, Question]]:
+        """Yield some batches with their numbers, in the order of the plan.
+
+        Args:
+            wanted: Numbers of the batches; all of one round.
+            files: Where the answers of earlier rounds are.
+        """
+
+    @abstractmethod
+    def scores(self, files: DatasetFolder, engine: Engine) -> Iterator[pa.Table]:
+        """Yield rows of ``scores.parquet`` for what was answered, in the order of the table.
+
+        Args:
+            files: Where the answers are.
+            engine: Where to score.
+        """
+
+    def write_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
+        """Write the benchmark's own files beside the scores, where it has some."""
+        del files, scores
+
+    def require_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
+        """Compare the benchmark's own files with what follows from the scores.
+
+        Raises:
+            RunError: naming the first value that differs.
+        """
+        del files, scores
+
+
+class Benchmark(ABC, Generic[Table, Chosen]):
+    """One benchmark; its value stands in ``benchmark.toml``."""
+
+    name: str
+
+    @property
+    def about(self) -> AboutBenchmark:
+        """Return its description."""
+        return find_benchmark(self.name)
+
+    @property
+    @abstractmethod
+    def metrics(self) -> tuple[MetricInfo, ...]:
+        """Return all metrics, in the order in which they are printed."""
+
+    @property
+    @abstractmethod
+    def methods(self) -> MethodGroup:
+        """Return how its methods are found and loaded."""
+
+    @property
+    @abstractmethod
+    def present_rules(self) -> Rules:
+        """Return the protocol of this version of prbench."""
+
+    def rules_of(self, run: RunFolder) -> Rules | None:
+        """Return the rules that a finished run followed; None for those of another version, which are not known."""
+        present = self.present_rules
+        return present if present.digest == run.record.protocol_digest else None
+
+    def copied_rules(self, rules: Any) -> BenchmarkProtocol | None:
+        """Return the user's own protocol, of which a copy is laid beside the run; None for prbench's."""
+        del rules
+        return None
+
+    @property
+    def conditions(self) -> type[StrEnum]:
+        """Return what a method may know."""
+        return self.methods.conditions
+
+    def condition(self, name: str) -> StrEnum:
+        """Return a condition by name.
+
+        Raises:
+            UsageError: for one of another benchmark.
+        """
+        known = [condition.value for condition in self.conditions]
+        if name not in known:
+            raise UsageError(
+                f"--condition {name}: expected one of the benchmark {self.name}: {', '.join(known)}."
+                f"{did_you_mean(name, known)}"
+            )
+        return self.conditions(name)
+
+    @property
+    def main_metrics(self) -> tuple[MetricInfo, ...]:
+        """Return the columns of leaderboards."""
+        return tuple(info for info in self.metrics if info.main)
+
+    @property
+    def ranked_metrics(self) -> tuple[MetricInfo, ...]:
+        """Return the main metrics by which methods are ranked and compared."""
+        return tuple(info for info in self.main_metrics if info.ranked)
+
+    def settled(self, request: RunRequest) -> RunRequest:
+        """Refuse options that the benchmark does not know.
+
+        Raises:
+            UsageError: naming the option.
+        """
+        return request
+
+    @property
+    @abstractmethod
+    def table_file(self) -> str:
+        """Return the name of the file that describes a table, by which a folder is known to hold one."""
+
+    @abstractmethod
+    def open_table(self, folder: Path) -> Table:
+        """Open one table.
+
+        Raises:
+            TableError: if it is missing, empty or of an unknown version.
+        """
+
+    @abstractmethod
+    def open_tables(self, request: RunRequest) -> list[Table]:
+        """Open the tables that are asked for.
+
+        Raises:
+            TableError: if one is missing, empty or of an unknown version.
+            UsageError: if two are of one dataset.
+        """
+
+    @abstractmethod
+    def rules(self, request: RunRequest, tables: Sequence[Table]) -> Rules:
+        """Return the rules of a run on some tables.
+
+        Raises:
+            UsageError: if a table follows other rules.
+        """
+
+    def require_condition(self, request: RunRequest, condition: StrEnum) -> None:
+        """Refuse a request that its condition does not allow.
+
+        Raises:
+            UsageError: naming the conditions that do.
+        """
+        del request, condition
+
+    @abstractmethod
+    def choose(self, request: RunRequest, tables: Sequence[Table]) -> list[Chosen]:
+        """Choose the cases of each table.
+
+        Raises:
+            UsageError: for an unknown split or case.
+            TableError: if there is none.
+        """
+
+    def answerable(self, request: RunRequest, cases: Chosen, method: MethodRecord) -> Chosen:
+        """Return the cases that a method can answer in full; none is ever cut.
+
+        Raises:
+            AdapterError: if it can answer none.
+        """
+        del request, method
+        return cases
+
+    def fitted(self, spec: MethodSpec, table: Table, condition: StrEnum) -> MethodSpec:
+        """Return the method fitted to a table, where it learns and brought no weights of its own."""
+        del table, condition
+        return spec
+
+    @abstractmethod
+    def work(
+        self, request: RunRequest, cases: Chosen, *, method: MethodRecord, condition: StrEnum, rules: Any
+    ) -> CaseWork:
+        """Return the work on the cases of one table."""
+
+    @abstractmethod
+    def recording_key(self, sequence_id: str) -> str:
+        """Return what cases of one recording have in common, from the id alone."""
+
+    @abstractmethod
+    def recordings_of(self, table: Table) -> dict[str, str]:
+        """Map each case of a table to its recording."""
+
+    def ids_tell_recordings(self, sequence_ids: Sequence[str]) -> bool:
+        """Return True where the ids alone tell which cases are of one recording."""
+        del sequence_ids
+        return True
+
+
+@cache
+def load_benchmark(name: str) -> Benchmark[Any, Any]:
+    """Load the value of a benchmark.
+
+    Raises:
+        UsageError: for an unknown name.
+    """
+    module, _, attribute = find_benchmark(name).value.partition(":")
+    return getattr(importlib.import_module(module), attribute)

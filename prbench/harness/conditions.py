@@ -1,0 +1,215 @@
+"""Turns table rows into what a method may know: the firewall between a method and the recorded motion.
+
+A :class:`ConditionSource` holds what conditions are made of (first, previous and last frame, text, goal), about 1 kB a
+sequence. It copies these out of the table, so that nothing that a batch refers to leads back to the recorded frames in
+between. A :class:`ConditionStream` holds one window of sequences at a time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import hmac
+import itertools
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from prbench.contract import GIVEN, Condition, ConditionBatch
+from prbench.errors import UsageError
+from prbench.files.storage import text_digest
+from prbench.geometry.boxes import Boxes
+from prbench.harness.obstacles import SCENE_COLUMNS, SolidBoxes
+from prbench.harness.planning import Selection
+from prbench.randomness import named_generator, noise_seed
+
+_COLUMNS = ["text", "goal_location", "joints", "previous_joints", "head_tilt_deg"]
+_ARRAYS = ("initial_joints", "previous_joints", "goal_joints", "goal_location", "head_tilt_deg")
+
+
+@dataclass(frozen=True)
+class ConditionSource:
+    """The makings of conditions, one row a chosen sequence; canonical frame, metres."""
+
+    sequence_ids: tuple[str, ...]
+    n_frames: Int[np.ndarray, " n"]
+    fps: float
+    text: tuple[str, ...]
+    initial_joints: Float[np.ndarray, "n 22 3"]
+    previous_joints: Float[np.ndarray, "n 22 3"]
+    goal_joints: Float[np.ndarray, "n 22 3"]
+    goal_location: Float[np.ndarray, "n 3"]
+    head_tilt_deg: Float[np.ndarray, " n"]
+    """Never part of a condition; the harness's own scripted motion needs it."""
+    obstacles: Boxes | None = None
+    """The solid boxes around each sequence, where the method asks for them."""
+
+    @classmethod
+    def read(cls, selection: Selection, *, obstacles: bool = False) -> ConditionSource:
+        """Stream the chosen rows of a table once and keep what conditions need.
+
+        Args:
+            selection: The sequences.
+            obstacles: Keep the solid boxes around them, too.
+
+        Raises:
+            UsageError: if boxes are wanted and the table knows of none.
+        """
+        windows = list(_sources(selection, _scene(selection, obstacles=obstacles)))
+        boxes = [source.obstacles for _, source in windows if source.obstacles is not None]
+        joined = {name: np.concatenate([getattr(source, name) for _, source in windows]) for name in _ARRAYS}
+        return cls(
+            selection.sequence_ids,
+            selection.n_frames,
+            selection.fps,
+            tuple(itertools.chain.from_iterable(source.text for _, source in windows)),
+            obstacles=Boxes.joined(boxes) if boxes else None,
+            **joined,
+        )
+
+    def around(self, rows: Int[np.ndarray, " rows"]) -> tuple[ConditionSource, Int[np.ndarray, " rows"]]:
+        """See :meth:`ConditionStream.around`; here it is all sequences."""
+        return self, rows
+
+    def with_goals_of(self, other: Int[np.ndarray, " n"]) -> ConditionSource:
+        """Row i gets the goal of row ``other[i]``, each in its own canonical frame."""
+        return dataclasses.replace(self, goal_joints=self.goal_joints[other], goal_location=self.goal_location[other])
+
+    def batch(
+        self, rows: Int[np.ndarray, " rows"], condition: Condition, *, seed: int, salt: bytes, sample: int
+    ) -> ConditionBatch:
+        """Return what a method may know about some sequences.
+
+        Args:
+            rows: Places in the selection.
+            condition: Decides which fields are filled (``prbench.contract.GIVEN``).
+            seed: The run's seed.
+            salt: Of :func:`run_salt`.
+            sample: Index of the motion drawn for each sequence.
+        """
+        ids = [self.sequence_ids[row] for row in rows]
+        given: dict[str, Any] = {name: _rows_of(getattr(self, name), rows) for name in GIVEN[condition]}
+        return ConditionBatch(
+            condition=condition,
+            n_frames=self.n_frames[rows],
+            fps=self.fps,
+            opaque_id=tuple(opaque_ids(ids, salt)),
+            noise_seed=tuple(noise_seed(seed, name, sample) for name in ids),
+            obstacles=None if self.obstacles is None else self.obstacles.of_rows(rows),
+            **given,
+        )
+
+    def redrawn(
+        self, batch: ConditionBatch, rows: Int[np.ndarray, " rows"], *, seed: int, sample: int
+    ) -> ConditionBatch:
+        """The batch of the same rows for another sample: only the noise seeds differ."""
+        seeds = tuple(noise_seed(seed, self.sequence_ids[row], sample) for row in rows)
+        return dataclasses.replace(batch, noise_seed=seeds)
+
+
+class ConditionStream:
+    """The makings of conditions of a selection, one window in memory at a time."""
+
+    def __init__(self, selection: Selection, *, obstacles: bool = False) -> None:
+        """Prepare to read; arguments and errors are those of :meth:`ConditionSource.read`."""
+        self._selection = selection
+        self._scene = _scene(selection, obstacles=obstacles)
+        self._windows: Iterator[tuple[slice, ConditionSource]] = iter(())
+        self._place = slice(0, 0)
+        self._source: ConditionSource | None = None
+
+    def around(self, rows: Int[np.ndarray, " rows"]) -> tuple[ConditionSource, Int[np.ndarray, " rows"]]:
+        """Return the makings of some sequences and of those around them.
+
+        Args:
+            rows: Places in the selection, all of one window; windows that are asked for in order are each read once.
+
+        Returns:
+            The makings of the window, and the places of the rows among them.
+        """
+        if self._source is None or rows[0] < self._place.start:
+            self._windows = _sources(self._selection, self._scene)
+            self._place, self._source = next(self._windows)
+        while rows[0] >= self._place.stop:
+            self._place, self._source = next(self._windows)
+        assert rows.max() < self._place.stop, "rows of two windows"
+        return self._source, rows - self._place.start
+
+
+def _scene(selection: Selection, *, obstacles: bool) -> SolidBoxes | None:
+    """Return the solid boxes around sequences, if they are wanted.
+
+    Raises:
+        UsageError: if they are and the table knows of none.
+    """
+    scene = SolidBoxes.of(selection.table) if obstacles else None
+    if obstacles and scene is None:
+        raise UsageError(
+            f"{selection.table.folder}: expected the boxes of the scene (scenes.parquet), which the method"
+            " asks for, found none. Build the table again (ADT, MoGaze, synthetic people), or leave the method's"
+            " option out."
+        )
+    return scene
+
+
+def _sources(selection: Selection, scene: SolidBoxes | None) -> Iterator[tuple[slice, ConditionSource]]:
+    """Yield the makings of the conditions of each window, with its places in the selection."""
+    for place, chunk in selection.windows(_COLUMNS + (SCENE_COLUMNS if scene else [])):
+        joints = chunk.joints
+        offsets = chunk.offsets
+        yield (
+            place,
+            ConditionSource(
+                selection.sequence_ids[place],
+                selection.n_frames[place],
+                selection.fps,
+                tuple(chunk.strings("text")),
+                initial_joints=joints[offsets[:-1]],
+                previous_joints=chunk.poses("previous_joints").copy(),
+                goal_joints=joints[offsets[1:] - 1],
+                goal_location=chunk.vectors("goal_location").copy(),
+                head_tilt_deg=chunk.numbers("head_tilt_deg").copy(),
+                obstacles=scene.around(chunk) if scene else None,
+            ),
+        )
+
+
+def run_salt(seed: int, table_identity: str) -> bytes:
+    """Key of the opaque ids; resumed, isolated and offline runs of one seed and table agree on it."""
+    return hashlib.sha256(f"prbench opaque ids/{seed}/{table_identity}".encode()).digest()
+
+
+def opaque_ids(sequence_ids: Iterable[str], salt: bytes) -> list[str]:
+    """HMAC-SHA256 of each id: tells sequences apart without telling which they are."""
+    return [hmac.new(salt, name.encode(), hashlib.sha256).hexdigest() for name in sequence_ids]
+
+
+def derangement(selection: Selection, *, seed: int) -> Int[np.ndarray, " n"]:
+    """Assign another sequence to each chosen one: a single cycle through all of them (Sattolo's algorithm).
+
+    Depends on the seed and on which sequences of the table were chosen.
+
+    Raises:
+        UsageError: if there is no other sequence.
+    """
+    n = len(selection)
+    if n < 2:
+        raise UsageError(
+            f"shuffled goals need two sequences or more, found {n} in split '{selection.split}' of"
+            f" {selection.table.folder}. Raise --limit or choose another split."
+        )
+    # The digest of the choice is part of the seed: with another --limit the goals are dealt anew.
+    generator = named_generator("shuffled-goal", seed, text_digest(selection.table.identity, selection.digest))
+    order = np.arange(n)
+    # integers(last) never gives `last` itself, so no sequence keeps its own goal (Sattolo).
+    for last in range(n - 1, 0, -1):
+        chosen = int(generator.integers(last))
+        order[last], order[chosen] = order[chosen], order[last]
+    return order
+
+
+def _rows_of(values: tuple[str, ...] | np.ndarray, rows: np.ndarray) -> tuple[str, ...] | np.ndarray:
+    return tuple(values[row] for row in rows) if isinstance(values, tuple) else values[rows]

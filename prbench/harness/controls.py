@@ -1,0 +1,155 @@
+"""Controls belong to the harness, not to adapters: they know what no method may know.
+
+As ``--method``, under any condition: ``ground-truth`` (the recorded motion through the same code: the ceiling),
+``ground-truth-resampled`` (the same after a round trip through the features that models learn from: what the
+representation alone costs), ``ground-truth-20fps`` and ``ground-truth-30fps`` (the same through another frame rate and
+back, as the motions of a method with a rate of its own go), ``scripted`` (constant timing: the least that a method
+has to beat), the cheats of :mod:`prbench.harness.cheats` (what a metric is worth, ``docs/audit.md``) and
+``nearest-neighbour`` (the most similar training motion).
+
+As ``--control shuffled-goal`` beside any method: it gets another sequence's goal and is scored on its own, so that a
+method whose score does not drop ignores its goal; the recorded motion, which gets no goal, is scored against another
+sequence's goal instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from prbench.contract import Motions
+from prbench.geometry.skeleton import N_JOINTS
+from prbench.harness.cheats import CHEATS, cheating_motions
+from prbench.harness.conditions import ConditionSource, ConditionStream
+from prbench.harness.methods.motions import native_frames, resampled
+from prbench.harness.methods.names import (
+    FLOAT,
+    GROUND_TRUTH,
+    GROUND_TRUTH_20_FPS,
+    GROUND_TRUTH_30_FPS,
+    GROUND_TRUTH_RESAMPLED,
+    NEAREST_NEIGHBOUR,
+    SCRIPTED,
+    SHUFFLED_GOAL,
+    STARE,
+    STARE_LATE,
+    TELEPORT,
+    TREMOR,
+)
+from prbench.harness.nearest_neighbour import retrieved_motions
+from prbench.harness.planning import Selection
+from prbench.harness.scripted import ScriptedStart, scripted_motions
+from prbench.representation import decode, encode
+from prbench.sequences.chunk import SequenceChunk
+
+_ROUND_TRIP_FPS = {GROUND_TRUTH_20_FPS: 20.0, GROUND_TRUTH_30_FPS: 30.0}
+RECORDED_MOTION = frozenset({GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, *_ROUND_TRIP_FPS})
+"""Controls whose motion is the recorded one: it gets no goal, has gaze, and stands under the data's own terms."""
+HOLDS_RECORDINGS = RECORDED_MOTION | {NEAREST_NEIGHBOUR}
+"""Controls whose motions are people's, those of training sequences too: they stand under the data's own terms."""
+
+
+@dataclass(frozen=True)
+class _ControlInfo:
+    """One control, for lists and messages."""
+
+    name: str
+    use: str
+    """``--method`` or ``--control``."""
+    summary: str
+
+
+CONTROLS = (
+    _ControlInfo(GROUND_TRUTH, "--method", "the recorded motion itself: the ceiling of every metric"),
+    _ControlInfo(GROUND_TRUTH_RESAMPLED, "--method", "the recorded motion through the features that models learn from"),
+    _ControlInfo(GROUND_TRUTH_20_FPS, "--method", "the recorded motion at 20 frames per second and back"),
+    _ControlInfo(GROUND_TRUTH_30_FPS, "--method", "the recorded motion at 30 frames per second and back"),
+    _ControlInfo(SCRIPTED, "--method", "constant timing: faces the goal at 2.0 s, then glides there and reaches"),
+    _ControlInfo(STARE, "--method", "cheat: faces the goal from the first frame on and never moves"),
+    _ControlInfo(STARE_LATE, "--method", "cheat: turns to the goal just before 2.0 s and stares, without a step"),
+    _ControlInfo(TREMOR, "--method", "cheat: stare, with a head that trembles by 0.1 mm"),
+    _ControlInfo(TELEPORT, "--method", "cheat: is at the goal from one frame to the next"),
+    _ControlInfo(FLOAT, "--method", "cheat: scripted, 10 cm above the floor"),
+    _ControlInfo(NEAREST_NEIGHBOUR, "--method", "the training motion of the most similar task, laid on the goal"),
+    _ControlInfo(SHUFFLED_GOAL, "--control", "gives a method another sequence's goal and scores it on its own"),
+)
+
+
+def round_trip_fps(name: str) -> float | None:
+    """Return the frame rate that a control takes recorded motion through; None for all other controls."""
+    return _ROUND_TRIP_FPS.get(name)
+
+
+def control_motions(
+    name: str, selection: Selection, source: ConditionSource | ConditionStream, plan: list[Int[np.ndarray, "_"]]
+) -> Iterator[Motions]:
+    """The motions of a control for each planned batch, in order.
+
+    Args:
+        name: One of :data:`~prbench.harness.methods.names.METHOD_CONTROLS`.
+        selection: The chosen sequences.
+        source: Their conditions, for ``nearest-neighbour`` those of all; ``scripted`` takes its goals from here.
+        plan: Of :func:`prbench.harness.planning.plan_batches`.
+    """
+    if name in _ROUND_TRIP_FPS:
+        for motions in _recorded(selection, plan, through_features=False):
+            yield _through_rate(motions, fps=selection.fps, other_fps=_ROUND_TRIP_FPS[name])
+        return
+    if name in RECORDED_MOTION:
+        yield from _recorded(selection, plan, through_features=name == GROUND_TRUTH_RESAMPLED)
+        return
+    if name == NEAREST_NEIGHBOUR:
+        assert isinstance(source, ConditionSource), "the task of any sequence is compared"
+        yield from retrieved_motions(selection, source, plan)
+        return
+    for rows in plan:
+        own, places = source.around(rows)
+        start = ScriptedStart(own.initial_joints[places], own.goal_location[places], own.head_tilt_deg[places])
+        if name in CHEATS:
+            yield cheating_motions(name, start, own.n_frames[places], own.fps)
+        else:
+            yield scripted_motions(start, own.n_frames[places], own.fps)
+
+
+def _through_rate(motions: Motions, *, fps: float, other_fps: float) -> Motions:
+    """Recorded motions at another rate and back, both by linear interpolation, as motions of ``native_fps`` go."""
+    n_frames = native_frames(motions.n_frames, fps=fps, native_fps=other_fps)
+    there = resampled(motions, n_frames, step=fps / other_fps)
+    return resampled(there, motions.n_frames, step=other_fps / fps)
+
+
+def _recorded(selection: Selection, plan: list[Int[np.ndarray, "_"]], *, through_features: bool) -> Iterator[Motions]:
+    """Recorded joints; a batch never crosses a window, so one window at a time is in memory."""
+    # plan_batches forms batches within windows, so no batch ever needs two of them.
+    waiting = iter(plan)
+    for place, chunk in selection.windows(["joints", "next_joints"]):
+        joints = chunk.joints
+        offsets = chunk.offsets
+        n_frames = chunk.n_frames
+        if through_features:
+            joints = recorded_through_features(chunk)
+        taken = 0
+        while taken < len(chunk):
+            rows = next(waiting) - place.start
+            assert rows.min() >= 0
+            assert rows.max() < len(chunk)
+            padded = np.zeros((len(rows), int(n_frames[rows].max()), N_JOINTS, 3), dtype=np.float32)
+            for i, row in enumerate(rows):
+                padded[i, : n_frames[row]] = joints[offsets[row] : offsets[row + 1]]
+            yield Motions(padded, n_frames[rows])
+            taken += len(rows)
+
+
+def recorded_through_features(chunk: SequenceChunk) -> Float[np.ndarray, "total 22 3"]:
+    """All motions of a chunk, encoded and decoded: as many frames as recorded, the last step led by the true next one.
+
+    Raises:
+        InputFileError: if a motion cannot be encoded; names sequence, frame and joint.
+    """
+    next_joints = chunk.poses("next_joints")
+    motions = zip(chunk.sequence_ids, np.split(chunk.joints, chunk.offsets[1:-1]), next_joints)
+    features = (encode(own, next_joints=after, source=name, upright=False) for name, own, after in motions)
+    return np.concatenate([decode(rows) for rows in features])

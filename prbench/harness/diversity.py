@@ -1,0 +1,170 @@
+"""How far several motions for one goal differ: in poses, path and timing.
+
+Source: docs/specification/metrics.md#diversity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.geometry.skeleton import N_JOINTS, WRISTS, Joint, head_forward
+from prbench.metrics.ray_track import ray_distance
+from prbench.protocol.manifests import MetricConstants
+
+_STATIONS = 21
+"""Places along a path at which paths are compared."""
+_SHORTEST_PATH = 1e-6  # m; below, a path has no places along it
+_ROUNDING = 1e-9  # m; half of an even way is covered in the same frame whichever way it goes
+
+
+@dataclass(frozen=True)
+class SpreadInfo:
+    """One measure of diversity, for tables."""
+
+    id: str
+    title: str
+    unit: str
+    meaning: str
+
+
+SPREADS = (
+    SpreadInfo("apd", "APD", "m", "mean distance of two motions, over all frames and coordinates together"),
+    SpreadInfo("apd_joint", "APD per joint", "m", "the same, root mean square of a joint in a frame"),
+    SpreadInfo("apd_pose", "APD per joint, pose", "m", "the same of poses alone, relative to the pelvis"),
+    SpreadInfo("path", "Path of the pelvis", "m", "mean distance of two ways over the ground, whatever their speed"),
+    SpreadInfo("prime_time", "Prime time", "s", "standard deviation of the first look of the head that stays"),
+    SpreadInfo("half_way", "Half of the way", "s", "standard deviation of the time at which it is covered"),
+    SpreadInfo("wrist_arrival", "Arrival of the wrist", "s", "standard deviation of the time"),
+    SpreadInfo("wrist_speed", "Speed of the wrist", "m/s", "mean difference of two speeds in one frame"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """When each of k motions does what, seconds after the first frame."""
+
+    prime: Float[np.ndarray, " k"]
+    """First frame from which on the head ray stays on the goal for ``prime_duration``; else that of the best look."""
+    half_way: Float[np.ndarray, " k"]
+    """First frame in which half of the pelvis' way over the ground is covered."""
+    wrist_arrival: Float[np.ndarray, " k"]
+    """First frame from which on the wrist that ends nearer to the goal is within ``reach_distance`` of its end."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionsToGoal:
+    """k motions of one length for one goal; canonical frame, metres.
+
+    Raises:
+        ValueError: for fewer than two motions, which cannot differ, or fewer than two frames.
+    """
+
+    joints: Float[np.ndarray, "k frames 22 3"]
+    goal: Float[np.ndarray, "3"]
+    head_tilt_deg: float
+    fps: float
+
+    def __post_init__(self) -> None:
+        if self.joints.shape[0] < 2 or self.joints.shape[1] < 2:
+            raise ValueError(f"expected two motions or more of two frames or more, found {self.joints.shape[:2]}")
+
+    @property
+    def reaching_wrist(self) -> Float[np.ndarray, "k frames 3"]:
+        """The wrist of each motion that ends nearer to the goal."""
+        wrists = self.joints[:, :, WRISTS]
+        nearer = np.linalg.norm(wrists[:, -1] - self.goal, axis=-1).argmin(axis=1)
+        return wrists[np.arange(len(wrists)), :, nearer]
+
+    @property
+    def head_distance(self) -> Float[np.ndarray, "k frames"]:
+        """Distance of the goal from the head ray in each frame, metres; infinite where the head has no direction."""
+        direction, degenerate = head_forward(self.joints, self.head_tilt_deg)
+        heads = self.joints[:, :, Joint.HEAD].reshape(-1, 3)
+        distance = ray_distance(heads, direction.reshape(-1, 3), self.goal[None])
+        return np.where(degenerate, np.inf, distance.reshape(degenerate.shape))
+
+
+def timing(motions: MotionsToGoal, constants: MetricConstants) -> Timing:
+    """Find the moments that are compared."""
+    return Timing(
+        prime=_first_looks(motions, constants) / motions.fps,
+        half_way=_half_way(motions.joints[:, :, Joint.PELVIS]) / motions.fps,
+        wrist_arrival=_arrivals(motions.reaching_wrist, constants.reach_distance) / motions.fps,
+    )
+
+
+def spreads(motions: MotionsToGoal, constants: MetricConstants) -> dict[str, float]:
+    """Measure how far the motions differ.
+
+    Args:
+        motions: k motions for one goal.
+        constants: Of the protocol.
+
+    Returns:
+        The value of each of :data:`SPREADS` by its id.
+    """
+    joints = motions.joints.astype(np.float64)
+    frames = joints.shape[1]
+    per_joint = np.sqrt(frames * N_JOINTS)
+    poses = joints - joints[:, :, [Joint.PELVIS]]
+    ground = joints[:, :, Joint.PELVIS][..., [0, 2]]
+    speed = np.linalg.norm(np.diff(motions.reaching_wrist.astype(np.float64), axis=1), axis=-1) * motions.fps
+    apd = average_pairwise_distance(joints)
+    times = timing(motions, constants)
+    return {
+        "apd": apd,
+        "apd_joint": apd / per_joint,
+        "apd_pose": average_pairwise_distance(poses) / per_joint,
+        "path": _pair_mean(np.stack([_stations(path) for path in ground])),
+        "prime_time": float(times.prime.std(ddof=1)),
+        "half_way": float(times.half_way.std(ddof=1)),
+        "wrist_arrival": float(times.wrist_arrival.std(ddof=1)),
+        "wrist_speed": _pair_mean(speed[..., None]),
+    }
+
+
+def average_pairwise_distance(motions: Float[np.ndarray, "k frames joints 3"]) -> float:
+    """Mean over pairs of the Euclidean distance of two motions, all frames and coordinates as one vector; metres."""
+    flat = motions.reshape(len(motions), -1)
+    return float(np.mean([np.linalg.norm(one - other) for one, other in combinations(flat, 2)]))
+
+
+def _pair_mean(tracks: Float[np.ndarray, "k places dimensions"]) -> float:
+    """Mean over pairs and places of the distance of two tracks."""
+    return float(np.mean([np.linalg.norm(one - other, axis=-1).mean() for one, other in combinations(tracks, 2)]))
+
+
+def _stations(path: Float[np.ndarray, "frames 2"]) -> Float[np.ndarray, "stations 2"]:
+    """Points at equal shares of the length of a path: its form without its speed."""
+    covered = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=-1))])
+    if covered[-1] < _SHORTEST_PATH:
+        return np.repeat(path[:1], _STATIONS, axis=0)
+    wanted = np.linspace(0.0, covered[-1], _STATIONS)
+    return np.stack([np.interp(wanted, covered, path[:, axis]) for axis in (0, 1)], axis=-1)
+
+
+def _first_looks(motions: MotionsToGoal, constants: MetricConstants) -> Float[np.ndarray, " k"]:
+    distance = motions.head_distance
+    hold = int(np.ceil(constants.prime_duration * motions.fps - 1e-9))
+    last = max(distance.shape[1] - hold, 1)
+    # The farthest of the frames that a stay is made of, for each frame in which it may begin.
+    stay = np.stack([distance[:, k : last + k] for k in range(min(hold + 1, distance.shape[1] - last + 1))]).max(axis=0)
+    on_goal = stay <= constants.prime_distance + constants.threshold_tolerance
+    return np.where(on_goal.any(axis=1), on_goal.argmax(axis=1), stay.argmin(axis=1)).astype(np.float64)
+
+
+def _half_way(pelvis: Float[np.ndarray, "k frames 3"]) -> Float[np.ndarray, " k"]:
+    steps = np.linalg.norm(np.diff(pelvis[..., [0, 2]], axis=1), axis=-1)
+    covered = np.cumsum(steps, axis=1)
+    return 1.0 + (covered >= covered[:, -1:] / 2 - _ROUNDING).argmax(axis=1)
+
+
+def _arrivals(wrist: Float[np.ndarray, "k frames 3"], distance: float) -> Float[np.ndarray, " k"]:
+    away = np.linalg.norm(wrist - wrist[:, -1:], axis=-1) > distance
+    frames = wrist.shape[1]
+    # The frame behind the last one away; 0 for a wrist that never leaves.
+    return np.where(away.any(axis=1), frames - away[:, ::-1].argmax(axis=1), 0).astype(np.float64)

@@ -1,0 +1,318 @@
+"""Confidence intervals that know that sequences of one recording are not independent.
+
+Source: docs/specification/protocol.md#intervals.
+
+Every estimate is the mean over sequences (of the mean over samples, where a sequence has several), and every interval
+is that of this estimator: its spread is that between recordings, which holds what sequences and samples add to it.
+
+* **Rates** get Clopper's and Pearson's interval with an effective number of sequences. Where all values are equal,
+  nothing is known about the correlation; then every recording is one trial, so that 0 % and 100 % never claim
+  certainty.
+* **Metres and ratios** get Student's interval with the CR2 variance and Satterthwaite's degrees of freedom, joined with
+  Hall's, which allows for skewness. Where too few recordings or equal values allow none, none is given.
+* **Differences of rates** get the latter, joined with an interval that is made of those of gains and losses, since few
+  sequences that differ do not show the spread of many.
+
+The formulas stand in :mod:`prbench.harness.clusters`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from prbench.harness.clusters import CONFIDENCE, Spread, mean_bounds, measure_spread, rate_bounds
+from prbench.metrics import MetricInfo
+
+Ids = Sequence[str] | np.ndarray
+"""One name a row."""
+_MANY_RECORDINGS = 10
+EQUAL_WITHIN = 1e-5
+"""Values no farther apart are equal: what arithmetic alone makes of them is never printed, and decides nothing."""
+_FEW_RECORDINGS = "few_recordings"
+_ONE_RECORDING = "one_recording"
+_ALL_EQUAL = "all_equal"
+RATE_INTERVAL = "clopper-pearson-cluster"
+EQUAL_RATES_INTERVAL = "clopper-pearson-recordings"
+MEAN_INTERVAL = "student-hall-cluster"
+DIFFERENCE_INTERVAL = "student-hall-newcombe-cluster"
+NO_INTERVAL = "none"
+INTERVALS = (RATE_INTERVAL, EQUAL_RATES_INTERVAL, MEAN_INTERVAL, DIFFERENCE_INTERVAL, NO_INTERVAL)
+"""Names of all estimators of intervals."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mean over sequences with its 95 % interval."""
+
+    mean: float
+    low: float | None
+    """None where the data do not support an interval."""
+    high: float | None
+    n_sequences: int
+    n_recordings: int
+    method: str
+    """Name of the interval: one of :data:`INTERVALS`."""
+    marks: tuple[str, ...]
+    """``few_recordings`` (below ten), ``one_recording``, ``all_equal``."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClusteredValues:
+    """Values grouped by sequence and recording, in an order that does not depend on that of the rows."""
+
+    values: Float[np.ndarray, " rows"]
+    samples: Int[np.ndarray, " sequences"]
+    """Rows (samples) of each sequence; its rows stand together."""
+    sequences: Int[np.ndarray, " recordings"]
+    """Sequences of each recording; they stand together."""
+    recordings: tuple[str, ...]
+
+    @property
+    def sequence_means(self) -> Float[np.ndarray, " sequences"]:
+        """Mean over the samples of each sequence."""
+        return np.add.reduceat(self.values, _starts(self.samples)) / self.samples
+
+    @property
+    def totals(self) -> Float[np.ndarray, " recordings"]:
+        """Sum of the sequence means of each recording."""
+        return np.add.reduceat(self.sequence_means, _starts(self.sequences))
+
+    @property
+    def sequence_variance(self) -> float:
+        """Variance between all sequences, whatever their recordings; 0 of a single one."""
+        means = self.sequence_means
+        return float(means.var(ddof=1)) if len(means) > 1 else 0.0
+
+    @property
+    def spread(self) -> Spread:
+        """The error of the mean, as far as the data tell it."""
+        return measure_spread(self.totals, self.sequences, self.sequence_variance)
+
+    @property
+    def mean(self) -> float:
+        """Mean over sequences, the estimate itself."""
+        return float(self.totals.sum() / self.sequences.sum())
+
+    @property
+    def marks(self) -> tuple[str, ...]:
+        """Remarks that a reader of the interval needs."""
+        count = len(self.sequences)
+        found = {
+            _ONE_RECORDING: count == 1,
+            _FEW_RECORDINGS: count < _MANY_RECORDINGS,
+            _ALL_EQUAL: bool(np.ptp(self.values) <= EQUAL_WITHIN),
+        }
+        return tuple(mark for mark, holds in found.items() if holds)
+
+    def estimate(self, low: float | None, high: float | None, method: str) -> Estimate:
+        """Put the mean and an interval of it together."""
+        return Estimate(self.mean, low, high, len(self.samples), len(self.sequences), method, self.marks)
+
+
+def clustered(
+    values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None
+) -> ClusteredValues:
+    """Group values by recording and sequence.
+
+    Args:
+        values: One a row.
+        recording_ids: The recording that each row's sequence comes from.
+        sequence_ids: The sequence of each row, where a sequence has several samples; by default every row is one.
+
+    Raises:
+        ValueError: without values, for values that are not finite, columns of unequal lengths, or a sequence that
+            belongs to two recordings.
+    """
+    if len(values) == 0:
+        raise ValueError("no values to estimate from")
+    if not np.isfinite(values).all():
+        raise ValueError(f"row {np.flatnonzero(~np.isfinite(values))[0]}: the value is not finite")
+    sequences = np.arange(len(values)) if sequence_ids is None else np.asarray(sequence_ids)
+    if not len(values) == len(recording_ids) == len(sequences):
+        raise ValueError("values, recording ids and sequence ids differ in number")
+    names, recording = np.unique(np.asarray(recording_ids), return_inverse=True)
+    sequence = np.unique(sequences, return_inverse=True)[1]
+    # Sorted by values last, so that the order of rows leaves no trace in rounded sums.
+    order = np.lexsort((values, sequence, recording) if sequence_ids is not None else (values, recording))
+    pairs = np.stack([recording, sequence])[:, order]
+    first = np.flatnonzero(np.concatenate([[True], (np.diff(pairs) != 0).any(axis=0)]))
+    if len(first) != sequence.max() + 1:
+        raise ValueError("a sequence belongs to two recordings")
+    return ClusteredValues(
+        values[order].astype(np.float64),
+        np.diff(np.append(first, len(values))),
+        np.bincount(pairs[0, first]),
+        tuple(str(name) for name in names),
+    )
+
+
+def metric_interval(
+    info: MetricInfo,
+    values: Float[np.ndarray, " rows"],
+    recording_ids: Ids,
+    sequence_ids: Ids | None = None,
+) -> Estimate:
+    """Return the interval that fits a metric; arguments as those of :func:`clustered`."""
+    if info.unit == "rate":
+        return rate_interval(values, recording_ids, sequence_ids)
+    return mean_interval(values, recording_ids, sequence_ids, nonnegative=not info.can_be_negative)
+
+
+def rate_interval(values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None) -> Estimate:
+    """Mean of a rate (values from 0 to 1) over sequences; arguments as :func:`clustered`."""
+    if ((values < 0) | (values > 1)).any():
+        raise ValueError("a rate has values from 0 to 1")
+    data = clustered(values, recording_ids, sequence_ids)
+    # All values are equal: their spread says nothing about how alike sequences of one recording are.
+    if min(data.mean, 1 - data.mean) <= EQUAL_WITHIN:
+        low, high = _clopper_pearson_of_recordings(float(round(data.mean)), len(data.sequences))
+        return data.estimate(low, high, EQUAL_RATES_INTERVAL)
+    low, high = rate_bounds(data.totals, data.sequences)
+    return data.estimate(float(low), float(high), RATE_INTERVAL)
+
+
+def mean_interval(
+    values: Float[np.ndarray, " rows"],
+    recording_ids: Ids,
+    sequence_ids: Ids | None = None,
+    *,
+    nonnegative: bool = False,
+) -> Estimate:
+    """Mean over sequences, with an interval from the spread between recordings; arguments as :func:`clustered`.
+
+    Args:
+        values: One a row.
+        recording_ids: One a row.
+        sequence_ids: One a row, or None.
+        nonnegative: The quantity cannot fall below 0, so its interval is cut there.
+    """
+    data = clustered(values, recording_ids, sequence_ids)
+    bounds = _mean_bounds(data)
+    if bounds is None:
+        return data.estimate(None, None, NO_INTERVAL)
+    low, high = bounds
+    return data.estimate(max(low, 0.0) if nonnegative else low, high, MEAN_INTERVAL)
+
+
+def difference_interval(
+    first: Float[np.ndarray, " rows"], second: Float[np.ndarray, " rows"], recording_ids: Ids, *, rate: bool
+) -> Estimate:
+    """Mean of first - second over sequences, with an interval; both methods on the same sequences.
+
+    Where few sequences differ, the spread of a rate's differences is unknown, as that of a rate near 0 is. So the
+    interval reaches at least as far as that of the share of gains minus the share of losses, made of the intervals of
+    both (Newcombe 1998, "square and add").
+
+    Args:
+        first: One a sequence.
+        second: One a sequence.
+        recording_ids: One a sequence.
+        rate: The values are rates, from 0 to 1.
+    """
+    difference = first - second
+    plain = mean_interval(difference, recording_ids)
+    if not rate:
+        return plain
+    gains = rate_interval(np.maximum(difference, 0.0), recording_ids)
+    losses = rate_interval(np.maximum(-difference, 0.0), recording_ids)
+    # Gains and losses exclude one another, so they are correlated below 0, which widens their difference.
+    odds = gains.mean / max(1 - gains.mean, EQUAL_WITHIN) * losses.mean / max(1 - losses.mean, EQUAL_WITHIN)
+    correlation = min(np.sqrt(odds), 1.0)
+    fewer_gains, more_gains = _reaches(gains)
+    fewer_losses, more_losses = _reaches(losses)
+    low = plain.mean - _joined(fewer_gains, more_losses, correlation)
+    high = plain.mean + _joined(more_gains, fewer_losses, correlation)
+    if plain.low is not None and plain.high is not None:
+        low = min(low, plain.low)
+        high = max(high, plain.high)
+    return replace(plain, low=max(float(low), -1.0), high=min(float(high), 1.0), method=DIFFERENCE_INTERVAL)
+
+
+@dataclass(frozen=True)
+class UncertaintySources:
+    """Shares of the variance of a mean over sequences; they add up to 1, or are all 0 where nothing varies."""
+
+    recordings: float
+    sequences: float
+    """With one sample a sequence, what samples add is among this share."""
+    samples: float
+
+    @property
+    def largest(self) -> str:
+        """``recordings``, ``sequences`` or ``samples``."""
+        shares = {"recordings": self.recordings, "sequences": self.sequences, "samples": self.samples}
+        return max(shares, key=lambda name: shares[name])
+
+    @property
+    def sentence(self) -> str:
+        """Say which more data would make the interval narrower."""
+        share = round(100 * max(self.recordings, self.sequences, self.samples))
+        if share == 0:
+            return "nothing varies"
+        return f"{share} % of the uncertainty comes from the choice of {self.largest}: more {self.largest} reduce it"
+
+
+def uncertainty_sources(
+    values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None
+) -> UncertaintySources:
+    """Divide the variance of the mean among recordings, sequences and samples; arguments as :func:`clustered`.
+
+    Variance components of the nested analysis of variance with unequal numbers (Searle, Casella and McCulloch 1992,
+    chapter 5); a component that comes out below 0 counts as 0.
+    """
+    data = clustered(values, recording_ids, sequence_ids)
+    samples = data.samples.astype(np.float64)
+    sequences = data.sequences.astype(np.float64)
+    means = data.sequence_means
+    repeats = samples.sum() - len(samples)
+    inside = ((data.values - np.repeat(means, data.samples)) ** 2).sum()
+    of_samples = inside / repeats if repeats else 0.0
+    deviations = means - np.repeat(data.totals / sequences, data.sequences)
+    free = len(samples) - len(sequences)
+    # Sequence means vary by the samples, too; that part is taken off.
+    within = (deviations**2).sum() / free if free else 0.0
+    from_samples = of_samples * float((1 / samples).mean())
+    of_sequences = max(within - from_samples, 0.0)
+    n = float(sequences.sum())
+    of_recordings = 0.0
+    if len(sequences) > 1:
+        between = (sequences * (data.totals / sequences - data.mean) ** 2).sum() / (len(sequences) - 1)
+        usual_size = (n - (sequences**2).sum() / n) / (len(sequences) - 1)
+        of_recordings = max((between - of_sequences - from_samples) / usual_size, 0.0)
+    parts = np.array([of_recordings * (sequences**2).sum() / n**2, of_sequences / n, from_samples / n])
+    total = parts.sum()
+    if total <= EQUAL_WITHIN**2:
+        return UncertaintySources(0.0, 0.0, 0.0)
+    return UncertaintySources(*(float(part / total) for part in parts))
+
+
+def _mean_bounds(data: ClusteredValues) -> tuple[float, float] | None:
+    """The bounds, or None where none can be given; equal values do not show their spread."""
+    if _ALL_EQUAL in data.marks:
+        return None
+    low, high = mean_bounds(data.spread)
+    return None if np.isnan(low) else (float(low), float(high))
+
+
+def _reaches(rate: Estimate) -> tuple[float, float]:
+    """How far an interval reaches down and up from the mean; that of a rate always exists."""
+    assert rate.low is not None
+    assert rate.high is not None
+    return rate.mean - rate.low, rate.high - rate.mean
+
+
+def _joined(first: float, second: float, correlation: float) -> float:
+    return float(np.sqrt(first**2 + second**2 + 2 * correlation * first * second))
+
+
+def _clopper_pearson_of_recordings(rate: float, count: int) -> tuple[float, float]:
+    bound = ((1 - CONFIDENCE) / 2) ** (1 / count)
+    return (0.0, 1 - bound) if rate == 0 else (bound, 1.0)
+
+
+def _starts(counts: np.ndarray) -> np.ndarray:
+    return np.cumsum(counts) - counts

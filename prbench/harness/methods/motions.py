@@ -1,0 +1,344 @@
+"""Ask a method for motions, at its own frame rate if it has one, and check every one before it is kept."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import re
+import sys
+import traceback
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from prbench.contract import Adapter, ConditionBatch, Cost, Gaze, Motions
+from prbench.engine import is_out_of_memory
+from prbench.errors import AdapterError, InputFileError, PrbenchError
+from prbench.geometry.skeleton import N_JOINTS
+from prbench.harness.methods.coordinates import coordinate_problem, gaze_problem, impossible_frames
+from prbench.harness.methods.declared import Declared
+from prbench.limits import FARTHEST_COORDINATE
+
+_OPPOSITE = 1e-6  # length of the mean of two unit vectors that point against each other
+
+
+def generate_checked(
+    adapter: Adapter,
+    batch: ConditionBatch,
+    *,
+    seed: int,
+    method: str,
+    sequence_ids: Sequence[str],
+    farthest: float = FARTHEST_COORDINATE,
+) -> tuple[Motions, int]:
+    """Generate the motions of a batch at the table's rate; one that does not fit in memory is run in halves.
+
+    Args:
+        adapter: The method.
+        batch: What it may know.
+        seed: The run's seed, for the record.
+        method: Name of the method, for messages.
+        sequence_ids: Names of the rows, for messages; the method never sees them.
+        farthest: Metres from the origin beyond which a coordinate is refused; infinity for a network in training.
+
+    Returns:
+        float32 motions, and how often a batch was halved.
+
+    Raises:
+        AdapterError: if the method raises, or returns something else than one finite motion of the asked length for
+            each row; names method, sequence and frame.
+    """
+    declared = Declared.by(adapter, origin=f"method '{method}'")
+    native_fps = declared.native_fps
+    asked = batch if native_fps is None else at_native_rate(batch, native_fps)
+    motions, halvings = _generate(adapter, asked, seed, method, sequence_ids, farthest)
+    _require_declared_gaze(motions, declared, method)
+    if native_fps is not None:
+        motions = at_table_rate(motions, batch, native_fps=native_fps)
+    return motions, halvings
+
+
+def native_frames(n_frames: Int[np.ndarray, " n"], *, fps: float, native_fps: float) -> Int[np.ndarray, " n"]:
+    """Count the frames at the native rate that cover ``n_frames`` at the table's: the last one at or after the end."""
+    return np.ceil((n_frames - 1) * (native_fps / fps) - 1e-9).astype(np.int64) + 1
+
+
+def at_native_rate(batch: ConditionBatch, native_fps: float) -> ConditionBatch:
+    """Return the batch as the method is to see it.
+
+    The frame before the first lies one native frame before it: its offset, a velocity, is scaled with the rate.
+    """
+    changed: dict[str, object] = {
+        "fps": native_fps,
+        "n_frames": native_frames(batch.n_frames, fps=batch.fps, native_fps=native_fps),
+    }
+    if batch.initial_joints is not None and batch.previous_joints is not None:
+        step = (batch.previous_joints - batch.initial_joints) * (batch.fps / native_fps)
+        changed["previous_joints"] = (batch.initial_joints + step).astype(batch.previous_joints.dtype)
+    return dataclasses.replace(batch, **changed)
+
+
+def at_table_rate(motions: Motions, batch: ConditionBatch, *, native_fps: float) -> Motions:
+    """Interpolate native motions linearly at the times of the table's frames.
+
+    Args:
+        motions: At ``native_fps``, of the lengths of :func:`native_frames`.
+        batch: At the table's rate.
+        native_fps: Frames per second of ``motions``.
+    """
+    # The last native frame lies at or after the end, so nothing is extrapolated.
+    return resampled(motions, batch.n_frames, step=native_fps / batch.fps)
+
+
+def resampled(motions: Motions, n_frames: Int[np.ndarray, " n"], *, step: float) -> Motions:
+    """Interpolate motions linearly at evenly spaced times; times after their end show their last frame.
+
+    Args:
+        motions: At their own rate.
+        n_frames: Frames that each shall have.
+        step: Frames of ``motions`` from one new frame to the next.
+    """
+    place = np.arange(int(n_frames.max())) * step
+    last = motions.n_frames[:, None] - 1
+    left = np.minimum(np.floor(place + 1e-9).astype(np.int64), last)  # (batch, frames)
+    right = np.minimum(left + 1, last)
+    weight = np.clip(place - left, 0.0, 1.0)[..., None]
+    row = np.arange(len(n_frames))[:, None]
+
+    def between(values: np.ndarray) -> np.ndarray:
+        share = weight.reshape(*weight.shape[:2], *[1] * (values.ndim - 2))
+        return values[row, left] * (1 - share) + values[row, right] * share
+
+    joints = between(motions.joints).astype(np.float32)
+    gaze = None
+    if motions.gaze is not None:
+        direction = between(motions.gaze.direction)
+        # Two opposite directions have no middle; then the earlier one stays.
+        length = np.linalg.norm(direction, axis=-1, keepdims=True)
+        direction = np.where(length > _OPPOSITE, direction, motions.gaze.direction[row, left])
+        direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True).clip(_OPPOSITE)
+        gaze = Gaze(between(motions.gaze.origin).astype(np.float32), direction.astype(np.float32))
+    return Motions(joints, n_frames, motions.cost, gaze)
+
+
+def _generate(
+    adapter: Adapter, batch: ConditionBatch, seed: int, method: str, ids: Sequence[str], farthest: float
+) -> tuple[Motions, int]:
+    try:
+        with _named_warnings(batch, ids):
+            motions = adapter.generate(own_copy(batch), seed=seed)
+    except AdapterError as error:
+        raise AdapterError(_with_names(str(error), batch, ids)) from error
+    except InputFileError as error:  # of a converter, as a rule, which knows neither method nor sequences
+        told_of = _with_names(str(error), batch, ids)
+        raise AdapterError(f"method '{method}' failed: {told_of}{asked_for(ids)}") from error
+    except PrbenchError:
+        raise
+    except (Exception, SystemExit) as error:
+        if not is_out_of_memory(error):
+            raise AdapterError(f"method '{method}' failed: {told(error)}.{asked_for(ids)}") from error
+        if len(batch) == 1:
+            raise AdapterError(
+                f"method '{method}' ran out of memory on the single sequence {ids[0]}"
+                f" ({batch.n_frames[0]} frames). Use a device with more memory."
+            ) from error
+    else:
+        return well_formed(motions, batch, method=method, sequence_ids=ids, farthest=farthest), 0
+    # Outside of the handler: its traceback would hold the tensors of the failed batch.
+    release_memory()
+    middle = len(batch) // 2
+    first, halved_first = _generate(adapter, batch.rows(0, middle), seed, method, ids[:middle], farthest)
+    second, halved_second = _generate(adapter, batch.rows(middle, len(batch)), seed, method, ids[middle:], farthest)
+    return _joined(first, second), 1 + halved_first + halved_second
+
+
+def well_formed(
+    motions: object,
+    batch: ConditionBatch,
+    *,
+    method: str,
+    sequence_ids: Sequence[str],
+    farthest: float = FARTHEST_COORDINATE,
+) -> Motions:
+    """Return the motions as float32 if they are what the contract asks for.
+
+    Args:
+        motions: What a method has returned.
+        batch: What it was asked for.
+        method: Name of the method, for messages.
+        sequence_ids: Names of the rows, for messages.
+        farthest: See :func:`generate_checked`.
+
+    Raises:
+        AdapterError: naming method, sequence and frame, what was expected and what was found.
+    """
+    ids = sequence_ids
+    origin = f"method '{method}'"
+    if not isinstance(motions, Motions):
+        raise AdapterError(
+            f"{origin}: expected prbench.contract.Motions, found {type(motions).__name__}.{asked_for(ids)}"
+        )
+    joints = motions.joints
+    n_frames = _as_array(motions.n_frames)
+    if not isinstance(joints, np.ndarray):
+        remedy = " Give joints.detach().cpu().numpy()." if type(joints).__name__ == "Tensor" else ""
+        found = f"{type(joints).__module__}.{type(joints).__name__}".removeprefix("builtins.")
+        raise AdapterError(f"{origin}: expected joints as a NumPy array, found {found}.{remedy}{asked_for(ids)}")
+    if motions.cost is not None and not isinstance(motions.cost, Cost):
+        raise AdapterError(
+            f"{origin}: expected cost as prbench.contract.Cost or None, found {motions.cost!r}.{asked_for(ids)}"
+        )
+    longest = int(batch.n_frames.max())
+    fits = joints.ndim == 4 and joints.shape[0] == len(batch) and joints.shape[2:] == (N_JOINTS, 3)
+    if not fits or not np.issubdtype(joints.dtype, np.floating):
+        raise AdapterError(
+            f"{origin}: expected joints of shape ({len(batch)}, {longest} or more, {N_JOINTS}, 3) with decimals,"
+            f" found {joints.shape} of {joints.dtype}.{asked_for(ids)}"
+        )
+    if n_frames.shape != batch.n_frames.shape or (n_frames != batch.n_frames).any():
+        row = 0 if n_frames.shape != batch.n_frames.shape else int(np.flatnonzero(n_frames != batch.n_frames)[0])
+        found = n_frames[row] if n_frames.shape == batch.n_frames.shape else f"n_frames of shape {n_frames.shape}"
+        raise AdapterError(f"{origin}, sequence {ids[row]}: expected {batch.n_frames[row]} frames, found {found}.")
+    if joints.shape[1] < longest:
+        row = int(batch.n_frames.argmax())
+        raise AdapterError(
+            f"{origin}, sequence {ids[row]}: expected {longest} frames, found {joints.shape[1]} in joints."
+        )
+    with np.errstate(over="ignore"):
+        joints = joints[:, :longest].astype(np.float32)
+    _require_possible(joints, batch, method, ids, farthest)
+    gaze = None if motions.gaze is None else _well_formed_gaze(motions.gaze, joints, batch, method, ids)
+    return Motions(joints, batch.n_frames, motions.cost, gaze)
+
+
+def _require_declared_gaze(motions: Motions, declared: Declared, method: str) -> None:
+    """Refuse gaze that was not announced, and motions without the gaze that was: a run is marked before it begins."""
+    if declared.gaze and motions.gaze is None:
+        raise AdapterError(
+            f"method '{method}': expected gaze with its motions, as it declares, found none. Return"
+            " Motions(…, gaze=Gaze(origin, direction)), or do not declare gaze."
+        )
+    if motions.gaze is not None and not declared.gaze:
+        raise AdapterError(
+            f"method '{method}': expected motions without gaze, which it does not declare, found some. Set gaze = True"
+            " on the adapter, or leave it out."
+        )
+
+
+def _well_formed_gaze(gaze: object, joints: np.ndarray, batch: ConditionBatch, method: str, ids: Sequence[str]) -> Gaze:
+    """Return gaze as float32 if it is one ray a frame, from the head of each frame."""
+    origin = f"method '{method}'"
+    if not isinstance(gaze, Gaze):
+        raise AdapterError(f"{origin}: expected prbench.contract.Gaze or None, found {type(gaze).__name__}.")
+    longest = joints.shape[1]
+    rays = []
+    for name in ("origin", "direction"):
+        values = getattr(gaze, name)
+        fits = isinstance(values, np.ndarray) and values.ndim == 3 and values.shape[::2] == (len(batch), 3)
+        if not fits or values.shape[1] < longest or not np.issubdtype(values.dtype, np.floating):
+            found = f"{values.shape} of {values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__
+            raise AdapterError(
+                f"{origin}: expected gaze.{name} as a NumPy array of shape ({len(batch)}, {longest} or more, 3) with"
+                f" decimals, found {found}.{asked_for(ids)}"
+            )
+        with np.errstate(over="ignore"):
+            rays.append(values[:, :longest].astype(np.float32))
+    for row, n_frames in enumerate(batch.n_frames):
+        problem = gaze_problem(joints[row, :n_frames], rays[0][row, :n_frames], rays[1][row, :n_frames])
+        if problem:
+            raise AdapterError(f"{origin}, sequence {ids[row]}, gaze, {problem}")
+    return Gaze(*rays)
+
+
+def _as_array(n_frames: object) -> np.ndarray:
+    """Return frame counts as NumPy reads them; of any shape, wrong ones too."""
+    try:
+        return np.asarray(n_frames)
+    except (TypeError, ValueError, RuntimeError):  # such as a tensor on another device, or a ragged list
+        return np.empty(0)
+
+
+def own_copy(batch: ConditionBatch) -> ConditionBatch:
+    """Copy all arrays: a method that writes into its batch changes neither its next sample nor our checks."""
+    arrays = {field.name: getattr(batch, field.name) for field in dataclasses.fields(batch)}
+    return dataclasses.replace(
+        batch,
+        obstacles=None if batch.obstacles is None else batch.obstacles.copied(),
+        **{name: value.copy() for name, value in arrays.items() if isinstance(value, np.ndarray)},
+    )
+
+
+@contextmanager
+def _named_warnings(batch: ConditionBatch, ids: Sequence[str]) -> Iterator[None]:
+    """Give warnings of a method, which knows opaque ids alone, the names that a user knows."""
+    show = warnings.showwarning
+
+    def show_with_names(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        text = _with_names(str(message), batch, ids)
+        show(message if text == str(message) else category(text), category, *place, **more)
+
+    warnings.showwarning = show_with_names
+    try:
+        yield
+    finally:
+        warnings.showwarning = show
+
+
+def _with_names(message: str, batch: ConditionBatch, ids: Sequence[str]) -> str:
+    """Replace opaque ids in a message of a method by the names that a user knows."""
+    for opaque_id, name in zip(batch.opaque_id, ids, strict=True):
+        message = re.sub(rf"\b{re.escape(opaque_id)}\b", lambda _: name, message)  # noqa: B023 - called at once
+    return message
+
+
+def told(error: BaseException) -> str:
+    """Describe an exception with the file and line that raised it, for whoever has to repair the method."""
+    raised_at = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({raised_at.filename}, line {raised_at.lineno})".replace(":  (", " (")
+
+
+def _require_possible(
+    joints: np.ndarray, batch: ConditionBatch, method: str, ids: Sequence[str], farthest: float
+) -> None:
+    """Refuse coordinates that are not finite or far beyond any room; what the padding holds does not matter."""
+    valid = np.arange(joints.shape[1]) < batch.n_frames[:, None]
+    rows = np.flatnonzero((impossible_frames(joints, farthest) & valid).any(axis=1))
+    if rows.size:
+        row = int(rows[0])
+        problem = coordinate_problem(joints[row, : batch.n_frames[row]], farthest)
+        raise AdapterError(f"method '{method}', sequence {ids[row]}, {problem}")
+
+
+def _joined(first: Motions, second: Motions) -> Motions:
+    longest = max(first.joints.shape[1], second.joints.shape[1])
+
+    def stacked(*parts: np.ndarray) -> np.ndarray:
+        widths = [[(0, 0), (0, longest - part.shape[1]), *[(0, 0)] * (part.ndim - 2)] for part in parts]
+        return np.concatenate([np.pad(part, width) for part, width in zip(parts, widths, strict=True)])
+
+    declared = [part.cost.network_passes for part in (first, second) if part.cost is not None]
+    cost = Cost(sum(declared)) if declared else None
+    gaze = None
+    if first.gaze is not None and second.gaze is not None:
+        origin = stacked(first.gaze.origin, second.gaze.origin)
+        gaze = Gaze(origin, stacked(first.gaze.direction, second.gaze.direction))
+    n_frames = np.concatenate([first.n_frames, second.n_frames])
+    return Motions(stacked(first.joints, second.joints), n_frames, cost, gaze)
+
+
+def release_memory() -> None:
+    """Give back what a failed batch holds, before it is tried in halves."""
+    gc.collect()
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.cuda.is_available():
+        torch.cuda.empty_cache()
+
+
+def asked_for(ids: Sequence[str]) -> str:
+    """Say what was asked for; names are long, so it comes behind the reason."""
+    batch = f"sequence {ids[0]}" if len(ids) == 1 else f"the batch of {len(ids)} sequences from {ids[0]} to {ids[-1]}"
+    return f" It was asked for {batch}."

@@ -1,0 +1,241 @@
+"""Motions as a program sent them: whatever form its Arrow library gave them, and whatever is wrong with them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float, Int, Shaped
+
+from prbench.contract import Gaze, Motions
+from prbench.geometry.skeleton import N_JOINTS
+
+_NUMBERS = N_JOINTS * 3  # a frame
+_FILE_MAGIC = b"ARROW1"
+GAZE_COLUMNS = ("gaze_origin", "gaze_direction")
+_SHAPES = ((), (_NUMBERS,), (N_JOINTS, 3))  # of what a row's list may hold: numbers, or frames in either nesting
+
+
+@dataclass(frozen=True)
+class ReceivedMotions:
+    """Rows in the order of the program."""
+
+    ids: tuple[str, ...]
+    joints: Shaped[np.ndarray, "total 22 3"]
+    offsets: Int[np.ndarray, " offsets"]
+    """Row i is ``joints[offsets[i]:offsets[i + 1]]``."""
+    gaze: tuple[Float[np.ndarray, "total 3"], ...] = ()
+    """Origins and directions in the same rows; empty for motions without gaze."""
+
+    @classmethod
+    def read(cls, payload: bytes, *, gaze: bool = False) -> ReceivedMotions:
+        """Read the payload of a ``motions`` message.
+
+        Args:
+            payload: As received.
+            gaze: There have to be columns of gaze; otherwise they are not looked at.
+
+        Raises:
+            ValueError: if it is no Arrow IPC stream of one record batch with ``opaque_id`` and ``joints``, and those
+                of gaze.
+        """
+        rows = _record_batch(payload)
+        wanted = ("opaque_id", "joints", *(GAZE_COLUMNS if gaze else ()))
+        ids = tuple(_texts(_column(rows, "opaque_id", wanted)))
+        joints, offsets = _frames(_column(rows, "joints", wanted), ids)
+        rays = tuple(_points(_column(rows, name, wanted), name, ids, offsets) for name in wanted[2:])
+        return cls(ids, joints, offsets, rays)
+
+    def in_order_of(self, asked: Sequence[str]) -> Motions:
+        """The motions padded, row by row as asked for.
+
+        Raises:
+            ValueError: if an id is missing, repeated or unknown.
+        """
+        _require_same_ids(asked, self.ids)
+        rows = {name: row for row, name in enumerate(self.ids)}
+        places = np.array([rows[name] for name in asked])
+        n_frames = np.diff(self.offsets)[places]
+        longest = int(n_frames.max(initial=0))
+
+        def padded(values: np.ndarray) -> np.ndarray:
+            whole = np.zeros((len(asked), longest, *values.shape[1:]), dtype=values.dtype)
+            for row, (place, length) in enumerate(zip(places, n_frames, strict=True)):
+                whole[row, :length] = values[self.offsets[place] : self.offsets[place + 1]]
+            return whole
+
+        gaze = Gaze(*map(padded, self.gaze)) if self.gaze else None
+        return Motions(padded(self.joints), n_frames, gaze=gaze)
+
+
+def numbers_by_id(payload: bytes, asked: Sequence[str], *, name: str, size: int) -> Float[np.ndarray, "rows size"]:
+    """Read rows of as many numbers each, in the order asked for.
+
+    Args:
+        payload: As received.
+        asked: Opaque id of each row.
+        name: The column of the numbers, in lists of any nesting.
+        size: Numbers in each row.
+
+    Raises:
+        ValueError: expected, found and what to do, if it holds something else.
+    """
+    rows = _record_batch(payload)
+    wanted = ("opaque_id", name)
+    ids = _texts(_column(rows, "opaque_id", wanted))
+    _require_same_ids(asked, ids)
+    column = _column(rows, name, wanted)
+    ends = np.arange(len(column) + 1)
+    values = column
+    while _is_list(values.type):
+        inner, values = _unwrapped(values)
+        ends = inner[ends]
+    if values is column or values.type not in (pa.float32(), pa.float64()) or values.null_count:
+        raise ValueError(f"expected '{name}' as list<float32> without nulls, found {column.type}")
+    wrong = np.flatnonzero(np.diff(ends) != size)
+    if wrong.size:
+        row = int(wrong[0])
+        raise ValueError(
+            f"expected {size:,} numbers in '{name}' of {ids[row][:64]}, found {ends[row + 1] - ends[row]:,}"
+        )
+    place = {identity: row for row, identity in enumerate(ids)}
+    return values.to_numpy().reshape(len(ids), size)[[place[identity] for identity in asked]]
+
+
+def _record_batch(payload: bytes) -> pa.RecordBatch:
+    if payload.startswith(_FILE_MAGIC):
+        raise ValueError(
+            "expected an Arrow IPC stream as payload, found an Arrow file (it begins with ARROW1). Write the stream"
+            " format: RecordBatchStreamWriter, new_stream"
+        )
+    source = pa.BufferReader(payload)
+    try:
+        with pa.ipc.open_stream(source) as reader:
+            batches = list(reader)
+            behind = len(payload) - source.tell()
+        for batch in batches:
+            batch.validate(full=True)  # offsets that point outside would be read as they are
+    except (pa.ArrowException, OSError, EOFError) as error:
+        cause = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
+        raise ValueError(f"expected an Arrow IPC stream as payload, found none that can be read: {cause}") from error
+    if behind:
+        raise ValueError(f"expected nothing behind the end of the Arrow stream, found {behind:,} bytes")
+    if len(batches) != 1:
+        raise ValueError(f"expected one record batch, found {len(batches)}")
+    return batches[0]
+
+
+def _points(column: pa.Array, name: str, ids: Sequence[str], offsets: np.ndarray) -> np.ndarray:
+    """Return x y z of all frames, (total, 3), which has to be as many as there are frames of joints."""
+    if not _is_list(column.type):
+        raise ValueError(f"expected '{name}' as list<float32>, found {column.type}")
+    ends, values = _unwrapped(column)
+    while _is_list(values.type):
+        inner, values = _unwrapped(values)
+        ends = inner[ends]
+    if values.type not in (pa.float32(), pa.float64()) or values.null_count:
+        raise ValueError(f"expected '{name}' as list<float32> without nulls, found {column.type}")
+    wrong = np.flatnonzero(np.diff(ends) != 3 * np.diff(offsets))
+    if wrong.size:
+        row = int(wrong[0])
+        raise ValueError(
+            f"expected {3 * (offsets[row + 1] - offsets[row]):,} numbers in '{name}' of sequence {ids[row][:64]}, three"
+            f" a frame, found {ends[row + 1] - ends[row]:,}"
+        )
+    return values.to_numpy().reshape(-1, 3)
+
+
+def _column(rows: pa.RecordBatch, name: str, wanted: Sequence[str]) -> pa.Array:
+    found = rows.schema.get_all_field_indices(name)
+    if len(found) != 1:
+        columns = ", ".join(f"{field.name}: {field.type}" for field in rows.schema)
+        expected = f"{', '.join(wanted[:-1])} and {wanted[-1]}"
+        raise ValueError(f"expected the columns {expected}, once each, found {columns or 'none'}"[:400])
+    column = rows.column(found[0])
+    if column.null_count:
+        row = int(np.flatnonzero(column.is_null().to_numpy(zero_copy_only=False))[0])
+        raise ValueError(f"expected '{name}' without nulls, found one in row {row}")
+    return column
+
+
+def _texts(column: pa.Array) -> list[str]:
+    if pa.types.is_dictionary(column.type):  # what some libraries make of a few strings
+        column = column.dictionary_decode()
+    if not (pa.types.is_string(column.type) or pa.types.is_large_string(column.type)):
+        raise ValueError(f"expected 'opaque_id' as utf8, found {column.type}")
+    return column.to_pylist()
+
+
+def _frames(column: pa.Array, ids: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return all frames (total, 22, 3) and the offsets of the rows."""
+    if not _is_list(column.type):
+        raise ValueError(f"expected 'joints' as list<float32>, found {column.type}")
+    offsets, values = _unwrapped(column)
+    shape: tuple[int, ...] = ()
+    while _is_list(values.type):
+        inner, within = _unwrapped(values)
+        lengths = np.unique(np.diff(inner))
+        if len(lengths) > 1 or values.null_count:
+            raise ValueError(f"expected {_NUMBERS} numbers in every frame of 'joints', found {_some(lengths)}")
+        shape += (int(lengths[0]) if len(lengths) else _wanted(shape),)
+        values = within
+    if values.type not in (pa.float32(), pa.float64()):
+        raise ValueError(f"expected 'joints' as list<float32>, found {column.type}")
+    if values.null_count:
+        raise ValueError("expected 'joints' without nulls, found some among its numbers")
+    if shape not in _SHAPES:
+        raise ValueError(f"expected {_NUMBERS} numbers a frame in 'joints', found frames of shape {shape}")
+    if not shape:
+        offsets = _whole_frames(offsets, ids)
+    return values.to_numpy().reshape(-1, N_JOINTS, 3), offsets
+
+
+def _is_list(type_: pa.DataType) -> bool:
+    return pa.types.is_list(type_) or pa.types.is_large_list(type_) or pa.types.is_fixed_size_list(type_)
+
+
+def _unwrapped(column: pa.Array) -> tuple[np.ndarray, pa.Array]:
+    """Return offsets from 0 and the values between first and last, whatever slice of its buffers a column is."""
+    if pa.types.is_fixed_size_list(column.type):
+        return np.arange(len(column) + 1) * column.type.list_size, column.flatten()
+    offsets = column.offsets.to_numpy().astype(np.int64)
+    return offsets - offsets[0], column.values.slice(int(offsets[0]), int(offsets[-1] - offsets[0]))
+
+
+def _wanted(shape: tuple[int, ...]) -> int:
+    """Return the size of a level that no frame shows, since there are none."""
+    return 3 if shape else _NUMBERS
+
+
+def _whole_frames(offsets: np.ndarray, ids: Sequence[str]) -> np.ndarray:
+    lengths = np.diff(offsets)
+    broken = np.flatnonzero(lengths % _NUMBERS)
+    if broken.size:
+        row = int(broken[0])
+        raise ValueError(
+            f"expected a multiple of {_NUMBERS} numbers for sequence {ids[row][:64]}, found {lengths[row]:,}"
+        )
+    return offsets // _NUMBERS
+
+
+def _require_same_ids(asked: Sequence[str], found: Sequence[str]) -> None:
+    repeated = [name for name, times in Counter(found).items() if times > 1]
+    present = set(found)
+    unknown = sorted(present - set(asked))
+    missing = [name for name in asked if name not in present]
+    if repeated or unknown or missing:
+        raise ValueError(
+            f"expected each of the {len(asked)} ids of the batch once, found {len(found)} rows: missing"
+            f" {_some(missing)}, repeated {_some(repeated)}, unknown {_some(unknown)}."
+            " Copy opaque_id from the conditions to the motions, one row a sequence"
+        )
+
+
+def _some(values: Sequence[object] | np.ndarray) -> str:
+    """A count with the first of them, or the few numbers themselves."""
+    if isinstance(values, np.ndarray):
+        return " and ".join(str(value) for value in values[:2])
+    return f"{len(values)} ({str(values[0])[:100]})" if values else "0"

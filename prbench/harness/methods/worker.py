@@ -1,0 +1,139 @@
+"""Serve an installed method over the wire protocol: what ``--isolate`` starts in place of calling it.
+
+``python -m prbench.harness.methods.worker NAME [--benchmark NAME] [--train FOLDER --fit FOLDER]`` reads requests from
+stdin and answers on stdout (docs/wire-protocol.md). What the method or its libraries print goes to stderr.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from prbench.contract import Trainable, TrainingRun
+from prbench.engine import is_out_of_memory
+from prbench.errors import PrbenchError
+from prbench.harness.methods.adapters import load_adapter, used_weights, weights_digest
+from prbench.harness.methods.declared import Declared
+from prbench.harness.methods.groups import MethodGroup, group_of
+from prbench.harness.methods.motions import release_memory, told
+from prbench.harness.methods.remote.messages import WIRE_VERSION, Header, read_message, write_message
+from prbench.harness.methods.training_split import FIT_SEED, TrainingCopy
+from prbench.harness.methods.users_environment import computing_threads
+from prbench.protocol.benchmarks import default_benchmark
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Serve one method until stdin ends.
+
+    Returns:
+        0 when the harness has closed stdin; 1 if the method could not be made.
+    """
+    parser = argparse.ArgumentParser(prog="python -m prbench.harness.methods.worker", description=__doc__)
+    parser.add_argument("name", help="of an installed method")
+    parser.add_argument("--benchmark", default=default_benchmark().name, help="that it is a method of")
+    parser.add_argument("--train", type=Path, help="copy of the training rows to fit the method to")
+    parser.add_argument("--fit", type=Path, help="folder of the fit")
+    asked = parser.parse_args(arguments)
+    requests, answers = _take_streams()
+    hello = read_message(requests)
+    if hello is None:
+        return 0
+    settings = hello[0]
+    try:
+        group = group_of(asked.benchmark)
+        weights = _path(settings["weights"])
+        adapter = load_adapter(asked.name, weights, settings["options"], settings["device"], group=group)
+        if asked.train is not None and isinstance(adapter, Trainable):
+            run = TrainingRun(folder=asked.fit, seed=FIT_SEED, device=settings["device"])
+            adapter.fit(TrainingCopy.open(asked.train), validation=None, run=run)
+        introduction = _introduction(asked.name, adapter, weights, group)
+    except (Exception, SystemExit) as error:
+        write_message(answers, {"message": "error", "text": _reason(error)})
+        return 1
+    write_message(answers, introduction)
+    _serve(asked.name, adapter, settings["threads"], requests, answers, group)
+    return 0
+
+
+def _take_streams() -> tuple[BinaryIO, BinaryIO]:
+    """Keep stdin and stdout for the protocol; whatever else reads finds nothing, and prints appear on stderr."""
+    requests = os.fdopen(os.dup(0), "rb")
+    answers = os.fdopen(os.dup(1), "wb")
+    # A method that reads stdin would take bytes of the protocol.
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
+    os.dup2(2, 1)
+    sys.stdout = sys.stderr
+    return requests, answers
+
+
+def _introduction(name: str, adapter: Any, given: Path | None, group: MethodGroup) -> Header:
+    declared = Declared.by(adapter, origin=f"adapter '{name}'", conditions=group.conditions)
+    weights = {}
+    for condition in sorted(declared.conditions):
+        used = _weights(name, adapter, condition, given)
+        if used is not None:
+            weights[condition.value] = {"name": used.name, "sha256": weights_digest(used)}
+    return {
+        "message": "hello",
+        "wire": WIRE_VERSION,
+        "name": name,
+        "version": str(getattr(adapter, "version", "installed")),
+        "conditions": sorted(condition.value for condition in declared.conditions),
+        "max_frames": declared.max_frames,
+        "native_fps": declared.native_fps,
+        "motionless": declared.motionless,
+        "gaze": declared.gaze,
+        "one_design": declared.one_design,
+        "weights": weights,
+        "trainable": hasattr(adapter, "fit"),
+    }
+
+
+def _weights(name: str, adapter: Any, condition: StrEnum, given: Path | None) -> Path | None:
+    """Return the weights used under a condition; None where the method has none."""
+    try:
+        used = used_weights(adapter, condition, given, origin=f"adapter '{name}'")
+    except PrbenchError:
+        return None
+    return used if used is not None and used.exists() else None
+
+
+def _serve(name: str, adapter: Any, threads: int, requests: BinaryIO, answers: BinaryIO, group: MethodGroup) -> None:
+    while (message := read_message(requests)) is not None:
+        header, payload = message
+        assert payload is not None
+        answer, sent = _answered(name, adapter, threads, header, payload, group)
+        write_message(answers, {**answer, "batch": header["batch"]}, sent)
+
+
+def _answered(
+    name: str, adapter: Any, threads: int, header: Header, payload: bytes, group: MethodGroup
+) -> tuple[Header, bytes | None]:
+    try:
+        with computing_threads(threads):
+            return group.serve(name, adapter, header, payload)
+    except (Exception, SystemExit) as error:
+        if not is_out_of_memory(error):
+            return {"message": "error", "text": _reason(error)}, None
+        release_memory()
+        return {"message": "error", "text": "out of memory", "out_of_memory": True}, None
+
+
+def _reason(error: BaseException) -> str:
+    return str(error) if isinstance(error, PrbenchError) else told(error)
+
+
+def _path(text: str | None) -> Path | None:
+    return None if text is None else Path(text)
+
+
+if __name__ == "__main__":
+    os.environ.pop("PYTHONPATH", None)  # prbench's own; what the method starts finds its modules by itself
+    sys.exit(main())

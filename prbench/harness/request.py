@@ -1,0 +1,156 @@
+"""The request of a run, and the reports on how far it has got."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pyarrow as pa
+
+from prbench.contract import Condition
+from prbench.errors import UsageError
+from prbench.files.storage import turn_into_paths
+from prbench.harness.best_of import require_goal
+from prbench.harness.methods.names import METHOD_CONTROLS, SHUFFLED_GOAL
+from prbench.harness.methods.programs.words import short_name
+from prbench.harness.run_folder.record import RunRecord
+from prbench.protocol.manifests import PROTOCOL_NAME
+
+DEFAULT_BATCH_SIZE = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRequest:
+    """One run of one method.
+
+    Raises:
+        UsageError: if parts of it do not fit together.
+    """
+
+    method: str
+    """Name of an installed adapter; of a control (``prbench.harness.methods.names.METHOD_CONTROLS``); ``cmd:`` and a
+    command;
+    or path of a TOML file that describes a program. What is recorded and shown is never this text but the method's own
+    name (``RunRecord.method.name``)."""
+    data: tuple[Path, ...]
+    """Dataset folders."""
+    benchmark: str = PROTOCOL_NAME
+    """Name of the benchmark."""
+    condition: str | None = None
+    """What the method is given; None for the only condition that it takes, and for none with a control."""
+    weights: Path | None = None
+    options: Mapping[str, str] = field(default_factory=dict)
+    split: str = "test"
+    fold: str | None = None
+    """A fold of the tables' participants, such as ``2/6``, whose split is meant; None for the tables as they are."""
+    limit: int | None = None
+    """Run only this many sequences of each dataset: of every recording its share, by the hashes of their ids."""
+    sequences: tuple[str, ...] = ()
+    """Run only these: ids, or parts of ids that fit one sequence of the split only."""
+    seed: int = 0
+    samples: int = 1
+    """Motions kept of each sequence."""
+    best_of: int = 1
+    """Motions drawn for each that is kept, chosen by their own head ray and wrist
+    (:mod:`prbench.harness.best_of`)."""
+    carry_on: bool = False
+    """Run pairs of a pick and the put that follows it, which starts where the generated pick ends
+    (:mod:`prbench.harness.carry_on`)."""
+    batch_size: int = DEFAULT_BATCH_SIZE
+    device: str = "cpu"
+    threads: int = 1
+    """Torch's threads in each worker, on which its rounding may depend; NumPy's follow ``OMP_NUM_THREADS``."""
+    control: str | None = None
+    """``shuffled-goal`` or None."""
+    isolate: bool = False
+    """Run the method at a distance: in another process without paths, objects and environment, and without the file
+    system where bubblewrap works."""
+    timeout: float | None = None
+    """Seconds until another process answers a batch; by default 600, or what its TOML file says."""
+    repeats: RunRecord | None = None
+    """An earlier run: other tables, sequences or weights than its are refused before anything is generated."""
+    protocol: Path | None = None
+    """The user's own protocol; None for prbench's (docs/specification/protocol.md#a-protocol-of-ones-own)."""
+    out: Path | None = None
+    """The run folder; by default one under ``runs`` whose name says what was run."""
+
+    def __post_init__(self) -> None:
+        turn_into_paths(self, "data", "weights", "protocol", "out")
+        if not self.data:
+            raise UsageError("a run needs one dataset folder or more (--data DIR).")
+        for name, value in (
+            ("--samples", self.samples),
+            ("--best-of", self.best_of),
+            ("--batch-size", self.batch_size),
+            ("--threads", self.threads),
+        ):
+            if value < 1:
+                raise UsageError(f"{name}: expected 1 or more, found {value}.")
+        if self.sequences and self.limit is not None:
+            raise UsageError("--sequence names the sequences already; leave --limit out.")
+        if self.seed < 0:
+            raise UsageError(f"--seed: expected 0 or more, found {self.seed}.")
+        if self.control not in (None, SHUFFLED_GOAL):
+            raise UsageError(f"unknown control '{self.control}'; beside a method there is: {SHUFFLED_GOAL}.")
+        if self.is_control and (self.weights is not None or self.options):
+            raise UsageError(f"--method {self.method} takes neither --weights nor --option.")
+        if self.is_control and (self.isolate or self.timeout is not None):
+            raise UsageError(f"--method {self.method} is part of the harness; leave --isolate and --timeout out.")
+        if self.best_of > 1 and self.is_control:
+            raise UsageError(f"--method {self.method} draws nothing to choose from; leave --best-of out.")
+        if self.best_of > 1 and self.condition is not None and self.benchmark == PROTOCOL_NAME:
+            require_goal(Condition(self.condition), best_of=self.best_of)
+        if self.carry_on and (self.is_control or self.control is not None):
+            raise UsageError("--carry-on: controls make no motion that could go on; leave it out.")
+        if self.carry_on and self.sequences:
+            raise UsageError(
+                "--carry-on: runs pairs of sequences; leave --sequence out, and take --limit 2 for one pair."
+            )
+        if self.timeout is not None and not 0 < self.timeout < math.inf:
+            raise UsageError(f"--timeout: expected seconds above 0, found {self.timeout:g}.")
+
+    @property
+    def is_control(self) -> bool:
+        """The motions come from the harness, not from an adapter."""
+        return self.method in METHOD_CONTROLS
+
+    @property
+    def method_label(self) -> str:
+        """Name of the method before it is loaded: its name, its command, or the name of its file."""
+        return short_name(self.method)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One step of the way through one dataset."""
+
+    dataset: str
+    stage: str
+    """``generate`` (counted in planned batches) or ``score`` (in sequences)."""
+    done: int
+    total: int
+
+
+ProgressCallback = Callable[[Progress], None]
+
+
+def silent(progress: Progress) -> None:
+    """Say nothing."""
+
+
+def reported(scores: Iterator[pa.Table], dataset: str, total: int, progress: ProgressCallback) -> Iterator[pa.Table]:
+    """Pass scores on, and report after each table how many cases are done.
+
+    Args:
+        scores: Rows of ``scores.parquet``, whole cases at a time.
+        dataset: Name of the dataset.
+        total: Number of all cases.
+        progress: Called after each table.
+    """
+    done = 0
+    for table in scores:
+        yield table
+        done += len(table["sequence_id"].unique())
+        progress(Progress(dataset, "score", done, total))

@@ -1,0 +1,293 @@
+"""The summary of scores, and stored results compared with what follows from their sources."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Int
+
+from prbench.errors import RunError
+from prbench.harness.benchmark import load_benchmark
+from prbench.harness.comparisons import smallest_detectable_unpaired
+from prbench.harness.intervals import CONFIDENCE, metric_interval, uncertainty_sources
+from prbench.harness.run_folder import summary as run_summary
+from prbench.harness.run_folder.coded_scores import CodedScores
+from prbench.harness.run_folder.folder import DatasetFolder
+from prbench.harness.run_folder.record import RunRecord, TableRecord
+from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
+from prbench.metrics import MetricInfo
+from prbench.metrics.scoring import LENGTH_MISMATCH
+from prbench.sequences import DatasetInfo
+
+_VALUES_WITHIN = 1e-6  # metres, or as little of another unit: what other processors may make of the same motion
+_SHARES_WITHIN = 1e-3  # of the variance, whose small shares are differences of large numbers
+_FORMER_INTERVALS = ("wilson-cluster", "bootstrap", "t-jackknife")  # up to 0.7.0
+_OF_RECORDINGS = frozenset({"recordings", "low", "high", "interval", "marks", "detectable", "uncertainty"})
+_KEYS = ("sequence_id", "sample", "metric", "flag")
+_AGAIN = "Delete it and run the same command again, which scores anew what was generated."
+
+
+def require_summary(files: DatasetFolder, made: DatasetSummary, *, grouped: bool = True) -> None:
+    """Compare ``summary.json`` with the summary that follows from the scores.
+
+    Args:
+        files: Of the dataset.
+        made: What follows from the scores.
+        grouped: The recording of each sequence is known; without it intervals are not compared.
+
+    Raises:
+        RunError: naming the first entry that differs.
+    """
+    stored = DatasetSummary.read(files.path)
+    for key, expected, found in _differences(made, stored):
+        if not grouped and key.rpartition(".")[2] in _OF_RECORDINGS:
+            continue
+        cause = "One of the two was edited."
+        if key.endswith(".interval") and found in _FORMER_INTERVALS:
+            cause = "An earlier version of prbench wrote it, whose intervals covered too little."
+        if key.endswith(".detectable"):
+            cause = "Up to version 0.9.0 it was corrected for eight metrics, of which seven are compared. " + cause
+        raise RunError(
+            f"{files.path / run_summary.FILE_NAME}, {key}: expected {expected}, which follows from"
+            f" {files.scores.name}, found {found}. {cause} {_AGAIN}"
+        )
+
+
+def require_scores(files: DatasetFolder, stored: CodedScores, made: CodedScores) -> None:
+    """Compare ``scores.parquet`` with what the motions score now.
+
+    Raises:
+        RunError: naming the first row that differs.
+    """
+    # Keys first: values can only be compared where both tables hold the same rows.
+    if (row := _first_other_key(stored, made)) is not None:
+        raise RunError(
+            f"{files.scores}, row {row}: expected {_row(made, row)} from the motions and their table, found"
+            f" {_row(stored, row)} ({len(made)} and {len(stored)} rows). The file was edited. {_AGAIN}"
+        )
+    expected = made.value
+    found = stored.value
+    # Written as "not within", so that NaN counts as different.
+    wrong = np.flatnonzero(~(np.abs(found - expected) <= _VALUES_WITHIN * np.maximum(np.abs(expected), 1.0)))
+    if wrong.size:
+        row = int(wrong[0])
+        raise RunError(
+            f"{files.scores}, row {row} ({_row(stored, row)}): expected {expected[row]:.6g}, which the motion in"
+            f" {files.predictions.name} scores on its table, found {found[row]:.6g} ({wrong.size} of"
+            f" {len(found)} values differ). The scores or the motions were edited. {_AGAIN}"
+        )
+
+
+def _first_other_key(stored: CodedScores, made: CodedScores) -> int | None:
+    """Return the first row of which two scores differ in sequence, sample, metric or flag; None without any."""
+    start = 0
+    for expected, found in itertools.zip_longest(made.pieces(), stored.pieces()):
+        if expected is None or found is None:
+            return start
+        keys = [table.select(_KEYS) for table in (found, expected)]
+        if not keys[0].equals(keys[1]):
+            rows = zip(*(table.to_pylist() for table in keys))
+            common = min(table.num_rows for table in keys)
+            return start + next((number for number, (one, other) in enumerate(rows) if one != other), common)
+        start += expected.num_rows
+    return None
+
+
+def _row(scores: CodedScores, row: int) -> str:
+    if row >= len(scores):
+        return "no row"
+    key = scores.long_form(slice(row, row + 1)).to_pylist()[0]
+    sequence_id, sample, metric, flag = (key[name] for name in _KEYS)
+    return f"{sequence_id}, sample {sample}, {metric}{f', {flag}' if flag else ''}"
+
+
+def _differences(made: DatasetSummary, stored: DatasetSummary) -> Iterator[tuple[str, object, object]]:
+    """Key, expected and found value of what a summary says otherwise than the scores."""
+    for name in DatasetSummary.__struct_fields__:
+        expected = getattr(made, name)
+        found = getattr(stored, name)
+        if name != "metrics" and expected != found:
+            yield name, expected, found
+    names = [metric.metric for metric in made.metrics]
+    found_names = [metric.metric for metric in stored.metrics]
+    if names != found_names:
+        yield "metrics", ", ".join(names), ", ".join(found_names)
+        return
+    for expected, found in zip(made.metrics, stored.metrics, strict=True):
+        yield from metric_differences(expected, found)
+
+
+def metric_differences(made: MetricSummary, stored: MetricSummary) -> Iterator[tuple[str, object, object]]:
+    """Key, expected and found value of what an entry says otherwise than the scores."""
+    within = 1e-9 + _VALUES_WITHIN * abs(made.mean)
+    limits = {"mean": within, "low": within, "high": within, "detectable": within}
+    found = msgspec.structs.asdict(stored)
+    # The estimator first: bounds of another one differ, too, and say less about the cause.
+    for name, value in sorted(msgspec.structs.asdict(made).items(), key=lambda item: item[0] != "interval"):
+        if name == "marks":  # since 0.5.0, values that only arithmetic tells apart are marked as equal, too
+            same = set(value) - {"all_equal"} == set(found[name]) - {"all_equal"}
+        elif name == "uncertainty":
+            same = value.keys() == found[name].keys() and all(
+                abs(share - found[name][source]) <= _SHARES_WITHIN for source, share in value.items()
+            )
+        elif name in limits and value is not None and found[name] is not None:
+            same = abs(value - found[name]) <= limits[name]
+        else:
+            same = value == found[name]
+        if not same:
+            yield f"{made.metric}.{name}", value, found[name]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoredSet:
+    """The motions that the scores belong to."""
+
+    info: DatasetInfo | TableRecord
+    metrics: tuple[MetricInfo, ...]
+    """All metrics of the benchmark, in the order in which they are printed."""
+    recording_of: Mapping[str, str]
+    """Recording of each scored sequence."""
+    chosen: int
+    """Sequences of split and limit, whether or not the method could generate them."""
+    method: str
+    condition: str
+    control: str | None
+    split: str
+    samples: int
+    best_of: int
+    """Motions drawn for each that was kept."""
+    gaze: bool
+    """The motions bring gaze that a method generated."""
+    obstacles: bool
+    """The method was given the solid boxes around each sequence."""
+    carry_on: bool
+    """Every put starts where the generated pick before it ends."""
+
+
+def summarise(scores: CodedScores | pa.Table, scored: ScoredSet) -> DatasetSummary:
+    """``summary.json`` of one dataset.
+
+    Args:
+        scores: Rows of ``scores.parquet``.
+        scored: What they are of.
+    """
+    metrics = _metrics(CodedScores.of([scores]) if isinstance(scores, pa.Table) else scores, scored)
+    mismatched = max((metric.flags.get(LENGTH_MISMATCH, 0) for metric in metrics), default=0)
+    return DatasetSummary(
+        dataset=scored.info.dataset,
+        title=_titled(scored.info.title, synthetic=scored.info.synthetic),
+        synthetic=scored.info.synthetic,
+        redistribution=scored.info.redistribution,
+        method=scored.method,
+        condition=scored.condition,
+        control=scored.control,
+        split=scored.split,
+        sequences=scored.chosen,
+        unsupported=scored.chosen - len(scored.recording_of),
+        recordings=len(set(scored.recording_of.values())),
+        samples=scored.samples,
+        best_of=scored.best_of,
+        gaze=scored.gaze,
+        obstacles=scored.obstacles,
+        carry_on=scored.carry_on,
+        length_mismatches=mismatched,
+        metrics=metrics,
+    )
+
+
+def summary_of(
+    record: RunRecord, table: TableRecord, scores: CodedScores | pa.Table, recording_of: Mapping[str, str]
+) -> DatasetSummary:
+    """Make ``summary.json`` anew from ``run.json``, the scores and the recording of each case."""
+    return summarise(
+        scores,
+        ScoredSet(
+            info=table,
+            metrics=load_benchmark(record.benchmark).metrics,
+            recording_of=recording_of,
+            chosen=table.sequences,
+            method=record.method.name,
+            condition=record.condition,
+            control=record.control,
+            split=record.split,
+            samples=record.samples,
+            best_of=record.best_of,
+            gaze=record.method.gaze,
+            obstacles=record.method.wants_obstacles,
+            carry_on=record.carry_on,
+        ),
+    )
+
+
+def _titled(title: str, *, synthetic: bool) -> str:
+    """The title of a dataset, with the word "synthetic" where the data are."""
+    return f"{title} (synthetic)" if synthetic and "synthetic" not in title.lower() else title
+
+
+def _metrics(scores: CodedScores, scored: ScoredSet) -> tuple[MetricSummary, ...]:
+    ranked = sum(info.main and info.ranked for info in scored.metrics)
+    # Numbers in the order of the names take the place of the names, which are sorted many times.
+    sequences = _ranks(scores.sequence_ids)
+    recordings = _ranks([scored.recording_of[name] for name in scores.sequence_ids])
+    return tuple(
+        _summarised(info, scores, scores.rows_of(info.id), sequences, recordings, ranked)
+        for info in scored.metrics
+        if info.id in scores.metrics
+    )
+
+
+def _ranks(names: Sequence[str]) -> Int[np.ndarray, " names"]:
+    """Return the place of each name among the different names, sorted."""
+    if all(first < second for first, second in itertools.pairwise(names)):
+        return np.arange(len(names))
+    place = {name: number for number, name in enumerate(sorted(set(names)))}
+    return np.array([place[name] for name in names], dtype=np.int64)
+
+
+def _summarised(
+    info: MetricInfo,
+    scores: CodedScores,
+    rows: Int[np.ndarray, " rows"],
+    sequences: Int[np.ndarray, " sequences"],
+    recordings: Int[np.ndarray, " sequences"],
+    ranked: int,
+) -> MetricSummary:
+    sequence_ids = sequences[scores.sequence[rows]]
+    recording_ids = recordings[scores.sequence[rows]]
+    values = scores.value[rows]
+    estimate = metric_interval(info, values, recording_ids, sequence_ids)
+    sources = uncertainty_sources(values, recording_ids, sequence_ids)
+    shares = {"recordings": sources.recordings, "sequences": sources.sequences, "samples": sources.samples}
+    flags = _counted_flags(scores, rows)
+    return MetricSummary(
+        metric=info.id,
+        title=info.title,
+        unit=info.unit,
+        mean=estimate.mean,
+        low=estimate.low,
+        high=estimate.high,
+        level=CONFIDENCE,
+        interval=estimate.method,
+        sequences=estimate.n_sequences,
+        recordings=estimate.n_recordings,
+        marks=estimate.marks,
+        flags=dict(sorted(flags.items())),
+        detectable=smallest_detectable_unpaired(values, recording_ids, sequence_ids, comparisons=ranked),
+        uncertainty={name: round(share, 4) for name, share in shares.items()},
+    )
+
+
+def _counted_flags(scores: CodedScores, rows: Int[np.ndarray, " rows"]) -> Counter[str]:
+    """Count the rows that carry each flag; a row may carry several."""
+    found: Counter[str] = Counter()
+    flag = scores.flag[rows]
+    for number, count in enumerate(np.bincount(flag[flag >= 0], minlength=len(scores.flags)).tolist()):
+        for name in scores.flags[number].split(";") if count and scores.flags[number] else ():
+            found[name] += count
+    return found

@@ -1,0 +1,269 @@
+"""Run a method over tables: questions, answers, scores, summary, in a run folder that resumes.
+
+Nothing here knows of a benchmark but its value (:mod:`prbench.harness.benchmark`).
+
+``run.json`` is written first and holds everything that decides the result; a batch of predictions is written whole;
+scores, cost and summary follow when all batches are there, the summary last. Whatever moment a run was killed at, the
+same request finds out from the files what is left to do and ends with the same bytes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Int
+
+from prbench.engine import Engine, InProcess
+from prbench.errors import AdapterError, MemoryFullError
+from prbench.files.locks import sole_writer
+from prbench.files.storage import remove_half_written, write_text
+from prbench.harness.generation import BatchTask, run_batch
+from prbench.harness.methods.loaded_methods import forget_loaded_methods, unload_method
+from prbench.harness.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
+from prbench.harness.request import Progress, ProgressCallback, RunRequest, reported, silent
+from prbench.harness.results import require_scores, require_summary, summary_of
+from prbench.harness.run_folder.coded_scores import CodedScores
+from prbench.harness.run_folder.cost import read_batch_costs, total_cost
+from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
+from prbench.harness.run_folder.record import PACKAGE
+from prbench.harness.run_folder.scores import write_scores
+from prbench.harness.run_folder.summary import DatasetSummary
+from prbench.sequences.redistribution import run_notice
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """Results of a run."""
+
+    folder: RunFolder
+    summaries: tuple[DatasetSummary, ...]
+    batches_made: int
+    """Number of batches that this call generated."""
+    batches_found: int
+    """Number of batches that an earlier call has left."""
+
+
+def run_method(request: RunRequest, *, engine: Engine | None = None, progress: ProgressCallback = silent) -> RunReport:
+    """Run a method and score it; goes on where an earlier call with the same request was interrupted.
+
+    Args:
+        request: What to run on what.
+        engine: Where batches are generated and scored; in this process by default. Leaves no trace in the files
+            except ``cost.json``.
+        progress: Called after every batch and every scored window.
+
+    Raises:
+        AdapterError: if the method is unknown, does not take the condition, or breaks its contract.
+        RunError: if the run folder belongs to other inputs, or its scores do not follow from its motions.
+        TableError: if a table is missing, empty, changed or of an unknown version.
+        StorageError: if a file cannot be written, or another process works in the run folder.
+        UsageError: if the request does not fit together.
+    """
+    engine = engine or InProcess()
+    with contextlib.ExitStack() as held:
+        try:
+            prepared = prepare_run(request)
+            held.enter_context(sole_writer(prepared.out))
+            folder = prepared_folder(prepared)
+            parts = [RunPart(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
+            made = generate_all(parts, folder, engine)
+            remove_half_written(folder.path)  # by workers that were killed
+        except Exception:
+            if request.isolate:
+                remove_empty(request.out or DEFAULT_PARENT)  # made so that it could be withheld
+            raise
+        finally:
+            forget_loaded_methods()  # no program outlives the run, however it ends
+        summaries = scored_parts(parts)
+    total = sum(len(dataset.work.plan) for dataset in prepared.datasets)
+    return RunReport(folder, summaries, batches_made=sum(made), batches_found=total - sum(made))
+
+
+def score_prepared(
+    prepared: PreparedRun, folder: RunFolder, *, engine: Engine, progress: ProgressCallback = silent
+) -> tuple[DatasetSummary, ...]:
+    """Score what stands in a run folder, whoever has put it there.
+
+    Args:
+        prepared: The run.
+        folder: Where its predictions are.
+        engine: Where the work is done; changes no value.
+        progress: Called with what is done.
+    """
+    parts = [RunPart(prepared, one, folder.dataset(one.name), engine, progress) for one in prepared.datasets]
+    return scored_parts(parts)
+
+
+def scored_parts(parts: Sequence[RunPart]) -> tuple[DatasetSummary, ...]:
+    """Write what a licence asks for into each dataset's folder, then score what lies there."""
+    for part in parts:
+        part.write_notice()
+    return tuple(part.scored() for part in parts)
+
+
+def missing_batches(request: RunRequest, *, engine: Engine) -> Iterator[BatchTask]:
+    """Work that a run still has to do, for whoever makes the batches of several runs at once.
+
+    :func:`run_method` finds them where :func:`~prbench.harness.generation.run_batch` puts them, and scores them.
+    The caller holds the run folder until the batches are made.
+
+    Args:
+        request: See :func:`run_method`, whose errors these are.
+        engine: Where the batches will be made.
+    """
+    prepared = prepare_run(request)
+    folder = prepared_folder(prepared)
+    if not isinstance(engine, InProcess):
+        unload_method()  # every worker loads its own
+    for dataset in prepared.datasets:
+        part = RunPart(prepared, dataset, folder.dataset(dataset.name), engine, silent)
+        yield from part.tasks(frozenset(part.missing()))
+
+
+def prepared_folder(prepared: PreparedRun) -> RunFolder:
+    """Make the run folder, with a copy of the protocol where it is the user's own."""
+    return RunFolder.prepare(prepared.out, prepared.record, prepared.benchmark.copied_rules(prepared.rules))
+
+
+def generate_all(parts: list[RunPart], folder: RunFolder, engine: Engine) -> list[int]:
+    """Make what is missing of every dataset; a folder without a single batch is removed where that fails.
+
+    Args:
+        parts: The work on each dataset.
+        folder: The run folder.
+        engine: Where batches are made.
+
+    Returns:
+        How many batches each took.
+    """
+    if not isinstance(engine, InProcess):
+        unload_method()  # every worker loads its own
+    try:
+        missing = [part.missing() for part in parts]
+        done = {part.dataset.name: len(part.batches) - len(own) for part, own in zip(parts, missing, strict=True)}
+        numbers = {part.dataset.work.round_of(index) for part, own in zip(parts, missing, strict=True) for index in own}
+        for number in sorted(numbers):
+            rounds = [
+                [index for index in wanted if part.dataset.work.round_of(index) == number]
+                for part, wanted in zip(parts, missing, strict=True)
+            ]
+            tasks = (part.tasks(frozenset(wanted)) for part, wanted in zip(parts, rounds, strict=True) if wanted)
+            owners = [part for part, wanted in zip(parts, rounds, strict=True) for _ in wanted]
+            owners[0].tell(done)
+            # One stream of work for all datasets, so that every worker starts once and loads the method once.
+            for _, part in zip(engine.map(run_batch, itertools.chain.from_iterable(tasks)), owners, strict=True):
+                done[part.dataset.name] += 1
+                part.tell(done)
+    except MemoryFullError as error:  # or a worker that ended without an answer
+        folder.discard_if_empty()
+        method = parts[0].prepared.record.method
+        if method.kind != PACKAGE:
+            raise
+        raise AdapterError(
+            f"method '{method.name}': {error} If the method itself ends the process, --isolate shows what it wrote"
+            " last."
+        ) from error
+    except Exception:
+        folder.discard_if_empty()
+        raise
+    return [len(wanted) for wanted in missing]
+
+
+def remove_empty(folder: Path) -> None:
+    """Remove a folder that holds nothing."""
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+
+
+@dataclass(frozen=True)
+class RunPart:
+    """The work of a run on one of its datasets."""
+
+    prepared: PreparedRun
+    dataset: PreparedDataset
+    files: DatasetFolder
+    engine: Engine
+    progress: ProgressCallback
+    chosen: frozenset[int] | None = None
+    """The batches of a shard; None for all."""
+
+    @property
+    def plan(self) -> list[Int[np.ndarray, "_"]]:
+        """The places of the cases of each batch."""
+        return self.dataset.work.plan
+
+    @property
+    def batches(self) -> list[int]:
+        """Numbers of the batches that are to be made."""
+        return [index for index in range(len(self.plan)) if self.chosen is None or index in self.chosen]
+
+    def tell(self, done: dict[str, int]) -> None:
+        """Report how many batches of this dataset are done."""
+        self.progress(Progress(self.dataset.name, "generate", done[self.dataset.name], len(self.batches)))
+
+    def missing(self) -> list[int]:
+        """Batches that no earlier call has made."""
+        self.files.require_no_other_parts(len(self.plan))
+        return [index for index in self.batches if not self.has(index, self.files)]
+
+    def has(self, index: int, files: DatasetFolder) -> bool:
+        """Return True if a batch of this dataset is in a folder, whole."""
+        return files.has_part(index, self.dataset.ids(self.plan[index]), self.prepared.request.samples)
+
+    def tasks(self, wanted: frozenset[int]) -> Iterator[BatchTask]:
+        """The work on some batches, in the order of the plan."""
+        for index, question in self.dataset.work.questions(wanted, self.files):
+            yield BatchTask(
+                index=index,
+                sequence_ids=self.dataset.ids(self.plan[index]),
+                question=question,
+                method=self.dataset.method,
+                seed=self.prepared.request.seed,
+                part=self.files.part(index),
+                cost=self.files.batch_cost(index),
+                protocol_version=self.prepared.rules.version,
+            )
+
+    def write_notice(self) -> None:
+        """Say beside the predictions what the data's terms ask, so that it travels with a folder that is passed on."""
+        text = run_notice(self.dataset.cases.table.info, recorded_motion=self.dataset.work.holds_recordings)
+        if text and not self.files.notice.is_file():
+            write_text(self.files.notice, text)
+
+    def scored(self) -> DatasetSummary:
+        """Score what was generated; what an earlier call wrote has to follow from the motions and the table."""
+        files = self.files
+        work = self.dataset.work
+        if files.finished and files.has_scores():
+            stored = CodedScores.read(files.scores)
+            require_scores(files, stored, CodedScores.of(self._scores()))
+            require_summary(files, self._summary(stored))
+            work.require_beside(files, stored)
+        else:
+            write_scores(files.scores, self._scores())
+            measured = files.batch_costs()
+            if measured or not files.cost.is_file():  # else only scores were lost, and what was measured still holds
+                total_cost(read_batch_costs(measured), batches=len(self.plan)).write(files.cost)
+            stored = CodedScores.read(files.scores)
+            work.write_beside(files, stored)
+            # The summary comes last: where it stands, everything else does.
+            self._summary(stored).write(files.path)
+        files.forget_batch_costs()
+        return DatasetSummary.read(files.path)
+
+    def _summary(self, scores: CodedScores) -> DatasetSummary:
+        record = self.prepared.record
+        table = next(table for table in record.tables if table.dataset == self.dataset.name)
+        cases = self.dataset.cases
+        return summary_of(record, table, scores, dict(zip(cases.sequence_ids, cases.recording_ids, strict=True)))
+
+    def _scores(self) -> Iterator[pa.Table]:
+        """The scores of what was generated, some cases at a time."""
+        scores = self.dataset.work.scores(self.files, self.engine)
+        return reported(scores, self.dataset.name, len(self.dataset.cases), self.progress)

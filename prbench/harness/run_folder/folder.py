@@ -1,0 +1,211 @@
+"""Names and states of the files of a run, and how a folder is opened for a run or refused."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from prbench.engine import shards
+from prbench.errors import InputFileError, RunError, StorageError
+from prbench.files.boundary import foreign_input
+from prbench.files.parquet_files import read_parquet
+from prbench.files.storage import inside, remove_half_written, remove_leftovers
+from prbench.harness.run_folder import agreement, record, summary
+from prbench.harness.run_folder.record import RunRecord
+from prbench.protocol.benchmarks import default_benchmark
+from prbench.protocol.manifests import BenchmarkProtocol
+from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
+from prbench.protocol.own_protocol import protocol_beside, write_protocol
+from prbench.sequences.redistribution import NOTICE_FILE
+from prbench.shown import quoted
+
+
+@dataclass(frozen=True)
+class DatasetFolder:
+    """The files of one dataset's part of a run; the run folder itself if the run has one dataset only."""
+
+    path: Path
+
+    @property
+    def predictions(self) -> Path:
+        """Folder of the parts, one a planned batch."""
+        return self.path / "predictions"
+
+    @property
+    def scores(self) -> Path:
+        """Long form."""
+        return self.path / "scores.parquet"
+
+    @property
+    def cost(self) -> Path:
+        """Seconds and memory."""
+        return self.path / "cost.json"
+
+    @property
+    def agreement(self) -> Path:
+        """Agreement with recorded people, and rates by the goal's place; absent in runs of earlier versions."""
+        return self.path / agreement.FILE_NAME
+
+    @property
+    def notice(self) -> Path:
+        """Notice that the dataset's terms ask for; absent where they ask for none."""
+        return self.path / NOTICE_FILE
+
+    @property
+    def finished(self) -> bool:
+        """Everything is there; the summary is written last."""
+        return all(path.is_file() for path in (self.scores, self.cost, self.path / summary.FILE_NAME))
+
+    def part(self, batch: int) -> Path:
+        """Predictions of one batch."""
+        return self.predictions / f"part-{batch:05d}.parquet"
+
+    def batch_cost(self, batch: int) -> Path:
+        """Measurement of one batch, until the run is finished."""
+        return self.path / ".costs" / f"batch-{batch:05d}.json"
+
+    def batch_costs(self) -> list[Path]:
+        """All measurements, in order."""
+        return sorted((self.path / ".costs").glob("batch-*.json"))
+
+    def has_part(self, batch: int, sequence_ids: Iterable[str], samples: int) -> bool:
+        """Return True if a batch is there, whole, with exactly these sequences; every checksum is verified."""
+        try:
+            rows = read_parquet(self.part(batch), verify=True)
+        except (FileNotFoundError, pa.ArrowInvalid, OSError, InputFileError):
+            return False
+        if not {"sequence_id", "sample"} <= set(rows.column_names):
+            return False
+        # A part of another plan could have the same name, so the ids themselves are compared.
+        ids = list(sequence_ids)
+        expected = [(name, sample) for sample in range(samples) for name in ids]
+        return list(zip(rows["sequence_id"].to_pylist(), rows["sample"].to_pylist())) == expected
+
+    def require_no_other_parts(self, batches: int) -> None:
+        """Refuse files among the predictions that are no part of the plan; they would be scored too.
+
+        Raises:
+            RunError: naming the first one.
+        """
+        planned = {self.part(batch) for batch in range(batches)}
+        unplanned = sorted(path for path in self.predictions.glob("*.parquet") if path not in planned)
+        unplanned = [path for path in unplanned if not path.name.startswith(".")]
+        if unplanned:
+            raise RunError(
+                f"{unplanned[0]}: expected the {batches} parts of this run only, found another file. Move it elsewhere."
+            )
+
+    def has_scores(self) -> bool:
+        """Return True if scores are there and their file is whole at its end."""
+        try:
+            pq.read_metadata(self.scores)
+        except (FileNotFoundError, pa.ArrowInvalid, OSError):
+            return False
+        return True
+
+    def forget_batch_costs(self) -> None:
+        """Remove the measurements of single batches."""
+        shutil.rmtree(self.path / ".costs", ignore_errors=True)
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """A run on disk."""
+
+    path: Path
+    record: RunRecord
+
+    @classmethod
+    def prepare(cls, path: Path, wanted: RunRecord, protocol: BenchmarkProtocol | None = None) -> RunFolder:
+        """Make the folder, or go on in one that belongs to the very same run.
+
+        Args:
+            path: The folder.
+            wanted: Everything that decides the run.
+            protocol: Rules by which it is scored; a copy of a user's own ones lies in the folder.
+
+        Raises:
+            RunError: if the folder belongs to other inputs; names the key that differs.
+            StorageError: if it holds something else, or cannot be written.
+        """
+        remove_leftovers(path / record.FILE_NAME)  # of a process that was killed before the file stood there
+        if (path / record.FILE_NAME).is_file():
+            wanted.require_same(RunRecord.read(path), path)
+            remove_half_written(path)
+        elif path.exists() and not path.is_dir():
+            raise StorageError(f"{path}: is a file. Choose an empty or new folder for --out.")
+        elif path.is_dir() and any(path.iterdir()):
+            raise StorageError(
+                f"{path}: is not empty and holds no {record.FILE_NAME}, so it is no run folder."
+                " Choose an empty or new folder for --out."
+            )
+        else:
+            wanted.write(path)
+        if protocol is not None:
+            write_protocol(path, protocol)
+        return cls(path, wanted)
+
+    @classmethod
+    @foreign_input()
+    def open(cls, path: Path | str, *, any_benchmark: bool = False) -> RunFolder:
+        """Open a run for reading.
+
+        Args:
+            path: The folder.
+            any_benchmark: The caller works on runs of every benchmark; without it, those of the default one alone.
+
+        Raises:
+            RunError: if the folder holds no run, or one of a benchmark that the caller does not know.
+        """
+        path = Path(path)
+        if (path / shards.FILE_NAME).is_file():
+            raise RunError(f"{path}: is a shard of a run; `prbench merge` puts all of them together.")
+        record = RunRecord.read(path)
+        if not any_benchmark and record.benchmark != default_benchmark().name:
+            raise RunError(
+                f"{path}: is a run of the benchmark {quoted(record.benchmark)}, which this command does not know; it"
+                f" works on runs of {default_benchmark().name}. `prbench run` and `prbench leaderboard` know both."
+            )
+        return cls(path, record)
+
+    @property
+    def protocol(self) -> BenchmarkProtocol | None:
+        """The rules by which it was scored; None for prbench's own of another version.
+
+        Raises:
+            RunError: if the copy in the folder is not the protocol that ``run.json`` records.
+            InputFileError: if the copy is no protocol.
+        """
+        return protocol_beside(self.path, digest=self.record.protocol_digest, wrong=RunError)
+
+    def dataset(self, name: str) -> DatasetFolder:
+        """The part of one dataset.
+
+        Raises:
+            RunError: if the run did not include it.
+            InputFileError: if its name leads out of the run folder.
+        """
+        known = [table.dataset for table in self.record.tables]
+        if name not in known:
+            raise RunError(f"{self.path}: the run is of {', '.join(known)}, not of {name}.")
+        return DatasetFolder(self.path if len(known) == 1 else inside(self.path, name))
+
+    def discard_if_empty(self) -> None:
+        """Remove the folder if not a single batch was finished, so that a failed first step leaves nothing behind."""
+        folders = [self.dataset(table.dataset) for table in self.record.tables]
+        if any(any(folder.predictions.glob("part-*.parquet")) for folder in folders):
+            return
+        for folder in folders:
+            folder.forget_batch_costs()
+            for left in (folder.predictions, folder.path):
+                if left != self.path and left.is_dir() and not any(left.iterdir()):
+                    left.rmdir()
+        (self.path / PROTOCOL_FILE).unlink(missing_ok=True)
+        (self.path / record.FILE_NAME).unlink(missing_ok=True)
+        if self.path.is_dir() and not any(self.path.iterdir()):
+            self.path.rmdir()

@@ -1,0 +1,273 @@
+"""``run.json``: everything that decides what a run computes, and the comparison that keeps two runs apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from prbench.errors import RunError
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_whole
+from prbench.files.storage import text_digest, write_json
+from prbench.limits import LARGEST_JSON
+from prbench.protocol.benchmarks import default_benchmark
+from prbench.shown import clean
+
+FILE_NAME = "run.json"
+Record = TypeVar("Record")
+
+BUILT_IN = "built-in"
+CONTROL = "control"
+PACKAGE = "package"
+PROGRAM = "program"
+FILE = "file"
+UNKNOWN = "unknown"
+"""Kinds of methods: prbench's own, the harness's controls, a foreign package, a program (``cmd:`` or a TOML file),
+motions that came as a file; and what an old record does not say."""
+
+
+_VERSIONS = ("prbench_version", "method.version", "packages")
+"""Keys that may differ between a run and its repetition."""
+
+
+class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """A method in a certain version."""
+
+    name: str
+    kind: str = UNKNOWN
+    """One of the kinds above. Names are checked by it: only prbench's own methods and controls bear their names."""
+    package: str
+    """Package that a method was installed from; of a program its command, without the folders of the machine; of
+    motions the name of their file."""
+    version: str
+    weights: str | None
+    """Last part of the path of the weights in use, given or bundled, for people."""
+    weights_digest: str | None
+    options: dict[str, str]
+    max_frames: int | None
+    native_fps: float | None
+    motionless: bool
+    """The method declares that its motions stand still, so that Foot Skating says nothing about it."""
+    gaze: bool = False
+    """The motions bring gaze (docs/specification/protocol.md#gaze)."""
+    wants_obstacles: bool = False
+    """The method was given the solid boxes around each sequence, which others are not."""
+    one_design: bool = False
+    """The K futures of a window are one design, so that fewer have no scores; not written where they are none."""
+    isolation: str | None = None
+    """``process`` (paths, objects and environment withheld), ``bubblewrap`` (the file system too) or ``container``."""
+
+    @property
+    def origin(self) -> str:
+        """Origin of the method, from where, and how it was kept apart, in words for tables."""
+        source = clean(self.package)
+        words = {
+            BUILT_IN: "built in",
+            CONTROL: "control",
+            PACKAGE: f"package {source} {clean(self.version)}",
+            PROGRAM: f"program {source}",
+            FILE: f"file {source}",
+        }
+        apart = f", isolated: {clean(self.isolation)}" if self.isolation else ""
+        return words.get(self.kind, "unknown kind") + apart
+
+
+class BatchPlanRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """The groups of sequences; floating-point results may depend on them."""
+
+    batch_size: int
+    batches: int
+    digest: str
+    """Over the sequence ids of every batch, in order."""
+
+
+class TableRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The sequences of a table that a run was made on."""
+
+    dataset: str
+    title: str
+    synthetic: bool
+    redistribution: str
+    fold: str | None = None
+    """The fold of participants that was tested on, such as ``2/6``; absent for a table that is no fold."""
+    whole_table: str | None = None
+    """Content digest of the table that the fold is of; absent for a table that is no fold."""
+    identity_digest: str
+    content_digest: str
+    sequences: int
+    """Chosen by split and limit."""
+    unsupported: int
+    """Number of them that are longer than the method can generate."""
+    selection_digest: str
+    """Over the ids of the chosen sequences."""
+    batch_plan: BatchPlanRecord
+    estimated_bodies: bool = False
+    """Bodies were estimated from whole tracks of the head; never enters one mean with captured ones."""
+
+
+class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """The whole of ``run.json``. Holds no time of day, host, absolute path or worker count."""
+
+    schema_version: int
+    prbench_version: str
+    protocol_version: int
+    protocol_digest: str
+    method: MethodRecord
+    condition: str
+    control: str | None
+    split: str
+    limit: int | None
+    sequences: tuple[str, ...] = ()
+    """Ids, if the run is of single sequences instead of a split's; sorted."""
+    seed: int
+    samples: int
+    """Motions kept of each sequence."""
+    best_of: int = 1
+    """Motions drawn for each that is kept (docs/specification/protocol.md#best-of-k)."""
+    carry_on: bool = False
+    """Every put starts where the generated pick before it ends (docs/specification/carry-on.md)."""
+    device: str
+    threads: int
+    """Per worker."""
+    packages: dict[str, str]
+    tables: tuple[TableRecord, ...]
+    benchmark: str = msgspec.field(default_factory=lambda: default_benchmark().name)
+    """Name of the benchmark; not written for the default one, whose runs are older than the key."""
+
+    @property
+    def is_usual(self) -> bool:
+        """False for motions that were chosen, bring gaze, knew more than others or started elsewhere: never ranked."""
+        adds_or_knows_more = self.method.gaze or self.method.wants_obstacles
+        return self.best_of == 1 and not adds_or_knows_more and not self.carry_on
+
+    def write(self, folder: Path) -> None:
+        """Write ``run.json``."""
+        write_json(folder / FILE_NAME, self.written)
+
+    @property
+    def written(self) -> dict[str, Any]:
+        """The values of ``run.json``: keys that are younger than its format are left out where they say the usual."""
+        values = msgspec.to_builtins(self)
+        if self.benchmark == default_benchmark().name:
+            del values["benchmark"]
+        if not self.method.one_design:
+            del values["method"]["one_design"]
+        return values
+
+    @property
+    def short_digest(self) -> str:
+        """Digest in the name of a run folder that the user did not name."""
+        text = repr(self).replace(", one_design=False", "")
+        if self.benchmark == default_benchmark().name:
+            # Folders of earlier versions, whose records named no benchmark, are to be found again.
+            text = text.replace(f", benchmark={self.benchmark!r}", "")
+        return text_digest(text)[:8]
+
+    @classmethod
+    @foreign_input()
+    def read(cls, folder: Path) -> RunRecord:
+        """Read ``run.json``.
+
+        Raises:
+            RunError: if the folder holds none, or it is damaged or of another version.
+        """
+        record = read_record(
+            folder / FILE_NAME,
+            cls,
+            missing=f"{folder}: expected a run folder (with {FILE_NAME}), found no such file in it.",
+            remedy="Choose another folder for --out.",
+        )
+        return _with_todays_kind(record)
+
+    def require_same_inputs(self, other: RunRecord) -> None:
+        """Refuse to repeat a run with other tables, sequences, weights or settings; versions may differ.
+
+        Args:
+            other: The earlier run.
+
+        Raises:
+            RunError: naming the first key that differs, with both values.
+        """
+        wanted = _flat(other.written)
+        found = _flat(self.written)
+        for key in wanted | found:
+            if key.startswith(_VERSIONS) or wanted.get(key) == found.get(key):
+                continue
+            raise RunError(
+                f"{key}: expected {_shown(wanted.get(key))} as in the run that is to be repeated, found"
+                f" {_shown(found.get(key))}. Name its tables with --data and its weights with --weights."
+            )
+
+    def require_same(self, other: RunRecord, folder: Path) -> None:
+        """Refuse to go on in a folder that belongs to other inputs.
+
+        Args:
+            other: What stands in the folder.
+            folder: The run folder, for the message.
+
+        Raises:
+            RunError: naming the first key that differs, with both values.
+        """
+        wanted = _flat(self.written)
+        found = _flat(other.written)
+        # In the order of the record, so that the first difference named is the most telling one.
+        for key in wanted | found:
+            if wanted.get(key) != found.get(key):
+                raise RunError(
+                    f"{folder / FILE_NAME}, {key}: expected {_shown(wanted.get(key))} for this run,"
+                    f" found {_shown(found.get(key))}. The folder belongs to another run; choose another folder for"
+                    " --out, or delete this one."
+                )
+
+
+def read_record(path: Path, kind: type[Record], *, missing: str, remedy: str) -> Record:
+    """Read one of the JSON files of a run.
+
+    Args:
+        path: The file.
+        kind: What it holds.
+        missing: The message if there is no such file.
+        remedy: What to do about a file that holds something else.
+
+    Raises:
+        RunError: if it is missing, damaged or of another version.
+    """
+    try:
+        return msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=kind)
+    except FileNotFoundError as error:
+        raise RunError(missing) from error
+    except (msgspec.ValidationError, msgspec.DecodeError) as error:
+        raise RunError(f"{path}: not a valid {path.name}: {error}. {remedy}") from error
+
+
+def _with_todays_kind(record: RunRecord) -> RunRecord:
+    """A record of prbench 0.5 or older, which told neither own methods from foreign ones nor called a file a file."""
+    method = record.method
+    if method.kind == "adapter":
+        kind = BUILT_IN if method.package == "prbench" else PACKAGE
+    elif method.kind == "offline":
+        kind = FILE
+    else:
+        return record
+    return msgspec.structs.replace(record, method=msgspec.structs.replace(method, kind=kind))
+
+
+def _flat(value: object, prefix: str = "") -> dict[str, object]:
+    """Leaves by dotted key; tables are named by their dataset."""
+    if isinstance(value, dict):
+        items = [(str(key), item) for key, item in value.items()]
+    elif isinstance(value, list | tuple):
+        items = [(item["dataset"] if isinstance(item, dict) else str(i), item) for i, item in enumerate(value)]
+    else:
+        return {prefix: value}
+    leaves: dict[str, object] = {}
+    for key, item in items:
+        leaves |= _flat(item, f"{prefix}.{key}" if prefix else key)
+    return leaves
+
+
+def _shown(value: object) -> str:
+    text = "nothing" if value is None else str(value)
+    return f"{text[:12]}…" if len(text) == 64 else text

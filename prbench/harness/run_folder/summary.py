@@ -1,0 +1,206 @@
+"""``summary.json``: means with their intervals, and how much data stand behind them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from prbench.errors import RunError
+from prbench.files.boundary import foreign_input
+from prbench.files.storage import write_json
+from prbench.harness.run_folder.record import read_record
+from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION
+
+FILE_NAME = "summary.json"
+RECORDED_MOTION = "recorded_motion"
+"""Flag of a motion that is the recorded one, beside its MPJPE."""
+EDGE_ARRIVAL = "arrived_from_the_edge"
+"""Flag of a motion that came onto the target from less than ``arrival_margin`` outside it, beside its arrival."""
+_RECORDED_SHARE = 0.01
+"""Share of such motions above which a method is not ranked."""
+_BY_ACCIDENT = 1
+"""Recorded motions that say nothing of a method: in a run of few sequences one is already more than that share."""
+TWICE_DAGGER = "††"
+"""Mark of a method that handed in recorded motions."""
+SECTION = "§"
+"""Mark of motions that were chosen among several."""
+PILCROW = "¶"
+"""Mark of motions that bring gaze, which the study's methods do not generate."""
+LOZENGE = "◊"
+"""Mark of a method that was given the scene's boxes."""
+PARALLEL = "∥"
+"""Mark of puts that carry on from generated picks."""
+
+
+class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
+    """One metric of one dataset; rates from 0 to 1."""
+
+    metric: str
+    title: str
+    unit: str
+    mean: float
+    low: float | None
+    high: float | None
+    """Bounds of the interval; None where too few recordings allow none."""
+    level: float
+    """Confidence level of the interval, such as 0.95."""
+    interval: str
+    """Name of the estimator of the interval."""
+    sequences: int
+    recordings: int
+    marks: tuple[str, ...]
+    """Remarks that a reader of the interval needs: ``few_recordings``, ``one_recording``, ``all_equal``."""
+    flags: dict[str, int]
+    """Number of motions that carry each remark."""
+    detectable: float | None = None
+    """Smallest difference to an unrelated method of the same spread that is found with 80 % power at Holm's first step
+    among the metrics that are compared; None where nothing can be tested."""
+    uncertainty: dict[str, float] = msgspec.field(default_factory=dict)
+    """Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``."""
+
+
+class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
+    """Scores of a method on one dataset. Holds no time of day, host or path."""
+
+    schema_version: int = RUN_SCHEMA_VERSION
+    dataset: str
+    title: str
+    """Carries the word "synthetic" where the data are."""
+    synthetic: bool
+    redistribution: str
+    method: str
+    condition: str
+    control: str | None
+    split: str
+    sequences: int
+    """Chosen; ``unsupported`` of them were not scored."""
+    unsupported: int
+    recordings: int
+    samples: int
+    """Motions kept of each sequence."""
+    best_of: int = 1
+    """Motions drawn for each that was kept."""
+    gaze: bool = False
+    """The motions bring gaze that the method generated."""
+    obstacles: bool = False
+    """The method was given the solid boxes around each sequence."""
+    carry_on: bool = False
+    """Every put starts where the generated pick before it ends."""
+    length_mismatches: int
+    metrics: tuple[MetricSummary, ...]
+
+    def metric(self, name: str) -> MetricSummary | None:
+        """Return one metric, or None if there is no value of it."""
+        return next((metric for metric in self.metrics if metric.metric == name), None)
+
+    @property
+    def recorded_motions(self) -> int:
+        """Number of motions that are the recorded ones, handed in as the method's own."""
+        # Any metric may carry the remark; each counts the same motions.
+        return max((metric.flags.get(RECORDED_MOTION, 0) for metric in self.metrics), default=0)
+
+    @property
+    def hands_in_recordings(self) -> bool:
+        """True if there are too many of them for an accident, so that the scores are those of no method."""
+        return self.recorded_motions > max(_BY_ACCIDENT, _RECORDED_SHARE * self._motions)
+
+    @property
+    def recorded_motion_mark(self) -> str:
+        """Remark of tables on them; empty if there are none."""
+        if not self.recorded_motions:
+            return ""
+        rank = "; never ranked" if self.hands_in_recordings else ""
+        return f"{TWICE_DAGGER} equals the recorded motion in {self.recorded_motions} of {self._motions} motions{rank}"
+
+    @property
+    def best_of_mark(self) -> str:
+        """Remark of tables on motions that were chosen among several; empty if none were."""
+        if self.best_of == 1:
+            return ""
+        return f"{SECTION} best of {self.best_of} motions, chosen by their own head ray and wrist; never ranked"
+
+    @property
+    def gaze_mark(self) -> str:
+        """Remark of tables on motions that bring gaze; empty if they bring none."""
+        return f"{PILCROW} gaze generated with the head, beyond the study; never ranked" if self.gaze else ""
+
+    @property
+    def obstacles_mark(self) -> str:
+        """Remark of tables on a method that was given the scene's boxes; empty if it was not."""
+        if not self.obstacles:
+            return ""
+        return f"{LOZENGE} was given the scene's boxes, which other methods are not; never ranked"
+
+    @property
+    def carry_on_mark(self) -> str:
+        """Remark of tables on puts that carry on from generated picks; empty if they do not."""
+        if not self.carry_on:
+            return ""
+        return f"{PARALLEL} each put starts where the generated pick before it ends; never ranked"
+
+    @property
+    def run_marks(self) -> tuple[str, ...]:
+        """Remarks on how the motions were made, the same on every dataset of a run."""
+        marks = (self.best_of_mark, self.gaze_mark, self.obstacles_mark, self.carry_on_mark)
+        return tuple(mark for mark in marks if mark)
+
+    @property
+    def mark(self) -> str:
+        """Return the remarks that readers must know about the motions; empty if there are none."""
+        return "; ".join(part for part in (self.recorded_motion_mark, *self.run_marks) if part)
+
+    @property
+    def symbols(self) -> str:
+        """The signs of :attr:`mark`, for the name of the method."""
+        return _signs((self.recorded_motion_mark, *self.run_marks))
+
+    @property
+    def run_symbols(self) -> str:
+        """The signs of :attr:`run_marks`."""
+        return _signs(self.run_marks)
+
+    @property
+    def edge_arrivals(self) -> str:
+        """Words on arrivals from so little outside the target that a trembling ray earns them; empty if none is."""
+        metric = next((metric for metric in self.metrics if EDGE_ARRIVAL in metric.flags), None)
+        if metric is None:
+            return ""
+        return (
+            f"{metric.flags[EDGE_ARRIVAL]} of {round(metric.mean * self._motions)} arrivals of {metric.title} come from"
+            " just outside the target, as those of a ray that trembles on its border do"
+        )
+
+    @property
+    def _motions(self) -> int:
+        return (self.sequences - self.unsupported) * self.samples
+
+    def write(self, folder: Path) -> None:
+        """Write ``summary.json``."""
+        write_json(folder / FILE_NAME, msgspec.to_builtins(self))
+
+    @classmethod
+    @foreign_input()
+    def read(cls, folder: Path) -> DatasetSummary:
+        """Read ``summary.json``.
+
+        Raises:
+            RunError: if it is missing, damaged or of another version.
+        """
+        path = folder / FILE_NAME
+        summary = read_record(
+            path,
+            cls,
+            missing=f"{folder}: expected {FILE_NAME}, found none: the run is not finished. Run it again: it resumes.",
+            remedy="Delete it and run the method again.",
+        )
+        if summary.schema_version != RUN_SCHEMA_VERSION:
+            raise RunError(
+                f"{path}: expected schema version {RUN_SCHEMA_VERSION}, found {summary.schema_version}. Update prbench."
+            )
+        return summary
+
+
+def _signs(marks: tuple[str, ...]) -> str:
+    """The sign that each remark begins with."""
+    return " ".join(mark.split(" ", 1)[0] for mark in marks if mark)

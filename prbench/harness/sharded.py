@@ -1,0 +1,281 @@
+"""A run in shards: each makes some batches on a machine of its own; the merge puts them together and scores them.
+
+What comes out has the bytes of one run in one folder, but for ``cost.json``. Source: docs/cluster.md.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from prbench.engine import Engine, InProcess
+from prbench.engine.shards import FILE_NAME, Shard, ShardRecord, begin_shard, require_settings
+from prbench.errors import ShardError, UsageError
+from prbench.files.locks import sole_writer
+from prbench.files.storage import atomic_path, remove_half_written, remove_leftovers, require_replaceable
+from prbench.harness.methods.loaded_methods import forget_loaded_methods
+from prbench.harness.preparation import DEFAULT_PARENT, PreparedRun, prepare_recorded, prepare_run
+from prbench.harness.request import ProgressCallback, RunRequest, silent
+from prbench.harness.run import RunPart, RunReport, generate_all, prepared_folder, remove_empty, scored_parts
+from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
+from prbench.harness.run_folder.record import RunRecord
+from prbench.object_stores.inputs import fetched
+from prbench.object_stores.urls import is_url
+from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
+from prbench.protocol.own_protocol import write_protocol
+
+
+@dataclass(frozen=True)
+class RunShardReport:
+    """The result of one shard of a run."""
+
+    folder: Path
+    shard: Shard
+    record: RunRecord
+    """Of the whole run."""
+    planned: int
+    """Batches of all shards."""
+    batches_made: int
+    batches_found: int
+    """Batches that an earlier call has left."""
+
+
+def run_shard(
+    request: RunRequest,
+    shard: Shard,
+    *,
+    tables_at: Sequence[str] = (),
+    engine: Engine | None = None,
+    progress: ProgressCallback = silent,
+) -> RunShardReport:
+    """Make the batches of one shard of a run, for :func:`merge_run_shards`; goes on where it was interrupted.
+
+    Args:
+        request: The whole run, apart from its folder, which is that of the shard.
+        shard: Which one it is.
+        tables_at: Where the merge finds the tables, paths or URLs; by default where they lie on this machine.
+        engine: See :func:`prbench.harness.run.run_method`, whose errors these are.
+        progress: See :func:`prbench.harness.run.run_method`.
+
+    Raises:
+        ShardError: if the folder holds another shard.
+        UsageError: if puts carry on from generated picks, which other shards may make.
+    """
+    if request.carry_on:
+        raise UsageError(
+            "--carry-on: a put starts where a generated pick ends, which another shard may make; leave --shard out."
+        )
+    engine = engine or InProcess()
+    with contextlib.ExitStack() as held:
+        try:
+            prepared = prepare_run(request)
+            out = _folder(prepared, shard)
+            held.enter_context(sole_writer(out))
+            record = _shard_record(request, prepared, shard, tables_at)
+            _begin(out, record, prepared)
+            folder = RunFolder(out, prepared.record)
+            mine = {record.plan[place] for place in shard.places(len(record.plan))}
+            parts = [
+                RunPart(prepared, one, folder.dataset(one.name), engine, progress, _chosen(one.name, mine))
+                for one in prepared.datasets
+            ]
+            try:
+                made = sum(generate_all(parts, folder, engine))
+                remove_half_written(out)  # by workers that were killed
+            except Exception:
+                _discard_if_empty(out)
+                raise
+        except Exception:
+            if request.isolate:
+                remove_empty(request.out or DEFAULT_PARENT)  # made so that it could be withheld
+            raise
+        finally:
+            forget_loaded_methods()  # no program outlives the run, however it ends
+        for part in parts:
+            if part.chosen:
+                part.write_notice()
+    return RunShardReport(out, shard, prepared.record, len(record.plan), made, len(mine) - made)
+
+
+def merge_run_shards(
+    shards: Sequence[tuple[Path, ShardRecord]],
+    out: Path,
+    *,
+    data: Sequence[Path] = (),
+    engine: Engine | None = None,
+    progress: ProgressCallback = silent,
+) -> RunReport:
+    """Put the batches of all shards into one run folder, and score them; goes on where it was interrupted.
+
+    The method is not needed.
+
+    Args:
+        shards: All of them (:func:`prbench.engine.shards.require_whole`).
+        out: The run folder.
+        data: The tables of the run; by default where the shards found them.
+        engine: Where to score.
+        progress: Called after every scored window.
+
+    Raises:
+        ShardError: if a shard is unfinished or damaged, or the tables are other ones.
+        RunError: if ``out`` belongs to another run.
+        StorageError: if ``out`` cannot be written, or another process writes there.
+        TableError: if a table is missing or changed.
+    """
+    folder, shard = shards[0]
+    record = msgspec.convert(shard.settings, RunRecord)
+    request = _request(folder, shard, record, data, out)
+    prepared = prepare_recorded(request, record, out)
+    require_settings(
+        folder,
+        shard,
+        prepared.record.written,
+        remedy="Name the tables of the shards with --data, and merge in the environment that made them.",
+    )
+    sources = _sources(shards, prepared)
+    with sole_writer(prepared.out):
+        merged = prepared_folder(prepared)
+        parts = [
+            RunPart(prepared, one, merged.dataset(one.name), engine or InProcess(), progress)
+            for one in prepared.datasets
+        ]
+        missing = [(part, index) for part in parts for index in part.missing()]
+        for part, index in missing:
+            _copy_batch(part, index, sources[_name(part.dataset.name, index)])
+        summaries = scored_parts(parts)
+    return RunReport(merged, summaries, batches_made=len(missing), batches_found=len(sources) - len(missing))
+
+
+def _shard_record(request: RunRequest, prepared: PreparedRun, shard: Shard, tables_at: Sequence[str]) -> ShardRecord:
+    return ShardRecord(
+        kind="run",
+        number=shard.number,
+        count=shard.count,
+        settings=prepared.record.written,
+        plan=tuple(_names(prepared)),
+        # The whole tables of a fold, which the merge makes again: the fold itself lies in the cache of this machine.
+        places={
+            "data": list(tables_at) or [str(folder.absolute()) for folder in request.data],
+            "fold": request.fold,
+        },
+    )
+
+
+def _names(prepared: PreparedRun) -> Iterator[str]:
+    """Name the batches of all datasets, in order."""
+    for dataset in prepared.datasets:
+        for index in range(len(dataset.work.plan)):
+            yield _name(dataset.name, index)
+
+
+def _name(dataset: str, index: int) -> str:
+    return f"{dataset} batch {index}"
+
+
+def _chosen(dataset: str, names: set[str]) -> frozenset[int]:
+    """Return the numbers of a dataset's batches among some names."""
+    return frozenset(int(name.rpartition(" ")[2]) for name in names if name.rpartition(" batch ")[0] == dataset)
+
+
+def _folder(prepared: PreparedRun, shard: Shard) -> Path:
+    """Return the folder of the shard: the user's, or one beside the whole run's."""
+    if prepared.request.out is not None:
+        return prepared.out
+    return prepared.out.with_name(f"{prepared.out.name}-shard-{shard.number}-of-{shard.count}")
+
+
+def _begin(out: Path, record: ShardRecord, prepared: PreparedRun) -> None:
+    """Make the folder of the shard, or go on in it."""
+    remove_leftovers(out / FILE_NAME)
+    require_replaceable(out, FILE_NAME, kind="shard")
+    begin_shard(out, record)
+    remove_half_written(out)
+    protocol = prepared.benchmark.copied_rules(prepared.rules)
+    if protocol is not None:
+        write_protocol(out, protocol)
+
+
+def _discard_if_empty(out: Path) -> None:
+    """Remove what is left of a shard whose first batch has failed."""
+    left = {path.name for path in out.iterdir()} if out.is_dir() else {FILE_NAME, "more"}
+    if left == {FILE_NAME}:
+        (out / FILE_NAME).unlink()
+        out.rmdir()
+
+
+def _request(folder: Path, shard: ShardRecord, record: RunRecord, data: Sequence[Path], out: Path) -> RunRequest:
+    """Return the request of the whole run."""
+    protocol = folder / PROTOCOL_FILE
+    return RunRequest(
+        method=record.method.name,
+        data=tuple(data) or tuple(fetched(at) if is_url(at) else Path(at) for at in shard.places.get("data", ())),
+        benchmark=record.benchmark,
+        condition=record.condition,
+        split=record.split,
+        fold=shard.places.get("fold"),
+        limit=record.limit,
+        sequences=record.sequences,
+        seed=record.seed,
+        samples=record.samples,
+        best_of=record.best_of,
+        batch_size=record.tables[0].batch_plan.batch_size,
+        device=record.device,
+        threads=record.threads,
+        control=record.control,
+        protocol=protocol if protocol.is_file() else None,
+        out=out,
+    )
+
+
+def _sources(shards: Sequence[tuple[Path, ShardRecord]], prepared: PreparedRun) -> dict[str, tuple[Path, ShardRecord]]:
+    """Find every batch of the run in its shard, before the first is copied.
+
+    Raises:
+        ShardError: naming the first shard that lacks one.
+    """
+    found: dict[str, tuple[Path, ShardRecord]] = {}
+    for folder, record in shards:
+        for place in record.shard.places(len(record.plan)):
+            found[record.plan[place]] = (folder, record)
+    for dataset in prepared.datasets:
+        for index in range(len(dataset.work.plan)):
+            folder, record = found[_name(dataset.name, index)]
+            part = _files(folder, prepared, dataset.name).part(index)
+            if not part.is_file():
+                raise ShardError(
+                    f"{folder}: shard {record.shard} is not finished: expected {part.name} of {dataset.name}, found no"
+                    f" file. {_again(record)}"
+                )
+    return found
+
+
+def _files(folder: Path, prepared: PreparedRun, dataset: str) -> DatasetFolder:
+    return RunFolder(folder, prepared.record).dataset(dataset)
+
+
+def _copy_batch(part: RunPart, index: int, source: tuple[Path, ShardRecord]) -> None:
+    """Copy one batch with its measurement."""
+    folder, record = source
+    files = _files(folder, part.prepared, part.dataset.name)
+    if not part.has(index, files):
+        raise ShardError(
+            f"{files.part(index)}: expected a whole batch of shard {record.shard}, found a damaged file or other"
+            f" sequences. Copy the shard again, or delete the file; then: {_again(record)}"
+        )
+    # The measurement first, so that a batch is never without it.
+    for copied, target in (
+        (files.batch_cost(index), part.files.batch_cost(index)),
+        (files.part(index), part.files.part(index)),
+    ):
+        if copied.is_file():
+            with atomic_path(target) as temporary:
+                shutil.copyfile(copied, temporary)
+
+
+def _again(record: ShardRecord) -> str:
+    return f"Run its command (--shard {record.shard}) again."

@@ -1,0 +1,331 @@
+"""Dataset manifests and the benchmark protocol as frozen data classes, read once from TOML."""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from functools import cache
+from importlib import resources
+from importlib.resources.abc import Traversable
+from typing import Literal, TypeVar
+
+import msgspec
+
+from prbench.datasets import find_reader, folder_of, own_datasets, readable_datasets
+from prbench.errors import InputFileError, UsageError
+from prbench.files.boundary import foreign_input
+from prbench.shown import quoted
+
+Redistribution = Literal["none", "non-commercial", "yes"]
+PROTOCOL_NAME = "prime-and-reach"
+"""Name of the rules that come with prbench; a user's own have another one (:mod:`prbench.protocol.own_protocol`)."""
+
+
+class BodySource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The source of a dataset's body poses and their mapping to the 22 joints."""
+
+    pose_source: str
+    head_tilt_deg: float
+    joint_mapping: tuple[str, ...] = ()
+    """Native joint of each of the 22 joints; ``a+b`` is the mean of two, ``0.6 a + 0.4 b`` a point between them. Empty
+    where the joints are native already."""
+    other_mappings: dict[str, tuple[str, ...]] = {}
+    """Further mappings by the name under which a reader's option chooses them."""
+    citation: str = ""
+    """BibTeX of the method that estimated the poses, where they are not the dataset's own."""
+
+
+class InHandRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The rule of an object that counts as held: a contact point is close, and it moves. Metres and seconds."""
+
+    contact: Literal["middle_finger_base", "wrist", "hand_vertex"]
+    target: Literal["oriented_box", "origin", "surface"]
+    distance: float
+    moving_speed: float
+    moving_window: float
+    minimum_duration: float
+    join_gap: float
+    rest_tolerance: float
+    smallest_displacement: float
+    drop_hinged: bool
+
+
+class BuildEstimate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Time and size of a build, measured with one core on synthetic recordings of the dataset."""
+
+    megabytes_per_second: float
+    """Input files, read and curated."""
+    table_share: float
+    """Bytes of table (and as many of the parts that it is made from) a byte of input."""
+
+
+class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One dataset: origin, licence, layout, and every number that its curation uses."""
+
+    schema: Literal[1]
+    name: str
+    title: str
+    homepage: str
+    how_to_obtain: str
+    licence: str
+    redistribution: Redistribution
+    citation: str
+    required_files: tuple[str, ...]
+    optional_files: tuple[str, ...]
+    required_roles: dict[str, str] = {}
+    """Role under which the reader finds each required file (``a|b``: one of the two, ``a*``: any), and how a user
+    knows it."""
+    wanted_roles: dict[str, str] = {}
+    """The same for files without which a recording is read, and yields less."""
+    estimate: BuildEstimate | None = None
+    """The figures that ``--dry-run`` reckons with; None for corpora."""
+    rates_hz: dict[str, float]
+    kind: Literal["benchmark", "corpus"] = "benchmark"
+    """A table of prime-and-reach sequences, or a text-motion corpus for pre-training."""
+    body: BodySource
+    other_bodies: dict[str, BodySource] = {}
+    """Further sources of bodies by the name under which ``--poses`` chooses them (``egoallo``)."""
+    in_hand: InHandRule | None = None
+    """The in-hand rule; None where the dataset annotates its events."""
+    in_hand_alternatives: dict[str, InHandRule] = {}
+    publishes_priming: bool = False
+    """True if the dataset's own files say when events were primed (``--priming published``)."""
+    thresholds: dict[str, float] = {}
+    """Numbers of the reader that the dataset's page leaves to choose, by name."""
+    known_bad: dict[str, str] = {}
+    """Name (or beginning of the name) of a recording that must be skipped, and why."""
+    excluded: dict[str, str] = {}
+    """Recording that is left out unless the reader's option ``include_excluded`` is on, and why."""
+    object_extents: dict[str, tuple[tuple[float, float], tuple[float, float], tuple[float, float]]] = {}
+    """Boxes of kinds of objects whose meshes may be missing: lower and upper end along x, y, z, metres."""
+    test_recordings: tuple[str, ...] = ()
+    validation_recordings: tuple[str, ...] = ()
+    train_recordings: tuple[str, ...] = ()
+
+    def in_hand_rule(self, name: str | None) -> InHandRule | None:
+        """The dataset's own rule (None where its events are annotated), or one of its alternatives by name.
+
+        Raises:
+            UsageError: for a name that the manifest does not list.
+        """
+        if name is None:
+            return self.in_hand
+        if name not in self.in_hand_alternatives:
+            known = ", ".join(sorted(self.in_hand_alternatives)) or "none"
+            raise UsageError(f"{self.name} has no in-hand rule '{name}'; its alternatives are: {known}.")
+        return self.in_hand_alternatives[name]
+
+    def body_source(self, poses: str | None) -> BodySource:
+        """The dataset's own source of bodies, or the one that the reader's option ``poses`` names."""
+        return self.body if poses is None else self.other_bodies.get(poses, self.body)
+
+    def why_bad(self, recording_id: str) -> str | None:
+        """The reason why a recording must be skipped, or None."""
+        for name, reason in self.known_bad.items():
+            # A sequence of several glasses is named once; the ids of its recordings go on with an underscore.
+            if recording_id == name or recording_id.startswith(f"{name}_"):
+                return reason
+        return None
+
+
+class CurationConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Numbers of the path from event to sequence; metres and seconds."""
+
+    priming_window: float
+    near_miss_distance: float
+    lead: float
+    minimum_movement: float
+    ray_origin: Literal["eye", "camera"]
+    largest_interpolated_gap: float
+    minimum_prime: float
+    """Seconds that a look must last to prime; 0 = a single gaze sample primes."""
+
+
+class SplitRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Shares of the hash range [0, 1) that decide a recording's split."""
+
+    test_from: float
+    validation_below: float
+
+
+class TextTemplates(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The text condition of each action."""
+
+    pick: str
+    put: str
+
+
+class MetricConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Constants of the metrics: metres, seconds, and degrees where a name says so.
+
+    ``threshold_tolerance`` is how close to a threshold a distance lies *on* it: the table stores positions as float32.
+    ``foot_tolerance`` is the same for the heights and speeds of Foot Skating and slow slides.
+    """
+
+    prime_window: float
+    prime_duration: float
+    prime_distance: float
+    deceleration_tolerance: float
+    threshold_tolerance: float
+    foot_tolerance: float
+    head_smoothing: float
+    reach_distance: float
+    location_error_distance: float
+    foot_height: float
+    foot_speed: float
+    foot_window: float
+    prime_angle_deg: float
+    arrival_margin: float
+    slide_speed: float
+    largest_slide_share: float
+    lowest_pelvis: float
+    largest_trunk_tilt_deg: float
+    largest_floating: float
+    largest_penetration: float
+    largest_bone_change: float
+    largest_jerk: float
+    largest_speed: float
+
+
+class BreakdownConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Bins of the goal's place, by which scores are broken down: the upper ends of all but the last, ascending.
+
+    ``fewest_recordings`` and ``fewest_expected`` (sequences) are what an agreement's interval needs.
+    """
+
+    bearing: tuple[float, ...]
+    distance: tuple[float, ...]
+    height: tuple[float, ...]
+    fewest_recordings: int
+    fewest_expected: float
+
+
+class SceneConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Numbers of the scene's boxes as obstacles, metres (docs/specification/scene.md)."""
+
+    depth: float
+    passable: float
+
+
+class CarryOnConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Numbers of puts that carry on from generated picks, seconds (docs/specification/carry-on.md)."""
+
+    longest_gap: float
+
+
+class Citations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """BibTeX that belongs to every result of the benchmark, whatever the dataset."""
+
+    study: str
+    toolkit: str
+
+
+class BenchmarkProtocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One version of the benchmark's rules."""
+
+    name: str = PROTOCOL_NAME
+    """``prime-and-reach``, which stands in no file and no digest, or the name of a user's own rules."""
+    version: int
+    fps: float
+    conditions: tuple[str, ...]
+    curation: CurationConstants
+    splits: SplitRule
+    text: TextTemplates
+    metrics: MetricConstants
+    breakdown: BreakdownConstants
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the values; equal rules have equal digests, however the file is laid out."""
+        return digest_of(self)
+
+    @property
+    def is_own(self) -> bool:
+        """Return True for a user's own rules, False for those that come with prbench."""
+        return self.name != PROTOCOL_NAME
+
+    @property
+    def label(self) -> str:
+        """Name and version, as tables and messages show them."""
+        return f"{self.name} {self.version}"
+
+
+def digest_of(constants: msgspec.Struct) -> str:
+    """SHA-256 of a manifest's, rule's or protocol's values."""
+    values = msgspec.to_builtins(constants)
+    if isinstance(constants, BenchmarkProtocol) and not constants.is_own:
+        del values["name"]  # stands in no file of prbench's own rules
+    return hashlib.sha256(msgspec.json.encode(values, order="sorted")).hexdigest()
+
+
+@cache
+def load_manifest(dataset: str) -> Manifest:
+    """Load the manifest of a dataset: prbench's own, or the one beside an installed package's reader.
+
+    Raises:
+        UsageError: for a dataset without manifest, or whose package cannot be used.
+        InputFileError: if the file is missing or does not fit the data class (naming the key).
+    """
+    if dataset in own_datasets():
+        return read_toml("prbench_data_manifests", f"{dataset}.toml", Manifest)
+    if dataset not in dataset_names():
+        raise UsageError(f"unknown dataset '{dataset}'; known ones are: {', '.join(dataset_names())}.")
+    file = folder_of(find_reader(dataset)) / f"{dataset}.toml"
+    manifest = _convert_toml(file, Manifest)
+    if manifest.name != dataset or manifest.kind != "benchmark":
+        raise InputFileError(
+            file,
+            "",
+            expected=f"name = '{dataset}' and kind = 'benchmark'",
+            found=f"name = '{quoted(manifest.name)}' and kind = '{manifest.kind}'",
+        )
+    return manifest
+
+
+@cache
+def load_protocol() -> BenchmarkProtocol:
+    """The protocol of the prime-and-reach benchmark."""
+    return read_toml("prbench_benchmarks.prime_and_reach", "protocol.toml", BenchmarkProtocol)
+
+
+@cache
+def load_scene_constants() -> SceneConstants:
+    """Load the numbers of the scene's boxes as obstacles."""
+    return read_toml("prbench_benchmarks.prime_and_reach", "scene.toml", SceneConstants)
+
+
+@cache
+def load_carry_on_constants() -> CarryOnConstants:
+    """Load the numbers of puts that carry on from generated picks."""
+    return read_toml("prbench_benchmarks.prime_and_reach", "carry_on.toml", CarryOnConstants)
+
+
+@cache
+def load_citations() -> Citations:
+    """Load what to cite beside the datasets: the study that defined the task, and this toolkit."""
+    return read_toml("prbench_benchmarks.prime_and_reach", "citations.toml", Citations)
+
+
+def dataset_names() -> tuple[str, ...]:
+    """Names of prbench's own datasets and corpora, and of the datasets of installed packages, sorted."""
+    return tuple(sorted({*own_datasets(), *readable_datasets()}))
+
+
+_Loaded = TypeVar("_Loaded", bound=msgspec.Struct)
+
+
+def read_toml(package: str, name: str, form: type[_Loaded]) -> _Loaded:
+    """Read a TOML file of a data package as a data class.
+
+    Raises:
+        InputFileError: if the file does not fit the data class (naming the key).
+    """
+    return _convert_toml(resources.files(package) / name, form)
+
+
+@foreign_input()
+def _convert_toml(file: Traversable, form: type[_Loaded]) -> _Loaded:
+    try:
+        return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), form)
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+        raise InputFileError(str(file), "", expected=f"the fields of {form.__name__}", found=str(error)) from error

@@ -1,0 +1,252 @@
+"""A user's own protocol: the file that is given with ``--protocol``, and the copy beside what it was used for.
+
+The file has every key of ``benchmarks/prime_and_reach/protocol.toml`` and a name of its own. A copy of its values lies
+beside every table, run and submission that follows it; what follows prbench's own protocol holds no such file.
+
+Source: docs/specification/protocol.md#a-protocol-of-ones-own.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import tomli_w
+
+from prbench.errors import InputFileError, PrbenchError, TableError, UsageError, did_you_mean
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_whole
+from prbench.files.storage import write_text
+from prbench.limits import HARMLESS_SIZE
+from prbench.protocol.manifests import PROTOCOL_NAME, BenchmarkProtocol, load_protocol
+
+FILE_NAME = "protocol.toml"
+"""Name of the copy in the folder of a table or run."""
+OPTION = "protocol"
+"""Key of ``dataset.json``, ``options``, that names a user's own protocol."""
+_NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
+_ABOVE_ZERO = ("fps", "curation.priming_window", "metrics.prime_window")
+_SHARES = ("splits.test_from", "splits.validation_below")
+_SCORING = ("name", "version", "metrics", "breakdown")
+"""Parts that may differ between a table's protocol and a run's: nothing of the table depends on them."""
+_START = "Start from a copy of benchmarks/prime_and_reach/protocol.toml and give it a name."
+
+
+@foreign_input()
+def read_protocol(path: Path) -> BenchmarkProtocol:
+    """Read a protocol of one's own.
+
+    Args:
+        path: A TOML file with every key of prbench's own protocol, and ``name``.
+
+    Raises:
+        InputFileError: if it cannot be read, a key is missing, unknown, of another type or out of range, or the name is
+            prbench's; names the key.
+    """
+    try:
+        text = read_whole(path, largest=HARMLESS_SIZE).decode("utf-8")
+        values = tomllib.loads(text)
+    except OSError as error:
+        found = error.strerror or "no such file"
+        raise InputFileError(path, "", expected="a protocol's TOML file", found=found, remedy=_START) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputFileError(path, "", expected="a TOML file", found=str(error), remedy=_START) from error
+    _require_all_keys(path, values)
+    try:
+        protocol = msgspec.convert(values, BenchmarkProtocol)
+    except msgspec.ValidationError as error:
+        key = str(error).partition("`$.")[2].rstrip("`")
+        raise InputFileError(path, key, expected="a value of the key's type", found=str(error)) from error
+    _require_sense(path, protocol)
+    return protocol
+
+
+def _require_all_keys(path: Path, values: Mapping[str, Any]) -> None:
+    """Refuse a file with a key too many or too few: a default taken silently would not be one's own protocol."""
+    wanted = {"name", *(key for key, _ in _leaves(_default_values()))}
+    found = {key for key, _ in _leaves(values)}
+    for key in sorted(found - wanted):
+        hint = did_you_mean(key, wanted)
+        raise InputFileError(path, key, expected="a key of the protocol", found="an unknown one", remedy=hint.strip())
+    for key in sorted(wanted - found):
+        raise InputFileError(path, key, expected="every key of the protocol", found="no such key", remedy=_START)
+
+
+def _require_sense(path: Path, protocol: BenchmarkProtocol) -> None:
+    if not _NAME.fullmatch(protocol.name) or protocol.name == PROTOCOL_NAME:
+        raise InputFileError(
+            path,
+            "name",
+            expected=f"small letters, digits, '.', '_' and '-', and not '{PROTOCOL_NAME}', which is prbench's own",
+            found=f"'{protocol.name}'",
+        )
+    if protocol.version < 1:
+        raise InputFileError(path, "version", expected="1 or more", found=str(protocol.version))
+    if protocol.conditions != load_protocol().conditions:
+        expected = ", ".join(load_protocol().conditions)
+        found = ", ".join(protocol.conditions) or "none"
+        raise InputFileError(path, "conditions", expected=f"the four conditions: {expected}", found=found)
+    for key, value in _leaves(msgspec.to_builtins(protocol)):
+        if not isinstance(value, int | float) or key == "version":
+            continue
+        least = "above 0" if key in _ABOVE_ZERO else "0 or more"
+        most = 1.0 if key in _SHARES else math.inf
+        is_possible = value > 0 if key in _ABOVE_ZERO else value >= 0
+        if not is_possible or not math.isfinite(value) or value > most:
+            expected = "a share from 0 to 1" if key in _SHARES else f"a finite number {least}"
+            raise InputFileError(path, key, expected=expected, found=f"{value:g}")
+    for key in ("bearing", "distance", "height"):
+        ends = getattr(protocol.breakdown, key)
+        if not all(math.isfinite(end) and end > 0 for end in ends) or list(ends) != sorted(set(ends)):
+            expected = "finite numbers above 0, ascending"
+            raise InputFileError(path, f"breakdown.{key}", expected=expected, found=str(list(ends)))
+    if protocol.breakdown.fewest_recordings < 2:
+        found = str(protocol.breakdown.fewest_recordings)
+        raise InputFileError(path, "breakdown.fewest_recordings", expected="2 or more", found=found)
+    if protocol.splits.validation_below > protocol.splits.test_from:
+        raise InputFileError(
+            path,
+            "splits.validation_below",
+            expected=f"at most splits.test_from ({protocol.splits.test_from:g})",
+            found=f"{protocol.splits.validation_below:g}",
+        )
+
+
+@cache
+def _default_values() -> dict[str, Any]:
+    file = resources.files("prbench_benchmarks.prime_and_reach") / "protocol.toml"
+    return tomllib.loads(file.read_text(encoding="utf-8"))
+
+
+def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield each value under its dotted key."""
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def write_protocol(folder: Path, protocol: BenchmarkProtocol) -> None:
+    """Write the copy of a user's own protocol into the folder of a table or run; nothing of prbench's own."""
+    if protocol.is_own:
+        write_text(folder / FILE_NAME, tomli_w.dumps(_all_values(protocol)))
+
+
+def _all_values(part: msgspec.Struct) -> dict[str, Any]:
+    """Every value, those that have their default too."""
+    return {
+        key: _all_values(value) if isinstance(value, msgspec.Struct) else value
+        for key, value in msgspec.structs.asdict(part).items()
+    }
+
+
+def protocol_beside(folder: Path, *, digest: str, wrong: type[PrbenchError]) -> BenchmarkProtocol | None:
+    """Return the protocol that a table or run follows; None where it is one of prbench's own of another version.
+
+    Args:
+        folder: Of the table or run.
+        digest: Digest of the protocol that the table or run records.
+        wrong: Error to raise.
+
+    Raises:
+        wrong: if the copy that lies there is not the protocol that is recorded.
+        InputFileError: if the copy is no protocol.
+    """
+    file = folder / FILE_NAME
+    if not file.is_file():
+        return load_protocol() if load_protocol().digest == digest else None
+    protocol = read_protocol(file)
+    if protocol.digest != digest:
+        raise wrong(
+            f"{file}: expected the protocol that was followed here (digest {digest[:12]}…), found another one"
+            f" ({protocol.digest[:12]}…). It was changed: put the file back, or make table or run again."
+        )
+    return protocol
+
+
+def require_fits_table(wanted: BenchmarkProtocol, table: BenchmarkProtocol | None, *, folder: Path) -> None:
+    """Refuse to run or score on a table that was made by other rules; the metrics' numbers may differ.
+
+    Args:
+        wanted: Protocol of the run.
+        table: Protocol of the table; None for one of prbench's own of another version, whose values are not known.
+        folder: Of the table.
+
+    Raises:
+        UsageError: naming the first key that differs, with both values.
+    """
+    if not wanted.is_own:
+        # Tables of earlier versions stay usable; their digests keep them in blocks of their own.
+        if table is not None and table.is_own:
+            raise UsageError(
+                f"{folder}: follows a protocol of its own, {table.label}. Name it: --protocol {folder / FILE_NAME}"
+            )
+        return
+    if table is None:
+        raise UsageError(
+            f"--protocol {wanted.label}: {folder} was built under a protocol of another version of prbench, which"
+            " cannot be compared with it. Build the table again, with --protocol."
+        )
+    found = {key: value for key, value in _leaves(_all_values(table)) if key.partition(".")[0] not in _SCORING}
+    for key, value in _leaves(_all_values(wanted)):
+        if key in found and found[key] != value:
+            raise UsageError(
+                f"--protocol {wanted.label}, {key}: {_shown(value)}, but the table {folder} was built with"
+                f" {_shown(found[key])}. Build it again with the same --protocol; only [metrics] and [breakdown] may"
+                " differ."
+            )
+
+
+def _shown(value: object) -> str:
+    return "'" + value + "'" if isinstance(value, str) else str(value)
+
+
+def protocol_for(file: Path | None, tables: Iterable[DescribedTable]) -> BenchmarkProtocol:
+    """Return the protocol of a run on some tables: the user's own, or prbench's.
+
+    Args:
+        file: The user's own; None for prbench's.
+        tables: What the tables say of the protocol that they follow.
+
+    Raises:
+        InputFileError: if a file is no protocol.
+        UsageError: if a table follows other rules.
+        TableError: if the copy beside a table is missing or another one.
+    """
+    wanted = load_protocol() if file is None else read_protocol(file)
+    for table in tables:
+        require_fits_table(wanted, table.protocol(), folder=table.folder)
+    return wanted
+
+
+@dataclass(frozen=True)
+class DescribedTable:
+    """What a table says of its protocol."""
+
+    folder: Path
+    digest: str
+    """Of the protocol that it was built with."""
+    options: Mapping[str, str]
+    """Of ``dataset.json``, where a table of one's own protocol names it."""
+
+    def protocol(self) -> BenchmarkProtocol | None:
+        """Return the protocol; None for prbench's own of another version.
+
+        Raises:
+            TableError: if the copy beside the table is missing or another one.
+        """
+        if OPTION in self.options and not (self.folder / FILE_NAME).is_file():
+            raise TableError(
+                f"{self.folder}: follows the protocol {self.options[OPTION]}, and its {FILE_NAME} is missing. Put the"
+                " file back, or build the table again."
+            )
+        return protocol_beside(self.folder, digest=self.digest, wrong=TableError)

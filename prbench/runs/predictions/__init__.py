@@ -1,6 +1,0 @@
-"""Motions on disk: a run's own parts, and what somebody hands in as Parquet or in NumPy's formats."""
-
-from prbench.runs.predictions.predictions import Predictions
-from prbench.runs.predictions.rows import Numbering, PredictionRows, read_part, write_part
-
-__all__ = ["Numbering", "PredictionRows", "Predictions", "read_part", "write_part"]

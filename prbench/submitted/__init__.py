@@ -1,1 +1,0 @@
-"""Motions that were made elsewhere: conditions for offline generation, finished predictions, stored scores."""

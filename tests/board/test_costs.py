@@ -1,0 +1,93 @@
+"""Cost columns of a leaderboard: measured, declared, counted, or a dash."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from types import SimpleNamespace
+
+import torch
+
+from prbench.board import export
+from prbench.cli import main
+from prbench.cli.pareto import ParetoReport
+from prbench.harness.methods.parameters import count_parameters
+from prbench.harness.run_folder.cost import BatchCost, total_cost
+from prbench.harness.run_folder.record import FILE
+from tests.board.test_tables import cells, leaderboard, only, write_run
+from tests.cli.reports import refused, reported
+from tests.fakes import fake_dataset
+
+
+def batch(number: int, *, warm_up: bool = False, parameters: int | None = 1_250_000) -> BatchCost:
+    return BatchCost(
+        batch=number,
+        motions=8,
+        frames=800,
+        seconds=8.0 if warm_up else 2.0,
+        warm_up=warm_up,
+        peak_process_bytes=512 * 2**20,
+        peak_device_bytes=None,
+        halvings=0,
+        network_passes=800,
+        parameters=parameters,
+    )
+
+
+def test_seconds_without_warm_up_passes_a_motion_memory_and_parameters(tmp_path):
+    run = write_run(tmp_path / "a")
+    total_cost([batch(0, warm_up=True), batch(1), batch(2)], batches=3).write(run / "cost.json")
+    header, _, row = cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")
+    shown = dict(zip(header, row, strict=True))
+    wanted = {"s/motion": "0.250", "Passes/motion": "100", "Memory (MiB)": "512", "Parameters": "1,250,000"}
+    assert {name: shown[name] for name in wanted} == wanted
+    (first, *_) = csv.DictReader(io.StringIO(export(leaderboard(tmp_path), "csv")))
+    assert (first["seconds_per_motion"], first["parameters"]) == ("0.25", "1250000")
+    board = json.loads(export(leaderboard(tmp_path), "json"))
+    assert board["tables"][0]["rows"][0]["cost"] == {
+        "seconds_per_motion": 0.25,
+        "passes_per_motion": 100.0,
+        "memory_mebibytes": 512.0,
+        "parameters": 1_250_000,
+    }
+
+
+def test_a_single_batch_is_better_than_nothing(tmp_path):
+    run = write_run(tmp_path / "a")
+    total_cost([batch(0, warm_up=True, parameters=None)], batches=1).write(run / "cost.json")
+    entry = only(only(leaderboard(tmp_path).tables).rows).entry
+    assert (entry.cost.seconds, entry.cost.parameters) == (1.0, None)
+
+
+def test_files_controls_and_lost_measurements_have_dashes(tmp_path):
+    write_run(tmp_path / "lost")
+    run = write_run(tmp_path / "file", "mine", kind=FILE)
+    total_cost([], batches=0).write(run / "cost.json")
+    _, _, *rows = cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")
+    assert [row[11:15] for row in rows] == [["–"] * 4] * 2
+
+
+def test_parameters_of_networks_are_counted_once_wherever_they_are_held():
+    first = torch.nn.Linear(3, 4)  # 16 parameters
+    second = torch.nn.Sequential(torch.nn.Linear(2, 2), first)  # 6 of its own
+    method = SimpleNamespace(model=SimpleNamespace(network=first), others={"a": [second]}, again=first, name="made")
+    method.itself = method
+    assert count_parameters(method) == 22
+    assert count_parameters(SimpleNamespace(name="without")) is None
+
+
+def test_runs_are_drawn_against_their_cost(tmp_path, capsys):
+    table = str(fake_dataset(tmp_path / "table", 24).folder)
+    for name in ("static", "scripted"):
+        words = ["run", "--method", name, "--condition", "none", "--data", table, "--out", str(tmp_path / name)]
+        assert main(words) == 0
+    runs = [str(tmp_path / "static"), str(tmp_path / "scripted")]
+    out = tmp_path / "plot.svg"
+    words = ["leaderboard", "pareto", *runs, "--data", table, "--metric", "mpjpe", "--out", str(out)]
+    report = reported(words, ParetoReport, capsys)
+    assert {each.name: each.on_front for each in report.methods} == {"static (none)": True, "scripted": False}
+    assert "static (none)" in out.read_text()
+    refused([*words, "--metric", "mpjp"], capsys, code=2, message="Did you mean 'mpjpe'?")
+    refused([*words[:-1], str(tmp_path / "plot.pdf")], capsys, code=2, message="written as .png or .svg")
+    refused([*words, "--against", "parameters"], capsys, code=2, message="none of the methods has a measured cost")

@@ -1,0 +1,128 @@
+"""Files are refused by their size, and archives by what they declare, before anything is read or unpacked."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from prbench import limits
+from prbench.errors import InputFileError, PrbenchError, TableError
+from prbench.files.bounded import open_regular, read_text, read_whole, require_unpackable, whole_lines
+from prbench.files.storage import file_digest
+from prbench.harness.run_folder.predictions.predictions import index_numbered
+from prbench.harness.run_folder.predictions.rows import Numbering
+from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LONGEST_LINE, LONGEST_MESSAGE
+from prbench.readers import files
+from prbench.readers.files import decode_json, read_columns
+from prbench.readers.parse_cache import remembered_digest
+from prbench.readers.zipped import ZippedFile, read_all, require_whole_last_line
+from tests.bombs import MEGABYTE, declaring, encrypted, zipped
+
+
+def require_whole_last_line_of(path):
+    require_whole_last_line(path, ["x"], ["x"])
+
+
+def headers_of(path):
+    index_numbered(path.parent, Numbering(path, ("a",), (0,)))
+
+
+def test_a_file_larger_than_any_of_its_kind_is_refused_unread(tmp_path):
+    path = tmp_path / "endless.json"
+    with open(path, "wb") as file:
+        file.truncate(2**42)  # takes no space
+    for read in (read_whole, read_text, read_all):
+        with pytest.raises(InputFileError, match=r"endless\.json: expected at most .* bytes, found 4,398,046,511,104"):
+            read(path)
+    with pytest.raises(InputFileError, match=r"endless\.json: expected at most"):
+        decode_json(path, msgspec.json.Decoder())
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
+def test_a_pipe_is_refused_instead_of_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "metadata.json")
+    with pytest.raises(InputFileError, match="found a pipe"):
+        read_whole(tmp_path / "metadata.json")
+
+
+@pytest.mark.parametrize("look", [open_regular, file_digest, remembered_digest, require_whole_last_line_of, headers_of])
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
+def test_what_is_read_in_pieces_is_no_pipe_either(look, tmp_path):
+    os.mkfifo(tmp_path / "0000000000.npy")
+    with pytest.raises(PrbenchError, match="found a pipe"):
+        look(tmp_path / "0000000000.npy")
+
+
+def test_a_line_longer_than_any_is_named(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    path.write_bytes(b"{}\n" + b"x" * (LONGEST_LINE + 1))
+    with open(path, "rb") as file, pytest.raises(InputFileError, match="line 2: expected lines of at most"):
+        list(whole_lines(file, path))
+
+
+@pytest.mark.parametrize(
+    ("packed", "unpacked", "refused"),
+    [
+        (1, HARMLESS_SIZE, False),
+        (1, HARMLESS_SIZE + 1, True),
+        (MEGABYTE, HIGHEST_COMPRESSION * MEGABYTE, False),
+        (MEGABYTE, HIGHEST_COMPRESSION * MEGABYTE + 1, True),
+        (2**40, limits.LARGEST_UNPACKED + 1, True),
+    ],
+)
+def test_an_archive_may_declare_so_much_and_no_more(packed, unpacked, refused):
+    member = zipfile.ZipInfo("a.csv")
+    member.compress_size, member.file_size = packed, unpacked
+    if not refused:
+        require_unpackable(Path("a.zip"), member)
+        return
+    with pytest.raises(InputFileError, match=rf"a\.zip: expected at most .*, found {unpacked:,} declared"):
+        require_unpackable(Path("a.zip"), member)
+
+
+def test_a_slam_file_of_one_endless_line_leaves_a_short_message(tmp_path):
+    archive = zipped(tmp_path / "slam.zip", "slam/t.csv", b"a" * (40 * MEGABYTE))
+    with pytest.raises(InputFileError, match=r"t\.csv, header: expected lines of at most") as caught:
+        read_columns(ZippedFile(archive, "slam/t.csv"), {"x": float})
+    assert len(str(caught.value)) < 1000
+
+
+def test_an_archive_that_declares_less_than_it_holds_gives_no_more_than_it_declares(tmp_path):
+    archive = declaring(zipped(tmp_path / "a.zip", "a.json", bytes(20 * MEGABYTE)), 1000)
+    with pytest.raises(InputFileError, match="Bad CRC-32"):
+        read_all(ZippedFile(archive, "a.json"))
+
+
+def test_compression_that_cannot_be_stopped_half_way_is_refused(tmp_path):
+    archive = zipped(tmp_path / "a.zip", "a.json", b"{}", kind=zipfile.ZIP_BZIP2)
+    with pytest.raises(InputFileError, match=r"a\.json: expected a member stored or deflated"):
+        read_all(ZippedFile(archive, "a.json"))
+
+
+def test_an_encrypted_archive_is_refused(tmp_path):
+    archive = encrypted(zipped(tmp_path / "a.zip", "a.json", b"{}"))
+    with pytest.raises(InputFileError, match=r"a\.json: expected a file that can be unpacked, found .*encrypted"):
+        read_all(ZippedFile(archive, "a.json"))
+
+
+def test_columns_that_outgrow_any_table_are_refused_while_they_are_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "LARGEST_TABLE", MEGABYTE)
+    archive = zipped(tmp_path / "a.zip", "a.csv", b"x,y\n" + b",\n" * 200_000)
+    with pytest.raises(InputFileError, match=r"a\.csv: expected columns of at most 1,048,576 bytes, found more"):
+        read_columns(ZippedFile(archive, "a.csv"), {"x": float, "y": float})
+
+
+def test_long_plain_tables_are_read_in_pieces_with_the_same_result(tmp_path, monkeypatch):
+    path = tmp_path / "a.csv"
+    path.write_text("n,x\n" + "".join(f"{row},{row / 7}\n" for row in range(100_000)))
+    whole = read_columns(path, {"x": float, "n": int})
+    monkeypatch.setattr(files, "_WATCHED_SIZE", 0)
+    assert read_columns(path, {"x": float, "n": int}).equals(whole)
+
+
+def test_no_message_grows_with_what_a_file_holds():
+    assert len(str(TableError("x" * 10**6))) < LONGEST_MESSAGE + 100

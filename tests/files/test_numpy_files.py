@@ -1,0 +1,109 @@
+"""Arrays of NumPy are held against the size of their file before memory is taken for them."""
+
+from __future__ import annotations
+
+import io
+import os
+
+import numpy as np
+import pytest
+
+from prbench.errors import InputFileError, PredictionsError, UnforeseenInput
+from prbench.files.numpy_files import Archive, load_array
+from prbench.harness.run_folder.predictions import Predictions
+from prbench.limits import LARGEST_ARRAYS
+from prbench.readers.zipped import archive_members
+from tests.bombs import encrypted, npy_header, npz, zipped
+
+
+@pytest.mark.parametrize(
+    ("header", "said"),
+    [
+        (npy_header((2**40, 22, 3)), "expected at most .* declared"),  # 264 TiB
+        (npy_header((10**6, 22, 3)), r"expected 264,000,000 bytes \(shape .*, found 0"),
+        (npy_header((2**62, 0)), "expected an array as np.save writes it, found the shape"),
+        (npy_header((10**12,), "<U0"), "expected an array as np.save writes it, found the shape"),
+        (b"\x93NUMPY\x01\x00\xff\xff" + b"[" * 65_535, "expected an array as np.save writes it"),
+    ],
+    ids=["264 TiB", "cut off", "endless axis", "values of no size", "nested header"],
+)
+def test_a_header_is_not_believed(tmp_path, header, said):
+    path = tmp_path / "a.npy"
+    path.write_bytes(header)
+    with pytest.raises(InputFileError, match=said) as caught:
+        load_array(path)
+    assert type(caught.value) is InputFileError
+
+
+def test_arrays_are_read_as_numpy_reads_them_and_can_be_written_to(tmp_path):
+    arrays = {
+        "text": np.array(["ä", "bc"]),
+        "empty": np.zeros((0, 3), np.float32),
+        "fortran": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+        "scalar": np.array(7, np.int16),
+    }
+    np.savez_compressed(tmp_path / "a.npz", **arrays)
+    loaded = Archive(tmp_path / "a.npz").load([*arrays, "not there"])
+    assert loaded.keys() == arrays.keys()
+    for name, array in arrays.items():
+        np.save(tmp_path / f"{name}.npy", array)
+        for found in (loaded[name], load_array(tmp_path / f"{name}.npy")):
+            assert found.dtype == array.dtype
+            np.testing.assert_array_equal(found, array)
+            assert found.flags.writeable
+
+
+def test_a_compressed_array_is_refused_by_what_it_declares(tmp_path):
+    archive = Archive(npz(tmp_path / "bomb.npz", "joints", 80))  # 80 MB of zeros in 0.4
+    assert archive.path.stat().st_size < 10**6
+    for read in (lambda: archive.load(["joints"]), lambda: archive.read("joints", largest=LARGEST_ARRAYS)):
+        with pytest.raises(InputFileError, match=r"bomb\.npz, 'joints': expected at most 67,108,864 bytes in"):
+            read()
+
+
+def test_an_archive_at_hand_is_read_like_a_file(tmp_path):
+    content = io.BytesIO()
+    np.savez(content, a=np.arange(3))
+    assert Archive(tmp_path / "nowhere.npz", content.getvalue()).load(["a"])["a"].tolist() == [0, 1, 2]
+
+
+def test_an_encrypted_archive_is_refused(tmp_path):
+    np.savez(tmp_path / "a.npz", a=np.arange(3))
+    with pytest.raises(InputFileError, match=r"a\.npz: expected a readable \.npz file, found .*encrypted"):
+        Archive(encrypted(tmp_path / "a.npz")).load(["a"])
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [((10**11, 0, 22, 3), "expected at most 2,097,152 motions, found 100,000,000,000"), ((0, 22, 3), "")],
+    ids=["endless samples", "no frames"],
+)
+def test_empty_predictions_cannot_stand_for_many(tmp_path, shape, said):
+    path = zipped(tmp_path / "p.npz", "gimo/a.npy", npy_header(shape))
+    if not said:
+        assert Predictions.open(path).ids == ("gimo/a",)
+        return
+    with pytest.raises(PredictionsError, match=said):
+        Predictions.open(path)
+
+
+def test_predictions_that_declare_more_than_a_sequence_holds_are_refused(tmp_path):
+    with pytest.raises(PredictionsError, match="expected at most 33,554,432 bytes of one sequence"):
+        Predictions.open(npz(tmp_path / "p.npz", "gimo_a", 40))
+
+
+def test_an_archive_that_has_lost_its_beginning_is_told_as_damaged(tmp_path):
+    np.savez(tmp_path / "a.npz", x=np.arange(5000.0))
+    (tmp_path / "a.npz").write_bytes((tmp_path / "a.npz").read_bytes()[1000:])
+    with pytest.raises(InputFileError, match=r"expected a readable \.npz file") as refused:
+        Archive(tmp_path / "a.npz").load(["x"])
+    assert not isinstance(refused.value, UnforeseenInput)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
+def test_a_pipe_in_place_of_an_archive_is_refused_instead_of_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.npz")
+    with pytest.raises(InputFileError, match=r"a\.npz: expected a file, found a pipe"):
+        Archive(tmp_path / "a.npz").load(["a"])
+    with pytest.raises(InputFileError, match=r"a\.npz: expected a file, found a pipe"):
+        archive_members(tmp_path / "a.npz")

@@ -1,0 +1,313 @@
+"""Files are written whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from prbench.board.comparison import compare_runs
+from prbench.checking.doctor.examine_file import DoctorRequest
+from prbench.contract import Condition
+from prbench.corpora import build_corpus, plan_corpus
+from prbench.curation import build_dataset, plan_build
+from prbench.curation.differences import compare_builds
+from prbench.curation.window_building import build_windows
+from prbench.datasets import readable_datasets
+from prbench.errors import InputFileError, PrbenchError, StorageError
+from prbench.files.storage import (
+    atomic_folder,
+    atomic_path,
+    file_digest,
+    inside,
+    read_json,
+    remove_folder,
+    remove_leftovers,
+    text_digest,
+    turn_into_paths,
+    write_json,
+)
+from prbench.harness.offline import ExportRequest
+from prbench.harness.request import RunRequest
+from prbench.harness.run_folder.folder import RunFolder
+from prbench.harness.run_folder.predictions import Predictions
+from prbench.harness.score_predictions import ScoreRequest
+from prbench.prediction.anchored import build_anchored_windows
+from prbench.prediction.table import WindowsTable
+from prbench.readers import reader_for
+from prbench.release import export_release, import_release
+from prbench.sequences import CorpusInfo, CorpusTable, DatasetInfo, SequenceTable
+from prbench.workflows.build_all import build_all, plan_all
+from prbench.workflows.explain import explain_event
+from prbench.workflows.inspection import inspect_folder
+from prbench.workflows.view import ViewRequest
+
+
+def write_half(path):
+    with atomic_path(path) as temporary:
+        temporary.write_text("half")
+        raise RuntimeError("killed here")
+
+
+def fill_half(folder):
+    with atomic_folder(folder) as temporary:
+        (temporary / "two").write_text("2")
+        raise RuntimeError("killed here")
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_trace(tmp_path):
+    path = tmp_path / "a.json"
+    write_json(path, {"old": 1})
+    with pytest.raises(RuntimeError):
+        write_half(path)
+    assert json.loads(path.read_text()) == {"old": 1}
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_a_full_disk_is_one_clear_error(tmp_path):
+    with pytest.raises(StorageError, match=r"a\.parquet: no space left"), atomic_path(tmp_path / "a.parquet"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unwritable_place_is_one_clear_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="Choose another folder"), atomic_path(tmp_path / "file" / "x.json"):
+        pass
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a place where no folder can be made")
+def test_a_place_where_nothing_can_be_made_is_one_clear_error():
+    with pytest.raises(StorageError, match="Choose another folder"), atomic_path(Path("/proc/nope/x.json")):
+        pass
+
+
+def test_a_folder_takes_the_place_of_the_old_one_only_when_complete(tmp_path):
+    folder = tmp_path / "d"
+    with atomic_folder(folder) as temporary:
+        (temporary / "one").write_text("1")
+    with pytest.raises(RuntimeError):
+        fill_half(folder)
+    assert [entry.name for entry in folder.iterdir()] == ["one"]
+    with atomic_folder(folder) as temporary:
+        (temporary / "three").write_text("3")
+    assert [entry.name for entry in folder.iterdir()] == ["three"]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["d"]
+
+
+def _killed(target, name: str, *, moment: str) -> None:
+    """Write in a process of its own that dies at a moment, as ``kill -9`` would have it."""
+    script = (
+        "import os, pathlib\n"
+        "from prbench import storage\n"
+        f"target = pathlib.Path({str(target)!r})\n"
+        f"with storage.{name}(target) as temporary:\n"
+        "    (temporary / 'new' if temporary.is_dir() else temporary).write_text('new')\n"
+        "    if " + repr(moment) + " == 'between':\n"
+        "        (target).replace(temporary.with_suffix('.replaced'))\n"
+        "    os._exit(9)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[1]).returncode == 9
+
+
+def test_leftovers_of_a_killed_writer_are_cleared_and_only_those(tmp_path):
+    neighbour = tmp_path / ".d-wrist-abcdefgh.partial"  # somebody writes a folder d-wrist right now
+    neighbour.mkdir()
+    _killed(tmp_path / "d", "atomic_folder", moment="while writing")
+    _killed(tmp_path / "scores.parquet", "atomic_path", moment="while writing")
+    assert len(list(tmp_path.iterdir())) == 3
+    remove_leftovers(tmp_path / "d")
+    remove_leftovers(tmp_path / "scores.parquet")
+    assert list(tmp_path.iterdir()) == [neighbour]
+
+
+def test_a_folder_that_was_about_to_be_replaced_gets_its_name_back(tmp_path):
+    folder = tmp_path / "tables.v1"
+    folder.mkdir()
+    (folder / "old").write_text("old")
+    _killed(folder, "atomic_folder", moment="between")
+    assert not folder.exists()
+    remove_leftovers(folder)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["tables.v1"]
+    assert [entry.name for entry in folder.iterdir()] == ["old"]
+
+
+def test_a_folder_that_was_replaced_and_half_deleted_never_comes_back(tmp_path):
+    folder = tmp_path / "table"
+    folder.mkdir()
+    script = (
+        "import os, shutil\n"
+        "from pathlib import Path\n"
+        "from prbench.files.storage import atomic_folder\n"
+        "shutil.rmtree = lambda *_, **__: os._exit(9)\n"
+        f"with atomic_folder(Path({str(folder)!r})):\n"
+        "    pass\n"
+    )
+    assert subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[1]).returncode == 9
+    assert len(list(tmp_path.iterdir())) == 2
+    folder.rmdir()
+    remove_leftovers(folder)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_is_deleted_whole_or_found_whole(tmp_path):
+    folder = tmp_path / ".tables.work"
+    (folder / "one").mkdir(parents=True)
+    (folder / "one" / "file").write_text("1")
+    script = (
+        "import os, shutil\n"
+        "from pathlib import Path\n"
+        "from prbench.files.storage import remove_folder\n"
+        "shutil.rmtree = lambda *_, **__: os._exit(9)\n"
+        f"remove_folder(Path({str(folder)!r}))\n"
+    )
+    assert subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[1]).returncode == 9
+    assert not folder.exists()
+    assert len(list(tmp_path.iterdir())) == 1
+    remove_leftovers(folder)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_deleting_a_folder_leaves_nothing(tmp_path):
+    (tmp_path / "work" / "part").mkdir(parents=True)
+    remove_folder(tmp_path / "work")
+    remove_folder(tmp_path / "work")  # none there
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_equal_values_give_equal_json_bytes(tmp_path):
+    write_json(tmp_path / "a.json", {"x": 1, "a": [1.5, "é"]})
+    write_json(tmp_path / "b.json", {"a": [1.5, "é"], "x": 1})
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+    assert file_digest(tmp_path / "a.json") == file_digest(tmp_path / "b.json")
+
+
+def test_nan_never_reaches_json(tmp_path):
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json(tmp_path / "a.json", {"x": float("nan")})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_truncated_json_names_line_and_remedy(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text('{"x": 1,\n "y"')
+    with pytest.raises(InputFileError, match=r"a\.json, line 2 column \d+: expected valid JSON.*truncated"):
+        read_json(path)
+
+
+def test_paths_never_lead_out_of_their_root(tmp_path):
+    assert inside(tmp_path, "a/b") == (tmp_path / "a" / "b").resolve()
+    for wrong in ("../x", "/etc/passwd", "a/../../x"):
+        with pytest.raises(InputFileError, match="leads out of it"):
+            inside(tmp_path, wrong)
+
+
+def test_text_digest_keeps_borders():
+    assert text_digest("ab", "c") != text_digest("a", "bc")
+
+
+NOWHERE = "nowhere/at all"
+
+CALLS = {
+    "build_dataset": lambda out: build_dataset("adt", NOWHERE, out),
+    "plan_build": lambda _: plan_build("adt", NOWHERE),
+    "build_corpus": lambda out: build_corpus("nymeria", NOWHERE, out),
+    "build_windows": lambda out: build_windows("adt", NOWHERE, out),
+    "build_anchored_windows": lambda out: build_anchored_windows(NOWHERE, out),
+    "WindowsTable": lambda _: WindowsTable.open(NOWHERE),
+    "plan_corpus": lambda _: plan_corpus("nymeria", NOWHERE),
+    "build_all": lambda out: build_all(NOWHERE, out),
+    "plan_all": lambda _: plan_all(NOWHERE),
+    "inspect_folder": lambda _: inspect_folder(NOWHERE),
+    "import_release": lambda out: import_release(NOWHERE, out),
+    "export_release": lambda out: export_release([NOWHERE], out),
+    "compare_builds": lambda _: compare_builds(NOWHERE, NOWHERE),
+    "compare_runs": lambda _: compare_runs(NOWHERE, NOWHERE),
+    "explain_event": lambda _: explain_event(NOWHERE, "pick"),
+    "SequenceTable": lambda _: SequenceTable.open(NOWHERE),
+    "CorpusTable": lambda _: CorpusTable.open(NOWHERE),
+    "DatasetInfo": lambda _: DatasetInfo.read(NOWHERE),
+    "CorpusInfo": lambda _: CorpusInfo.read(NOWHERE),
+    "RunFolder": lambda _: RunFolder.open(NOWHERE),
+    "Predictions": lambda _: Predictions.open(NOWHERE),
+    **{f"reader of {name}": lambda _, name=name: reader_for(name).find(NOWHERE) for name in readable_datasets()},
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_folder_that_is_missing_is_told_the_same_when_it_is_text(name, tmp_path) -> None:
+    with pytest.raises(PrbenchError, match="nowhere"):
+        CALLS[name](str(tmp_path / "out"))
+
+
+@pytest.mark.unchecked_shapes  # fields are annotated as what they hold afterwards
+def test_requests_hold_paths_whatever_they_were_given() -> None:
+    tables: Any = ("tables/adt", Path("tables/gimo"))
+    run: Any = "r"
+    file: Any = "p.npz"
+    paths = (Path("tables/adt"), Path("tables/gimo"))
+    assert RunRequest(method="static", data=tables, out=run).data == paths
+    assert ExportRequest(data=tables, condition=Condition.TEXT, out=file).out == Path("p.npz")
+    assert ScoreRequest(predictions=file, data=tables).predictions == Path("p.npz")
+    assert ViewRequest(out=file, data=tables).data == paths
+    assert DoctorRequest(path=file, data=tables).data == paths
+
+
+def test_what_is_none_stays_none() -> None:
+    @dataclass(frozen=True)
+    class Request:
+        one: Path | str | None = None
+
+        def __post_init__(self) -> None:
+            turn_into_paths(self, "one")
+
+    assert Request().one is None
+    assert Request("a").one == Path("a")
+
+
+def _made(temporary, receipt):
+    (temporary / "receipt").write_text(receipt)
+    (temporary / "rows").write_text(receipt)
+
+
+def test_a_folder_that_another_machine_has_made_meanwhile_stays(tmp_path):
+    folder = tmp_path / "part"
+    with atomic_folder(folder, told_by="receipt") as slower:
+        _made(slower, "same")
+        with atomic_folder(folder, told_by="receipt") as faster:
+            _made(faster, "same")
+        first = folder.stat().st_ino
+    assert folder.stat().st_ino == first
+    assert [entry.name for entry in tmp_path.iterdir()] == ["part"]
+
+
+def test_a_folder_that_another_machine_has_made_at_the_very_same_moment_stays(tmp_path, monkeypatch):
+    folder = tmp_path / "part"
+    exists = Path.exists
+
+    def made_after_the_look(path):
+        found = exists(path)
+        if path == folder and not found:
+            folder.mkdir()
+            _made(folder, "same")
+        return found
+
+    with atomic_folder(folder, told_by="receipt") as slower:
+        _made(slower, "same")
+        monkeypatch.setattr(Path, "exists", made_after_the_look)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["part"]
+
+
+def test_a_folder_with_another_receipt_is_replaced(tmp_path):
+    folder = tmp_path / "part"
+    for receipt in ("failed", "read"):
+        with atomic_folder(folder, told_by="receipt") as temporary:
+            _made(temporary, receipt)
+    assert (folder / "rows").read_text() == "read"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["part"]

@@ -1,0 +1,93 @@
+"""Rays and closest points on meshes, against a loop over all triangles."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+
+from prbench.errors import MissingExtraError, UnloadableExtraError
+from prbench.geometry.meshes import TriangleMesh, import_open3d
+from tests.slow_meshes import SlowMesh
+
+FAR_AWAY = np.array([7.0, 1.5, -9.0])
+SQUARE = np.array([[-1.0, -1.0, 2.0], [1.0, -1.0, 2.0], [1.0, 1.0, 2.0], [-1.0, 1.0, 2.0]])
+TWO_TRIANGLES = np.array([(0, 1, 2), (0, 2, 3)])
+
+needs_open3d = pytest.mark.skipif(importlib.util.find_spec("open3d") is None, reason="needs the extra open3d")
+
+
+def _crowd() -> tuple[np.ndarray, np.ndarray]:
+    """Random triangles, several metres from the origin, where float32 is coarse."""
+    return np.random.default_rng(5).normal(size=(90, 3)) + FAR_AWAY, np.arange(90).reshape(-1, 3)
+
+
+def _rays(n: int) -> tuple[np.ndarray, np.ndarray]:
+    generator = np.random.default_rng(6)
+    direction = generator.normal(size=(n, 3))
+    return generator.normal(size=(n, 3)) * 2 + FAR_AWAY, direction / np.linalg.norm(direction, axis=1, keepdims=True)
+
+
+@needs_open3d
+def test_rays_meet_what_a_slow_loop_meets() -> None:
+    origins, directions = _rays(2000)
+    reach = np.full(2000, np.inf)
+    expected = SlowMesh(*_crowd()).first_hit(origins, directions, reach)
+    assert 200 < np.isfinite(expected).sum() < 1800
+    assert TriangleMesh(*_crowd()).first_hit(origins, directions, reach) == pytest.approx(expected, abs=1e-9)
+
+
+@needs_open3d
+def test_closest_points_are_those_of_a_slow_loop() -> None:
+    points, _ = _rays(400)
+    corners = _crowd()[0][:20]
+    points = np.concatenate([points, corners, corners + 1e-5])
+    expected = SlowMesh(*_crowd()).distance(points)
+    assert TriangleMesh(*_crowd()).distance(points) == pytest.approx(expected, abs=1e-6)
+
+
+@needs_open3d
+def test_reach_ends_a_ray_and_nothing_behind_the_origin_counts() -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=5)
+    origins = np.random.default_rng(2).normal(size=(700, 3))
+    origins *= 3 / np.linalg.norm(origins, axis=1, keepdims=True)
+    mesh = TriangleMesh(np.array(sphere.vertices), np.array(sphere.faces))
+    inwards, no_end = -origins / 3, np.full(700, np.inf)
+    assert mesh.first_hit(origins, inwards, no_end) == pytest.approx(2.0, abs=2e-3)
+    assert np.isinf(mesh.first_hit(origins, inwards, np.full(700, 1.9))).all(), "out of reach"
+    assert np.isinf(mesh.first_hit(origins, -inwards, no_end)).all(), "behind the eye"
+    assert mesh.first_hit(origins * 0, inwards, no_end) == pytest.approx(1.0, abs=2e-3), "from within"
+    assert mesh.distance(origins) == pytest.approx(2.0, abs=2e-3)
+
+
+@needs_open3d
+def test_a_ray_along_an_axis_and_one_through_a_common_edge() -> None:
+    mesh = TriangleMesh(SQUARE, TWO_TRIANGLES)
+    ahead = np.tile((0.0, 0.0, 1.0), (3, 1))
+    origins = np.array([(0.0, 0.0, 0.0), (0.5, 0.5, 0.0), (1.1, 0.0, 0.0)])  # both on the diagonal, and beside
+    assert mesh.first_hit(origins, ahead, np.full(3, np.inf)).tolist() == [2.0, 2.0, np.inf]
+
+
+@needs_open3d
+def test_no_rays_and_no_points_have_no_distances() -> None:
+    mesh = TriangleMesh(SQUARE, TWO_TRIANGLES)
+    assert mesh.first_hit(np.empty((0, 3)), np.empty((0, 3)), np.empty(0)).shape == (0,)
+    assert mesh.distance(np.empty((0, 3))).shape == (0,)
+
+
+def test_without_open3d_the_message_says_how_to_install_it(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(MissingExtraError, match=r"^drawing needs .*pip install 'prbench\[open3d\]'"):
+        import_open3d("drawing")
+
+
+def test_a_library_that_the_system_lacks_is_named(monkeypatch, tmp_path) -> None:
+    """Open3D's wheel on a server without the libraries of a desktop."""
+    (tmp_path / "open3d.py").write_text("raise ImportError('libusb-1.0.so.0: cannot open shared object file')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
+    with pytest.raises(UnloadableExtraError, match=r"libusb-1\.0\.so\.0.*apt-get install libusb-1\.0-0"):
+        import_open3d("drawing")

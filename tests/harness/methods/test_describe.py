@@ -1,0 +1,212 @@
+"""Asking methods what they declare, each in a process of its own: nothing that a package does takes the list down."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from prbench.cli import main
+from prbench.harness.methods.describe import Description, describe_adapter, describe_adapters
+from prbench.harness.methods.installed import InstalledAdapter, list_adapters
+from tests.method_fixtures import adapter_source
+
+_LIMIT = 100.0  # seconds; these take well under one on an idle core
+
+ENDINGS = {
+    "missing": (
+        "import surely_not_installed",
+        "cannot be imported: ModuleNotFoundError: No module named 'surely_not_in",
+    ),
+    "needy": ("import torch_gpu.ops", "Run: pip install 'prbench_needy[gpu]'"),
+    "plain": ("import smpl_tools", "Run: pip install 'smpl-tools'"),
+    "needy_later": (
+        "def load(weights, *, options, device): import torch_gpu",
+        "cannot be loaded: ModuleNotFoundError: No module named 'torch_gpu'. Run: pip install 'prbench_nee",
+    ),
+    "quits": ("raise SystemExit('needs a GPU')", "cannot be imported: SystemExit: needs a GPU"),
+    "leaves": ("import os; os._exit(3)", "left the process while it was imported, with exit status 3"),
+    "crashes": (
+        "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
+        "crashed while it was imported: killed by SIGSE",
+    ),
+    "interrupts": ("raise KeyboardInterrupt", "cannot be imported: KeyboardInterrupt"),
+    "refuses": (
+        "def load(weights, *, options, device): raise ValueError('give me --weights FILE')",
+        "refused its settings: give me --weights FILE",
+    ),
+    "no_gpu": (
+        "def load(weights, *, options, device):\n raise RuntimeError('line one\\nline two')",
+        "line one line two",
+    ),
+    "long": (f"raise ValueError({'x' * 50 + ' '!r} * 1000)", "ValueError: xxxxx"),
+    "dies_loading": (
+        "import os\ndef load(weights, *, options, device): os.abort()",
+        "crashed in load(): killed by SIGABRT",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def described(tmp_path_factory) -> dict[str, Description]:
+    """All the packages that end badly, described together."""
+    site = tmp_path_factory.mktemp("site")
+    for name, (source, _) in ENDINGS.items():
+        _write_package(site, name, source, requires=['torch-gpu>=2; extra == "gpu"', "smpl-tools"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(site))
+        return {one.method.name: one for one in describe_adapters(ENDINGS, time_limit=_LIMIT)}
+
+
+def _write_package(site: Path, name: str, source: str, *, requires: list[str]) -> None:
+    package = f"prbench_{name}"
+    (site / f"{package}.py").write_text(source.replace("\n    ", "\n").strip() if source.startswith("\n") else source)
+    info = site / f"{package}-1.2.dist-info"
+    info.mkdir()
+    lines = "".join(f"Requires-Dist: {line}\n" for line in requires)
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.2\nProvides-Extra: gpu\n{lines}"
+    )
+    (info / "entry_points.txt").write_text(f"[prbench.adapters]\n{name} = {package}:load\n")
+
+
+@pytest.mark.parametrize("name", ENDINGS)
+def test_whatever_a_package_does_becomes_one_line(described, name):
+    error = described[name].error
+    assert ENDINGS[name][1] in error
+    assert "\n" not in error
+    assert len(error) <= 300
+    assert described[name].conditions == ()
+
+
+def test_a_method_says_what_it_declares(install):
+    body = """
+        max_frames, native_fps, motionless = 196, 30.0, True
+        def fit(self, train, *, validation, run): ...
+        def weights_for(self, condition):
+            from pathlib import Path
+            return Path(f"/somewhere/{condition.value}.safetensors")
+    """
+    install("made", adapter_source(attributes=body.strip()) + "\n    import time; time.sleep(0.2)\n")
+    (made,) = describe_adapters(["made"], time_limit=_LIMIT)
+    assert made.error == ""
+    assert made.conditions == ("goal-loc", "none")
+    assert (made.max_frames, made.native_fps, made.motionless, made.fitted) == (196, 30.0, True, True)
+    assert made.weights == ("goal-loc.safetensors", "none.safetensors")
+    assert made.import_seconds is not None
+    assert 0.2 <= made.import_seconds < _LIMIT
+    assert made.load_seconds is not None
+
+
+def test_predictors_say_what_they_take_and_whether_they_learn_from_a_table():
+    found = describe_adapters(["nearest-past", "zero-velocity"], benchmark="motion-prediction", time_limit=_LIMIT)
+    assert [(one.method.name, one.fitted, one.error) for one in found] == [
+        ("nearest-past", True, ""),
+        ("zero-velocity", False, ""),
+    ]
+    assert {one.conditions for one in found} == {("pose", "pose+gaze", "pose+head")}
+
+
+def test_what_a_package_prints_never_reaches_the_list_and_costs_no_memory(install, capfd):
+    install("loud", "import sys\nfor _ in range(300): print('x' * 99_999)\nprint('y', file=sys.stderr)\n" + PLAIN)
+    (loud,) = describe_adapters(["loud"], time_limit=_LIMIT)
+    assert (loud.error, loud.conditions, loud.printed) == ("", ("none",), 300 * 100_000 + 2)
+    assert capfd.readouterr() == ("", "")
+
+
+PLAIN = """
+class Plain:
+    name = "plain"
+    conditions = frozenset({"none"})
+    def generate(self, batch, *, seed): ...
+def load(weights, *, options, device): return Plain()
+"""
+
+
+def test_an_endless_import_is_stopped_with_everything_it_started(install, tmp_path):
+    pid = tmp_path / "pid"
+    install(
+        "endless",
+        "import subprocess, sys, time, pathlib\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
+        f"pathlib.Path({str(pid)!r}).write_text(str(child.pid))\n"
+        "while True: time.sleep(0.01)\n",
+    )
+    started = time.monotonic()
+    (endless,) = describe_adapters(["endless"], time_limit=4.0)
+    assert time.monotonic() - started < 10
+    assert endless.error.startswith("took longer than 4 s while it was imported and was stopped.")
+    assert _ends(int(pid.read_text()))
+
+
+def _ends(pid: int) -> bool:
+    """Whether a process is gone, or about to go, within two seconds."""
+    for _ in range(40):
+        try:
+            os.kill(pid, 0)
+            if Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z":
+                return True
+        except (ProcessLookupError, FileNotFoundError):
+            return True
+        time.sleep(0.05)
+    os.kill(pid, signal.SIGKILL)
+    return False
+
+
+def test_many_are_described_at_a_time_in_the_order_of_their_names(install):
+    for name in ("b", "a", "c"):
+        install(name, f"import time; time.sleep(0.6)\n{PLAIN}")
+    started = time.monotonic()
+    found = describe_adapters(["c", "b", "a"], time_limit=_LIMIT, workers=3)
+    seconds = time.monotonic() - started
+    assert [one.method.name for one in found] == ["a", "b", "c"]
+    assert not any(one.error for one in found)
+    assert seconds < sum((one.import_seconds or 0) + 1 for one in found)
+
+
+def test_unusable_metadata_are_said_without_importing_anything():
+    broken = InstalledAdapter("x", "p", "1", "module", "entry point: expected 'module:callable', found 'module'")
+    assert describe_adapter(broken).error == broken.problem
+
+
+def test_a_name_that_two_packages_offer_is_not_imported_at_all(install, tmp_path):
+    touched = tmp_path / "touched"
+    for package in ("prbench_one", "prbench_two"):
+        install("same", f"import pathlib; pathlib.Path({str(touched)!r}).touch()", package=package)
+    found = describe_adapters(["same"])
+    assert [one.error for one in found] == ["another package offers the same name; uninstall one of them"] * 2
+    assert not touched.exists()
+
+
+def test_after_an_interruption_nobody_waits(install):
+    install("slow", "import time; time.sleep(60)")
+    stop = threading.Event()
+    threading.Timer(1.0, stop.set).start()
+    started = time.monotonic()
+    (slow,) = [method for method in list_adapters() if method.name == "slow"]
+    assert describe_adapter(slow, time_limit=60.0, stop=stop).error
+    assert time.monotonic() - started < 20
+
+
+def test_the_list_shows_good_and_bad_methods_and_controls(install, capsys):
+    install("good", PLAIN)
+    install("bad", "import os; os._exit(1)")
+    assert main(["adapters", "list", "--details", "good", "bad", "--timeout", "100"]) == 0
+    text = capsys.readouterr().out
+    assert "good  prbench_good 1.2  none" in text
+    assert "! bad (prbench_bad 1.2): left the process while it was imported, with exit status 1" in text
+    assert "controls" not in text, "only what was asked for"
+    assert main(["adapters", "list", "--details", "--json", "good", "bad"]) == 0
+    bad, good = (method["details"] for method in json.loads(capsys.readouterr().out)["report"]["methods"])
+    assert (good["conditions"], good["trains"], good["error"]) == (["none"], "no", "")
+    assert bad["error"].startswith("left the process")
+
+
+def test_a_name_that_nobody_offers_is_answered_with_the_nearest(capsys):
+    assert main(["adapters", "list", "--details", "statik"]) == 5
+    assert "Did you mean 'static'?" in capsys.readouterr().err

@@ -1,0 +1,256 @@
+"""A conditions file holds exactly what a method may see: the columns, the values, and nothing that names the data."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import zipfile
+
+import msgspec
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from prbench.contract import GIVEN, Condition
+from prbench.errors import InputFileError, RedistributionError, TableError, UsageError
+from prbench.harness.conditions import opaque_ids, run_salt
+from prbench.harness.offline import ExportRequest, export_conditions, read_conditions, read_conditions_file
+from prbench.randomness import noise_seed
+from prbench.sequences import DatasetInfo
+from tests.fakes import fake_dataset, fake_sequence
+
+ALWAYS = {"opaque_id", "sample", "noise_seed", "n_frames", "fps"}
+FORMATS = (".parquet", ".npz")
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory):
+    return fake_dataset(tmp_path_factory.mktemp("other") / "table", 24, dataset="synthetic-gimo")
+
+
+def export(tables, out, condition="goal-loc", **changes):
+    folders = tuple(table.folder for table in tables)
+    return export_conditions(ExportRequest(data=folders, condition=Condition(condition), out=out, **changes))
+
+
+def with_terms(table, redistribution):
+    msgspec.structs.replace(DatasetInfo.read(table.folder), redistribution=redistribution).write(table.folder)
+    return table
+
+
+@pytest.mark.parametrize("condition", Condition)
+def test_the_columns_are_those_of_the_condition_and_no_others(table, tmp_path, condition):
+    export([table], tmp_path / "c.parquet", condition)
+    export([table], tmp_path / "c.npz", condition)
+    expected = ALWAYS | GIVEN[condition]
+    assert set(pq.read_schema(tmp_path / "c.parquet").names) == expected
+    with np.load(tmp_path / "c.npz") as arrays:  # pickles are off by default
+        assert set(arrays.files) == expected | {"prbench_conditions"}
+        assert {name: arrays[name].dtype.kind for name in ALWAYS} == {
+            "opaque_id": "U", "sample": "i", "noise_seed": "i", "n_frames": "i", "fps": "f",
+        }  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_the_file_says_how_it_was_made_and_nothing_more(table, other, tmp_path, suffix):
+    path = tmp_path / f"c{suffix}"
+    export([table, other], path, seed=3, samples=2, limit=5, max_frames=110)
+    if suffix == ".npz":
+        with np.load(path) as arrays:
+            text = str(arrays["prbench_conditions"])
+    else:
+        metadata = pq.read_schema(path).metadata
+        assert set(metadata) == {b"prbench_conditions"}
+        text = metadata[b"prbench_conditions"]
+    said = json.loads(text)
+    tables = said.pop("tables")
+    assert said == {
+        "format_version": 1, "condition": "goal-loc", "seed": 3, "samples": 2, "split": "test", "limit": 5,
+        "max_frames": 110, "native_fps": None, "protocol_version": 2,
+    }  # fmt: skip
+    assert len(tables) == 2
+    assert all(len(digest) == 64 for digest in tables)
+    assert not {table.identity, other.identity} & set(tables), (
+        "else whoever knows the ids has the key of the opaque ones"
+    )
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_nothing_in_the_file_names_dataset_recording_object_or_folder(table, other, tmp_path, suffix):
+    path = tmp_path / f"c{suffix}"
+    export([table, other], path, "goal-pose")
+    content = path.read_bytes()
+    if suffix == ".parquet":
+        content += repr(pq.read_table(path, columns=["opaque_id", "text"]).to_pydict()).encode()
+    else:
+        with zipfile.ZipFile(path) as archive:
+            names = " ".join(archive.namelist()).encode()
+            content = names + b"".join(archive.read(name).replace(b"\0", b"") for name in archive.namelist())
+    assert b"goal-pose" in content, "the search looks at what is there"
+    for told in ("synthetic", "rec001", "450846385587", "WoodenBowl", "fake", str(tmp_path), str(table.folder.parent)):
+        assert told.encode() not in content
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_values_are_those_of_the_sequences(table, tmp_path, suffix):
+    path = tmp_path / f"c{suffix}"
+    export([table], path, "goal-pose", seed=9, samples=2)
+    conditions = read_conditions_file(path)
+    truths = [fake_sequence(index) for index in range(60)]
+    truths = [truth for truth in truths if truth.split == "test"]
+    names = opaque_ids([truth.sequence_id for truth in truths], run_salt(9, table.identity))
+    truth_of = dict(zip(names, truths))
+    assert len(conditions) == 30
+    for row, (name, sample) in enumerate(zip(conditions.opaque_id, conditions.sample)):
+        truth = truth_of[name]
+        assert conditions.noise_seed[row] == noise_seed(9, truth.sequence_id, int(sample))
+        assert (conditions.n_frames[row], conditions.fps[row], conditions.text[row]) == (
+            truth.n_frames,
+            20.0,
+            truth.text,
+        )
+        assert np.array_equal(conditions.initial_joints[row], truth.joints[0])
+        assert np.array_equal(conditions.previous_joints[row], truth.previous_joints)
+        assert np.array_equal(conditions.goal_joints[row], truth.joints[-1])
+
+
+def test_both_formats_hold_the_same(table, other, tmp_path):
+    for suffix in FORMATS:
+        export([table, other], tmp_path / f"c{suffix}", samples=2)
+    one, two = (read_conditions_file(tmp_path / f"c{suffix}") for suffix in FORMATS)
+    for field in dataclasses.fields(one):
+        a, b = getattr(one, field.name), getattr(two, field.name)
+        assert np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b, field.name
+        assert getattr(a, "dtype", None) == getattr(b, "dtype", None)
+
+
+def test_rows_of_all_tables_stand_by_opaque_id_then_sample(table, other, tmp_path):
+    report = export([table, other], tmp_path / "c.parquet", "none", samples=3)
+    rows = pq.read_table(tmp_path / "c.parquet")
+    keys = list(zip(rows["opaque_id"].to_pylist(), rows["sample"].to_pylist()))
+    assert keys == sorted(keys)
+    assert len(keys) == report.rows == 3 * (15 + 6)
+    assert report.sequences == {"synthetic-adt": 15, "synthetic-gimo": 6}
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_the_same_request_gives_the_same_bytes_in_any_order_of_the_tables(table, other, tmp_path, suffix):
+    export([table, other], tmp_path / f"a{suffix}", samples=2)
+    export([other, table], tmp_path / f"b{suffix}", samples=2)
+    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def test_split_limit_and_max_frames_choose_as_a_run_does(table, tmp_path):
+    assert export([table], tmp_path / "a.npz", split="validation").sequences == {"synthetic-adt": 15}
+    assert export([table], tmp_path / "b.npz", limit=4).rows == 4
+    report = export([table], tmp_path / "c.npz", max_frames=80)
+    conditions = read_conditions_file(tmp_path / "c.npz")
+    assert 0 < len(conditions) < 15
+    assert conditions.n_frames.max() <= 80
+    assert report.left_out == {"synthetic-adt": 15 - len(conditions)}
+
+
+def test_batches_are_what_a_method_gets_and_never_repeat_a_sequence(table, tmp_path):
+    export([table], tmp_path / "c.npz", samples=2)
+    batches = read_conditions(tmp_path / "c.npz", batch_size=4)
+    assert [len(batch) for batch in batches] == [4, 4, 4, 3] * 2
+    for batch in batches:
+        assert len(set(batch.opaque_id)) == len(batch)
+        assert all(isinstance(seed, int) for seed in batch.noise_seed)
+    assert {seed for batch in batches[:4] for seed in batch.noise_seed}.isdisjoint(
+        seed for batch in batches[4:] for seed in batch.noise_seed
+    )
+
+
+@pytest.mark.parametrize("condition", ["goal-loc", "goal-pose"])
+def test_terms_that_keep_recorded_poses_need_permission(tmp_path, condition):
+    kept = with_terms(fake_dataset(tmp_path / "t", 12), "none")
+    with pytest.raises(RedistributionError, match=r"cmd:.*--permission synthetic-adt"):
+        export([kept], tmp_path / "c.npz", condition)
+    assert not list(tmp_path.glob("c*"))
+    report = export([kept], tmp_path / "c.npz", condition, permitted=["synthetic-adt"])
+    assert "by permission" in report.notices[0]
+    assert (tmp_path / "c.NOTICE.txt").read_text() == f"{report.notices[0]}\n"
+
+
+@pytest.mark.parametrize("condition", ["none", "text"])
+def test_conditions_without_recorded_poses_may_always_leave(tmp_path, condition):
+    kept = with_terms(fake_dataset(tmp_path / "t", 12), "none")
+    assert export([kept], tmp_path / "c.npz", condition).notices == ()
+
+
+def test_non_commercial_terms_are_said_beside_the_file(tmp_path):
+    export([with_terms(fake_dataset(tmp_path / "t", 12), "non-commercial")], tmp_path / "c.parquet")
+    assert "non-commercial" in (tmp_path / "c.NOTICE.txt").read_text()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"out": "c.csv"}, r"expected a name that ends in .parquet or .npz, found '.csv'"),
+        ({"condition": "text", "control": "shuffled-goal"}, "condition 'text' gives no goal to shuffle"),
+        ({"samples": 0}, "--samples: expected 1 or more, found 0"),
+        ({"seed": -1}, "--seed: expected 0 or more"),
+        ({"native_fps": float("nan")}, "--native-fps: expected above 0"),
+    ],
+)
+def test_requests_that_do_not_fit_together_are_refused(table, tmp_path, changes, message):
+    changes = {"out": "c.npz", **changes}
+    out = tmp_path / changes.pop("out")
+    with pytest.raises(UsageError, match=message):
+        export([table], out, **changes)
+
+
+def test_a_dataset_given_twice_or_an_empty_split_is_refused(table, tmp_path):
+    with pytest.raises(UsageError, match="found synthetic-adt more than once"):
+        export([table, table], tmp_path / "c.npz")
+    with pytest.raises(TableError, match="expected sequences in split 'test', found none"):
+        export([fake_dataset(tmp_path / "t", 4, recordings=1)], tmp_path / "c.npz")
+
+
+def changed_npz(path, **changes):
+    with np.load(path) as arrays:
+        kept = {name: arrays[name] for name in arrays.files} | changes
+    np.savez(path, **{name: values for name, values in kept.items() if values is not None})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"prbench_conditions": None}, r"expected a conditions file \(with an array 'prbench_conditions'\)"),
+        ({"prbench_conditions": np.array('{"format_version": 2}')}, "expected format version 1, found 2"),
+        ({"prbench_conditions": np.array("{")}, "expected what prbench wrote"),
+        ({"noise_seed": None}, "expected the arrays opaque_id, sample, noise_seed"),
+        ({"secret": np.zeros(3)}, "found .*secret"),
+        ({"n_frames": np.zeros(15)}, r"'n_frames': expected shape \(15,\) of int32, found \(15,\) of float64"),
+        ({"goal_location": np.zeros((15, 2))}, r"'goal_location': expected shape \(15, 3\) of float64"),
+        (
+            {"opaque_id": np.array([{}] * 15, dtype=object)},
+            "'opaque_id': expected numbers or text, found Python objects",
+        ),
+    ],
+)
+def test_a_changed_npz_is_refused_by_name(table, tmp_path, changes, message):
+    export([table], tmp_path / "c.npz")
+    changed_npz(tmp_path / "c.npz", **changes)
+    with pytest.raises(InputFileError, match=message):
+        read_conditions(tmp_path / "c.npz")
+
+
+def test_files_that_are_no_conditions_are_refused(table, tmp_path):
+    with pytest.raises(InputFileError, match=r"c.parquet: expected a conditions file, found no file"):
+        read_conditions(tmp_path / "c.parquet")
+    with pytest.raises(InputFileError, match=r"c.npz: expected an .npz file, found no file"):
+        read_conditions(tmp_path / "c.npz")
+    for suffix in FORMATS:
+        (tmp_path / f"c{suffix}").write_bytes(b"nothing of the kind")
+        with pytest.raises(InputFileError, match="expected a readable"):
+            read_conditions(tmp_path / f"c{suffix}")
+    export([table], tmp_path / "d.parquet")
+    rows = pq.read_table(tmp_path / "d.parquet")
+    pq.write_table(rows.drop_columns(["text"]), tmp_path / "d.parquet")
+    with pytest.raises(InputFileError, match="expected the columns opaque_id string"):
+        read_conditions(tmp_path / "d.parquet")
+    pq.write_table(rows.replace_schema_metadata(None), tmp_path / "d.parquet")
+    with pytest.raises(InputFileError, match="with prbench_conditions in its metadata"):
+        read_conditions(tmp_path / "d.parquet")

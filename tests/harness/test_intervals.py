@@ -1,0 +1,279 @@
+"""Intervals: hand-worked cases, SciPy as oracle, coverage by simulation, and what must never be claimed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from prbench.harness.clusters import _degrees_from_sums, degrees_of_freedom, effective_number, measure_spread
+from prbench.harness.intervals import (
+    clustered,
+    difference_interval,
+    mean_interval,
+    metric_interval,
+    rate_interval,
+    uncertainty_sources,
+)
+from prbench.metrics import METRICS
+
+
+def names(*sizes: int) -> list[str]:
+    """Recording of each sequence: sizes[0] times r0, sizes[1] times r1, …"""
+    return [f"r{i:03d}" for i, size in enumerate(sizes) for _ in range(size)]
+
+
+def values(*rows: float) -> np.ndarray:
+    return np.array(rows, dtype=float)
+
+
+@pytest.mark.parametrize("count", [2, 3, 10, 22, 60])
+@pytest.mark.parametrize("rate", [0.0, 1.0])
+def test_a_rate_of_0_or_100_percent_never_claims_certainty(rate: float, count: int) -> None:
+    found = rate_interval(np.full(5 * count, rate), names(*[5] * count))
+    exact = stats.binomtest(int(rate * count), count).proportion_ci(method="exact")
+    assert (found.low, found.high) == pytest.approx((exact.low, exact.high))  # one trial a recording, not a sequence
+    assert found.method == "clopper-pearson-recordings"
+    assert "all_equal" in found.marks
+
+
+@pytest.mark.parametrize(("successes", "n"), [(1, 22), (11, 22), (3, 60), (59, 60)])
+def test_one_sequence_a_recording_gives_the_exact_interval(successes: int, n: int) -> None:
+    # Clopper and Pearson's, where Wilson's stood: Wilson's covers 93 % at 2 % of 22, and less if sequences are alike.
+    found = rate_interval(values(*[1] * successes, *[0] * (n - successes)), names(*[1] * n))
+    exact = stats.binomtest(successes, n).proportion_ci(method="exact")
+    assert (found.low, found.high) == pytest.approx((exact.low, exact.high))
+    assert found.marks == ()
+
+
+def test_two_unanimous_recordings_count_for_two_trials() -> None:
+    found = rate_interval(values(1, 1, 0, 0), names(2, 2))
+    exact = stats.binomtest(1, 2).proportion_ci(method="exact")  # Wilson's, 0.0945 to 0.9055, stood here
+    assert (found.low, found.high) == pytest.approx((exact.low, exact.high))
+    assert found.marks == ("few_recordings",)
+
+
+def effective(rows: np.ndarray, *sizes: int) -> float:
+    data = clustered(rows, names(*sizes))
+    return float(effective_number(data.totals, data.sequences))
+
+
+def test_effective_number_worked_by_hand() -> None:
+    # Totals 1, 1, 2 of 2 sequences each: rate 2/3, residuals -1/3, -1/3, 2/3; CR2 divides their squares by 1 - 1/3:
+    # variance (6/9) / (2/3) / 36 = 1/36, where (2/9) / 5 = 2/45 belongs to independent sequences: effect below 1.
+    # Failures are the rarer, 1 and 1: two recordings hold them: assumed effect 1 + (2 - 1) * 0.3 / 4 = 1.075.
+    few = (stats.t.ppf(0.975, 5) / stats.t.ppf(0.975, 2)) ** 2
+    assert effective(values(1, 0, 0, 1, 1, 1), 2, 2, 2) == pytest.approx(max(6 / 1.075 * few, 3))
+    # Ten totals of 7 and ten of 3, of 10 sequences each: variance 20 * 2^2 / (1 - 1/20) / 200^2 against (1/4) / 199.
+    rows = np.repeat([1.0, 0.0] * 20, [7, 3] * 10 + [3, 7] * 10)
+    few = (stats.t.ppf(0.975, 199) / stats.t.ppf(0.975, 19)) ** 2
+    assert effective(rows, *[10] * 20) == pytest.approx(200 / 1.675789 * few, rel=1e-5)
+    # Totals 3, 0 of 3: never below the two recordings that there are.
+    assert effective(values(1, 1, 1, 0, 0, 0), 3, 3) == pytest.approx(2)
+
+
+def test_events_of_one_recording_say_nothing_about_correlation() -> None:
+    alone = effective(values(1, *[0] * 479), *[60] * 8)
+    spread = effective(np.tile(values(1, *[0] * 59), 8), *[60] * 8)
+    assert alone == pytest.approx(480 / (1 + 59 * 0.3) * (stats.t.ppf(0.975, 479) / stats.t.ppf(0.975, 7)) ** 2)
+    assert spread > 200
+
+
+def test_degrees_of_freedom_of_many_recordings_come_from_sums() -> None:
+    sizes = np.random.default_rng(0).integers(1, 40, 300)
+    assert _degrees_from_sums(sizes.astype(float)) == pytest.approx(degrees_of_freedom(sizes), rel=1e-10)
+    assert degrees_of_freedom(np.full(20_000, 4)) == pytest.approx(19_999)
+
+
+def test_degrees_of_freedom_of_equal_recordings_are_one_less() -> None:
+    assert degrees_of_freedom(np.full(9, 4)) == pytest.approx(8)
+    assert degrees_of_freedom(np.array([100, 2, 2, 2])) < 1.5
+
+
+def test_the_error_of_equal_recordings_is_that_of_their_means() -> None:
+    means = np.random.default_rng(0).gamma(2, 1, 7)
+    spread = measure_spread(4 * means, np.full(7, 4))
+    assert spread.error == pytest.approx(stats.sem(means))
+
+
+def test_correlation_within_recordings_widens_a_rate() -> None:
+    alternating, unanimous = values(*[0, 1] * 100), values(*[0] * 100, *[1] * 100)
+    spread, alone = (rate_interval(v, names(*[10] * 20)) for v in (alternating, unanimous))
+    assert spread.mean == alone.mean == 0.5
+    assert alone.high - alone.low > 2.5 * (spread.high - spread.low)
+
+
+def test_one_recording_is_worth_one_trial_and_gives_no_mean() -> None:
+    rate = rate_interval(values(*[1] * 40, *[0] * 60), names(100))
+    assert rate.low < 0.1 < 0.85 < rate.high
+    metres = mean_interval(values(0.1, 0.2, 0.3), names(3))
+    assert (metres.low, metres.high, metres.method) == (None, None, "none")
+    assert rate.marks == metres.marks == ("one_recording", "few_recordings")
+
+
+@pytest.mark.parametrize("sizes", [(3, 4), (100, 2, 2)])
+def test_two_recordings_and_one_that_outweighs_all_others_give_no_mean(sizes: tuple[int, ...]) -> None:
+    found = mean_interval(np.random.default_rng(0).random(sum(sizes)), names(*sizes))
+    assert (found.low, found.high, found.method) == (None, None, "none")
+
+
+def test_recordings_of_one_size_give_at_least_the_t_interval_of_their_means() -> None:
+    rng = np.random.default_rng(0)
+    rows = rng.normal(rng.normal(1, 0.3, (4, 1)), 0.1, (4, 7))
+    found = mean_interval(rows.ravel(), names(7, 7, 7, 7))
+    means = rows.mean(axis=1)
+    # At the level that four recordings need; it reached no further before, and covered 81 % of skewed means.
+    student = stats.t.interval(1 - 0.05 * 4 / 9, 3, means.mean(), stats.sem(means))
+    assert found.low <= student[0] + 1e-9
+    assert found.high >= student[1] - 1e-9
+    assert min(abs(found.low - student[0]), abs(found.high - student[1])) < 1e-9
+    assert (found.method, found.marks) == ("student-hall-cluster", ("few_recordings",))
+
+
+def test_a_long_tail_upwards_moves_the_upper_bound_further() -> None:
+    rows = np.random.default_rng(0).exponential(1, 40)
+    found = mean_interval(rows, names(*[1] * 40))
+    assert found.high - found.mean > 1.2 * (found.mean - found.low)
+    mirrored = mean_interval(-rows, names(*[1] * 40))
+    assert (mirrored.low, mirrored.high) == pytest.approx((-found.high, -found.low))
+
+
+def test_recordings_that_agree_by_chance_are_no_certainty() -> None:
+    found = mean_interval(values(*[0, 1] * 12), names(*[2] * 12))
+    assert found.high - found.low > 2 * 1.96 * 0.5 / np.sqrt(24)
+
+
+def test_the_mean_is_over_sequences_and_the_interval_is_cut_where_nothing_can_be() -> None:
+    rows = values(1, 1, 1, 3, 3, 2, 8)
+    found = mean_interval(rows, names(3, 2, 2))
+    assert found.mean == pytest.approx(19 / 7)  # not 3, the mean of the recording means
+    assert found.low < 0
+    cut = mean_interval(rows, names(3, 2, 2), nonnegative=True)
+    assert (cut.low, cut.high) == (0.0, found.high)
+
+
+@pytest.mark.parametrize("interval", [rate_interval, mean_interval])
+@pytest.mark.parametrize("recordings", [4, 15])
+def test_the_order_of_the_rows_does_not_change_a_bit(interval, recordings: int) -> None:
+    rng = np.random.default_rng(2)
+    ids = np.array(names(*rng.integers(1, 9, recordings)))
+    rows = rng.random(len(ids))
+    expected = interval(rows, ids)
+    for _ in range(3):
+        order = rng.permutation(len(ids))
+        assert interval(rows[order], ids[order]) == expected
+
+
+def test_samples_count_once_a_sequence() -> None:
+    rows, recordings, sequences = values(0.0, 0.4, 1.0), ["r0"] * 3, ["a", "a", "b"]
+    found = mean_interval(rows, recordings, sequences)
+    assert (found.mean, found.n_sequences, found.n_recordings) == (0.6, 2, 1)
+
+
+def test_the_largest_source_of_uncertainty_is_told() -> None:
+    rng = np.random.default_rng(3)
+    sequences = np.repeat([f"s{i:03d}" for i in range(120)], 5)
+    recordings = np.repeat(names(*[4] * 30), 5)
+    parts = {
+        "recordings": np.repeat(rng.normal(0, 1, 30), 20),
+        "sequences": np.repeat(rng.normal(0, 1, 120), 5),
+        "samples": rng.normal(0, 1, 600),
+    }
+    for name, size in (("recordings", 3.0), ("sequences", 6.0), ("samples", 12.0)):
+        rows = sum(part * (size if part is parts[name] else 0.3) for part in parts.values())
+        found = uncertainty_sources(rows, recordings, sequences)
+        assert found.largest == name
+        assert found.recordings + found.sequences + found.samples == pytest.approx(1)
+        assert name in found.sentence
+    # By hand: variances of the mean 3^2 / 30, 0.3^2 / 120, 0.3^2 / 600.
+    found = uncertainty_sources(3 * parts["recordings"] + 0.3 * (rows * 0 + parts["samples"]), recordings, sequences)
+    assert found.recordings > 0.98
+
+
+def test_with_one_sample_sequences_and_samples_are_one_source() -> None:
+    found = uncertainty_sources(np.tile(np.linspace(0, 1, 6), 10), names(*[6] * 10))
+    assert found.samples == 0
+    assert found.largest == "sequences"
+
+
+def test_equal_values_show_no_spread() -> None:
+    found = mean_interval(np.zeros(24), names(*[2] * 12))
+    assert (found.mean, found.low, found.high) == (0.0, None, None)  # [0, 0] stood here, which claims certainty
+    assert found.marks == ("all_equal",)
+
+
+def test_rates_that_never_differ_may_still_differ() -> None:
+    found = difference_interval(np.ones(22), np.ones(22), names(*[1] * 22), rate=True)
+    beyond = 1 - 0.025 ** (1 / 22)
+    assert (found.low, found.high) == pytest.approx((-np.sqrt(1) * beyond, beyond))
+    metres = difference_interval(np.ones(22), np.ones(22), names(*[1] * 22), rate=False)
+    assert (metres.low, metres.high) == (None, None)
+
+
+@pytest.mark.parametrize(("gain", "loss"), [(0.0, 0.0), (0.05, 0.0), (0.05, 0.05), (0.3, 0.1)])
+def test_intervals_of_differences_of_rates_cover(gain: float, loss: float) -> None:
+    rng = np.random.default_rng(7)
+    covered = 0
+    for _ in range(200):
+        drawn = rng.choice([1.0, 0.0, -1.0], 40, p=[gain, 1 - gain - loss, loss])
+        found = difference_interval(np.maximum(drawn, 0), np.maximum(-drawn, 0), names(*[2] * 20), rate=True)
+        covered += found.low - 1e-9 <= gain - loss <= found.high + 1e-9
+    assert covered / 200 >= 0.92
+
+
+def test_what_only_arithmetic_tells_apart_is_equal() -> None:
+    noise = np.random.default_rng(0).uniform(-1e-6, 1e-6, 24)
+    assert mean_interval(1.0 + noise, names(*[2] * 12)).marks == ("all_equal",)
+    found = rate_interval(np.abs(noise), names(*[2] * 12))
+    assert found.method == "clopper-pearson-recordings"
+
+
+def test_a_metric_brings_the_interval_of_its_unit() -> None:
+    methods = {info.id: metric_interval(info, values(*[0.0, 1.0] * 12), names(*[2] * 12)).method for info in METRICS}
+    assert methods["prime_success"] == methods["location_error"] == "clopper-pearson-cluster"
+    assert methods["mpjpe"] == methods["foot_skating"] == "student-hall-cluster"
+
+
+REALISTIC = {
+    "metres": lambda rng, n: rng.gamma(2, 0.2, n),
+    "far": lambda rng, n: rng.gamma(40, 0.15, n),
+    "mostly 0": lambda rng, n: (rng.random(n) < 0.3) * rng.gamma(2, 0.1, n),
+    "one outlier": lambda rng, n: 0.1 + 3.0 * (np.arange(n) == 0),
+    "steps": lambda rng, n: rng.integers(0, 3, n) / 2,
+}
+
+
+@pytest.mark.parametrize("kind", REALISTIC)
+@pytest.mark.parametrize("recordings", [5, 11, 40])
+def test_noise_of_a_micrometre_moves_no_bound_by_more_than_ten(kind: str, recordings: int) -> None:
+    rng = np.random.default_rng(recordings)
+    ids = names(*rng.integers(1, 9, recordings))
+    rows = 0.01 + REALISTIC[kind](rng, len(ids))
+    before = mean_interval(rows, ids, nonnegative=True)
+    for _ in range(5):
+        after = mean_interval(rows + rng.uniform(-1e-6, 1e-6, len(rows)), ids, nonnegative=True)
+        assert (after.low, after.high) == pytest.approx((before.low, before.high), abs=1e-5)
+        assert after.marks == before.marks
+
+
+@pytest.mark.parametrize("kind", REALISTIC)
+def test_other_names_of_the_recordings_give_the_same_interval(kind: str) -> None:
+    rng = np.random.default_rng(0)
+    ids = names(*[4] * 12)
+    rows = REALISTIC[kind](rng, len(ids))
+    before = mean_interval(rows, ids)
+    after = mean_interval(rows, [name[::-1] for name in ids])
+    assert (after.low, after.high) == pytest.approx((before.low, before.high), abs=1e-5)
+
+
+def test_wrong_input_is_refused() -> None:
+    with pytest.raises(ValueError, match="no values"):
+        mean_interval(values(), [])
+    with pytest.raises(ValueError, match="row 1: the value is not finite"):
+        mean_interval(values(1, np.nan), names(2))
+    with pytest.raises(ValueError, match="differ in number"):
+        mean_interval(values(1, 2), names(3))
+    with pytest.raises(ValueError, match="two recordings"):
+        mean_interval(values(1, 2, 3), ["r0", "r1", "r1"], ["a", "a", "b"])
+    with pytest.raises(ValueError, match="from 0 to 1"):
+        rate_interval(values(0, 50), names(2))

@@ -1,0 +1,218 @@
+"""Recorded motion handed in as a method's own is noticed however it was disguised, and nothing else is taken for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from prbench.geometry.skeleton import Joint
+from prbench.harness.planning import select
+from prbench.harness.recorded_motion import is_recorded_motion
+from prbench.harness.run import run_method
+from prbench.harness.run_folder import DatasetSummary, read_scores
+from prbench.harness.score_predictions import ScoreRequest, score_predictions
+from prbench.metrics import MotionBatch
+from prbench.randomness import named_generator
+from prbench.sequences import SequenceTable
+from prbench.workflows.synthetic_table import build_synthetic_table
+from tests.fakes import STANDING, fake_sequence
+from tests.harness.run_folder.test_record import SUMMARY
+from tests.harness.test_run import request
+from tests.harness.test_score_predictions import write
+
+
+def reaching(seed: int, n_frames: int = 90) -> np.ndarray:
+    """A standing body that walks along a bend, swings its limbs and reaches."""
+    phase = np.linspace(0, 1, n_frames)[:, None]
+    motion = np.repeat(STANDING[None], n_frames, axis=0)
+    motion += np.concatenate([0.6 * np.sin(2 * phase + seed), 0.02 * np.sin(40 * phase), 1.5 * phase], axis=1)[:, None]
+    swing = 0.15 * np.sin(2 * np.pi * (4 * phase + 0.1 * seed))
+    motion[:, [4, 7, 10, 21], 2] += swing
+    motion[:, [5, 8, 11, 20], 2] -= swing
+    return motion
+
+
+MOTIONS = [reaching(seed) for seed in range(4)]
+RECORDED = MotionBatch.from_motions([motion.astype(np.float32) for motion in MOTIONS])
+
+
+def marked(change) -> int:
+    changed = MotionBatch.from_motions([change(motion).astype(np.float32) for motion in MOTIONS])
+    return int(is_recorded_motion(changed, RECORDED).sum())
+
+
+def at_times(motion: np.ndarray, times: np.ndarray) -> np.ndarray:
+    left = np.minimum(times.astype(int), len(motion) - 2)
+    share = (times - left)[:, None, None]
+    return motion[left] * (1 - share) + motion[left + 1] * share
+
+
+def noisy(motion: np.ndarray, metres: float) -> np.ndarray:
+    return motion + named_generator("noise").normal(size=motion.shape) * metres
+
+
+def turned(motion: np.ndarray) -> np.ndarray:
+    cosine, sine = np.cos(0.7), np.sin(0.7)
+    return motion @ np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
+
+
+ARMS = [Joint.LEFT_ELBOW, Joint.RIGHT_ELBOW, Joint.LEFT_WRIST, Joint.RIGHT_WRIST]
+LEGS = [Joint.LEFT_KNEE, Joint.RIGHT_KNEE, Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, Joint.LEFT_FOOT, Joint.RIGHT_FOOT]
+
+
+def with_other(motion: np.ndarray, joints: list[Joint]) -> np.ndarray:
+    """The motion with some joints led up to 30 cm elsewhere."""
+    changed = motion.copy()
+    changed[:, joints] += np.linspace(0, 1, len(motion))[:, None, None] * [0.1, 0.3, 0.0]
+    return changed
+
+
+@pytest.mark.parametrize(
+    "disguise",
+    [
+        lambda m: m,
+        lambda m: noisy(m, 0.003),
+        lambda m: m + np.array([0.3, 0.0, -0.1]),
+        turned,
+        lambda m: 1.02 * m,
+        lambda m: at_times(at_times(m, np.linspace(0, 89, 45)), np.linspace(0, 44, 90)),
+        lambda m: at_times(m, np.linspace(0, 89, 60)),
+        lambda m: at_times(m, 89 * np.linspace(0, 1, 90) ** 1.3),
+        lambda m: np.concatenate([m[:1], m[:1], m[:-2]]),
+        lambda m: noisy(np.concatenate([m[:1], m[:-1]]), 0.003) + 0.05,
+        lambda m: np.concatenate([m[1:], m[-1:]]),
+        lambda m: 1.1 * m,
+        lambda m: with_other(m, ARMS),
+        lambda m: with_other(m, LEGS),
+    ],
+    ids=[
+        "same",
+        "noise",
+        "offset",
+        "turn",
+        "scale",
+        "half rate",
+        "other length",
+        "time warp",
+        "delay",
+        "all together",
+        "ahead",
+        "a tenth larger",
+        "other arms",
+        "other legs",
+    ],
+)
+def test_the_recorded_motion_is_noticed_however_it_is_disguised(disguise):
+    assert marked(disguise) == len(MOTIONS)
+
+
+@pytest.mark.parametrize(
+    "method",
+    [
+        lambda m: np.repeat(m[:1], len(m), axis=0),
+        lambda m: m[:1] + np.linspace(0, 1, len(m))[:, None, None] * (m[-1:] - m[:1]),
+        lambda m: m[:, :1] + (m[:1] - m[:1, :1]),
+        lambda m: np.concatenate([m[:60], np.repeat(m[59:60], 30, axis=0)]),
+        lambda m: noisy(m, 0.05),
+        lambda m: m * np.array([-1.0, 1.0, 1.0]),
+    ],
+    ids=[
+        "initial pose",
+        "straight to the last pose",
+        "glides along the path",
+        "cut short",
+        "5 cm off",
+        "mirrored",
+    ],
+)
+def test_what_conditions_tell_and_what_only_resembles_is_not_taken_for_it(method):
+    assert marked(method) == 0
+
+
+def test_where_hardly_anything_happens_nothing_is_claimed():
+    still = MotionBatch.from_motions([noisy(np.repeat(STANDING[None], 60, axis=0), 1e-5).astype(np.float32)])
+    assert not is_recorded_motion(still, still).any()
+
+
+def hardly_moving(n_frames: int = 60) -> np.ndarray:
+    """A person who settles by 5 cm in the first frames, stands, and leans to the side in the last ones."""
+    motion = noisy(np.repeat(STANDING[None], n_frames, axis=0), 1e-4)
+    motion[:3] += np.linspace(1, 0, 3)[:, None, None] * [0.0, 0.0, -0.05]
+    motion[-3:] += np.linspace(0, 1, 3)[:, None, None] * [0.05, 0.0, 0.0]
+    return motion
+
+
+def step_aside(metres: float, seed: int) -> np.ndarray:
+    """The way of a recorded person with other arms, all joints up to some centimetres beside."""
+    motion = with_other(reaching(0), ARMS)
+    beside = named_generator("step", seed).uniform(-1, 1, size=(len(motion) // 10 + 1, *STANDING.shape))
+    smooth = at_times(beside, np.linspace(0, len(beside) - 1, len(motion)))
+    return motion + metres * smooth
+
+
+def test_a_body_that_stands_where_a_person_hardly_moves_is_not_taken_for_the_person():
+    person = hardly_moving()
+    recorded = MotionBatch.from_motions([person.astype(np.float32)] * 3)
+    still = np.repeat(person[:1], len(person), axis=0)
+    late = np.concatenate([still[:-3], person[-3:]])
+    methods = MotionBatch.from_motions([motion.astype(np.float32) for motion in (still, noisy(still, 1e-4), late)])
+    assert not is_recorded_motion(methods, recorded).any()
+    assert is_recorded_motion(recorded, recorded).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_method_that_makes_the_same_steps_two_centimetres_beside_is_not_taken_for_the_person(seed):
+    recorded = MotionBatch.from_motions([reaching(0).astype(np.float32)])
+    near = MotionBatch.from_motions([step_aside(0.022, seed).astype(np.float32)])
+    assert not is_recorded_motion(near, recorded).any()
+
+
+@pytest.mark.parametrize(("found", "motions", "never_ranked"), [(1, 12, False), (2, 12, True), (2, 400, False)])
+def test_one_motion_of_a_small_run_is_marked_and_does_not_keep_its_method_from_a_rank(found, motions, never_ranked):
+    metric = replace(SUMMARY.metrics[0], flags={"recorded_motion": found})
+    summary = replace(SUMMARY, sequences=motions, metrics=(metric,))
+    assert summary.recorded_motion_mark.startswith(f"†† equals the recorded motion in {found} of {motions} motions")
+    assert summary.hands_in_recordings == never_ranked
+
+
+def test_a_file_of_recorded_motions_is_marked_and_the_control_is_not(table, tmp_path):
+    ids = select(table, split="test", limit=None).sequence_ids
+    motions = {name: fake_sequence(int(name.split("/obj")[1].split("/")[0])).joints for name in ids}
+    file = write(tmp_path / "mine.parquet", motions)
+    (report,) = score_predictions(ScoreRequest(predictions=file, data=(table.folder,), out=tmp_path / "scores"))
+    assert report.summary.recorded_motions == 15
+    kept = DatasetSummary.read(tmp_path / "scores")
+    assert kept.recorded_motion_mark == "†† equals the recorded motion in 15 of 15 motions; never ranked"
+    rows = read_scores(tmp_path / "scores/scores.parquet").to_pylist()
+    flagged = {(row["metric"], row["flag"]) for row in rows if "recorded_motion" in (row["flag"] or "")}
+    assert flagged == {("mpjpe", "recorded_motion")}
+    for control in ("ground-truth", "ground-truth-resampled", "scripted", "static"):
+        run = run_method(request(table, tmp_path / control, control))
+        assert run.summaries[0].recorded_motion_mark == ""
+
+
+@pytest.mark.parametrize(
+    "change",
+    [lambda m: np.concatenate([m[:1], m[:-1]]), lambda m: 1.01 * m, lambda m: noisy(m, 0.001)],
+    ids=["a frame late", "1 % larger", "1 mm of noise"],
+)
+def test_near_copies_that_are_handed_in_as_a_file_are_marked(synthetic_people, tmp_path, change):
+    table = synthetic_people
+    selection = select(table, split="train", limit=None)
+    motions = {}
+    for _, chunk in selection.windows(["joints"]):
+        for name, joints in zip(chunk.sequence_ids, np.split(chunk.joints, chunk.offsets[1:-1]), strict=True):
+            motions[name] = change(joints.astype(np.float64)).astype(np.float32)
+    file = write(tmp_path / "mine.parquet", motions)
+    (report,) = score_predictions(ScoreRequest(predictions=file, data=(table.folder,), split="train"))
+    assert report.summary.recorded_motions == len(motions) > 0
+    assert report.summary.hands_in_recordings
+
+
+@pytest.fixture(scope="module")
+def synthetic_people(tmp_path_factory) -> SequenceTable:
+    """A few synthetic people, who walk and reach as recorded ones do."""
+    folder = tmp_path_factory.mktemp("people") / "table"
+    build_synthetic_table("adt", recordings=4, seed=0, out=folder, n_events=4)
+    return SequenceTable.open(folder)

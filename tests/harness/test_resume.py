@@ -1,0 +1,250 @@
+"""A run that was interrupted ends like one that was not; a folder of another run is refused."""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import pyarrow.parquet as pq
+import pytest
+
+from prbench.contract import Condition
+from prbench.errors import RunError
+from prbench.harness.run import run_method
+from prbench.harness.run_folder.cost import RunCost
+from tests.fakes import fake_dataset
+from tests.harness.test_run import reproducible_bytes, request
+from tests.method_fixtures import adapter_source
+
+PROGRAM = """
+import sys
+from pathlib import Path
+sys.path[:0] = sys.argv[3:]
+from prbench.contract import Condition
+from prbench.engine import engine_for
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+run_method(
+    RunRequest(
+        method="made",
+        condition=Condition.NONE,
+        data=(Path(sys.argv[1]),),
+        out=Path(sys.argv[2]),
+        batch_size=1,
+        samples=2,
+    ),
+    progress=lambda step: print(step.stage, step.done, flush=True),
+)
+"""
+
+
+def test_a_run_killed_at_random_moments_ends_with_the_same_bytes(table, tmp_path, install):
+    install("made", adapter_source(body="import time; time.sleep(0.01)"))
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    run_method(request(table, whole, "made", batch_size=1, samples=2))
+    chance = random.Random(0)
+    interrupted = 0
+    for _ in range(3):
+        process = subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, str(table.folder), str(killed), str(tmp_path / "site")],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        stop_after = chance.randrange(1, 6)
+        for _ in zip(range(stop_after), process.stdout):
+            pass
+        time.sleep(chance.random() * 0.03)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+        interrupted += not (killed / "summary.json").exists()
+    assert interrupted >= 2
+    assert any((killed / "predictions").glob("part-*.parquet"))
+    report = run_method(request(table, killed, "made", batch_size=1, samples=2))
+    assert 0 < report.batches_found < 15
+    assert reproducible_bytes(killed) == reproducible_bytes(whole)
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_a_run_stopped_at_any_of_its_writes_ends_with_the_same_bytes(table, tmp_path, monkeypatch, when):
+    asked = {"method": "scripted", "limit": 4, "batch_size": 2}
+    run_method(request(table, tmp_path / "whole", **asked))
+    expected = reproducible_bytes(tmp_path / "whole")
+    replace = Path.replace
+    for stop_at in range(1, 100):
+        writes = 0
+
+        def interrupted(self, target, stop_at=stop_at):
+            nonlocal writes
+            writes += 1
+            if writes == stop_at and when == "before":
+                raise KeyboardInterrupt
+            replace(self, target)
+            if writes == stop_at:
+                raise KeyboardInterrupt
+
+        out = tmp_path / str(stop_at)
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "replace", interrupted)
+            try:
+                run_method(request(table, out, **asked))
+            except KeyboardInterrupt:
+                pass
+            else:
+                break
+        assert not list(out.rglob("*partial*"))
+        run_method(request(table, out, **asked))
+        assert reproducible_bytes(out) == expected
+        # run.json, two batches with their costs, scores, cost, agreement, summary; then none
+    assert stop_at == 1 + 2 * 2 + 4 + 1
+
+
+def test_what_a_killed_process_left_half_written_is_removed_and_never_read(table, tmp_path, install):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "out", "made"))
+    before = reproducible_bytes(tmp_path / "out")
+    (tmp_path / "out/summary.json").unlink()
+    (tmp_path / "out/predictions/.part-00000-x.partial.parquet").write_bytes(b"half")
+    run_method(request(table, tmp_path / "out", "made"))
+    assert reproducible_bytes(tmp_path / "out") == before
+
+
+def test_a_finished_run_is_not_run_again(table, tmp_path, install):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "out", "made"))
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")}
+    report = run_method(request(table, tmp_path / "out", "made"))
+    assert (report.batches_made, report.batches_found) == (0, 4)
+    assert report.summaries[0].sequences == 15
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")} == before
+
+
+@pytest.mark.parametrize("lost", ["predictions/part-00002.parquet", "scores.parquet", "summary.json", "cost.json"])
+def test_what_is_missing_is_made_again(table, tmp_path, install, lost):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "out", "made"))
+    before = reproducible_bytes(tmp_path / "out")
+    (tmp_path / "out" / lost).unlink()
+    if lost == "predictions/part-00002.parquet":
+        (tmp_path / "out/summary.json").unlink()
+    run_method(request(table, tmp_path / "out", "made"))
+    assert reproducible_bytes(tmp_path / "out") == before
+
+
+@pytest.mark.parametrize("lost", ["scores.parquet", "summary.json"])
+def test_what_was_measured_survives_the_loss_of_scores(table, tmp_path, install, lost):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "out", "made"))
+    cost = (tmp_path / "out/cost.json").read_bytes()
+    (tmp_path / "out" / lost).unlink()
+    run_method(request(table, tmp_path / "out", "made"))
+    assert (tmp_path / "out/cost.json").read_bytes() == cost
+
+
+def test_damaged_scores_are_made_again(table, tmp_path, install):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "out", "made"))
+    before = reproducible_bytes(tmp_path / "out")
+    scores = tmp_path / "out/scores.parquet"
+    scores.write_bytes(scores.read_bytes()[:-20])
+    run_method(request(table, tmp_path / "out", "made"))
+    assert reproducible_bytes(tmp_path / "out") == before
+
+
+def test_a_file_that_is_no_part_of_the_plan_is_never_scored(table, tmp_path, install):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "out", "made"))
+    parts = tmp_path / "out/predictions"
+    (parts / "part-00099.parquet").write_bytes((parts / "part-00000.parquet").read_bytes())
+    with pytest.raises(RunError, match=r"part-00099.parquet: expected the 4 parts of this run only"):
+        run_method(request(table, tmp_path / "out", "made"))
+
+
+@pytest.mark.parametrize("damage", ["truncated", "of another batch", "one bit"])
+def test_a_damaged_part_is_made_again(table, tmp_path, install, damage):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "out", "made"))
+    before = reproducible_bytes(tmp_path / "out")
+    (tmp_path / "out/summary.json").unlink()
+    part = tmp_path / "out/predictions/part-00001.parquet"
+    other = tmp_path / "out/predictions/part-00002.parquet"
+    flipped = bytearray(part.read_bytes())
+    flipped[len(flipped) // 2] ^= 1
+    damaged = {"truncated": part.read_bytes()[:-20], "of another batch": other.read_bytes(), "one bit": bytes(flipped)}
+    part.write_bytes(damaged[damage])
+    untouched = [path for path in part.parent.iterdir() if path != part]
+    times = [path.stat().st_mtime_ns for path in untouched]
+    assert run_method(request(table, tmp_path / "out", "made")).batches_made == 1
+    assert reproducible_bytes(tmp_path / "out") == before
+    assert [path.stat().st_mtime_ns for path in untouched] == times
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"seed": 1}, "seed: expected 1 for this run, found 0"),
+        ({"samples": 2}, "samples: expected 2"),
+        ({"batch_size": 3}, r"tables.synthetic-adt.batch_plan.batch_size: expected 3 for this run, found 4"),
+        ({"limit": 5}, "limit: expected 5 for this run, found nothing"),
+        ({"split": "train"}, "split: expected train"),
+        ({"condition": Condition.GOAL_LOCATION}, "condition: expected goal-loc"),
+        ({"control": "shuffled-goal"}, "control: expected shuffled-goal"),
+        ({"method": "static"}, "method.name: expected static for this run, found made"),
+        ({"threads": 2}, "threads: expected 2"),
+    ],
+)
+def test_the_folder_of_another_run_is_refused_with_the_key_that_differs(table, tmp_path, install, changes, key):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "out", "made", limit=None))
+    before = reproducible_bytes(tmp_path / "out")
+    with pytest.raises(RunError, match=rf"run.json, .*{key}"):
+        run_method(request(table, tmp_path / "out", **{"method": "made", **changes}))
+    assert reproducible_bytes(tmp_path / "out") == before
+
+
+def test_the_folder_of_another_table_is_refused_although_its_name_is_the_same(table, tmp_path):
+    other = fake_dataset(tmp_path / "other", 24)
+    run_method(request(table, tmp_path / "out"))
+    with pytest.raises(RunError, match=r"tables\.synthetic-adt\.\w+.*expected .* for this run, found"):
+        run_method(request(other, tmp_path / "out"))
+
+
+def test_the_folder_of_other_weights_is_refused_although_their_name_is_the_same(table, tmp_path, install):
+    install("made", adapter_source())
+    weights = tmp_path / "weights.pt"
+    weights.write_bytes(b"one")
+    run_method(request(table, tmp_path / "out", "made", weights=weights))
+    weights.write_bytes(b"two")
+    with pytest.raises(RunError, match=r"method\.weights_digest"):
+        run_method(request(table, tmp_path / "out", "made", weights=weights))
+
+
+def test_a_folder_of_weights_is_known_by_the_content_of_its_files(table, tmp_path, install):
+    install("made", adapter_source())
+    weights = tmp_path / "weights"
+    (weights / "deep").mkdir(parents=True)
+    (weights / "deep/layer.bin").write_bytes(b"one")
+    run_method(request(table, tmp_path / "out", "made", weights=weights))
+    (weights / "deep/layer.bin").write_bytes(b"two")
+    with pytest.raises(RunError, match=r"method\.weights_digest"):
+        run_method(request(table, tmp_path / "out", "made", weights=weights))
+
+
+def test_cost_counts_every_batch_once_and_keeps_warm_up_apart(table, tmp_path, install):
+    body = "if len(batch) > 2: raise MemoryError"
+    declaring = "return Motions(joints, n_frames, Cost(7))"
+    install("made", adapter_source(body=body).replace("return Motions(joints, n_frames)", declaring))
+    run_method(request(table, tmp_path / "out", "made", samples=2))
+    cost = msgspec.json.decode((tmp_path / "out/cost.json").read_bytes(), type=RunCost)
+    assert (cost.batches, cost.batches_measured) == (4, 4)
+    assert cost.motions + cost.warm_up_motions == 30
+    assert cost.warm_up_motions == 8
+    assert cost.seconds > 0
+    assert cost.halved_batches == {"00000": 2, "00001": 2, "00002": 2, "00003": 2}
+    assert cost.network_passes_declared == 7 * 2 * 8
+    assert pq.read_table(tmp_path / "out/predictions").num_rows == 30

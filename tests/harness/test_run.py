@@ -1,0 +1,352 @@
+"""A run from table to summary: what it writes, what it does not depend on, and how it fails."""
+
+from __future__ import annotations
+
+import errno
+import json
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from prbench.contract import Condition
+from prbench.engine import ProcessPool
+from prbench.errors import AdapterError, RunError, StorageError, TableError, UsageError
+from prbench.harness import planning
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+from prbench.harness.run_folder import Predictions, RunFolder, read_scores
+from prbench.metrics import METRICS, METRICS_OF_MOTIONS
+from prbench.protocol.manifests import load_protocol
+from prbench.randomness import noise_seed
+from prbench.sequences import SequenceTable
+from tests.fakes import fake_dataset
+from tests.method_fixtures import adapter_source
+
+
+def reproducible_bytes(folder) -> dict[str, bytes]:
+    files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
+    assert not [name for name in files if "partial" in name or ".costs" in name]
+    return {name: path.read_bytes() for name, path in files.items() if name != "cost.json"}
+
+
+def request(table, out, method="static", **changes) -> RunRequest:
+    return RunRequest(
+        **{
+            "method": method,
+            "condition": Condition.NONE,
+            "data": (table.folder,),
+            "out": out,
+            "batch_size": 4,
+            **changes,
+        }
+    )
+
+
+def test_static_on_a_dataset_leaves_the_run_folder_of_the_design(table, tmp_path):
+    report = run_method(request(table, tmp_path / "out", samples=2, seed=5))
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "agreement.json",
+        "cost.json",
+        "predictions",
+        "run.json",
+        "scores.parquet",
+        "summary.json",
+    ]
+    run = json.loads((tmp_path / "out/run.json").read_text())
+    assert run["method"]["name"] == "static"
+    assert run["method"]["package"] == "prbench"
+    assert run["protocol_digest"] == load_protocol().digest
+    assert run["tables"][0]["identity_digest"] == table.identity
+    assert run["tables"][0]["content_digest"] == table.content
+    assert run["tables"][0]["batch_plan"]["batches"] == 4
+    assert (run["seed"], run["samples"], run["threads"], run["split"]) == (5, 2, 1, "test")
+    assert report.batches_made == 4
+
+    scores = read_scores(tmp_path / "out/scores.parquet")
+    names = [info.id for info in METRICS_OF_MOTIONS]
+    ids = [name for chunk in table.chunks(split="test", columns=[]) for name in chunk.sequence_ids]
+    expected = [(name, sample, metric) for name in ids for sample in (0, 1) for metric in names]
+    assert list(zip(*(scores[column].to_pylist() for column in ("sequence_id", "sample", "metric")))) == expected
+    rates = scores.filter(np.isin(scores["metric"].to_numpy(), [m.id for m in METRICS if m.unit == "rate"]))
+    assert set(rates["value"].to_pylist()) <= {0.0, 1.0}
+
+    summary = report.summaries[0]
+    assert summary.synthetic
+    assert "synthetic" in summary.title
+    assert (summary.sequences, summary.recordings, summary.unsupported) == (15, 3, 0)
+    by_name = {metric.metric: metric for metric in summary.metrics}
+    assert by_name["prime_success"].mean == 0.0
+    assert by_name["prime_success"].high > 0.1  # no certainty from three recordings
+    values = scores.filter(np.array(scores["metric"].to_pylist()) == "mpjpe")["value"].to_numpy()
+    assert by_name["mpjpe"].mean == pytest.approx(values.mean(), abs=1e-12)
+
+
+def test_nothing_personal_stands_in_the_reproducible_files(table, tmp_path):
+    run_method(request(table, tmp_path / "out"))
+    for name in ("run.json", "summary.json"):
+        text = (tmp_path / "out" / name).read_text()
+        assert str(tmp_path) not in text
+        assert str(table.folder) not in text
+        assert not [key for key in ("time", "host", "date", "user") if f'"{key}' in text]
+
+
+def test_predictions_hold_every_sequence_and_sample_with_its_seed(table, tmp_path, install):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "out", "made", samples=2, seed=9))
+    predictions = Predictions.open(tmp_path / "out/predictions")
+    columns = ["sequence_id", "sample", "seed"]
+    rows = [row for path in predictions.paths for row in pq.read_table(path, columns=columns).to_pylist()]
+    assert all(row["seed"] == noise_seed(9, row["sequence_id"], row["sample"]) for row in rows)
+    lengths = {name: n for c in table.chunks(split="test", columns=[]) for name, n in zip(c.sequence_ids, c.n_frames)}
+    assert len(rows) == 2 * len(lengths)
+    for name, n_frames in lengths.items():
+        for sample in (0, 1):
+            motion = predictions.motions([name], sample).values
+            drawn = np.random.default_rng(noise_seed(9, name, sample)).normal(size=(200, 22, 3))
+            assert len(motion) == n_frames
+            assert np.array_equal(motion[0], drawn[0].astype(np.float32))
+
+
+def test_workers_windows_and_batch_order_change_no_byte(table, tmp_path, install):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "one", "made"))
+    run_method(request(table, tmp_path / "two", "made"), engine=ProcessPool(2))
+    assert reproducible_bytes(tmp_path / "one") == reproducible_bytes(tmp_path / "two")
+
+
+def test_the_batch_size_changes_no_score_of_a_method_that_follows_the_contract(table, tmp_path, install):
+    install("made", adapter_source())
+    run_method(request(table, tmp_path / "one", "made", batch_size=1))
+    run_method(request(table, tmp_path / "two", "made", batch_size=7))
+    assert (tmp_path / "one/scores.parquet").read_bytes() == (tmp_path / "two/scores.parquet").read_bytes()
+    assert (tmp_path / "one/run.json").read_bytes() != (tmp_path / "two/run.json").read_bytes()
+
+
+def test_scores_do_not_depend_on_the_window(table, tmp_path, monkeypatch):
+    run_method(request(table, tmp_path / "one", "scripted"))
+    monkeypatch.setattr(planning, "WINDOW", 6)
+    run_method(request(table, tmp_path / "two", "scripted"))
+    assert read_scores(tmp_path / "one/scores.parquet").equals(read_scores(tmp_path / "two/scores.parquet"))
+
+
+def test_several_datasets_have_a_folder_each(table, tmp_path):
+    other = fake_dataset(tmp_path / "other", 30, dataset="synthetic-gimo")
+    report = run_method(request(table, tmp_path / "out", data=(table.folder, other.folder)))
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["run.json", "synthetic-adt", "synthetic-gimo"]
+    assert [summary.dataset for summary in report.summaries] == ["synthetic-adt", "synthetic-gimo"]
+    run_method(request(table, tmp_path / "single"))
+    single = (tmp_path / "single/scores.parquet").read_bytes()
+    assert (tmp_path / "out/synthetic-adt/scores.parquet").read_bytes() == single
+
+
+def test_one_dataset_twice_is_refused(table, tmp_path):
+    with pytest.raises(UsageError, match=r"expected different datasets, found synthetic-adt more than once"):
+        run_method(request(table, tmp_path / "out", data=(table.folder, table.folder)))
+
+
+def test_static_is_fitted_once_a_table(table, tmp_path, own_cache):
+    run_method(request(table, tmp_path / "one"))
+    (fit,) = own_cache.rglob("mean_pose.json")
+    fit.write_text(json.dumps(np.full((22, 3), 0.5).tolist()))  # a refit would put it right
+    run_method(request(table, tmp_path / "two"))
+    assert Predictions.open(tmp_path / "two/predictions").motions([ids(table)[0]], 0).values[0, 0, 0] == 0.5
+    run_method(request(fake_dataset(tmp_path / "other", 30), tmp_path / "three"))
+    assert len(list(own_cache.rglob("mean_pose.json"))) == 2
+
+
+def ids(table: SequenceTable, split: str = "test") -> list[str]:
+    return [name for chunk in table.chunks(split=split, columns=[]) for name in chunk.sequence_ids]
+
+
+def test_sequences_beyond_max_frames_are_counted_and_never_cut(table, tmp_path, install):
+    install("made", adapter_source(attributes="max_frames = 80"))
+    report = run_method(request(table, tmp_path / "out", "made"))
+    lengths = [n for chunk in table.chunks(split="test", columns=[]) for n in chunk.n_frames]
+    too_long = sum(n > 80 for n in lengths)
+    assert 0 < too_long < 15
+    assert report.summaries[0].unsupported == too_long
+    assert all(metric.sequences == 15 - too_long for metric in report.summaries[0].metrics)
+
+
+def test_max_frames_counts_at_the_method_s_own_rate(table, tmp_path, install):
+    install("made", adapter_source(attributes="max_frames = 160\n        native_fps = 40"))
+    lengths = [n for chunk in table.chunks(split="test", columns=[]) for n in chunk.n_frames]
+    report = run_method(request(table, tmp_path / "out", "made"))
+    assert report.summaries[0].unsupported == sum(2 * (n - 1) + 1 > 160 for n in lengths)
+
+
+def test_a_method_that_can_generate_nothing_is_an_error(table, tmp_path, install):
+    install("made", adapter_source(attributes="max_frames = 3"))
+    with pytest.raises(AdapterError, match=r"at most 3 frames; all 15 chosen"):
+        run_method(request(table, tmp_path / "out", "made"))
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("joints[0, 3, 5] = np.nan", r"method 'made', sequence synthetic-adt/.*, frame 3: expected finite"),
+        ("joints = joints[:, :-1]", r"method 'made', sequence synthetic-adt/.*: expected \d+ frames, found \d+"),
+        ("n_frames = n_frames - 1", r"method 'made', sequence synthetic-adt/.*: expected \d+ frames, found \d+"),
+        ("joints = joints[:-1]; n_frames = n_frames[:-1]", r"method 'made': expected joints of shape \(4, "),
+        ("raise RuntimeError('broken')", r"method 'made' failed: RuntimeError: broken .* for the batch of 4 "),
+    ],
+)
+def test_a_method_that_breaks_its_contract_leaves_nothing_behind(table, tmp_path, install, body, message):
+    install("made", adapter_source(body=body))
+    with pytest.raises(AdapterError, match=message) as caught:
+        run_method(request(table, tmp_path / "out", "made"))
+    assert caught.value.exit_code != 0
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_same_error_comes_back_from_a_worker_process(table, tmp_path, install):
+    install("made", adapter_source(body="joints[0, 3, 5] = np.nan"))
+    with pytest.raises(AdapterError, match=r"frame 3: expected finite"):
+        run_method(request(table, tmp_path / "out", "made"), engine=ProcessPool(2))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_failure_later_on_keeps_the_whole_batches_and_writes_no_scores(table, tmp_path, install):
+    install("made", adapter_source(body="if n_frames.max() > 100: joints[0, 3, 5] = np.nan"))
+    with pytest.raises(AdapterError, match=r"expected finite"):
+        run_method(request(table, tmp_path / "out", "made"))
+    left = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.*")}
+    assert "predictions/part-00000.parquet" in left
+    assert not left & {"scores.parquet", "summary.json", "cost.json"}
+    for part in (tmp_path / "out/predictions").iterdir():
+        assert pq.read_table(part).num_rows == 4
+
+
+def test_an_adapter_that_does_not_take_the_condition(table, tmp_path):
+    with pytest.raises(AdapterError, match=r"'static' does not take the condition 'text'. Choose one of: none"):
+        run_method(request(table, tmp_path / "out", condition=Condition.TEXT))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"split": "tset"}, "unknown split 'tset'"),
+        ({"samples": 0}, "--samples: expected 1 or more, found 0"),
+        ({"batch_size": 0}, "--batch-size"),
+        ({"limit": 0}, "--limit"),
+        ({"seed": -1}, "--seed"),
+        ({"data": ()}, "one dataset folder or more"),
+        ({"control": "shuffled"}, "unknown control 'shuffled'; beside a method there is: shuffled-goal"),
+        ({"method": "scripted", "options": {"a": "b"}}, "takes neither --weights nor --option"),
+    ],
+)
+def test_requests_that_do_not_fit_together(table, tmp_path, changes, message):
+    with pytest.raises(UsageError, match=message):
+        run_method(request(table, tmp_path / "out", **changes))
+    assert not (tmp_path / "out").exists()
+
+
+def test_weights_that_do_not_exist(table, tmp_path, install):
+    install("made", adapter_source())
+    with pytest.raises(UsageError, match=r"gone.pt: expected a file or folder, found neither"):
+        run_method(request(table, tmp_path / "out", "made", weights=tmp_path / "gone.pt"))
+
+
+def test_an_empty_table_and_a_missing_one(tmp_path):
+    folder = tmp_path / "gone"
+    with pytest.raises(TableError, match=r"expected a built dataset"):
+        run_method(RunRequest(method="static", data=(folder,), out=tmp_path / "out"))
+    fake_dataset(tmp_path / "empty", 0)
+    with pytest.raises(TableError, match=r"empty: holds no sequences"):
+        run_method(RunRequest(method="static", data=(tmp_path / "empty",), out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+    file = tmp_path / "table.parquet"
+    file.write_bytes(b"")
+    with pytest.raises(TableError, match=r"expected a built dataset \(a folder with dataset.json\), found a file"):
+        run_method(RunRequest(method="static", data=(file,), out=tmp_path / "out"))
+
+
+def test_a_table_of_an_unknown_schema_version(tmp_path):
+    table = fake_dataset(tmp_path / "d", 12)
+    (part,) = table.part_paths("sequences")
+    rows = pq.read_table(part)
+    pq.write_table(rows.replace_schema_metadata(rows.schema.metadata | {b"prbench_schema_version": b"99"}), part)
+    with pytest.raises(TableError, match=r"expected schema version 1, 2, 3, found 99"):
+        run_method(request(table, tmp_path / "out"))
+
+
+def test_a_table_that_was_changed_after_the_build(tmp_path):
+    table = fake_dataset(tmp_path / "d", 12)
+    (part,) = table.part_paths("sequences")
+    rows = pq.read_table(part)
+    column = rows.schema.get_field_index("prime_time")
+    pq.write_table(rows.set_column(column, rows.schema.field(column), rows["event_time"]), part)
+    with pytest.raises(TableError, match=r"sequences\.parquet: .* not the ones that dataset.json describes"):
+        run_method(request(SequenceTable.open(tmp_path / "d"), tmp_path / "out"))
+
+
+@pytest.mark.parametrize("victim", ["write_table", "fsync"])
+def test_a_full_disk_leaves_nothing_half_written(table, tmp_path, monkeypatch, victim):
+    def full(*_args, **_kwargs):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    target = {"write_table": "prbench.sequences.write._PartWriter.close", "fsync": "prbench.files.storage.os.fsync"}
+    monkeypatch.setattr(target[victim], full)
+    with pytest.raises(StorageError, match=r"no space left on the device. Nothing half-written was kept"):
+        run_method(request(table, tmp_path / "out", "scripted"))
+    assert [path for path in tmp_path.rglob("*") if path.is_file() and "out" in path.parts] == []
+
+
+def test_a_disk_that_is_full_when_scores_are_written_keeps_only_whole_files(table, tmp_path, monkeypatch):
+    def full(*_args, **_kwargs):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    write = pq.ParquetWriter.write_table
+
+    def full_for_scores(self, rows, *args, **kwargs):
+        return full() if "metric" in rows.column_names else write(self, rows, *args, **kwargs)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pq.ParquetWriter, "write_table", full_for_scores)
+        with pytest.raises(StorageError, match=r"no space left"):
+            run_method(request(table, tmp_path / "out", "scripted"))
+    assert not (tmp_path / "out/scores.parquet").exists()
+    assert not list((tmp_path / "out").rglob("*partial*"))
+    run_method(request(table, tmp_path / "out", "scripted"))
+    run_method(request(table, tmp_path / "whole", "scripted"))
+    assert (tmp_path / "out/scores.parquet").read_bytes() == (tmp_path / "whole/scores.parquet").read_bytes()
+
+
+def test_a_folder_with_other_things_in_it_is_not_touched(table, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/thesis.tex").write_text("x")
+    with pytest.raises(StorageError, match=r"is not empty and holds no run.json"):
+        run_method(request(table, tmp_path / "out"))
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["thesis.tex"]
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(table, tmp_path):
+    (tmp_path / "out").write_text("x")
+    with pytest.raises(StorageError, match=r"out: is a file"):
+        run_method(request(table, tmp_path / "out"))
+
+
+def test_a_dataset_name_never_leads_out_of_the_run_folder(table, tmp_path):
+    described = fake_dataset(tmp_path / "renamed", 30).folder / "dataset.json"
+    described.write_text(json.dumps({**json.loads(described.read_text()), "dataset": "../../evil"}))
+    with pytest.raises(TableError, match=r"dataset: expected a name that a folder can have, found '../../evil'"):
+        run_method(request(table, tmp_path / "a/b/out", data=(table.folder, described.parent)))
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_damaged_run_json_is_refused(table, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/run.json").write_text("{")
+    with pytest.raises(RunError, match=r"not a valid run.json"):
+        run_method(request(table, tmp_path / "out"))
+
+
+def test_the_default_folder_says_what_was_run_and_is_found_again(table, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    first = run_method(request(table, None))
+    assert first.folder.path.parts[0] == "runs"
+    assert first.folder.path.name.startswith("static-none-synthetic-adt-")
+    assert run_method(request(table, None)).batches_made == 0
+    assert run_method(request(table, None, seed=1)).folder.path != first.folder.path
+    assert RunFolder.open(first.folder.path).record == first.folder.record
