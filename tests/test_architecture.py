@@ -20,7 +20,7 @@ LAYERS = {
     "protocol": 4,
     **dict.fromkeys(("engine", "recording"), 5),
     **dict.fromkeys(("metrics", "object_stores", "sequences", "representation", "text"), 6),
-    **dict.fromkeys(("contract", "prediction", "readers"), 7),
+    **dict.fromkeys(("contract", "prediction", "readers", "tables"), 7),
     **dict.fromkeys(("curation", "corpora", "release"), 8),
     **dict.fromkeys(("harness", "synthetic"), 9),
     **dict.fromkeys(("training", "viewing"), 10),

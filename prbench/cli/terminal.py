@@ -15,6 +15,8 @@ from prbench.shown import clean
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from prbench.tables import Table
+
 
 class _CleanStream:
     """A text stream that spells out escape sequences and the like; line breaks and tabs stay.
@@ -210,3 +212,22 @@ def print_columns(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     else:
         for line in joined:
             print(line)
+
+
+def print_tables(tables: Iterable[Table], *, between: str = " ") -> None:
+    """Print tables of the table engine block by block, with their notes.
+
+    Args:
+        tables: In printed order.
+        between: Stands between a number and its interval; a line break makes columns narrower.
+    """
+    from prbench.tables import grid
+
+    for table in tables:
+        print(table.heading)
+        for block in table.blocks:
+            rows = grid(table, block, escape=str, bold=lambda number: f"{number}¹", between=between)
+            numbers = [index for index, column in enumerate(table.columns) if not column.text]
+            print_table(block.title, [column.heading for column in table.columns], rows, numbers=numbers)
+        for line in table.notes:
+            print(f"- {line}")
