@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
+from prbench.sequences.chunk import row_values
 from prbench.shown import html
 
 if TYPE_CHECKING:
@@ -30,22 +31,10 @@ def frame_of(table: pa.Table) -> pd.DataFrame:
     for name in table.column_names:
         column = table[name]
         if pa.types.is_fixed_size_list(column.type):
-            columns[name] = pd.Series(vectors(column), dtype=object)
+            columns[name] = pd.Series(row_values(column.combine_chunks()), dtype=object)
         else:
             columns[name] = column.to_pandas()
     return pd.DataFrame(columns, columns=pd.Index(table.column_names))
-
-
-def vectors(column: pa.ChunkedArray) -> list[np.ndarray | None]:
-    """Return a column of fixed-size vectors as read-only arrays, None where a row has none.
-
-    Args:
-        column: Fixed-size lists of numbers.
-    """
-    found: list[np.ndarray | None] = []
-    for row in column.to_pylist():
-        found.append(None if row is None else frozen(np.array(row, dtype=np.float64)))
-    return found
 
 
 def frozen(array: np.ndarray) -> np.ndarray:

@@ -7,26 +7,28 @@ from __future__ import annotations
 
 import itertools
 import weakref
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyarrow as pa
 from jaxtyping import Bool, Float
 
+from prbench import sequences
 from prbench.api.arguments import PathLike, as_native_root, as_texts
-from prbench.api.frames import frozen
+from prbench.api.frames import frame_from_rows, frozen, notebook_table
 from prbench.api.pictures import Picture, Replay, picture_of, replay_of
-from prbench.api.rows import read_row
-from prbench.geometry.skeleton import N_JOINTS, Joint, invert_rigid, transform_points
+from prbench.geometry.skeleton import Joint, invert_rigid, transform_points
 from prbench.sequences import SequenceChunk, SequenceTable
+from prbench.sequences.chunk import row_values
+from prbench.sequences.sequence import SEQUENCES
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from prbench.viewing.replay.scene import Scene
-
-_AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,29 +37,18 @@ class Goal:
 
     location: Float[np.ndarray, "3"]
     """Centre of the object's box, canonical frame, metres (column ``goal_location``)."""
-    box_corners: Float[np.ndarray, "8 3"]
-    """The eight corners of the box, canonical frame, metres; the last axis of the world changes fastest."""
     box_world_min: Float[np.ndarray, "3"]
     """Lower end of the box along x, y and z of the world, metres (column ``goal_box_world_min``)."""
     box_world_max: Float[np.ndarray, "3"]
     """Upper end of the box along x, y and z of the world, metres (column ``goal_box_world_max``)."""
+    _world_from_canonical: Float[np.ndarray, "4 4"]
 
-    @classmethod
-    def of(cls, location: np.ndarray, low: np.ndarray, high: np.ndarray, world_from_canonical: np.ndarray) -> Goal:
-        """Return a goal whose corners are computed when they are first asked for."""
-        goal = object.__new__(cls)
-        goal.__dict__.update(location=location, box_world_min=low, box_world_max=high, _placed=world_from_canonical)
-        return goal
-
-    def __getattr__(self, name: str) -> Any:
-        """Compute the corners; they are asked for the first time."""
-        if name != "box_corners" or "_placed" not in self.__dict__:
-            raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
+    @cached_property
+    def box_corners(self) -> Float[np.ndarray, "8 3"]:
+        """The eight corners of the box, canonical frame, metres; the last axis of the world changes fastest."""
         ends = zip(self.box_world_min, self.box_world_max, strict=True)
         corners = np.array(list(itertools.product(*ends)), dtype=np.float64)
-        found = frozen(transform_points(invert_rigid(self.__dict__["_placed"]), corners))
-        self.__dict__[name] = found  # frozen for everybody else
-        return found
+        return frozen(transform_points(invert_rigid(self._world_from_canonical), corners))
 
     def __repr__(self) -> str:
         x, y, z = self.location
@@ -93,84 +84,24 @@ class Head:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sequence:
+class Sequence(sequences.Sequence):
     """One prime-and-reach sequence: from 2 s before the first look at the goal until the object is picked or put.
 
-    Positions are in the sequence's own canonical frame unless a name says ``world``: metres, Y up, the pelvis of the
-    first frame over the origin facing +Z, the lowest joint of the sequence at Y = 0. All arrays are read-only.
+    Every column of the table (docs/table.md#sequences) is an attribute of that name, read when it is first asked for;
+    ``goal``, ``gaze`` and ``head`` hold the columns that belong together. Positions are in the sequence's own canonical
+    frame unless a name says ``world``: metres, Y up, the pelvis of the first frame over the origin facing +Z, the
+    lowest joint of the sequence at Y = 0. All arrays are read-only.
     """
 
-    sequence_id: str
-    """Dataset, recording, object, action, native time of the event and pose source, joined by slashes."""
-    dataset: str
-    """Name of the dataset; it begins with ``synthetic-`` where the people are synthetic."""
-    recording_id: str
-    """Name of the recording."""
-    participant_id: str
-    """Name of the person."""
-    split: str
-    """``train``, ``validation`` or ``test``."""
-    action: str
-    """``pick`` or ``put``; ``unknown`` only in an imported release."""
-    object_id: str
-    """The dataset's own id of the object."""
-    object_name: str
-    """The dataset's name of the object."""
-    text: str
-    """Sentence that a method conditioned on text is given."""
-    hand: str | None
-    """The hand that reaches, ``left`` or ``right``; None where nothing decides."""
-    fps: float
-    """Frames per second."""
-    n_frames: int
-    """Number of frames; the last one lies exactly on the event."""
-    start_time: float
-    """Time of the first frame, seconds on the recording's clock."""
-    prime_time: float
-    """Time of the first look at the goal, seconds on the recording's clock."""
-    event_time: float
-    """Time of the pick or put, seconds on the recording's clock."""
-    prime_kind: str
-    """How gaze met the goal: ``hit`` or ``near_miss``; ``published`` or ``unknown`` where it was taken over."""
-    prime_time_uncertainty: float
-    """Spacing of the gaze samples around the prime time, seconds."""
-    body_movement: float
-    """Largest distance of the pelvis from its first position, metres."""
-    hand_movement: float
-    """Largest displacement of the reaching wrist relative to the pelvis, metres."""
-    pose_source: str
-    """Where the body comes from."""
-    head_tilt_deg: float
-    """Rest tilt of the neck-head bone of the body's skeleton, degrees; Prime Success needs it."""
-    joints: Float[np.ndarray, "n 22 3"]
-    """Positions of the 22 joints (:class:`prbench.Joint`) in every frame, canonical frame, metres."""
-    previous_joints: Float[np.ndarray, "22 3"]
-    """The pose one frame before the first, canonical frame, metres."""
-    previous_source: str
-    """How the pose before was got: ``recorded``, ``extrapolated`` or ``copied``."""
-    next_joints: Float[np.ndarray, "22 3"]
-    """The pose one frame after the last, canonical frame, metres."""
-    next_source: str
-    """How the pose after was got: ``recorded``, ``extrapolated`` or ``copied``."""
-    goal: Goal
-    """Where the object is at the event."""
-    gaze: Gaze
-    """Where the eyes look in every frame."""
-    head: Head | None
-    """Pose of the glasses in every frame; None where it is unknown."""
-    world_from_canonical: Float[np.ndarray, "4 4"]
-    """Rigid transform from the canonical frame to the recording's world (Y up), metres."""
-    extra: Mapping[str, str] = field(default_factory=dict)
-    """What only this dataset has, by name."""
     _table: SequenceTable | None = field(default=None, init=False)
 
     def __getattr__(self, name: str) -> Any:
         """Take a value from the rows that the sequence was read with; it is asked for the first time."""
         source = self.__dict__.get("_source")
-        if source is None or name not in _FIELDS:
+        if source is None or name not in SEQUENCES.names:
             raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
-        rows, row = source
-        value = rows.value(name, row)
+        columns, row = source
+        value = columns[name][row]
         self.__dict__[name] = value  # frozen for everybody else
         return value
 
@@ -179,20 +110,32 @@ class Sequence:
         return self.__dict__
 
     def _take_everything(self) -> None:
-        """Take all values, so that the rows that were read together can be forgotten."""
-        if "_source" in self.__dict__:
-            self.__dict__.update({name: _owned(getattr(self, name)) for name in _FIELDS})
-            del self.__dict__["_source"]
+        """Take copies of all values, so that the rows that were read together can be forgotten."""
+        if "_source" not in self.__dict__:
+            return
+        values = {name: getattr(self, name) for name in SEQUENCES.names}
+        own = {name: frozen(each.copy()) if isinstance(each, np.ndarray) else each for name, each in values.items()}
+        for made_of_views in ("_source", "goal", "gaze", "head"):
+            self.__dict__.pop(made_of_views, None)
+        self.__dict__.update(own)
 
-    @property
-    def times(self) -> Float[np.ndarray, " n"]:
-        """Time of each frame, seconds after the first frame."""
-        return np.arange(self.n_frames) / self.fps
+    @cached_property
+    def goal(self) -> Goal:
+        """Where the object is at the event."""
+        box = self.goal_box_world_min, self.goal_box_world_max
+        return Goal(self.goal_location, *box, self.world_from_canonical)
 
-    @property
-    def prime_after(self) -> float:
-        """Time of the first look at the goal, seconds after the first frame; what :func:`prbench.measure` takes."""
-        return self.prime_time - self.start_time
+    @cached_property
+    def gaze(self) -> Gaze:
+        """Where the eyes look in every frame."""
+        return Gaze(self.gaze_origin, self.gaze_direction, self.gaze_valid)
+
+    @cached_property
+    def head(self) -> Head | None:
+        """Pose of the glasses in every frame; None where it is unknown."""
+        if self.head_position is None or self.head_rotation is None:
+            return None
+        return Head(self.head_position, self.head_rotation)
 
     def to_pandas(self) -> pd.DataFrame:
         """Return one row a frame.
@@ -205,14 +148,18 @@ class Sequence:
         import pandas as pd
 
         columns: dict[str, np.ndarray] = {"frame": np.arange(self.n_frames), "time": self.times}
+
+        def add(name: str, values: np.ndarray, axes: str = "xyz") -> None:
+            columns.update({f"{name}_{axis}": values[:, number] for number, axis in enumerate(axes)})
+
         for joint in Joint:
-            _add(columns, joint.name.lower(), _AXES, self.joints[:, joint])
-        _add(columns, "gaze_origin", _AXES, self.gaze.origin)
-        _add(columns, "gaze_direction", _AXES, self.gaze.direction)
-        columns["gaze_valid"] = self.gaze.valid
+            add(joint.name.lower(), self.joints[:, joint])
+        add("gaze_origin", self.gaze_origin)
+        add("gaze_direction", self.gaze_direction)
+        columns["gaze_valid"] = self.gaze_valid
         if self.head is not None:
-            _add(columns, "head_position", _AXES, self.head.position)
-            _add(columns, "head_rotation", ("w", *_AXES), self.head.rotation)
+            add("head_position", self.head.position)
+            add("head_rotation", self.head.rotation, axes="wxyz")
         return pd.DataFrame(columns)
 
     def plot(self, *, permission: str | Iterable[str] = (), scene: PathLike | None = None) -> Picture:
@@ -257,18 +204,9 @@ class Sequence:
         info = self._table.info
         require_may_pass_on(info, "the view", permitted)
         around = None if scene is None else Surroundings(info.dataset, as_native_root(scene)).around
-        return scene_of(read_row(self._table, self.sequence_id), info, permitted=permitted, around=around)
-
-    def __repr__(self) -> str:
-        hand = f", {self.hand} hand" if self.hand else ""
-        return (
-            f"<Sequence {self.sequence_id}: {self.action} of {self.object_name}{hand},"
-            f" {self.n_frames} frames at {self.fps:g} Hz, {self.split}>"
-        )
+        return scene_of(self._table.row(self.sequence_id), info, permitted=permitted, around=around)
 
     def _repr_html_(self) -> str:
-        from prbench.api.frames import frame_from_rows, notebook_table
-
         rows = [
             ("sequence_id", self.sequence_id),
             ("recording, split", f"{self.recording_id}, {self.split}"),
@@ -282,23 +220,6 @@ class Sequence:
         ]
         frame = frame_from_rows([{"": name, "value": value} for name, value in rows], ["", "value"])
         return notebook_table(f"{self.action} of {self.object_name} ({self.dataset})", frame)
-
-
-def _add(columns: dict[str, np.ndarray], name: str, axes: Iterable[str], values: np.ndarray) -> None:
-    """Add one column for each component of a vector."""
-    for number, axis in enumerate(axes):
-        columns[f"{name}_{axis}"] = values[:, number]
-
-
-_PLAIN = (
-    "sequence_id", "dataset", "recording_id", "participant_id", "split", "action", "object_id", "object_name", "text",
-    "hand", "fps", "n_frames", "start_time", "prime_time", "event_time", "prime_kind", "prime_time_uncertainty",
-    "body_movement", "hand_movement", "pose_source", "head_tilt_deg", "previous_source", "next_source",
-)  # fmt: skip
-"""Columns that hold one plain value a row and have a field of the same name."""
-_VECTORS = {"previous_joints": (N_JOINTS, 3), "next_joints": (N_JOINTS, 3), "world_from_canonical": (4, 4)}
-"""Columns that hold one array a row, and its shape."""
-_FIELDS = frozenset((*_PLAIN, *_VECTORS, "joints", "goal", "gaze", "head", "extra"))
 
 
 def sequences_of(chunks: Iterable[SequenceChunk], table: SequenceTable) -> Iterator[Sequence]:
@@ -319,10 +240,10 @@ def sequences_of(chunks: Iterable[SequenceChunk], table: SequenceTable) -> Itera
             # The last sequence of a chunk is the caller's until it has been given the next one.
             before = given
             given = []
-            rows = _Rows(chunk)
+            columns = _Columns(chunk.batch)
             for row in range(len(chunk)):
                 sequence = object.__new__(Sequence)
-                sequence.__dict__["_source"] = (rows, row)
+                sequence.__dict__["_source"] = (columns, row)
                 sequence.__dict__["_table"] = table
                 given.append(weakref.ref(sequence))
                 yield sequence
@@ -342,59 +263,13 @@ def _detach(references: Iterable[weakref.ref[Sequence]]) -> None:
             kept._take_everything()
 
 
-class _Rows:
-    """The fields of a chunk's rows, each made for all rows when it is first asked for."""
+class _Columns(dict[str, list[Any]]):
+    """The values of a chunk's columns by name, each made for all rows when it is first asked for."""
 
-    def __init__(self, chunk: SequenceChunk) -> None:
-        self._chunk = chunk
-        self._made: dict[str, list[Any]] = {}
+    def __init__(self, batch: pa.RecordBatch) -> None:
+        super().__init__()
+        self._batch = batch
 
-    def value(self, name: str, row: int) -> Any:
-        """Return what a field of :class:`Sequence` holds in one row; arrays are views."""
-        made = self._made.get(name)
-        if made is None:
-            made = self._made[name] = self._make(name)
-        return made[row]
-
-    def _make(self, name: str) -> list[Any]:
-        if name == "joints":
-            return [pose.reshape(-1, N_JOINTS, 3) for pose in self._frames(name)]
-        if name == "gaze":
-            return list(map(Gaze, *map(self._frames, ("gaze_origin", "gaze_direction", "gaze_valid"))))
-        if name == "head":
-            return self._heads()
-        if name == "goal":
-            columns = [
-                list(self._vectors(f"goal_{column}")) for column in ("location", "box_world_min", "box_world_max")
-            ]
-            return list(map(Goal.of, *columns, self._vectors("world_from_canonical", (4, 4))))
-        if name in _VECTORS:
-            return list(self._vectors(name, _VECTORS[name]))
-        values = self._chunk.batch.column(name).to_pylist()
-        return [{pair["key"]: pair["value"] for pair in row or ()} for row in values] if name == "extra" else values
-
-    def _frames(self, name: str) -> list[np.ndarray]:
-        """Return the frames of each row; rows without a value have none."""
-        values = frozen(self._chunk.frames(name))
-        lengths = self._chunk.batch.column(name).value_lengths().fill_null(0).to_numpy(zero_copy_only=False)
-        return [values[start:stop] for start, stop in itertools.pairwise([0, *np.cumsum(lengths).tolist()])]
-
-    def _vectors(self, name: str, shape: tuple[int, ...] = (3,)) -> Float[np.ndarray, "batch *shape"]:
-        return frozen(self._chunk.vectors(name)).reshape(-1, *shape)
-
-    def _heads(self) -> list[Head | None]:
-        names = ("head_position", "head_rotation")
-        heads = map(Head, *map(self._frames, names))
-        known = [self._chunk.batch.column(name).is_valid().to_pylist() for name in names]
-        return [head if all(valid) else None for head, *valid in zip(heads, *known, strict=True)]
-
-
-def _owned(value: Any) -> Any:
-    """Return a value that shares no memory with the rows that were read together."""
-    if isinstance(value, np.ndarray):
-        return frozen(value.copy())
-    if isinstance(value, (Goal, Gaze, Head)):
-        copied = object.__new__(type(value))
-        copied.__dict__.update({name: _owned(part) for name, part in vars(value).items()})
-        return copied
-    return value
+    def __missing__(self, name: str) -> list[Any]:
+        self[name] = row_values(self._batch.column(name))
+        return self[name]

@@ -6,19 +6,17 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
-import pyarrow as pa
-
 from prbench.api.arguments import PathLike, as_path, as_texts, require_positive
-from prbench.api.events import Events, Recordings, Story, require_event
+from prbench.api.events import Events, Recordings, Story
 from prbench.api.frames import frame_of, notebook_table
 from prbench.api.pictures import Picture
 from prbench.api.progress import progress
-from prbench.api.rows import holds, read_place, read_row, row_count, sequence_ids
 from prbench.api.sequences import Sequence, sequences_of
 from prbench.errors import UsageError
 from prbench.sequences import DatasetInfo, SequenceTable
+from prbench.sequences.columns import KEY_VALUES
 from prbench.sequences.rows import is_bulky
-from prbench.sequences.schema import KEY_VALUES, SEQUENCES
+from prbench.sequences.sequence import SEQUENCES
 from prbench.sequences.table import SPLITS, by_share, why_no_sequences
 
 if TYPE_CHECKING:
@@ -69,7 +67,7 @@ class Table:
         _require_split(split)
         require_positive(limit=limit)
         if split is None and limit is None:
-            return tuple(sequence_ids(self._table))
+            return tuple(self._table.sequence_ids())
         rows = self._table.scalars(split=split, columns=["sequence_id", "recording_id"])
         ids = rows["sequence_id"].to_pylist()
         if limit is None:
@@ -109,7 +107,7 @@ class Table:
             UsageError: if no sequence fits (names the nearest ids), or several do (names them).
             TableError: if the file is damaged.
         """
-        return next(sequences_of([read_row(self._table, wanted)], self._table))
+        return next(sequences_of([self._table.row(wanted)], self._table))
 
     @property
     def events(self) -> Events:
@@ -135,7 +133,9 @@ class Table:
         """
         from prbench.workflows.explain import explain_event
 
-        return Story(explain_event(self.folder, require_event(event), permitted=as_texts(permission)))
+        if not event:  # every event would fit
+            raise UsageError("expected an event's id or a part of one, found an empty text.")
+        return Story(explain_event(self.folder, event, permitted=as_texts(permission)))
 
     def plot(self) -> Picture:
         """Draw what the sequences of the table have in common, as ``prbench stats --draw`` does.
@@ -168,12 +168,14 @@ class Table:
         """
         import pandas as pd
 
-        frame = frame_of(_plain_columns(self._table.scalars()))
-        if not arrays:
-            return frame
-        cells = _array_cells(self)
-        for name, values in cells.items():
-            frame[name] = pd.Series(values, dtype=object, index=frame.index)
+        scalars = self._table.scalars()
+        # Without the map of what only one dataset has: Sequence.extra holds it.
+        frame = frame_of(scalars.select([field.name for field in scalars.schema if field.type != KEY_VALUES]))
+        large = [field.name for field in SEQUENCES if is_bulky(field.type) and field.type != KEY_VALUES]
+        if arrays:
+            rows = [[getattr(sequence, name) for name in large] for sequence in self]
+            for place, name in enumerate(large):
+                frame[name] = pd.Series([row[place] for row in rows], dtype=object, index=frame.index)
         return frame
 
     def events_to_pandas(self) -> pd.DataFrame:
@@ -185,13 +187,15 @@ class Table:
         return self.recordings.to_pandas()
 
     def __len__(self) -> int:
-        return row_count(self._table)
+        return self._table.n_sequences
 
     def __iter__(self) -> Iterator[Sequence]:
         return self.sequences()
 
     def __contains__(self, sequence_id: object) -> bool:
-        return isinstance(sequence_id, str) and holds(self._table, sequence_id)
+        if not isinstance(sequence_id, str):
+            return False
+        return any(self._table.chunks(columns=["sequence_id"], ids=frozenset({sequence_id})))
 
     @overload
     def __getitem__(self, key: int | str) -> Sequence: ...
@@ -205,7 +209,7 @@ class Table:
             return [self[place] for place in range(count)[key]]
         if not -count <= key < count:
             raise IndexError(f"{self.folder}: expected a number below {count}, found {key}")
-        return next(sequences_of([read_place(self._table, key % count)], self._table))
+        return next(sequences_of([self._table.row_at(key % count)], self._table))
 
     def __repr__(self) -> str:
         return f"<Table {self.info.title}: {len(self)} sequences, {self.folder}>"
@@ -228,28 +232,6 @@ class Table:
 def _require_split(split: str | None) -> None:
     if split is not None and split not in SPLITS:
         raise UsageError(f"unknown split '{split}'; the splits are: {', '.join(SPLITS)}.")
-
-
-def _plain_columns(rows: pa.Table) -> pa.Table:
-    """Leave out the map of what only one dataset has: :attr:`Sequence.extra` holds it."""
-    return rows.select([field.name for field in rows.schema if field.type != KEY_VALUES])
-
-
-def _array_cells(table: Table) -> dict[str, list[object]]:
-    """Return every large column as a list of arrays, one a sequence."""
-    large = [field.name for field in SEQUENCES if is_bulky(field.type) and field.type != KEY_VALUES]
-    cells: dict[str, list[object]] = {name: [] for name in large}
-    for sequence in table:
-        grouped = {
-            "gaze_origin": sequence.gaze.origin,
-            "gaze_direction": sequence.gaze.direction,
-            "gaze_valid": sequence.gaze.valid,
-            "head_position": None if sequence.head is None else sequence.head.position,
-            "head_rotation": None if sequence.head is None else sequence.head.rotation,
-        }
-        for name in large:
-            cells[name].append(grouped[name] if name in grouped else getattr(sequence, name))
-    return cells
 
 
 def open_table(path: PathLike) -> Table:

@@ -18,8 +18,9 @@ import pyarrow as pa
 
 from prbench.errors import UsageError
 from prbench.sequences import DatasetInfo, SequenceTable
+from prbench.sequences.columns import KEY_VALUES
 from prbench.sequences.rows import is_bulky
-from prbench.sequences.schema import KEY_VALUES, OUTCOMES, SEQUENCES
+from prbench.sequences.sequence import OUTCOMES, SEQUENCES
 
 Row = Mapping[str, Any]
 """Values by column; in place of per-frame values and poses their digest."""

@@ -17,7 +17,8 @@ from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of
 from prbench.protocol.own_protocol import OPTION
 from prbench.readers import SYNTHETIC_PREFIX, described_options, reader_for
 from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
-from prbench.sequences.schema import OUTCOMES, SCHEMA_VERSION
+from prbench.sequences.schema import SCHEMA_VERSION
+from prbench.sequences.sequence import OUTCOMES
 
 _STAGES = {
     "located": ("other_wearer", "excluded_category", "no_location", "tracking_lost"),

@@ -26,10 +26,10 @@ from prbench.prediction.joint_sets import JointSet, invert_each, joint_set, rota
 from prbench.prediction.protocol import FrameName
 from prbench.recording.pose_origin import is_estimated
 from prbench.sequences.chunk import row_batch
+from prbench.sequences.columns import column_field
 from prbench.sequences.dataset_info import Provenance
 from prbench.sequences.digests import require_unchanged
 from prbench.sequences.rows import naming, open_parquet, read_parquet, require_distinct, table_parts
-from prbench.sequences.schema import column_field
 from prbench.sequences.write import write_tables
 
 SCHEMA_VERSION = 1

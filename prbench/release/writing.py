@@ -27,8 +27,15 @@ from prbench.release.rows import Reading, RowNames, make_row
 from prbench.release.survey import Measured
 from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
 from prbench.sequences.redistribution import strictest
-from prbench.sequences.schema import OUTCOMES, SCHEMA_VERSION
-from prbench.sequences.sequence import EventRecord, RecordingRecord, event_batch, recording_batch, sequence_batch
+from prbench.sequences.schema import SCHEMA_VERSION
+from prbench.sequences.sequence import (
+    OUTCOMES,
+    EventRecord,
+    RecordingRecord,
+    event_batch,
+    recording_batch,
+    sequence_batch,
+)
 
 _ROWS = 64  # sequences that are converted at once
 _STUDY_TERMS = "Prime and Reach release (its page states no licence known to prbench; ask its authors)"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Iterable
 from collections.abc import Sequence as SequenceOf
 from dataclasses import asdict, dataclass
@@ -12,7 +13,10 @@ import pyarrow as pa
 from jaxtyping import Float, Int, Shaped
 
 from prbench.geometry.skeleton import N_JOINTS
-from prbench.sequences.schema import KEY_VALUES
+from prbench.sequences.columns import KEY_VALUES
+
+_SHAPES = {N_JOINTS * 3: (N_JOINTS, 3), 16: (4, 4)}
+"""Shapes of vectors that stand for more than a vector, by their length."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +106,42 @@ def column(values: list, kind: pa.DataType) -> pa.Array:
     if pa.types.is_list(kind) and not pa.types.is_string(kind.value_type):
         return _ragged(values, kind)
     return pa.array(values, type=kind)
+
+
+def row_values(column: pa.Array) -> list[Any]:
+    """Return a column's values as the records hold them, one a row; arrays are read-only views of the column.
+
+    Args:
+        column: A column of a table whose rows are records; nulls become None.
+    """
+    kind = column.type
+    if kind == KEY_VALUES:
+        return [{pair["key"]: pair["value"] for pair in row or ()} for row in column.to_pylist()]
+    if pa.types.is_fixed_size_list(kind):
+        # A null row has its place among the values, too, which flatten() would leave out.
+        items = column.values.slice(column.offset * kind.list_size, len(column) * kind.list_size)
+        array = _read_only(items).reshape(-1, *_SHAPES.get(kind.list_size, (kind.list_size,)))
+        arrays = list(array)
+    elif pa.types.is_list(kind):
+        items = column.flatten()
+        if pa.types.is_fixed_size_list(items.type):
+            size = items.type.list_size
+            array = _read_only(items.flatten()).reshape(-1, *_SHAPES.get(size, (size,)))
+        else:
+            array = _read_only(items)
+        ends = np.cumsum(column.value_lengths().fill_null(0).to_numpy(zero_copy_only=False))
+        arrays = [array[start:end] for start, end in itertools.pairwise([0, *ends.tolist()])]
+    else:
+        return column.to_pylist()
+    if not column.null_count:
+        return arrays
+    return [array if valid else None for array, valid in zip(arrays, column.is_valid().to_pylist(), strict=True)]
+
+
+def _read_only(items: pa.Array) -> np.ndarray:
+    array = items.to_numpy(zero_copy_only=False)
+    array.setflags(write=False)
+    return array
 
 
 def _vectors(values: list[np.ndarray | None], kind: pa.FixedSizeListType) -> pa.Array:

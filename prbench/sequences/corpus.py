@@ -14,7 +14,8 @@ from jaxtyping import Float
 
 from prbench.errors import TableError
 from prbench.sequences.chunk import row_batch
-from prbench.sequences.schema import KEY_VALUES, SEQUENCES, check_columns, column_field
+from prbench.sequences.columns import KEY_VALUES, column_field
+from prbench.sequences.schema import SEQUENCES, check_columns
 from prbench.sequences.sequence import FrameSource
 
 CORPUS_SCHEMA_VERSION = 1

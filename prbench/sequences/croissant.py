@@ -12,9 +12,9 @@ from typing import Any
 import pyarrow as pa
 
 from prbench.files.storage import file_digest, write_json
+from prbench.sequences.columns import KEY_VALUES
 from prbench.sequences.dataset_info import DatasetInfo
 from prbench.sequences.digests import files_of_table
-from prbench.sequences.schema import KEY_VALUES
 
 FILE_NAME = "croissant.json"
 

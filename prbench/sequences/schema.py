@@ -1,4 +1,6 @@
-"""The columns of a built dataset: sequences, events and recordings.
+"""The tables of a built dataset: their versions, and the check of a file's columns.
+
+The columns themselves are the fields of the records in :mod:`prbench.sequences.sequence`.
 
 Source: docs/specification/sequence-table.md#schema-version.
 """
@@ -10,7 +12,8 @@ from collections.abc import Iterable
 import pyarrow as pa
 
 from prbench.errors import TableError
-from prbench.geometry.skeleton import JOINT_SET, N_JOINTS
+from prbench.geometry.skeleton import JOINT_SET
+from prbench.sequences.sequence import EVENTS, RECORDINGS, SCENES, SEQUENCES
 
 SCHEMA_VERSION = 3
 """2: ``events`` tell wrists and published priming, ``recordings`` count two more outcomes. 3: ``events`` tell what told
@@ -18,25 +21,6 @@ the hand."""
 _READABLE_VERSIONS = (1, 2, 3)
 SEQUENCES_VERSION = 1
 """Version of the columns of ``sequences`` alone. It enters the identity of a table, other versions do not."""
-OUTCOMES = (
-    "sequence",
-    "no_location",
-    "not_primed",
-    "too_short",
-    "minimum_movement",
-    "no_body",
-    "other_wearer",
-    "excluded_category",
-    "tracking_lost",
-    "excluded_by_dataset",
-    "not_published",
-)
-"""Possible outcomes of a candidate event."""
-_POSE = pa.list_(pa.float32(), N_JOINTS * 3)
-_POINT = pa.list_(pa.float32(), 3)
-_PRECISE_POINT = pa.list_(pa.float64(), 3)
-KEY_VALUES = pa.list_(pa.struct([pa.field("key", pa.string()), pa.field("value", pa.string())]))
-"""A map, written as a list of pairs: readers that know no maps (Hugging Face ``datasets``) open it too."""
 _SINCE_VERSION = {
     "left_wrist": 2,
     "right_wrist": 2,
@@ -57,105 +41,6 @@ UNITS = {
 }
 
 
-def column_field(name: str, kind: pa.DataType, *, nullable: bool = False) -> pa.Field:
-    """Return a column of a table; unlike Arrow's own default, it holds no nulls unless it says so."""
-    return pa.field(name, kind, nullable=nullable)
-
-
-SEQUENCES = pa.schema(
-    [
-        column_field("sequence_id", pa.string()),
-        column_field("dataset", pa.string()),
-        column_field("recording_id", pa.string()),
-        column_field("participant_id", pa.string()),
-        column_field("split", pa.string()),
-        column_field("split_group", pa.string()),
-        column_field("action", pa.string()),
-        column_field("object_id", pa.string()),
-        column_field("object_name", pa.string()),
-        column_field("text", pa.string()),
-        column_field("hand", pa.string(), nullable=True),
-        column_field("fps", pa.float64()),
-        column_field("n_frames", pa.int32()),
-        column_field("start_time", pa.float64()),
-        column_field("prime_time", pa.float64()),
-        column_field("event_time", pa.float64()),
-        column_field("prime_frame", pa.int32()),
-        column_field("prime_gap", pa.float64()),
-        column_field("preroll", pa.float64()),
-        column_field("prime_kind", pa.string()),
-        column_field("prime_time_uncertainty", pa.float64()),
-        column_field("goal_location", _PRECISE_POINT),
-        column_field("goal_box_world_min", _PRECISE_POINT),
-        column_field("goal_box_world_max", _PRECISE_POINT),
-        column_field("body_movement", pa.float64()),
-        column_field("hand_movement", pa.float64()),
-        column_field("pose_source", pa.string()),
-        column_field("head_tilt_deg", pa.float64()),
-        column_field("joints", pa.list_(_POSE)),
-        column_field("previous_joints", _POSE),
-        column_field("previous_source", pa.string()),
-        column_field("next_joints", _POSE),
-        column_field("next_source", pa.string()),
-        column_field("head_position", pa.list_(_POINT), nullable=True),
-        column_field("head_rotation", pa.list_(pa.list_(pa.float32(), 4)), nullable=True),
-        column_field("gaze_origin", pa.list_(_POINT)),
-        column_field("gaze_direction", pa.list_(_POINT)),
-        column_field("gaze_valid", pa.list_(pa.bool_())),
-        column_field("world_from_canonical", pa.list_(pa.float64(), 16)),
-        column_field("extra", KEY_VALUES),
-    ]
-)
-EVENTS = pa.schema(
-    [
-        column_field("event_id", pa.string()),
-        column_field("recording_id", pa.string()),
-        column_field("sequence_id", pa.string(), nullable=True),
-        column_field("object_id", pa.string()),
-        column_field("object_name", pa.string()),
-        column_field("action", pa.string()),
-        column_field("hand", pa.string(), nullable=True),
-        column_field("event_time", pa.float64()),
-        column_field("prime_time", pa.float64(), nullable=True),
-        column_field("prime_kind", pa.string(), nullable=True),
-        column_field("location", _PRECISE_POINT, nullable=True),
-        column_field("box_min", _PRECISE_POINT, nullable=True),
-        column_field("box_max", _PRECISE_POINT, nullable=True),
-        column_field("outcome", pa.string()),
-        column_field("stage", pa.string()),
-        column_field("value", pa.float64(), nullable=True),
-        column_field("threshold", pa.float64(), nullable=True),
-        column_field("left_wrist", _PRECISE_POINT, nullable=True),
-        column_field("right_wrist", _PRECISE_POINT, nullable=True),
-        column_field("published_priming", pa.string(), nullable=True),
-        column_field("published_prime_time", pa.float64(), nullable=True),
-        column_field("hand_source", pa.string(), nullable=True),
-    ]
-)
-RECORDINGS = pa.schema(
-    [
-        column_field("recording_id", pa.string()),
-        column_field("participant_id", pa.string()),
-        column_field("split", pa.string()),
-        column_field("split_group", pa.string()),
-        column_field("duration", pa.float64()),
-        *(column_field(outcome, pa.int32()) for outcome in OUTCOMES),
-        column_field("status", pa.string()),
-        column_field("message", pa.string()),
-    ]
-)
-SCENES = pa.schema(
-    [
-        column_field("recording_id", pa.string()),
-        column_field("object_id", pa.string()),
-        column_field("name", pa.string()),
-        column_field("category", pa.string()),
-        column_field("centre", _PRECISE_POINT),
-        column_field("rotation", pa.list_(pa.float64(), 4)),
-        column_field("half_extents", _PRECISE_POINT),
-        column_field("entered", pa.float64(), nullable=True),
-    ]
-)
 DATASET_TABLES = {"sequences": SEQUENCES, "events": EVENTS, "recordings": RECORDINGS}
 """The tables of a dataset folder by the names of their files."""
 OPTIONAL_TABLES = {"scenes": SCENES}

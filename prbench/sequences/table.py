@@ -188,13 +188,60 @@ class SequenceTable(BuiltTable[DatasetInfo]):
         require_distinct_rows(table.part_paths("sequences"), "sequence_id", f"{folder}, sequences")
         return table
 
+    @property
+    def n_sequences(self) -> int:
+        """Number of sequences, as the footers of the files tell it."""
+        return sum(open_parquet(path).metadata.num_rows for path in self.part_paths("sequences"))
+
+    def sequence_ids(self) -> list[str]:
+        """The ids of all sequences in table order."""
+        columns = (read_parquet(path, ["sequence_id"]) for path in self.part_paths("sequences"))
+        return [name for column in columns for name in column["sequence_id"].to_pylist()]
+
+    @foreign_input()
+    def row(self, wanted: str) -> SequenceChunk:
+        """Read one row; of the files only the footers and the group of 256 rows that it stands in are read.
+
+        Where no sequence has the very id that was given, the ids of all are read to find the one that is meant.
+
+        Args:
+            wanted: The sequence's id, or a beginning, end or part of it that fits one sequence only.
+
+        Raises:
+            UsageError: if no sequence fits, or several do.
+            TableError: if the file is damaged.
+        """
+        found = next(self.chunks(ids=frozenset({wanted})), None)
+        if found is None:
+            name = find_sequence_id(wanted, self.sequence_ids(), among=self.info.dataset)
+            found = next(self.chunks(ids=frozenset({name})))
+        return found
+
+    @foreign_input()
+    def row_at(self, place: int) -> SequenceChunk:
+        """Read the row at a place, counted from 0; of the files only its group of rows is read.
+
+        Raises:
+            TableError: if the file is damaged.
+        """
+        for path in self.part_paths("sequences"):
+            file = open_parquet(path)
+            for number in range(file.num_row_groups):
+                rows = file.metadata.row_group(number).num_rows
+                if place < rows:
+                    with naming(path):
+                        group = file.read_row_group(number, columns=SEQUENCES.names)
+                    return SequenceChunk(group.slice(place, 1).combine_chunks().to_batches()[0])
+                place -= rows
+        raise IndexError("a place beyond the last row")
+
     def with_sequences(self) -> SequenceTable:
         """The same table, for whoever needs sequences.
 
         Raises:
             TableError: if it holds none, saying what became of its recordings and events.
         """
-        if any(open_parquet(path).metadata.num_rows for path in self.part_paths("sequences")):
+        if self.n_sequences:
             return self
         raise TableError(f"{self.folder}: holds no sequences. {why_no_sequences(self.info)}")
 

@@ -15,6 +15,7 @@ from prbench.errors import TableError, UsageError
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import EventRecord, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
+from prbench.sequences.sequence import event_of
 from prbench.shown import clean
 from prbench.viewing.event_story import EventStory, StoryMotion, StoryStage, Verdict
 from prbench.viewing.replay.read import gaze_of, goal_of
@@ -51,7 +52,7 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
     table = SequenceTable.open(folder)
     events = table.events()
     row = _find_event(events, event)
-    record = _record(events, row)
+    record = event_of(events, row)
     recordings = table.recordings()
     index = pc.index(recordings["recording_id"], record.recording_id).as_py()
     chunk = _sequence(table, record.sequence_id)
@@ -103,13 +104,6 @@ def _readable(events: pa.Table, row: int) -> str:
     return f"{recording}/{name}/{action}/{event_id.rsplit('/', 1)[-1]}"
 
 
-def _record(events: pa.Table, row: int) -> EventRecord:
-    values = events.slice(row, 1).to_pylist()[0]
-    # Arrow gives lists where the record holds arrays.
-    vectors = {name: np.array(value) for name, value in values.items() if isinstance(value, list)}
-    return EventRecord(**(values | vectors))
-
-
 def _neighbours(events: pa.Table, row: int) -> tuple[EventRecord, ...]:
     """The events just before and after in the recording, and all others of the same object; by time."""
     times = events["event_time"].to_numpy()
@@ -124,7 +118,7 @@ def _neighbours(events: pa.Table, row: int) -> tuple[EventRecord, ...]:
         for position, other in enumerate(here)
         if other != row and (abs(position - place) <= _AROUND or same[other])
     ]
-    return tuple(_record(events, other) for other in chosen)
+    return tuple(event_of(events, other) for other in chosen)
 
 
 def _sequence(table: SequenceTable, sequence_id: str | None) -> SequenceChunk | None:

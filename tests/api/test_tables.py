@@ -153,16 +153,14 @@ def test_a_row_is_found_in_a_later_part_and_row_group(tmp_path, table):
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from prbench.api.rows import read_row, sequence_ids
-
     rows = pq.read_table(table.folder / "sequences.parquet")
     (tmp_path / "sequences").mkdir()
     pq.write_table(rows.slice(0, 20), tmp_path / "sequences" / "part-00000.parquet", row_group_size=7)
     pq.write_table(rows.slice(20), tmp_path / "sequences" / "part-00001.parquet", row_group_size=11)
     parts = SequenceTable(tmp_path, table.info)
-    assert sequence_ids(parts) == list(table.sequence_ids())
+    assert parts.sequence_ids() == list(table.sequence_ids())
     for number in (0, 6, 7, 19, 20, 31, 47):
-        found = read_row(parts, table.sequence_ids()[number])
+        found = parts.row(table.sequence_ids()[number])
         expected = pa.Table.from_batches([found.batch])
         assert expected.equals(rows.slice(number, 1), check_metadata=False)
 

@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 
 from prbench.recording.streams import HandSource
-from prbench.sequences.schema import EVENTS, OUTCOMES, RECORDINGS, SCENES, SEQUENCES
+from prbench.sequences.sequence import EVENTS, OUTCOMES, RECORDINGS, SCENES, SEQUENCES
 
 PAGE = (Path(__file__).parents[2] / "docs" / "table.md").read_text(encoding="utf-8")
 
