@@ -1,57 +1,41 @@
-"""Import the authors' release: every property that it leaves open is inferred and written down.
+"""Import the authors' release: sequences in the stated layout become tables; what it leaves open is written down.
 
-Files are read three times, so that memory does not grow with the motions: headers (frame rate, base of the primed
-frames), measurements (unit, frames), and conversion.
+Arrays are read twice, so that memory does not grow with the motions: to check and measure them, and to convert them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+import itertools
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+
+import prbench
 from prbench.errors import InputFileError, RecordingsWouldBeLost
 from prbench.files.boundary import foreign_input
 from prbench.files.locks import sole_writer
-from prbench.files.storage import require_replaceable
-from prbench.protocol.manifests import Manifest, load_manifest, load_protocol
-from prbench.release.interpret import ImportOptions, Interpreted, interpret, require_some
-from prbench.release.judge import UNKNOWN, Conclusions, conclude
-from prbench.release.known import SYNTHETIC_PREFIX, dataset_of
-from prbench.release.layout import DatasetFiles, find_datasets
-from prbench.release.report import ImportReport, Inference, count_rows, count_warnings
-from prbench.release.rows import Reading
-from prbench.release.survey import Measured, survey
-from prbench.release.writing import ImportedRows, describe, read_export_record, terms_of
-from prbench.sequences import SequenceTable
-from prbench.sequences.dataset_info import FILE_NAME
+from prbench.files.storage import file_digest, read_json, require_replaceable, text_digest
+from prbench.protocol.manifests import Manifest, digest_of, load_citations, load_manifest, load_protocol
+from prbench.release.known import SYNTHETIC_PREFIX, dataset_of, load_known
+from prbench.release.layout import EXPORT_RECORD, TARGETS, find_datasets
+from prbench.release.reading import ImportOptions, ReleasedDataset, ReleasedSequence, read_release
+from prbench.release.report import ImportReleaseReport, ImportReport, Inference, NotImported, count_splits
+from prbench.release.rows import make_row
+from prbench.sequences import DatasetInfo, EventRecord, RecordingRecord, SequenceTable
+from prbench.sequences.dataset_info import FILE_NAME, FunnelCounts, QuarantinedRecording
+from prbench.sequences.redistribution import strictest
+from prbench.sequences.schema import SCHEMA_VERSION
+from prbench.sequences.sequence import OUTCOMES, event_batch, recording_batch, sequence_batch
 from prbench.sequences.write import write_dataset
 
 NO_OPTIONS = ImportOptions()
-Progress = Callable[[str, str], None]
-"""Called with the dataset and the step that begins."""
-
-
-@dataclass(frozen=True)
-class FailedDataset:
-    """A dataset of the release that could not be imported."""
-
-    dataset: str
-    message: str
-
-
-@dataclass(frozen=True)
-class ImportResult:
-    """The imported datasets, and those that could not be imported."""
-
-    reports: tuple[ImportReport, ...]
-    failed: tuple[FailedDataset, ...]
-
-    @property
-    def complete(self) -> bool:
-        """True if nothing had to be left out."""
-        return not self.failed and not any(report.left_out for report in self.reports)
+_ROWS = 64  # sequences that are converted at once
+_STUDY_TERMS = "Prime and Reach release (its page states no licence known to prbench; ask its authors)"
+_STUDY_REDISTRIBUTION = "non-commercial"
+"""Our assumption, since the study states no terms of its own contribution: the terms of most of its datasets."""
 
 
 @foreign_input()
@@ -61,16 +45,16 @@ def import_release(
     *,
     dataset: str | None = None,
     options: ImportOptions = NO_OPTIONS,
-    progress: Progress = lambda _dataset, _step: None,
-) -> ImportResult:
+    progress: Callable[[str, str], None] = lambda _dataset, _step: None,
+) -> ImportReleaseReport:
     """Turn a release into sequence tables.
 
     Args:
         root: The release (folders HD-EPIC, MoGaze …), or the folder of one dataset.
         out: With ``dataset`` the table's folder, else a folder in which each dataset gets one of its own.
         dataset: Name of the only dataset to import.
-        options: Statements of the user, which replace inferences.
-        progress: Called before each step.
+        options: Statements of the user.
+        progress: Called with the dataset and the step that begins.
 
     Raises:
         InputFileError: if there is nothing to import; with ``on_error="fail"`` for the first thing that is wrong.
@@ -88,162 +72,206 @@ def import_release(
     for target in targets.values():
         # Before anything is read: a folder that holds something else must not be noticed after an hour.
         require_replaceable(target, FILE_NAME, kind="dataset")
-    reports = list[ImportReport]()
-    failed = list[FailedDataset]()
+    tables = []
+    failed = []
     for name, folder in found:
         try:
             with sole_writer(targets[name]):
-                reports.append(_import_dataset(name, folder, targets[name], options, progress))
+                tables.append(_import_dataset(name, folder, targets[name], options, progress))
         except (InputFileError, RecordingsWouldBeLost) as error:
             if options.on_error == "fail" or len(found) == 1:
                 raise
-            failed.append(FailedDataset(name, str(error)))
-    return ImportResult(tuple(reports), tuple(failed))
+            failed.append(NotImported(dataset=name, message=str(error)))
+    return ImportReleaseReport(tables=tables, failed=failed)
 
 
 @foreign_input()
-def _import_dataset(dataset: str, folder: Path, out: Path, options: ImportOptions, progress: Progress) -> ImportReport:
+def _import_dataset(
+    dataset: str, folder: Path, out: Path, options: ImportOptions, progress: Callable[[str, str], None]
+) -> ImportReport:
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
-    exported = read_export_record(folder)
-    progress(dataset, "reading target_information.json and headers")
-    interpreted = interpret(dataset, folder, options)
-    progress(dataset, f"measuring {len(interpreted.found.candidates)} sequences")
-    measured = _measure(interpreted, options)
-    reading = _reading(manifest, dataset, interpreted, measured, options)
-    inferences = (*interpreted.inferences, *reading.conclusions.inferences)
-    progress(dataset, f"writing {len(measured)} sequences")
-    rows = ImportedRows(reading, measured, interpreted.found)
+    exported = None
+    if (folder / EXPORT_RECORD).is_file():
+        record = read_json(folder / EXPORT_RECORD)
+        exported = record if isinstance(record, dict) else None
+    found = read_release(dataset, folder, options, progress)
+    # Tables are sorted by id, so that a release in another order gives the same bytes.
+    found.sequences.sort(key=lambda one: one.sequence_id)
+    for one, other in itertools.pairwise(found.sequences):
+        if one.sequence_id == other.sequence_id:
+            raise InputFileError(TARGETS, one.sequence_id, expected="one entry", found="two with this sequence_id")
+    progress(dataset, f"writing {len(found.sequences)} sequences")
+    records = _recordings(found)
+    events: list[EventRecord] = []
     info = write_dataset(
         out,
-        describe(dataset, manifest, terms_of(dataset, manifest, exported), interpreted, inferences, rows),
-        sequences=rows.sequences(),
-        events=rows.events(),
-        recordings=rows.recordings(),
+        _describe(found, records, manifest, terms_of(dataset, manifest, exported)),
+        sequences=_sequences(found, manifest, events),
+        events=_events(events),
+        recordings=[recording_batch(records)],
         replace=options.replace,
-        incomplete=[each.recording_id for each in rows.records] if interpreted.found.left_out else (),
+        incomplete=[each.recording_id for each in records] if found.left_out else (),
     )
-    # Counts of the study say nothing about synthetic people.
-    of_study = None if dataset.startswith(SYNTHETIC_PREFIX) else interpreted.known
-    counts = count_rows((each.candidate.subset for each in measured), of_study)
+    if exported is not None:
+        found.inferences.append(_round_trip(exported, SequenceTable.open(out)))
+    known = None if dataset.startswith(SYNTHETIC_PREFIX) else load_known().datasets.get(dataset)
     report = ImportReport(
         dataset=dataset,
+        title=info.title,
         folder=out,
-        info=info,
-        shape=interpreted.entries.shape,
-        fields=interpreted.fields,
-        unmapped=interpreted.unmapped,
-        inferences=inferences + _round_trip(exported, SequenceTable.open(out)),
-        problems=tuple(interpreted.found.problems),
-        counts=counts,
-        warnings=(*reading.conclusions.warnings, *count_warnings(counts), *_unused_files(interpreted.files)),
+        inferred=found.inferences,
+        fields=found.mapping,
+        fields_kept_in_extra=found.unmapped,
+        counts=count_splits((each.subset for each in found.sequences), known),
+        warnings=found.warnings,
+        problems=found.problems,
+        why_not_scored=info.why_not_scored,
     )
     report.write()
     return report
 
 
-def _measure(interpreted: Interpreted, options: ImportOptions) -> list[Measured]:
-    """Read every sequence once; with ``on_error="fail"`` refuse a release of which one is missing."""
-    found = interpreted.found
-    shift = int(options.first_frame_is_previous)
-    rate = interpreted.fps if interpreted.primed.in_seconds else 1.0
-    primed_frame = dict[int, int]()
-    for candidate in found.candidates:
-        primed = candidate.primed * rate - interpreted.primed.base
-        whole = interpreted.primed.in_seconds or candidate.primed == round(candidate.primed)
-        if not whole or not shift <= round(primed) < candidate.n_frames or candidate.n_frames < 2 + shift:
-            last = candidate.n_frames - 1
-            message = f"primed frame: expected one of the frames (0 to the last), found {candidate.primed:g} of {last}"
-            found.report(candidate.entry.key, message)
+def _sequences(found: ReleasedDataset, manifest: Manifest, events: list[EventRecord]) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of ``sequences``, each read when it is written, and add their events to a list."""
+    texts = load_protocol().text
+    for start in range(0, len(found.sequences), _ROWS):
+        rows = [
+            make_row(found, one, head_tilt_deg=manifest.body.head_tilt_deg, texts=texts)
+            for one in found.sequences[start : start + _ROWS]
+        ]
+        events += [event for _, event in rows]
+        yield sequence_batch(sequence for sequence, _ in rows)
+
+
+def _events(events: list[EventRecord]) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of ``events``; they are known after all sequences were written."""
+    yield event_batch(sorted(events, key=lambda event: event.event_id))
+
+
+def _recordings(found: ReleasedDataset) -> list[RecordingRecord]:
+    """Return source recordings where the release names them, else one unknown recording for each split.
+
+    Each sequence that was left out is a failed recording of its own, with the reason.
+    """
+    sequences_of: dict[str, list[ReleasedSequence]] = defaultdict(list)
+    for one in found.sequences:
+        sequences_of[one.recording_id].append(one)
+    records = []
+    for name, rows in sorted(sequences_of.items()):
+        splits = Counter(row.subset for row in rows)
+        if len(splits) > 1:
+            message = "its sequences stand in more than one split"
+        elif name == f"unknown-{rows[0].subset}":
+            message = "the release does not say which recording a sequence comes from"
         else:
-            primed_frame[candidate.index] = round(primed)
-    found.candidates = [each for each in found.candidates if each.index in primed_frame]
-    measured = survey(found, primed_frame, first_frame=shift)
-    # Surveying may have dropped the further arrays of a candidate, so its own copy counts from here on.
-    found.candidates = [each.candidate for each in measured]
-    if options.on_error == "fail" and found.left_out:
-        key, reason = next(iter(found.left_out.items()))
-        more = f" (and {len(found.left_out) - 1} more sequences)" if len(found.left_out) > 1 else ""
-        raise InputFileError(
-            interpreted.files.folder, f"sequence {key}", expected="a complete sequence", found=reason + more
+            message = ""
+        record = RecordingRecord(
+            recording_id=name,
+            participant_id=rows[0].participant_id,
+            # A recording has one split in our tables: the commoner one, where a release mixes them.
+            split=splits.most_common(1)[0][0],
+            split_group=rows[0].split_group,
+            duration=sum((row.n_frames - 1) / found.fps for row in rows),
+            outcomes={"sequence": len(rows)},
+            status="read",
+            message=message,
         )
-    require_some(found, interpreted.files)
-    return measured
+        records.append(record)
+    for key, reason in sorted(found.left_out.items()):
+        records.append(RecordingRecord(f"sequence {key}", "unknown", "", "", 0.0, {}, "failed", reason))
+    return records
 
 
-def _reading(
-    manifest: Manifest, dataset: str, interpreted: Interpreted, measured: list[Measured], options: ImportOptions
-) -> Reading:
-    """Put together everything that rows depend on: from the JSON, the measurements and our own blocks."""
-    reading = Reading(
-        dataset=dataset,
-        head_tilt_deg=manifest.body.head_tilt_deg,
-        texts=load_protocol().text,
-        mapping=interpreted.mapping,
-        unmapped=interpreted.unmapped,
-        fps=interpreted.fps,
-        primed=interpreted.primed,
-        conclusions=_conclude(interpreted, measured, options),
-        first_frame_is_previous=options.first_frame_is_previous,
-    )
-    return _as_exported(reading, measured)
-
-
-def _conclude(interpreted: Interpreted, measured: list[Measured], options: ImportOptions) -> Conclusions:
-    units = {str(each.candidate.entry.fields.get(interpreted.mapping.get("units", ""), "")) for each in measured}
-    stated = units.pop() if len(units) == 1 else None
-    conclusions = conclude(str(interpreted.files.folder), measured, stated_unit=stated)
-    previous = (
-        Inference("frame_0", "the frame before the sequence", "certain", "given by --first-frame previous")
-        if options.first_frame_is_previous
-        else Inference("frame_0", "the first frame of the sequence", "assumed", "nothing tells otherwise")
-    )
-    return replace(conclusions, inferences=(*conclusions.inferences, previous))
-
-
-def _as_exported(reading: Reading, measured: list[Measured]) -> Reading:
-    """Replace the inferences of frames by the statements of our own blocks, where every entry has one."""
-    blocks = [reading.block(each.candidate) for each in measured]
-    stated = [block for block in blocks if block is not None]
-    # One entry without a block was written or changed by somebody else; then nothing is taken on trust.
-    if len(stated) < len(blocks):
-        return reading
-    is_known = all(block.goal_frame != UNKNOWN for block in stated)
-    goal_frame = "as the motions" if is_known else UNKNOWN
-    motion_frame = " and ".join(sorted({block.motion_frame for block in stated}))
-    evidence = "stated by the prbench block of every entry"
-    known = {
-        "goal_frame": Inference("goal_frame", goal_frame, "certain" if is_known else "unknown", evidence),
-        "motion_frame": Inference("motion_frame", motion_frame, "certain", evidence),
-    }
-    inferences = tuple(known.get(each.name, each) for each in reading.conclusions.inferences)
-    conclusions = replace(reading.conclusions, goal_frame=goal_frame, inferences=inferences)
-    return replace(reading, conclusions=conclusions)
-
-
-def _round_trip(exported: Mapping[str, Any] | None, table: SequenceTable) -> tuple[Inference, ...]:
+def _round_trip(exported: Mapping[str, Any], table: SequenceTable) -> Inference:
     """Compare the imported table with the one that our exporter wrote, by their digests."""
-    if exported is None:
-        return ()
     info = table.info
-    kinds = ("identity_digest", "content_digest")
-    same = [kind.replace("_", " ") for kind in kinds if exported.get(kind) == getattr(info, kind)]
-    if len(same) == len(kinds):
-        return (Inference("exported_table", "unchanged", "certain", "both digests are those of the exported table"),)
-    if same == ["content digest"]:
+    same = [kind for kind in ("identity_digest", "content_digest") if exported.get(kind) == getattr(info, kind)]
+    value = "not the same"
+    evidence = f"of the digests agree: {', '.join(same).replace('_', ' ') or 'none'}"
+    if len(same) == 2:
+        value = "unchanged"
+        evidence = "both digests are those of the exported table"
+    elif same == ["content_digest"]:
         for version in range(1, info.protocol_version):
             if table.identity_under(version) == exported.get("identity_digest"):
                 value = f"unchanged, of protocol version {version}"
-                found = (
+                evidence = (
                     f"the content digest agrees, and the identity digest is that of the same sequences under protocol"
                     f" version {version}; the table is now one of version {info.protocol_version}"
                 )
-                return (Inference("exported_table", value, "certain", found),)
-    found = f"of the digests agree: {', '.join(same) or 'none'}"
-    return (Inference("exported_table", "not the same", "certain", found),)
+    return Inference(name="exported_table", value=value, how_surely="certain", evidence=evidence)
 
 
-def _unused_files(files: DatasetFiles) -> tuple[str, ...]:
-    if not files.unused_names:
-        return ()
-    shown = ", ".join(files.unused_names[:5]) + (", …" if len(files.unused_names) > 5 else "")
-    return (f"{len(files.unused_names)} files are no arrays of sequences: {shown}.",)
+def terms_of(dataset: str, manifest: Manifest, exported: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return title, licence, redistribution, homepage, citation and ``synthetic`` of an imported dataset.
+
+    Data that our exporter wrote are no part of the study's release; what its record says can make terms stricter than
+    the manifest's, never looser.
+    """
+    if dataset.startswith(SYNTHETIC_PREFIX):
+        return {
+            "title": f"Invented recordings in the layout of {manifest.title}",
+            "licence": "MIT (invented by prbench, no recorded person)",
+            "redistribution": "yes",
+            "homepage": "",
+            "citation": "",
+            "synthetic": True,
+        }
+    terms: dict[str, Any] = {
+        "title": manifest.title,
+        "licence": manifest.licence,
+        "redistribution": manifest.redistribution,
+        "homepage": manifest.homepage,
+        "citation": manifest.citation.strip(),
+        "synthetic": False,
+    }
+    if exported is not None:
+        # The record lies beside the data and anybody can edit it, so it may only make the terms stricter.
+        stated = str(exported.get("redistribution", manifest.redistribution))
+        return terms | {"redistribution": strictest([manifest.redistribution, stated])}
+    return terms | {
+        "title": f"{manifest.title}, as released with Prime and Reach",
+        "licence": f"{manifest.licence} (source recordings); {_STUDY_TERMS}",
+        "redistribution": strictest([manifest.redistribution, _STUDY_REDISTRIBUTION]),
+        "citation": f"{load_citations().study.strip()}\n\n{terms['citation']}",
+    }
+
+
+def _describe(
+    found: ReleasedDataset, records: list[RecordingRecord], manifest: Manifest, terms: Mapping[str, Any]
+) -> DatasetInfo:
+    """Describe an import: every inference stands among its options; the writer fills in the digests."""
+    protocol = load_protocol()
+    n = len(found.sequences)
+    failed = [record for record in records if record.status == "failed"]
+    options = {"source": "release", "goal_frame": found.goal_frame, "in_hand_rule": "the release's own events"}
+    for each in found.inferences:
+        options[f"release.{each.name}"] = f"{each.value} ({each.how_surely}: {each.evidence})"
+    options |= {f"release.field.{canonical}": name for canonical, name in found.mapping.items()}
+    arrays = [text for one in found.sequences for text in (str(one.index), one.digest)]
+    return DatasetInfo(
+        schema_version=SCHEMA_VERSION,
+        protocol_version=protocol.version,
+        protocol_digest=protocol.digest,
+        dataset=found.dataset,
+        prbench_version=prbench.__version__,
+        manifest_digest=digest_of(manifest),
+        input_digest=text_digest(file_digest(found.files.folder / TARGETS), *arrays),
+        options=options,
+        # A release holds sequences alone, so every event has passed all stages.
+        counts=FunnelCounts(
+            recordings_found=len(records),
+            recordings_read=len(records) - len(failed),
+            recordings_failed=len(failed),
+            recordings_skipped=0,
+            **dict.fromkeys(("events", "located", "primed", "long_enough", "moved_enough", "sequences"), n),
+        ),
+        outcomes={outcome: n if outcome == "sequence" else 0 for outcome in OUTCOMES},
+        quarantine=tuple(
+            QuarantinedRecording(recording_id=each.recording_id, status=each.status, message=each.message)
+            for each in failed
+        ),
+        identity_digest="",
+        content_digest="",
+        **terms,
+    )

@@ -1,4 +1,4 @@
-"""The authors' statements about their release, and the limits by which an import judges measurements."""
+"""The authors' statements about their release, the names of its fields, and the limits by which an import judges it."""
 
 from __future__ import annotations
 
@@ -13,64 +13,30 @@ SYNTHETIC_PREFIX = "synthetic-"
 
 
 class KnownDataset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One dataset of the study: its folder, sequences, and means in seconds."""
+    """One dataset of the study: its folder, and its sequences of each split."""
 
     folder: str
     train: int
     test: int
-    duration: float
-    duration_sd: float
-    prime_gap: float
-
-
-class _PelvisToHead(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Range of the median distance from pelvis to head, metres."""
-
-    lowest: float
-    highest: float
-
-
-class _GoalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Largest distances of goals from wrists and gaze, metres, and the share of gazes within theirs."""
-
-    wrist_distance: float
-    gaze_distance: float
-    gaze_share: float
-
-
-class _CanonicalRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Limits within which a motion counts as canonical already: metres, degrees, share of the sequences."""
-
-    position: float
-    yaw_deg: float
-    agreeing: float
-
-
-class _GazeRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Tolerances of the lengths of gaze vectors."""
-
-    unit_tolerance: float
-    renormalised_tolerance: float
-
-
-class _SkeletonRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Largest spread, metres, with which bones count as one skeleton's."""
-
-    uniform: float
 
 
 class KnownRelease(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """``benchmarks/prime_and_reach/release.toml``."""
+    """``benchmarks/prime_and_reach/release.toml``, which explains every number."""
 
     frame_rates: tuple[float, ...]
     frame_rate_tolerance: float
     agreeing_primes: float
-    mean_precision: float
-    pelvis_to_head: _PelvisToHead
-    goal: _GoalRules
-    canonical: _CanonicalRules
-    gaze: _GazeRules
-    skeleton: _SkeletonRules
+    lowest_pelvis_to_head: float
+    highest_pelvis_to_head: float
+    goal_to_wrist: float
+    goal_to_gaze: float
+    gazing_share: float
+    canonical_position: float
+    canonical_yaw_deg: float
+    unit_gaze_tolerance: float
+    gaze_tolerance: float
+    required_fields: tuple[str, ...]
+    fields: dict[str, tuple[str, ...]]
     datasets: dict[str, KnownDataset]
 
 

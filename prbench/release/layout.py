@@ -1,14 +1,18 @@
-"""Find the files of a release: one folder a dataset, files numbered by sequence, never outside its root."""
+"""The files of a release: a folder for each dataset, with one JSON file and arrays numbered by sequence."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from prbench.errors import InputFileError
 from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_text
+from prbench.limits import LARGEST_JSON
 from prbench.readers.found import names_in
 from prbench.release.known import dataset_of
 
@@ -28,17 +32,11 @@ class DatasetFiles:
     """The files of one dataset's folder."""
 
     folder: Path
-    dataset: str
     motions: dict[int, Path]
     gazes: dict[int, Path]
     further: dict[int, Path]
     unused_names: tuple[str, ...]
     """Names in the folders of arrays that are no array of a sequence."""
-
-    @property
-    def targets(self) -> Path:
-        """``target_information.json``."""
-        return self.folder / TARGETS
 
 
 @foreign_input()
@@ -78,7 +76,7 @@ def find_datasets(root: Path, dataset: str | None = None) -> list[tuple[str, Pat
     return found
 
 
-def list_files(folder: Path, dataset: str) -> DatasetFiles:
+def list_files(folder: Path) -> DatasetFiles:
     """List the arrays of one dataset's folder by the number in their names.
 
     Raises:
@@ -90,7 +88,6 @@ def list_files(folder: Path, dataset: str) -> DatasetFiles:
     unused_names: list[str] = []
     return DatasetFiles(
         folder,
-        dataset,
         _numbered(folder, MOTIONS, ".npy", unused_names),
         _numbered(folder, GAZES, ".npy", unused_names),
         _numbered(folder, FURTHER, ".npz", unused_names),
@@ -120,6 +117,48 @@ def _numbered(root: Path, name: str, suffix: str, unused_names: list[str]) -> di
                 folder, f"sequence {index}", expected="one file", found=f"{found[index].name} and {entry.name}"
             )
         found[index] = path
+    return found
+
+
+@foreign_input()
+def read_targets(path: Path) -> dict[str, dict[str, Any]]:
+    """Read ``target_information.json``: the fields of every sequence by its key.
+
+    Raises:
+        InputFileError: if it is missing, no JSON, no object by sequence, or two keys mean one sequence.
+    """
+    try:
+        content = json.loads(read_text(path, largest=LARGEST_JSON), object_pairs_hook=_without_repeats)
+    except FileNotFoundError as error:
+        raise InputFileError(path, "", expected="a JSON file", found="no file") from error
+    except RecursionError as error:
+        raise InputFileError(path, "", expected="entries of sequences", found="thousands of nested lists") from error
+    except (ValueError, OSError) as error:  # JSONDecodeError and UnicodeDecodeError are ValueErrors
+        remedy = "The file may be truncated; copy or download it again."
+        raise InputFileError(path, "", expected="valid JSON", found=str(error), remedy=remedy) from error
+    by_sequence = "an object with one key a sequence, and an object of its fields under each"
+    if not isinstance(content, dict):
+        raise InputFileError(path, "", expected=by_sequence, found=f"a {type(content).__name__}")
+    if not content:
+        raise InputFileError(path, "", expected="one sequence or more", found="none")
+    first: dict[int, str] = {}
+    for key, fields in content.items():
+        if not isinstance(fields, dict):
+            found = f"a {type(fields).__name__} under the key '{key}'"
+            raise InputFileError(path, "", expected=by_sequence, found=found)
+        index = index_of(key)
+        # `seq_12` and `12` name one motion file.
+        if index is not None and first.setdefault(index, key) != key:
+            raise InputFileError(path, f"sequence {index}", expected="one key", found=f"'{first[index]}' and '{key}'")
+    return content
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        names = [name for name, _ in pairs]
+        repeated = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the key '{repeated}' twice in one object")
     return found
 
 

@@ -1,138 +1,172 @@
-"""The inferences and problems of an import, and its report for people and as ``import_report.json``.
-
-The structures carry the names of the JSON's keys (``rename``), so that the file is written from them as they are.
-"""
+"""The report of an import and of an export, as commands print it and as ``import_report.json`` holds it."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 
 from prbench.files.storage import write_json
 from prbench.release.known import KnownDataset
-from prbench.sequences import DatasetInfo
 
-Certainty = Literal["certain", "likely", "assumed", "unknown"]
-"""In this order: stated and confirmed; measured with room for doubt; taken for granted; not found out."""
 FILE_NAME = "import_report.json"
 
 
-class Inference(msgspec.Struct, frozen=True, rename={"certainty": "how_surely"}):
-    """One property that the release does not state."""
+class Inference(msgspec.Struct, frozen=True, kw_only=True):
+    """One property that the release does not state.
+
+    Attributes:
+        name: What was inferred.
+        value: What it was taken to be.
+        how_surely: ``certain`` (stated and confirmed), ``likely`` (measured), ``assumed`` or ``unknown``.
+        evidence: What speaks for it.
+    """
 
     name: str
     value: str
-    certainty: Certainty
-    evidence: str
-
-    @property
-    def text(self) -> str:
-        """The inference in one line, as it stands among the options of ``dataset.json``."""
-        return f"{self.value} ({self.certainty}: {self.evidence})"
-
-
-class FieldChoice(msgspec.Struct, frozen=True, rename={"canonical": "means", "certainty": "how_surely"}):
-    """The field of the release that was chosen for a canonical one."""
-
-    canonical: str
-    field: str
-    certainty: Certainty
+    how_surely: Literal["certain", "likely", "assumed", "unknown"]
     evidence: str
 
 
-class Problem(msgspec.Struct, frozen=True, rename={"key": "sequence", "message": "problem"}):
-    """One problem of one sequence."""
+class SplitCount(msgspec.Struct, frozen=True, kw_only=True):
+    """The number of sequences of one split.
 
-    key: str
-    message: str
-    left_out: bool
-    """True if the sequence was left out; else it was imported in spite of the problem."""
-
-
-def grouped(problems: Iterable[Problem]) -> list[tuple[str, int, str]]:
-    """Return messages, the number of sequences they concern, and the first of these; the most frequent first."""
-    counts: Counter[str] = Counter()
-    first: dict[str, str] = {}
-    for problem in problems:
-        counts[problem.message] += 1
-        first.setdefault(problem.message, problem.key)
-    return [(message, count, first[message]) for message, count in counts.most_common()]
-
-
-class _CountRow(msgspec.Struct, frozen=True, rename={"expected": "study"}):
-    """Number of sequences of one split, beside the study's."""
+    Attributes:
+        split: Name of the split.
+        found: Number of sequences that were found.
+        study: The study's number; null where it prints none.
+    """
 
     split: str
     found: int
-    expected: int | None
-    """None where the study states none."""
+    study: int | None
 
 
-@dataclass(frozen=True)
-class ImportReport:
-    """Everything that an import of one dataset inferred, and every problem that it met."""
+class SequenceProblem(msgspec.Struct, frozen=True):
+    """One problem of one sequence.
+
+    Attributes:
+        sequence: Its key in the release.
+        problem: What is wrong.
+        left_out: Whether the sequence was left out; else it was imported in spite of the problem.
+    """
+
+    sequence: str
+    problem: str
+    left_out: bool
+
+
+class ImportReport(msgspec.Struct, frozen=True, kw_only=True):
+    """One dataset of the release that became a table; the same stands in its ``import_report.json``.
+
+    Attributes:
+        dataset: Name of the dataset.
+        title: Its title.
+        folder: The table; the file leaves it out.
+        inferred: What the release does not state.
+        fields: Maps what is needed to the field of the release that holds it.
+        fields_kept_in_extra: Fields of the release of which nothing is known; the column ``extra`` keeps them.
+        counts: Sequences of each split, beside the study's.
+        warnings: What a user should look at.
+        problems: Problems of single sequences.
+        why_not_scored: Why metrics will be refused on this table; null where they will not.
+    """
 
     dataset: str
+    title: str
     folder: Path
-    """The table."""
-    info: DatasetInfo
-    shape: str
-    fields: tuple[FieldChoice, ...]
-    unmapped: tuple[str, ...]
-    inferences: tuple[Inference, ...]
-    problems: tuple[Problem, ...]
-    counts: tuple[_CountRow, ...]
-    warnings: tuple[str, ...]
+    inferred: list[Inference]
+    fields: dict[str, str]
+    fields_kept_in_extra: list[str]
+    counts: list[SplitCount]
+    warnings: list[str]
+    problems: list[SequenceProblem]
+    why_not_scored: str | None
 
     @property
     def left_out(self) -> int:
         """Number of sequences that were left out."""
-        return len({problem.key for problem in self.problems if problem.left_out})
+        return len({each.sequence for each in self.problems if each.left_out})
 
     def write(self) -> None:
         """Write ``import_report.json`` beside ``dataset.json``; it holds no time of day and no absolute path."""
-        write_json(self.folder / FILE_NAME, self.as_json())
-
-    def as_json(self) -> dict[str, Any]:
-        """The report as JSON."""
-        return {
-            "dataset": self.dataset,
-            "shape_of_target_information": self.shape,
-            "fields": msgspec.to_builtins(self.fields),
-            "fields_kept_in_extra": list(self.unmapped),
-            "inferred": msgspec.to_builtins(self.inferences),
-            "counts": msgspec.to_builtins(self.counts),
-            "warnings": list(self.warnings),
-            "problems": msgspec.to_builtins(self.problems),
-        }
+        content = {name: value for name, value in msgspec.structs.asdict(self).items() if name != "folder"}
+        write_json(self.folder / FILE_NAME, msgspec.to_builtins(content))
 
     def problem_lines(self, most: int = 12) -> list[str]:
         """Return one line for each kind of problem, the most frequent first."""
-        groups = grouped(self.problems)
-        lines = [f"{count} × {message} (first: {key})" for message, count, key in groups[:most]]
-        if len(groups) > most:
-            lines.append(f"… and {len(groups) - most} more kinds; {FILE_NAME} lists them")
+        first: dict[str, str] = {}
+        for each in self.problems:
+            first.setdefault(each.problem, each.sequence)
+        counts = Counter(each.problem for each in self.problems).most_common()
+        lines = [f"{count} × {problem} (first: {first[problem]})" for problem, count in counts[:most]]
+        if len(counts) > most:
+            lines.append(f"… and {len(counts) - most} more kinds; {FILE_NAME} lists them")
         return lines
 
 
-def count_rows(splits: Iterable[str], known: KnownDataset | None) -> tuple[_CountRow, ...]:
+class NotImported(msgspec.Struct, frozen=True, kw_only=True):
+    """One dataset of the release that could not be imported.
+
+    Attributes:
+        dataset: Name of the dataset.
+        message: What is wrong.
+    """
+
+    dataset: str
+    message: str
+
+
+class ImportReleaseReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The result of an import.
+
+    Attributes:
+        tables: One entry for each table that was written.
+        failed: Datasets that could not be imported.
+    """
+
+    tables: list[ImportReport]
+    failed: list[NotImported]
+
+    @property
+    def complete(self) -> bool:
+        """True if nothing had to be left out."""
+        return not self.failed and not any(table.left_out for table in self.tables)
+
+
+class ExportedTable(msgspec.Struct, frozen=True, kw_only=True):
+    """One table that was written in the layout of the release.
+
+    Attributes:
+        dataset: Name of the dataset.
+        folder: Its folder in the release.
+        sequences: Number of sequences.
+        notice: Terms under which the folder may be passed on; empty if there are none.
+    """
+
+    dataset: str
+    folder: Path
+    sequences: int
+    notice: str
+
+
+class ExportReleaseReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The result of an export.
+
+    Attributes:
+        datasets: One entry for each table.
+    """
+
+    datasets: list[ExportedTable]
+
+
+def count_splits(splits: Iterable[str], known: KnownDataset | None) -> list[SplitCount]:
     """Count the sequences of each split, beside the study's."""
     found = Counter(splits)
     expected = {} if known is None else {"train": known.train, "test": known.test, "validation": 0}
     # A split without sequences is listed where the study has some: a missing split must be seen.
     names = [name for name in ("train", "validation", "test") if found[name] or expected.get(name)]
-    return tuple(_CountRow(name, found[name], expected.get(name)) for name in names)
-
-
-def count_warnings(rows: Iterable[_CountRow]) -> tuple[str, ...]:
-    """Return a sentence for each split whose count differs from the study's, as that of a later release may."""
-    return tuple(
-        f"{row.split}: {row.found} sequences, the study has {row.expected}."
-        for row in rows
-        if row.expected is not None and row.found != row.expected
-    )
+    return [SplitCount(split=name, found=found[name], study=expected.get(name)) for name in names]

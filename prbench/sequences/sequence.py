@@ -5,7 +5,7 @@ The fields of these records are the columns of the tables, in their order (docs/
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -274,6 +274,12 @@ def recording_batch(recordings: Iterable[RecordingRecord]) -> pa.RecordBatch:
 def scene_batch(boxes: Iterable[SceneBox]) -> pa.RecordBatch:
     """Return Arrow rows of boxes, in the order given."""
     return row_batch(boxes, SCENES)
+
+
+def sequences_in(batch: pa.RecordBatch) -> Iterator[Sequence]:
+    """Yield the sequences of rows with all columns; their arrays are views of the rows."""
+    columns = [row_values(batch.column(name)) for name in SEQUENCES.names]
+    return (Sequence(*values) for values in zip(*columns, strict=True))
 
 
 def event_of(events: pa.Table, row: int) -> EventRecord:

@@ -41,7 +41,8 @@ from prbench.harness.score_predictions import ScoreRequest
 from prbench.prediction.anchored import build_anchored_windows
 from prbench.prediction.table import WindowsTable
 from prbench.readers import reader_for
-from prbench.release import export_release, import_release
+from prbench.release.exporting import export_release
+from prbench.release.importing import import_release
 from prbench.sequences import CorpusInfo, CorpusTable, DatasetInfo, SequenceTable
 from prbench.workflows.build_all import build_all, plan_all
 from prbench.workflows.explain import explain_event

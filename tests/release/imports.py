@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from prbench.release import ImportOptions, ImportReport, import_release
+from prbench.release.importing import import_release
+from prbench.release.reading import ImportOptions
+from prbench.release.report import ImportReport
 from prbench.sequences import SequenceTable
 from tests.release.releases import rows, write_release
 
@@ -16,12 +18,12 @@ def imported(folder, sequences=ROWS, style=None, *, options=None, **kinds) -> Im
     result = import_release(
         folder / "release", folder / "table", dataset="synthetic-adt", options=options or ImportOptions()
     )
-    return result.reports[0]
+    return result.tables[0]
 
 
 def value(report: ImportReport, name: str) -> tuple[str, str]:
-    found = next(each for each in report.inferences if each.name == name)
-    return found.value, found.certainty
+    found = next(each for each in report.inferred if each.name == name)
+    return found.value, found.how_surely
 
 
 def table_values(folder, name: str) -> list[np.ndarray]:

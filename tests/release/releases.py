@@ -1,4 +1,4 @@
-"""Releases as somebody else would write them: any shape and any names, from the same sequences."""
+"""Releases as somebody else would write them: with any known names, from the same sequences."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ NAMES = {
 class Style:
     """How a release is written."""
 
-    shape: str = "object"
     names: dict[str, str] = field(default_factory=lambda: dict(NAMES))
     key: Callable[[int], Any] = lambda index: f"{index:010d}"
     goal: Callable[[list[float]], Any] = list
@@ -72,41 +71,9 @@ def write_release(
         np.save(folder / "motions" / f"{index:010d}.npy", motion(row).astype(np.float32))
         np.save(folder / "gazes" / f"{index:010d}.npy", gaze(row).astype(np.float32))
         keyed.append((style.key(index), entry(row, style)))
-    content = SHAPES[style.shape](keyed, style)
+    content = dict(keyed)
     (folder / "target_information.json").write_text(json.dumps(content), encoding="utf-8")
     return folder
-
-
-def _by_subset(keyed: list[tuple[Any, dict]], style: Style) -> dict[str, Any]:
-    parts: dict[str, dict] = {}
-    for key, entry in keyed:
-        rest = {name: value for name, value in entry.items() if name != style.names["subset"]}
-        parts.setdefault(str(entry[style.names["subset"]]), {})[key] = rest
-    return parts
-
-
-def _by_field(keyed: list[tuple[Any, dict]], _style: Style) -> dict[str, Any]:
-    fields: dict[str, dict] = {}
-    for key, entry in keyed:
-        for name, value in entry.items():
-            fields.setdefault(name, {})[key] = value
-    return fields
-
-
-def _by_field_lists(keyed: list[tuple[Any, dict]], _style: Style) -> dict[str, Any]:
-    names = list(dict.fromkeys(name for _, entry in keyed for name in entry))
-    return {"id": [key for key, _ in keyed]} | {name: [entry.get(name) for _, entry in keyed] for name in names}
-
-
-SHAPES: dict[str, Callable[[list[tuple[Any, dict]], Style], Any]] = {
-    "object": lambda keyed, _: dict(keyed),
-    "wrapped": lambda keyed, _: {"annotations": dict(keyed), "fps": 20, "version": 1},
-    "wrapped list": lambda keyed, _: {"data": [entry | {"id": key} for key, entry in keyed]},
-    "list": lambda keyed, _: [{"file_name": key, **entry} for key, entry in keyed],
-    "by field": _by_field,
-    "by field, lists": _by_field_lists,
-    "by subset": _by_subset,
-}
 
 
 def in_world(row: Row) -> Row:

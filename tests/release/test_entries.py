@@ -1,4 +1,4 @@
-"""The same content, written in any shape, under any names and in any form of values, gives the same table."""
+"""The same content under any known names, keys and spellings gives the same table."""
 
 from __future__ import annotations
 
@@ -9,25 +9,18 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from prbench.errors import InputFileError, UsageError
-from prbench.release import ImportOptions, import_release
-from prbench.release.entries import read_entries
-from prbench.release.fields import FIELDS
-from prbench.release.layout import index_of
+from prbench.release.importing import import_release
+from prbench.release.known import load_known
+from prbench.release.layout import index_of, read_targets
+from prbench.release.reading import ImportOptions
 from prbench.sequences import SequenceTable
-from tests.release.releases import NAMES, SHAPES, Style, plain_entry, rows, write_release
+from tests.release.releases import NAMES, Style, plain_entry, rows, write_release
 
 SEQUENCES = rows(5)
-ALIASES = {rule.canonical: rule.aliases for rule in FIELDS}
+ALIASES = load_known().fields
 SPELLINGS = {
-    "train": ["train", "Train", "training", "tr"],
-    "test": ["test", "TEST", "testing", "te"],
-}
-GOALS = {
-    "list": list,
-    "nested": lambda goal: [goal],
-    "text": lambda goal: " ".join(map(repr, goal)),
-    "commas": lambda goal: ", ".join(map(repr, goal)),
-    "object": lambda goal: dict(zip("xyz", goal)),
+    "train": ["train", "Train", "training", " train"],
+    "test": ["test", "TEST", "testing", "Test "],
 }
 KEYS = {
     "ten digits": lambda index: f"{index:010d}",
@@ -35,7 +28,6 @@ KEYS = {
     "path": lambda index: f"motions/{index:010d}.npy",
     "word": lambda index: f"seq_{index}",
 }
-TRUTH_NAMES = {"istrain", "train", "test", "traintest"}
 
 
 def spelled(alias: str, spelling: int) -> str:
@@ -47,77 +39,46 @@ def spelled(alias: str, spelling: int) -> str:
 def reference(tmp_path_factory):
     folder = tmp_path_factory.mktemp("reference")
     write_release(folder / "release", SEQUENCES)
-    report = import_release(folder / "release", folder / "table", dataset="synthetic-adt").reports[0]
+    report = import_release(folder / "release", folder / "table", dataset="synthetic-adt").tables[0]
     assert report.left_out == 0
-    return report.info
+    return SequenceTable.open(folder / "table").info
 
 
 @pytest.mark.slow
 @settings(max_examples=20, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(data=st.data())
-def test_shape_names_and_forms_leave_no_trace(data, reference, tmp_path_factory) -> None:
+def test_names_keys_and_spellings_leave_no_trace(data, reference, tmp_path_factory) -> None:
     names = {
         canonical: spelled(
-            data.draw(st.sampled_from([a for a in ALIASES[canonical] if a not in TRUTH_NAMES])),
+            data.draw(st.sampled_from(ALIASES[canonical])),
             data.draw(st.integers(0, 3)),
         )
         for canonical in NAMES
     }
     spelling = data.draw(st.integers(0, 3))
     style = Style(
-        shape=data.draw(st.sampled_from(sorted(SHAPES))),
         names=names,
         key=KEYS[data.draw(st.sampled_from(sorted(KEYS)))],
-        goal=GOALS[data.draw(st.sampled_from(sorted(GOALS)))],
         subset=lambda subset: SPELLINGS[subset][spelling],
         hand=data.draw(st.sampled_from([str, str.upper, lambda hand: hand[0]])),
     )
     folder = tmp_path_factory.mktemp("shape")
     write_release(folder / "release", SEQUENCES, style)
-    report = import_release(folder / "release", folder / "table", dataset="synthetic-adt").reports[0]
-    assert report.info.identity_digest == reference.identity_digest
-    assert report.info.content_digest == reference.content_digest
-    assert all(choice.certainty == "certain" for choice in report.fields)
+    report = import_release(folder / "release", folder / "table", dataset="synthetic-adt").tables[0]
+    info = SequenceTable.open(folder / "table").info
+    assert info.identity_digest == reference.identity_digest
+    assert info.content_digest == reference.content_digest
+    assert report.fields == names
 
 
 def test_the_order_of_the_entries_leaves_no_trace(reference, tmp_path) -> None:
     path = write_release(tmp_path / "release", SEQUENCES) / "target_information.json"
     entries = json.loads(path.read_text("utf-8"))
     path.write_text(json.dumps(dict(reversed(entries.items()))), encoding="utf-8")
-    report = import_release(tmp_path / "release", tmp_path / "table", dataset="synthetic-adt").reports[0]
-    assert report.info.content_digest == reference.content_digest
+    import_release(tmp_path / "release", tmp_path / "table", dataset="synthetic-adt")
+    assert SequenceTable.open(tmp_path / "table").info.content_digest == reference.content_digest
     ids = SequenceTable.open(tmp_path / "table").scalars()["sequence_id"].to_pylist()
     assert ids == sorted(ids)
-
-
-@pytest.mark.parametrize("shape", sorted(SHAPES))
-def test_every_shape_is_named(shape, tmp_path) -> None:
-    write_release(tmp_path / "release", SEQUENCES, Style(shape=shape))
-    entries = read_entries(tmp_path / "release" / "target_information.json")
-    assert len(entries.entries) == len(SEQUENCES)
-    words = {"object": "by sequence", "wrapped": "annotations", "wrapped list": "'data'", "list": "list of entries"}
-    word = words[shape] if shape in words else "object " + shape.split(",")[0]
-    assert word in entries.shape
-
-
-@pytest.mark.parametrize("name", ["is_train", "train"])
-def test_truth_values_are_read_by_their_name(name, reference, tmp_path) -> None:
-    style = Style(names=NAMES | {"subset": name}, subset=lambda subset: subset == "train")
-    write_release(tmp_path / "release", SEQUENCES, style)
-    report = import_release(tmp_path / "release", tmp_path / "table", dataset="synthetic-adt").reports[0]
-    assert report.info.identity_digest == reference.identity_digest
-
-
-def test_names_that_only_resemble_are_likely_and_values_alone_assumed(reference, tmp_path) -> None:
-    names = NAMES | {"goal": "the goal in m", "primed_frame": "frame of priming", "subset": "fold", "text": "what"}
-    write_release(tmp_path / "release", SEQUENCES, Style(names=names))
-    report = import_release(tmp_path / "release", tmp_path / "table", dataset="synthetic-adt").reports[0]
-    chosen = {choice.canonical: (choice.field, choice.certainty) for choice in report.fields}
-    assert chosen["goal"] == ("the goal in m", "likely")
-    assert chosen["primed_frame"] == ("frame of priming", "likely")
-    assert chosen["subset"] == ("fold", "assumed")
-    assert chosen["text"] == ("what", "assumed")
-    assert report.info.content_digest == reference.content_digest
 
 
 def test_two_fields_that_fit_equally_need_the_users_word(tmp_path) -> None:
@@ -136,8 +97,8 @@ def test_two_fields_that_fit_equally_need_the_users_word(tmp_path) -> None:
         import_release(tmp_path / "release", tmp_path / "table", dataset="synthetic-adt")
     options = ImportOptions(field_map={"goal": "object_position"})
     report = import_release(tmp_path / "release", tmp_path / "table", dataset="synthetic-adt", options=options)
-    assert report.reports[0].info.options["goal_frame"] == "as the motions"
-    assert report.reports[0].unmapped == ("goal_location",)
+    assert SequenceTable.open(tmp_path / "table").info.options["goal_frame"] == "as the motions"
+    assert report.tables[0].fields_kept_in_extra == ["goal_location"]
     for wrong in ({"goal": "nowhere"}, {"gaol": "object_position"}):
         with pytest.raises(UsageError, match="field-map"):
             import_release(
@@ -151,9 +112,9 @@ def test_of_two_names_of_the_source_the_better_known_is_taken(tmp_path) -> None:
         SEQUENCES,
         entry=lambda row, style: plain_entry(row, style) | {"clip": "c1", "video": row.recording_id},
     )
-    report = import_release(tmp_path / "release", tmp_path / "table", dataset="synthetic-adt").reports[0]
-    assert {choice.canonical: choice.field for choice in report.fields}["source"] == "video"
-    assert report.unmapped == ("clip",)
+    report = import_release(tmp_path / "release", tmp_path / "table", dataset="synthetic-adt").tables[0]
+    assert report.fields["source"] == "video"
+    assert report.fields_kept_in_extra == ["clip"]
 
 
 def test_a_missing_field_is_named_with_those_that_are_there(tmp_path) -> None:
@@ -182,19 +143,18 @@ def test_keys_become_numbers(key, index) -> None:
         ('{"a": ', "valid JSON"),
         ('{"1": {"goal": 1}, "1": {"goal": 2}}', "the key '1' twice"),
         ('{"1": {"goal": 1}, "seq_1": {"goal": 2}}', "'1' and 'seq_1'"),
-        ("[1, 2]", "a int at place 0"),
-        ('[{"goal": [1, 2, 3]}]', "a field that names the sequence"),
+        ('[{"goal": [1, 2, 3]}]', "one key a sequence, .*found a list"),
         ('"text"', "found a str"),
         ("{}", "one sequence or more"),
         ('{"1": 5}', "a int under the key '1'"),
         ("[" * 100_000, "nested lists|valid JSON"),
     ],
 )
-def test_what_is_no_list_of_sequences_is_refused_with_the_place(content, message, tmp_path) -> None:
+def test_what_is_no_object_of_sequences_is_refused_with_the_place(content, message, tmp_path) -> None:
     path = tmp_path / "target_information.json"
     path.write_text(content, encoding="utf-8")
     with pytest.raises(InputFileError, match=message):
-        read_entries(path)
+        read_targets(path)
 
 
 def test_unrecognised_fields_are_kept_as_text(tmp_path) -> None:

@@ -11,7 +11,9 @@ import pytest
 from prbench.errors import TableError, UsageError
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
-from prbench.release import ImportOptions, export_release, import_release
+from prbench.release.exporting import export_release
+from prbench.release.importing import import_release
+from prbench.release.reading import ImportOptions
 from prbench.sequences import SequenceTable
 from prbench.sequences.schema import SEQUENCES
 from prbench.workflows.explain import explain_event
@@ -36,7 +38,7 @@ def test_tables_of_all_datasets_come_back_without_change(tmp_path) -> None:
     export_release([table.folder for table in tables], tmp_path / "release")
     result = import_release(tmp_path / "release", tmp_path / "back")
     assert result.complete
-    assert sorted(report.dataset for report in result.reports) == sorted(DATASETS)
+    assert sorted(report.dataset for report in result.tables) == sorted(DATASETS)
     for table in tables:
         back = SequenceTable.open(tmp_path / "back" / table.info.dataset)
         assert back.identity == table.identity
@@ -44,8 +46,8 @@ def test_tables_of_all_datasets_come_back_without_change(tmp_path) -> None:
         for name in SEQUENCES.names:
             assert whole(back)[name].equals(whole(table)[name]), f"{name} is the same to the last bit"
         assert back.events()["event_id"].equals(table.events()["event_id"])
-    for report in result.reports:
-        assert any(each.name == "exported_table" and each.value == "unchanged" for each in report.inferences)
+    for report in result.tables:
+        assert any(each.name == "exported_table" and each.value == "unchanged" for each in report.inferred)
 
 
 @pytest.mark.parametrize(
@@ -62,8 +64,8 @@ def test_an_export_of_an_earlier_protocol_is_named_with_its_version(tmp_path, ch
     path = tmp_path / "release" / "synthetic-adt" / "prbench_export.json"
     record = json.loads(path.read_text("utf-8"))
     path.write_text(json.dumps(record | {"identity_digest": change(table)}), encoding="utf-8")
-    (report,) = import_release(tmp_path / "release", tmp_path / "back", dataset="synthetic-adt").reports
-    (found,) = [each for each in report.inferences if each.name == "exported_table"]
+    (report,) = import_release(tmp_path / "release", tmp_path / "back", dataset="synthetic-adt").tables
+    (found,) = [each for each in report.inferred if each.name == "exported_table"]
     assert found.value == said
     assert "content digest" in found.evidence
 
@@ -153,7 +155,7 @@ def test_an_edited_motion_no_longer_gets_what_belonged_to_the_old_one(tmp_path) 
     ids = back.scalars()["sequence_id"].to_pylist()
     assert "synthetic-adt/0000000002/release" in ids
     assert len(ids) == 6
-    assert any(each.value == "not the same" for each in result.reports[0].inferences)
+    assert any(each.value == "not the same" for each in result.tables[0].inferred)
 
 
 def test_at_another_rate_what_belonged_to_the_old_one_is_not_used(tmp_path) -> None:

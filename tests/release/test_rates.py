@@ -1,16 +1,13 @@
-"""Frame rates and primed frames are inferred from lengths, or have to be given."""
+"""The frame rate is stated, told by the primed frames, or has to be given; actions come from the prompts."""
 
 from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.release import ImportOptions
-from prbench.release.known import load_known
-from prbench.release.rates import FrameRateEvidence, infer_frame_rate, read_primed_frames
+from prbench.release.reading import ImportOptions
 from prbench.sequences import SequenceTable
 from tests.release.imports import imported, value
 from tests.release.releases import plain_entry, rows
@@ -18,29 +15,25 @@ from tests.release.releases import plain_entry, rows
 ROWS = rows(6)
 
 
-def test_the_mean_length_and_the_primed_frames_tell_the_rate() -> None:
-    known = load_known().datasets["hd-epic"]
-    generator = np.random.default_rng(0)
-    for rate in (20.0, 25.0, 30.0):
-        lengths = np.rint(generator.normal(known.duration, known.duration_sd, 4000).clip(3) * rate).astype(int)
-        primes = np.where(generator.uniform(size=4000) < 0.9, 2 * rate, 2 * rate - 5)
-        evidence = FrameRateEvidence(lengths, primes, np.empty(0), None, known)
-        found, inference = infer_frame_rate(evidence, read_primed_frames(primes, lengths))
-        assert (found, inference.certainty) == (rate, "likely")
-        alone = dataclasses.replace(evidence, known=None)
-        assert infer_frame_rate(alone, read_primed_frames(primes, lengths))[1].certainty == "assumed"
+@pytest.mark.parametrize("rate", [20, 25, 30])
+def test_primes_two_seconds_after_the_start_tell_the_rate(rate, tmp_path) -> None:
+    moved = [dataclasses.replace(row, prime_frame=min(2 * rate, row.n_frames - 1)) for row in ROWS]
+    moved[0] = dataclasses.replace(moved[0], prime_frame=7)
+    assert value(imported(tmp_path, moved), "fps") == (str(rate), "assumed")
 
 
-def test_a_rate_that_nothing_tells_or_that_is_contradicted_is_unknown() -> None:
-    known = load_known().datasets["hd-epic"]
-    lengths, primes = np.full(4000, round(known.duration * 30)), np.full(4000, 40.0)
-    primed = read_primed_frames(primes, lengths)
-    found, inference = infer_frame_rate(FrameRateEvidence(lengths, primes, np.empty(0), None, known), primed)
-    assert (found, inference.certainty) == (None, "unknown")
-    assert "near 20" in inference.evidence
-    assert "near 30" in inference.evidence
-    odd = np.full(4000, 7.0)
-    assert infer_frame_rate(FrameRateEvidence(lengths, odd, np.empty(0), None, None), primed)[0] is None
+def test_a_stated_rate_counts_and_two_are_refused(tmp_path) -> None:
+    def entry(row, style):
+        return plain_entry(row, style) | {"fps": 24}
+
+    assert value(imported(tmp_path / "one", entry=entry), "fps") == ("24", "certain")
+
+    def another(row, style):
+        rate = 20 if row.sequence_id == ROWS[0].sequence_id else 24
+        return plain_entry(row, style) | {"fps": rate}
+
+    with pytest.raises(InputFileError, match=r"the rates \[20\.0, 24\.0\]\. .*--fps"):
+        imported(tmp_path / "two", entry=another)
 
 
 def test_an_untold_rate_has_to_be_given(tmp_path) -> None:
@@ -52,22 +45,19 @@ def test_an_untold_rate_has_to_be_given(tmp_path) -> None:
     assert value(report, "fps") == ("20", "certain")
 
 
-def test_frames_from_one_and_seconds_are_recognised(tmp_path) -> None:
-    early = [dataclasses.replace(ROWS[0], prime_frame=0), *ROWS[1:]]
-    one = imported(
-        tmp_path / "one",
-        early,
-        entry=lambda row, style: plain_entry(row, style) | {"primed_frame": row.prime_frame + 1},
-    )
-    assert value(one, "primed_frame") == ("frames from 1", "likely")
-    seconds = imported(
-        tmp_path / "seconds",
-        early,
-        entry=lambda row, style: plain_entry(row, style) | {"primed_frame": row.prime_frame / 20 + 0.01, "fps": 20},
-    )
-    assert value(seconds, "primed_frame") == ("seconds", "likely")
-    for folder, late in (("one", 0.0), ("seconds", 0.01)):
-        rows_back = SequenceTable.open(tmp_path / folder / "table").scalars()
-        assert rows_back["prime_frame"].to_pylist() == [row.prime_frame for row in early]
-        expected = [row.prime_frame / 20 + late for row in early]
-        np.testing.assert_allclose(rows_back["prime_time"].to_numpy(), expected, atol=1e-9)
+@pytest.mark.parametrize(
+    ("text", "action"),
+    [
+        ("The person picks up a cup.", "pick"), ("A person puts the cup down", "put"), ("someone places it", "put"),
+        ("picks/puts an object", "unknown"), ("walks around", "unknown"), ("she grabbed the pan", "pick"),
+        ("returning the bowl", "put"), ("sets down the tray", "put"), ("output device", "unknown"),
+    ],
+)  # fmt: skip
+def test_actions_are_read_from_prompts(text, action, tmp_path) -> None:
+    def entry(row, style):
+        return {name: each for name, each in plain_entry(row, style).items() if name != "action"} | {
+            "text_prompt": text
+        }
+
+    imported(tmp_path, ROWS[:1], entry=entry)
+    assert SequenceTable.open(tmp_path / "table").scalars()["action"].to_pylist() == [action]

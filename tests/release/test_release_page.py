@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from prbench.release import import_release
+from prbench.release.importing import import_release
 from tests.parsing import all_commands, parsed
 from tests.release.releases import rows, write_release
 
@@ -16,9 +16,9 @@ PAGE = (Path(__file__).parents[2] / "docs" / "release.md").read_text(encoding="u
 
 def test_every_inference_is_explained(tmp_path) -> None:
     write_release(tmp_path / "release", rows(6))
-    report = import_release(tmp_path / "release", tmp_path / "table", dataset="synthetic-adt").reports[0]
+    report = import_release(tmp_path / "release", tmp_path / "table", dataset="synthetic-adt").tables[0]
     explained = set(re.findall(r"^\| `(\w+)` \|", PAGE.split("## What an imported table")[0], re.MULTILINE))
-    assert {each.name for each in report.inferences} == explained
+    assert {each.name for each in report.inferred} == explained
 
 
 @pytest.mark.parametrize("line", re.findall(r"^prbench (.*?)(?:  +#.*)?$", PAGE, re.MULTILINE))

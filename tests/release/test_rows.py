@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prbench.release import export_release, import_release
+from prbench.release.exporting import export_release
+from prbench.release.importing import import_release
 from prbench.release.known import folder_of, load_known
 from prbench.sequences import SequenceTable
 from prbench.synthetic.people import PRESETS as ALL_PRESETS
@@ -48,14 +49,13 @@ def as_the_authors_would(release: Path) -> None:
 def test_with_nothing_but_what_the_page_promises_everything_is_inferred_right(table, frame, tmp_path) -> None:
     export_release([table.folder], tmp_path / "release", frame=frame)
     as_the_authors_would(tmp_path / "release" / folder_of(table.info.dataset))
-    report = import_release(tmp_path / "release", tmp_path / "back").reports[0]
+    report = import_release(tmp_path / "release", tmp_path / "back").tables[0]
     assert report.left_out == 0
-    found = {each.name: each.value for each in report.inferences}
+    found = {each.name: each.value for each in report.inferred}
     assert found["fps"] == "20"
     assert found["units"] == "metres"
     assert found["motion_frame"].startswith(frame)
     assert found["goal_frame"] == "as the motions"
-    assert found["primed_frame"] == "frames from 0"
     assert not any("gaze" in warning for warning in report.warnings)
     back = SequenceTable.open(tmp_path / "back" / table.info.dataset)
     columns = ["joints", "goal_location", "gaze_valid", "action", "split", "prime_frame"]

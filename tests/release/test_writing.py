@@ -10,9 +10,9 @@ import pytest
 from prbench.cli import main
 from prbench.errors import RedistributionError
 from prbench.protocol.manifests import load_manifest
-from prbench.release import export_release, import_release
+from prbench.release.exporting import export_release
+from prbench.release.importing import import_release, terms_of
 from prbench.release.known import dataset_of, folder_of, load_known
-from prbench.release.writing import terms_of
 from prbench.sequences import DatasetInfo
 from prbench.sequences.redistribution import NOTICE_FILE, may_pass_on
 from tests.release.releases import rows, write_release
@@ -23,7 +23,7 @@ from tests.release.tables import looking_table
 def test_a_released_dataset_names_the_study_and_the_source(dataset, tmp_path, capsys) -> None:
     manifest = load_manifest(dataset)
     write_release(tmp_path / "root" / folder_of(dataset), rows(6, dataset))
-    report = import_release(tmp_path / "root", tmp_path / "out").reports[0]
+    report = import_release(tmp_path / "root", tmp_path / "out").tables[0]
     info = DatasetInfo.read(tmp_path / "out" / dataset)
     assert manifest.licence in info.licence
     assert "Prime and Reach release" in info.licence
@@ -38,10 +38,10 @@ def test_a_released_dataset_names_the_study_and_the_source(dataset, tmp_path, ca
 
 def test_terms_of_an_export_can_be_stricter_than_the_manifests_but_never_looser() -> None:
     gimo, adt = load_manifest("gimo"), load_manifest("adt")
-    assert terms_of("gimo", gimo, {"redistribution": "yes"}).redistribution == "none"
-    assert terms_of("adt", adt, {"redistribution": "none"}).redistribution == "none"
-    assert terms_of("adt", adt, {"redistribution": "as you like"}).redistribution == "none"
-    assert "Prime and Reach" not in terms_of("adt", adt, {"redistribution": "yes"}).licence
+    assert terms_of("gimo", gimo, {"redistribution": "yes"})["redistribution"] == "none"
+    assert terms_of("adt", adt, {"redistribution": "none"})["redistribution"] == "none"
+    assert terms_of("adt", adt, {"redistribution": "as you like"})["redistribution"] == "none"
+    assert "Prime and Reach" not in terms_of("adt", adt, {"redistribution": "yes"})["licence"]
 
 
 @pytest.mark.parametrize("kind", ["none", "non-commercial", "yes"])

@@ -1,0 +1,492 @@
+"""Read one dataset of a release: its entries with their arrays, every problem, and what the layout does not state.
+
+A few numbers are kept of each sequence, so that memory does not grow with the motions.
+Source: docs/specification/pr-release.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from prbench.errors import InputFileError, UsageError
+from prbench.files.storage import bytes_digest
+from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame
+from prbench.metrics.ray_track import ray_distance
+from prbench.release.arrays import read_array, read_further
+from prbench.release.block import convert_block
+from prbench.release.known import SYNTHETIC_PREFIX, letters, load_known
+from prbench.release.layout import TARGETS, DatasetFiles, index_of, list_files, read_targets
+from prbench.release.report import Inference, SequenceProblem, count_splits
+
+AS_THE_MOTIONS = "as the motions"
+UNKNOWN = "unknown"
+POSE_SOURCE = "release"
+_SUBSETS = {"train": "train", "training": "train", "test": "test", "testing": "test", "val": "validation",
+            "validation": "validation"}  # fmt: skip
+_LEAD = 2.0
+"""Seconds before the prime at which a sequence begins (Prime and Reach, section 3.2)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions:
+    """Statements of a user about a release."""
+
+    fps: float | None = None
+    """Frame rate, where the release does not tell it."""
+    field_map: Mapping[str, str] = field(default_factory=dict)
+    """Field of the release by canonical name, where its name is not a known one."""
+    first_frame_is_previous: bool = False
+    """Frame 0 of every motion is the frame before the sequence."""
+    on_error: Literal["skip", "fail"] = "skip"
+    """Leave out sequences (and datasets) that cannot be read, or fail at the first."""
+    replace: bool = False
+    """Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReleasedSequence:
+    """One sequence whose entry and arrays are whole; positions are metres in the frame of its motion."""
+
+    fields: Mapping[str, Any]
+    """The fields of its entry, by the names that the release gives them."""
+    index: int
+    motion: Path
+    gaze: Path | None
+    """None where there is no usable file."""
+    further: Path | None
+    """None where there is none, or the block that belongs to it no longer fits."""
+    block: dict[str, Any] | None
+    """What our exporter wrote of it, if it still fits."""
+    n_frames: int
+    goal: Float[np.ndarray, "3"]
+    subset: str
+    primed_frame: int
+    digest: str
+    """Digest of the bytes of its files."""
+    pelvis_to_head: float
+    """Median distance over the frames."""
+    motion_from_canonical: Float[np.ndarray, "4 4"]
+    """Pose of the canonical frame of its first frame."""
+    is_canonical: bool
+    """Its motion is given in that frame."""
+    goal_to_wrist: float
+    """Distance of the goal from the nearer wrist in the last frame."""
+    goal_to_gaze: float | None
+    """Distance of the goal from the gaze ray at the primed frame; None without valid gaze."""
+    sequence_id: str
+    event_id: str
+    recording_id: str
+    participant_id: str
+    split_group: str
+
+
+@dataclass
+class ReleasedDataset:
+    """One dataset of a release, measured; problems and warnings are collected while it is read."""
+
+    dataset: str
+    files: DatasetFiles
+    mapping: dict[str, str]
+    """Field of the release by canonical name."""
+    unmapped: list[str]
+    """Fields that stand for no canonical one."""
+    first_frame_is_previous: bool
+    fps: float
+    inferences: list[Inference]
+    sequences: list[ReleasedSequence] = field(default_factory=list)
+    problems: list[SequenceProblem] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+    def note(self, key: str, problem: str, *, left_out: bool = False) -> None:
+        """Note a problem of a sequence."""
+        self.problems.append(SequenceProblem(key, problem, left_out))
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """Maps every sequence that was left out to all its problems."""
+        reasons: dict[str, list[str]] = {}
+        for problem in self.problems:
+            if problem.left_out:
+                reasons.setdefault(problem.sequence, []).append(problem.problem)
+        return {key: "; ".join(texts) for key, texts in reasons.items()}
+
+    @property
+    def goal_frame(self) -> str:
+        """The frame of the goals: :data:`AS_THE_MOTIONS` or :data:`UNKNOWN`."""
+        return next(each.value for each in self.inferences if each.name == "goal_frame")
+
+
+def read_release(
+    dataset: str, folder: Path, options: ImportOptions, progress: Callable[[str, str], None]
+) -> ReleasedDataset:
+    """Read and measure every sequence of one dataset.
+
+    Args:
+        dataset: Its name.
+        folder: Its folder.
+        options: Statements of the user.
+        progress: Called with the dataset and the step that begins.
+
+    Raises:
+        InputFileError: if a file is missing or damaged, a field is missing, no sequence is whole, nothing tells the
+            frame rate, or people have an impossible size; with ``on_error="fail"`` for the first sequence that is not
+            whole.
+        UsageError: if the user names a field that does not exist.
+    """
+    files = list_files(folder)
+    progress(dataset, f"reading {TARGETS}")
+    entries = read_targets(folder / TARGETS)
+    names = list(dict.fromkeys(name for fields in entries.values() for name in fields))
+    mapping = _map_fields(folder / TARGETS, names, options.field_map)
+    fps, rate = _frame_rate(folder, list(entries.values()), mapping, options.fps)
+    unmapped = [name for name in names if name not in mapping.values()]
+    found = ReleasedDataset(dataset, files, mapping, unmapped, options.first_frame_is_previous, fps, inferences=[rate])
+    progress(dataset, f"measuring {len(entries)} sequences")
+    for key, fields in entries.items():
+        _read_sequence(found, key, fields)
+    for index in sorted(set(files.motions) - {index_of(key) for key in entries}):
+        found.note(f"{index:010d}", f"a motion without an entry in {TARGETS}", left_out=True)
+    left_out = found.left_out
+    if left_out and (options.on_error == "fail" or not found.sequences):
+        key, reason = next(iter(left_out.items()))
+        more = f" (and {len(left_out) - 1} more sequences)" if len(left_out) > 1 else ""
+        raise InputFileError(folder, f"sequence {key}", expected="a complete sequence", found=reason + more)
+    _conclude(found)
+    _warn(found)
+    return found
+
+
+def _map_fields(where: Path, names: list[str], given: Mapping[str, str]) -> dict[str, str]:
+    """Return the field of the release by canonical name: the user's choice, else the field with a known name.
+
+    Raises:
+        UsageError: if the user names a field that does not exist.
+        InputFileError: if two names of a field that is needed are there, or none; lists the names.
+    """
+    known = load_known()
+    for canonical, name in given.items():
+        if canonical not in known.fields:
+            raise UsageError(f"--field-map: there is no field '{canonical}'; there are: {', '.join(known.fields)}.")
+        if name not in names:
+            raise UsageError(f"--field-map {canonical}={name}: {where} has the fields {', '.join(names)}.")
+    mapping = dict(given)
+    for canonical, aliases in known.fields.items():
+        if canonical in given:
+            continue
+        fitting = [name for name in names if letters(name) in aliases and name not in mapping.values()]
+        needed = canonical in known.required_fields
+        if needed and len(fitting) != 1:
+            # Guessing between two goals or two splits would silently give a wrong benchmark.
+            several = f"{len(fitting)}: {', '.join(fitting)}"
+            raise InputFileError(
+                where,
+                canonical,
+                expected="one field that fits" if fitting else "a field that fits",
+                found=several if fitting else f"the fields {', '.join(names)}",
+                remedy=f"Say which it is: --field-map {canonical}={fitting[0] if fitting else 'NAME'}",
+            )
+        if fitting:
+            mapping[canonical] = min(fitting, key=lambda name: aliases.index(letters(name)))
+    return mapping
+
+
+def _frame_rate(
+    folder: Path, entries: list[dict[str, Any]], mapping: Mapping[str, str], given: float | None
+) -> tuple[float, Inference]:
+    """Return the frame rate: the user's, else the stated one, else that of which most primes are 2 s after the start.
+
+    Raises:
+        InputFileError: if nothing tells it.
+    """
+    known = load_known()
+    stated = {number for entry in entries if (number := _number(entry.get(mapping.get("fps", "")))) is not None}
+    primes = [number for entry in entries if (number := _number(entry.get(mapping["primed_frame"]))) is not None]
+    mode = Counter(primes).most_common(1)[0][0] if primes else 0.0
+    measured = mode / _LEAD
+    nearest = min(known.frame_rates, key=lambda rate: abs(measured - rate))
+    agree = np.mean(np.abs(np.array(primes) - mode) <= 1) >= known.agreeing_primes if primes else False
+    said = f"most frequent primed frame, 2 s after the start: {mode:g}"
+    if given is not None:
+        return given, Inference(name="fps", value=f"{given:g}", how_surely="certain", evidence=f"given; {said}")
+    if len(stated) == 1 and next(iter(stated)) > 0:
+        (rate,) = stated
+        return rate, Inference(name="fps", value=f"{rate:g}", how_surely="certain", evidence="stated by the entries")
+    if not stated and agree and abs(measured - nearest) <= known.frame_rate_tolerance * nearest:
+        return nearest, Inference(name="fps", value=f"{nearest:g}", how_surely="assumed", evidence=said)
+    raise InputFileError(
+        folder,
+        "frame rate",
+        expected=f"one stated rate, or primed frames 2 s after the start at {known.frame_rates} Hz",
+        found=f"the rates {sorted(stated)}" if stated else said,
+        remedy="Say what it is: --fps N",
+    )
+
+
+def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) -> None:
+    """Read and measure one sequence; all problems of it are noted, so that a user sees them at once."""
+    index = index_of(key)
+    if index is None:
+        found.note(key, "an entry without a motion: its key holds no number", left_out=True)
+        return
+
+    def value(canonical: str) -> Any:
+        return fields.get(found.mapping.get(canonical, ""))
+
+    goal = parse_point(value("goal"))
+    if goal is None:
+        found.note(key, f"goal: expected three finite numbers, found {_shown(value('goal'))}", left_out=True)
+    subset = _SUBSETS.get(str(value("subset")).strip().lower())
+    if subset is None:
+        found.note(key, f"subset: expected train or test, found {_shown(value('subset'))}", left_out=True)
+    primed = _number(value("primed_frame"))
+    if primed is None:
+        found.note(key, f"primed frame: expected a number, found {_shown(value('primed_frame'))}", left_out=True)
+    motion = _read_motion(found, key, index)
+    if goal is None or subset is None or primed is None or motion is None:
+        return
+    joints, motion_from_canonical, content = motion
+    n_frames = len(joints)
+    if primed != round(primed) or not found.first_frame_is_previous <= primed < n_frames:
+        text = f"primed frame: expected one of the frames (0 to the last), found {primed:g} of {n_frames - 1}"
+        found.note(key, text, left_out=True)
+        return
+    prime = round(primed)
+
+    stated_event = _number(value("event_frame"))
+    if stated_event is not None and stated_event != n_frames - 1:
+        found.note(key, f"event frame: expected {n_frames - 1} for this motion, found {stated_event:g}")
+    gaze, gaze_content = _read_gaze(found, key, index, n_frames)
+    directions, valid = clean_gaze(gaze, n_frames)
+    if gaze is not None and not valid.any():
+        found.note(key, "gaze: no frame has a unit vector")
+    # From the head joint, because the layout holds directions of gaze and no eyes.
+    to_gaze = ray_distance(joints[prime, Joint.HEAD][None], directions[prime][None], goal[None])[0]
+    further, further_content = _read_further(found, key, index, n_frames)
+    block = None
+    if further is not None and not found.first_frame_is_previous:
+        block = convert_block(value("prbench"), fps=found.fps, primed_frame=primed, n_frames=n_frames)
+    source = value("source").strip() if isinstance(value("source"), str) else ""
+    event = f"{found.dataset}/{index:010d}"
+    named = {
+        "sequence_id": f"{event}/{POSE_SOURCE}",
+        "event_id": event,
+        "recording_id": source or f"unknown-{subset}",
+        "participant_id": "unknown",
+        "split_group": source or f"unknown-{subset}",
+    }
+    found.sequences.append(
+        ReleasedSequence(
+            fields=fields,
+            index=index,
+            motion=found.files.motions[index],
+            gaze=None if gaze is None else found.files.gazes[index],
+            further=further,
+            block=block,
+            n_frames=n_frames,
+            goal=goal,
+            subset=subset,
+            primed_frame=prime,
+            digest=bytes_digest(content + gaze_content + further_content),
+            pelvis_to_head=float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=1))),
+            motion_from_canonical=motion_from_canonical,
+            is_canonical=_is_canonical(motion_from_canonical),
+            goal_to_wrist=float(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).min()),
+            goal_to_gaze=float(to_gaze) if valid[prime] else None,
+            **(named if block is None else {name: block[name] for name in named}),
+        )
+    )
+
+
+def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarray, np.ndarray, bytes] | None:
+    """Return the joints of a sequence, the pose of its canonical frame and the file's bytes; None if it is unusable."""
+    path = found.files.motions.get(index)
+    if path is None:
+        found.note(key, "no file in motions", left_out=True)
+        return None
+    first = int(found.first_frame_is_previous)
+    try:
+        joints, content = read_array(path, (22, 3))
+        joints = joints.astype(np.float64)
+        if len(joints) < first + 2:
+            problem = f"expected {first + 2} frames or more, found {len(joints)}"
+        elif not np.isfinite(joints).all():
+            problem = "expected finite numbers, found NaN or infinity"
+        else:
+            # A frame before the sequence is no part of it: place and heading are those of the first pose after it.
+            return joints, canonical_frame(joints[first:]), content
+    except InputFileError as error:
+        problem = f"expected {error.expected}, found {error.found}"
+    except ValueError:
+        problem = "its first pose has no heading, hips and shoulders lie on one vertical line"
+    found.note(key, f"motion: {problem}", left_out=True)
+    return None
+
+
+def _read_gaze(found: ReleasedDataset, key: str, index: int, n_frames: int) -> tuple[np.ndarray | None, bytes]:
+    """Return the gaze of a sequence as it stands in the file, and the file's bytes; a missing or wrong one costs it."""
+    path = found.files.gazes.get(index)
+    if path is None:
+        found.note(key, "no file in gazes: no gaze")
+        return None, b""
+    try:
+        gaze, content = read_array(path, (3,))
+    except InputFileError as error:
+        found.note(key, f"gaze: expected {error.expected}, found {error.found}: no gaze")
+        return None, b""
+    if len(gaze) != n_frames:
+        found.note(key, f"gaze: expected {n_frames} frames like the motion, found {len(gaze)}: no gaze")
+        return None, b""
+    return gaze, content
+
+
+def _read_further(found: ReleasedDataset, key: str, index: int, n_frames: int) -> tuple[Path | None, bytes]:
+    """Return the file of the arrays that only our exporter writes, and its bytes; None where it is not usable."""
+    path = found.files.further.get(index)
+    if path is None:
+        return None, b""
+    try:
+        return path, read_further(path, n_frames)[1]
+    except InputFileError:
+        found.note(key, "further: damaged or of another motion, not used")
+        return None, b""
+
+
+def _is_canonical(motion_from_canonical: Float[np.ndarray, "4 4"]) -> bool:
+    rules = load_known()
+    # The matrix is a turn about y and a shift, so two entries hold the whole angle.
+    yaw = np.degrees(np.arctan2(motion_from_canonical[0, 2], motion_from_canonical[0, 0]))
+    offset = np.abs(motion_from_canonical[:3, 3]).max()
+    return bool(offset <= rules.canonical_position and abs(yaw) <= rules.canonical_yaw_deg)
+
+
+def _conclude(found: ReleasedDataset) -> None:
+    """Judge the measurements of all sequences: unit, frames, and whether gazes meet goals.
+
+    Raises:
+        InputFileError: if people have an impossible size in metres, or another unit is stated.
+    """
+    rules = load_known()
+    folder = found.files.folder
+    units = {str(each.fields.get(found.mapping.get("units", ""), "")).strip().lower() for each in found.sequences}
+    stated = units.pop() if len(units) == 1 else ""
+    size = float(np.median([each.pelvis_to_head for each in found.sequences]))
+    # Bodies differ by some per cent, units by factors of ten: the distance from pelvis to head tells them apart.
+    if not rules.lowest_pelvis_to_head <= size <= rules.highest_pelvis_to_head or stated in ("cm", "mm"):
+        raise InputFileError(
+            folder,
+            "motions",
+            expected=f"a median distance from pelvis to head of {rules.lowest_pelvis_to_head:g} to"
+            f" {rules.highest_pelvis_to_head:g} m",
+            found=f"{size:.3g}" + (f", stated as '{stated}'" if stated else ""),
+            remedy="Turn positions and goals into metres, and check the joint order: 22 joints in the order of"
+            " HumanML3D, y up.",
+        )
+
+    def infer(name: str, value: str, how_surely: Any, evidence: str) -> None:
+        found.inferences.append(Inference(name=name, value=value, how_surely=how_surely, evidence=evidence))
+
+    is_stated = stated in ("m", "metre", "metres", "meter", "meters")
+    infer("units", "metres", "certain" if is_stated else "likely", f"median distance from pelvis to head: {size:.3g}")
+
+    # Blocks state the frames. An entry without one was written or changed by somebody else; then measurements count.
+    blocks = [each.block for each in found.sequences if each.block is not None]
+    if len(blocks) == len(found.sequences):
+        evidence = "stated by the prbench block of every entry"
+        infer("motion_frame", " and ".join(sorted({block["motion_frame"] for block in blocks})), "certain", evidence)
+        known = all(block["goal_frame"] != UNKNOWN for block in blocks)
+        infer("goal_frame", AS_THE_MOTIONS if known else UNKNOWN, "certain" if known else "unknown", evidence)
+    else:
+        share = float(np.mean([each.is_canonical for each in found.sequences]))
+        infer(
+            "motion_frame",
+            "canonical" if share == 1 else "world (canonicalised here)" if share == 0 else "canonical and world",
+            "certain",
+            f"frame 0 stands over the origin, faces +z, lowest joint at 0 in {share:.1%} of the sequences",
+        )
+        distance = float(np.median([each.goal_to_wrist for each in found.sequences]))
+        evidence = f"median distance of goal and nearer wrist in the last frame: {distance:.2f} m"
+        if distance < rules.goal_to_wrist:
+            infer("goal_frame", AS_THE_MOTIONS, "likely", evidence)
+        else:
+            infer("goal_frame", UNKNOWN, "unknown", f"{evidence}; not below {rules.goal_to_wrist:g} m")
+    if found.first_frame_is_previous:
+        infer("frame_0", "the frame before the sequence", "certain", "given by --first-frame previous")
+    else:
+        infer("frame_0", "the first frame of the sequence", "assumed", "nothing tells otherwise")
+
+    # How often the gaze passes the goal at the primed frame checks frames and rate together.
+    rays = [each.goal_to_gaze for each in found.sequences if each.goal_to_gaze is not None]
+    if not rays:
+        infer("gaze_on_goal", UNKNOWN, "unknown", "no valid gaze at any primed frame")
+        found.warnings.append("No sequence has a valid gaze at its primed frame.")
+        return
+    share = float(np.mean([ray <= rules.goal_to_gaze for ray in rays]))
+    evidence = f"gaze ray from the head joint within {rules.goal_to_gaze:g} m of the goal at the primed frame"
+    enough = share >= rules.gazing_share
+    infer("gaze_on_goal", f"{share:.1%} of {len(rays)} sequences", "likely" if enough else "unknown", evidence)
+    if not enough:
+        found.warnings.append(
+            f"The gaze meets the goal at the primed frame in {share:.0%} of the sequences only (expected: a clear"
+            " majority). Frame, base of the primed frames, or rate is probably wrong; primed frames count from 0."
+        )
+
+
+def _warn(found: ReleasedDataset) -> None:
+    """Warn of counts that differ from the study's, as those of a later release may, and of files that were not used."""
+    # Counts of the study say nothing about synthetic people.
+    known = None if found.dataset.startswith(SYNTHETIC_PREFIX) else load_known().datasets.get(found.dataset)
+    found.warnings += [
+        f"{row.split}: {row.found} sequences, the study has {row.study}."
+        for row in count_splits((each.subset for each in found.sequences), known)
+        if row.study is not None and row.found != row.study
+    ]
+    unused = found.files.unused_names
+    if unused:
+        shown = ", ".join(unused[:5]) + (", …" if len(unused) > 5 else "")
+        found.warnings.append(f"{len(unused)} files are no arrays of sequences: {shown}.")
+
+
+def clean_gaze(gaze: np.ndarray | None, n_frames: int) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """Return unit directions and their validity.
+
+    NaN, zero and lengths far from 1 are invalid; lengths near 1 are made exact.
+    """
+    rules = load_known()
+    directions = np.full((n_frames, 3), np.nan) if gaze is None else gaze.astype(np.float64)
+    length = np.linalg.norm(directions, axis=1)
+    valid = np.abs(length - 1) <= rules.gaze_tolerance
+    unit = np.abs(length - 1) <= rules.unit_gaze_tolerance
+    scale = np.where(valid & ~unit, length, 1.0)[:, None]
+    return np.where(valid[:, None], directions / scale, [0.0, 0.0, 1.0]), valid
+
+
+def parse_point(value: Any) -> Float[np.ndarray, "3"] | None:
+    """Return a list of three finite numbers as an array, None for anything else."""
+    if not isinstance(value, list) or len(value) != 3:
+        return None
+    numbers = [_number(part) for part in value]
+    return None if None in numbers else np.array(numbers, dtype=np.float64)
+
+
+def _number(value: Any) -> float | None:
+    """Return a finite number, None for anything else; in Python True is an int, in a release it is no number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _shown(value: Any) -> str:
+    text = "nothing" if value is None else repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"
