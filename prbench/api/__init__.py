@@ -5,7 +5,6 @@ list. Whatever a user can repair is raised as :class:`PrbenchError`, with the sa
 """
 
 from prbench.api.building import Build, SyntheticRecordings, build_dataset, synthesize
-from prbench.api.clusters import Cluster
 from prbench.api.comparing import Comparison, compare
 from prbench.api.events import Event, Events, Recording, Recordings, Story
 from prbench.api.measuring import Measures, measure
@@ -15,6 +14,7 @@ from prbench.api.runs import Run, open_run
 from prbench.api.scoring import Scores, score
 from prbench.api.sequences import Gaze, Goal, Head, Sequence
 from prbench.api.tables import Table, embedded_tables, open_table
+from prbench.engine.choice import Cluster
 from prbench.errors import PrbenchError
 from prbench.geometry.skeleton import Joint
 

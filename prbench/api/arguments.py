@@ -7,13 +7,19 @@ import os
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
-from prbench.errors import UsageError
+from prbench.contract import Condition
+from prbench.engine import Engine, close_engine
+from prbench.engine.choice import Cluster, open_engine
+from prbench.errors import UsageError, did_you_mean
 from prbench.object_stores.urls import is_url
 
 PathLike = str | os.PathLike[str]
 """A path as text or as a :class:`pathlib.Path`, ``~`` means the home folder; or a URL such as ``s3://bucket/folder`` as
 text (docs/object-stores.md)."""
+Workers = int | Cluster
+"""Processes of this machine, or a cluster."""
 _NOTE = "note: "
 
 
@@ -143,6 +149,57 @@ def as_options(value: Mapping[str, object] | None, *, name: str = "option") -> d
 
 def _as_text(value: object) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def as_condition(name: str) -> Condition:
+    """Return a condition by its name.
+
+    Args:
+        name: ``none``, ``text``, ``goal-pose`` or ``goal-loc``.
+
+    Raises:
+        UsageError: for an unknown name, with the nearest known one.
+    """
+    known = [condition.value for condition in Condition]
+    if name not in known:
+        raise UsageError(f"unknown condition '{name}'; there are: {', '.join(known)}.{did_you_mean(name, known)}")
+    return Condition(name)
+
+
+def local(workers: Workers) -> int:
+    """Return the number of processes for work that stays on this machine.
+
+    Args:
+        workers: Of the function that was called.
+
+    Raises:
+        UsageError: for anything but a number of processes or a cluster.
+    """
+    if isinstance(workers, Cluster):
+        return 1
+    if not isinstance(workers, int):
+        raise UsageError(f"workers: expected a number of processes or a prbench.Cluster, found {workers!r}.")
+    require_positive(workers=workers)
+    return workers
+
+
+@contextlib.contextmanager
+def engine_of(workers: Workers, **needs: Any) -> Iterator[Engine]:
+    """Open the engine that the block works with, and close it after the block.
+
+    Args:
+        workers: Of the function that was called.
+        needs: What work on a cluster needs of every node: see :func:`prbench.engine.choice.open_engine`.
+
+    Raises:
+        UsageError: for anything but a number of processes or a cluster.
+    """
+    local(workers)
+    engine = open_engine(workers, **needs, tell=lambda line: warnings.warn(line, stacklevel=2))
+    try:
+        yield engine
+    finally:
+        close_engine(engine)
 
 
 def require_positive(**numbers: int | None) -> None:

@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Literal
 
 from prbench.api.arguments import (
     PathLike,
+    Workers,
     as_native_root,
     as_optional_path,
     as_options,
     as_texts,
+    engine_of,
     output_folder,
     require_positive,
 )
-from prbench.api.clusters import Workers, engine_of
 from prbench.api.frames import frame_from_rows, notebook_table
 from prbench.api.progress import progress
 from prbench.api.tables import Table, open_table

@@ -3,31 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal
 
 from prbench.api.arguments import (
     PathLike,
+    Workers,
+    as_condition,
     as_optional_path,
     as_options,
     as_texts,
+    engine_of,
+    local,
     optional_output_folder,
     require_positive,
 )
-from prbench.api.clusters import Cluster, Workers, engine_of, local
-from prbench.api.conditions import condition_of
 from prbench.api.progress import progress
 from prbench.api.runs import Run
 from prbench.api.tables import Table, embedded_tables, table_folders
+from prbench.engine.choice import Cluster
 from prbench.errors import UsageError
 from prbench.protocol.benchmarks import find_benchmark
 from prbench.protocol.manifests import PROTOCOL_NAME
-
-if TYPE_CHECKING:
-    from prbench.engine import Engine
-    from prbench.harness.request import RunRequest
 
 _EVERYTHING = "all"
 
@@ -106,11 +104,17 @@ def run(
         StorageError: if the run folder cannot be written.
         ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
+    from prbench.harness.methods.installed import packages_of
+    from prbench.harness.preparation import DEFAULT_PARENT
     from prbench.harness.request import RunRequest
     from prbench.harness.run import run_method
     from prbench.workflows import first_run
 
-    _require_one(method, condition)
+    if _EVERYTHING in (method, condition):
+        raise UsageError(
+            "'all' stands for many runs: name one method and one condition, or run `prbench run --method all` for the"
+            " rows of the study's Table 2."
+        )
     if (split == "participants") != (fold is not None):
         raise UsageError("split 'participants' and fold 'K/N' belong together.")
     require_positive(limit=limit, threads=threads, samples=samples, best_of=best_of)
@@ -148,46 +152,22 @@ def run(
         protocol=as_optional_path(protocol),
     )
     if condition is not None:
-        request = replace(request, condition=condition_of(condition) if about.default else str(condition))
-    with (
-        optional_output_folder(out) as folder,
-        _engine(workers, request, folder) as engine,
-        progress(f"running {request.method_label}") as show,
-    ):
-        report = run_method(
-            replace(request, out=folder),
-            engine=engine,
-            progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
-        )
+        request = replace(request, condition=as_condition(condition) if about.default else str(condition))
+    with optional_output_folder(out) as folder:
+        needs: dict[str, Any] = {}
+        if isinstance(workers, Cluster):  # every node needs the tables, the run folder and the method
+            files = [path for path in (request.weights, Path(request.method)) if path is not None and path.exists()]
+            needs = {
+                "threads": threads,
+                "reads": (*folders, *files),
+                "writes": (folder or DEFAULT_PARENT / "run",),
+                "packages": packages_of((request.method,), about.entry_points),
+            }
+        with engine_of(workers, **needs) as engine, progress(f"running {request.method_label}") as show:
+            report = run_method(
+                replace(request, out=folder),
+                engine=engine,
+                progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
+            )
     # A fold stands in prbench's cache, where the run finds its own.
     return Run(report.folder, () if fold is not None else folders, report.batches_found)
-
-
-def _engine(workers: Workers, request: RunRequest, out: Path | None) -> AbstractContextManager[Engine]:
-    """Open the engine of a run; every node of a cluster needs the tables, the run folder and the method."""
-    if not isinstance(workers, Cluster):
-        return engine_of(workers)
-    from prbench.harness.methods.installed import packages_of
-    from prbench.harness.preparation import DEFAULT_PARENT
-
-    files = [path for path in (request.weights, Path(request.method)) if path is not None and path.exists()]
-    return engine_of(
-        workers,
-        threads=request.threads,
-        reads=(*request.data, *files),
-        writes=(out or DEFAULT_PARENT / "run",),
-        packages=packages_of((request.method,), find_benchmark(request.benchmark).entry_points),
-    )
-
-
-def _require_one(method: str, condition: str | None) -> None:
-    """Refuse ``all``, which is many runs.
-
-    Raises:
-        UsageError: saying which command makes them.
-    """
-    if _EVERYTHING in (method, condition):
-        raise UsageError(
-            "'all' stands for many runs: name one method and one condition, or run `prbench run --method all` for the"
-            " rows of the study's Table 2."
-        )

@@ -9,9 +9,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from prbench.api.arguments import PathLike, as_optional_path, as_path, optional_output_folder, require_positive
-from prbench.api.clusters import Workers, engine_of
-from prbench.api.conditions import condition_of
+from prbench.api.arguments import (
+    PathLike,
+    Workers,
+    as_condition,
+    as_optional_path,
+    as_path,
+    engine_of,
+    optional_output_folder,
+    require_positive,
+)
 from prbench.api.progress import progress
 from prbench.api.scored import described, irrelevant_metrics, scores_for_notebook, scores_frame, summary_frame
 from prbench.api.tables import Table, table_folders
@@ -145,7 +152,7 @@ def score(
         split=split,
         limit=limit,
         seed=seed,
-        condition=None if condition is None else condition_of(condition),
+        condition=None if condition is None else as_condition(condition),
         control=control,
         max_frames=max_frames,
         native_fps=native_fps,

@@ -101,7 +101,7 @@ def build_corpus(
         replace=replace,
     )
     if dry_run:
-        return _plan(corpus, root, chosen, engine.workers or 1)
+        return _plan(corpus, root, chosen, engine if isinstance(engine, int) else 1)
     if out is None:
         from prbench.errors import UsageError
 

@@ -150,7 +150,7 @@ def build_dataset(
         replace=replace,
     )
     if dry_run:
-        return _plan(dataset, root, chosen, engine.workers or 1)
+        return _plan(dataset, root, chosen, engine if isinstance(engine, int) else 1)
     if out is None:
         from prbench.errors import UsageError
 

@@ -8,6 +8,7 @@ import click
 
 from prbench.cli.commands import note
 from prbench.engine import close_engine
+from prbench.engine.choice import open_engine
 
 if TYPE_CHECKING:
     from prbench.engine import Engine
@@ -19,8 +20,8 @@ def opened(choice: EngineChoice, **needs: Any) -> Engine:
 
     Args:
         choice: What ``prbench.cli.options.engine_options`` gave the command.
-        needs: See :meth:`prbench.engine.choice.EngineChoice.open`.
+        needs: See :func:`prbench.engine.choice.open_engine`.
     """
-    engine = choice.open(**needs, tell=note)
+    engine = open_engine(choice, **needs, tell=note)
     click.get_current_context().call_on_close(lambda: close_engine(engine))
     return engine

@@ -11,7 +11,8 @@ import click
 
 from prbench.cli.commands import SeveralValues
 from prbench.cli.places import PlaceType
-from prbench.engine.choice import DEFAULT_SPILL_LIMIT_GB, LOCAL, RAY, EngineChoice
+from prbench.engine.choice import DEFAULT_SPILL_LIMIT_GB, LOCAL, RAY, Cluster
+from prbench.errors import UsageError
 from prbench.protocol.benchmarks import benchmarks, default_benchmark
 
 CONDITIONS = tuple(default_benchmark().conditions)
@@ -158,8 +159,11 @@ def engine_options(usual: int = 1, *, help: str = "", of: str = "") -> _Decorato
         @functools.wraps(function)
         def with_choice(**given: Any) -> Any:
             chosen = {name: given.pop(name) for name in ("workers", "address", "gpus_per_worker", "spill_limit")}
-            chosen["name"] = given.pop("engine")
-            return function(**given, engine=EngineChoice(**chosen))
+            if given.pop("engine") == RAY:
+                return function(**given, engine=Cluster(**chosen))
+            if chosen["address"] is not None or chosen["gpus_per_worker"]:
+                raise UsageError("--address and --gpus-per-worker belong to --engine ray; add it, or leave them out.")
+            return function(**given, engine=chosen["workers"])
 
         said = help or f"Processes to use{of} (default {usual}; with --engine ray all processors); changes no result."
         for option in (

@@ -43,7 +43,7 @@ from prbench.cli.run_answer import RunAnswer, run_answer, shards_answer
 from prbench.cli.run_experiment import read_command_line
 from prbench.cli.shards import MadeShard, chosen_shard, shard_option
 from prbench.cli.table_two import ALL, run_table_two
-from prbench.engine.choice import LOCAL
+from prbench.engine.choice import Cluster
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
@@ -313,7 +313,7 @@ def _opened(choice: EngineChoice, experiment: Experiment) -> Engine:
     for method in experiment.methods:
         reads += [Path(text) for text in (method.weights, method.name) if text and Path(text).exists()]
     names = {method.name for method in experiment.methods}
-    packages = packages_of(names, _group(experiment)) if choice.name != LOCAL else ()
+    packages = packages_of(names, _group(experiment)) if isinstance(choice, Cluster) else ()
     return opened(
         choice,
         usual=_FIRST_RUN_WORKERS if first_run else 1,

@@ -1,4 +1,4 @@
-"""Which engine a user has chosen, before it is known what the work needs of it."""
+"""Where a user wants work done, before it is known what the work needs: processes of this machine, or a cluster."""
 
 from __future__ import annotations
 
@@ -19,56 +19,72 @@ DEFAULT_SPILL_LIMIT_GB = 4.0
 
 
 @dataclass(frozen=True)
-class EngineChoice:
-    """Where work runs, and with how many workers."""
+class Cluster:
+    """A Ray cluster, in place of a number of ``workers`` (docs/ray.md); needs the extra ``ray``.
 
-    name: str = LOCAL
-    """``local`` for this process or a pool of processes, ``ray`` for a cluster."""
-    workers: int | None = None
-    """Workers at a time; None for the usual number: here what the command says, on a cluster all its processors."""
+    Give it to :func:`prbench.build_dataset`, :func:`prbench.run` or :func:`prbench.score`. Results have the bytes of
+    one process. Every node sees the same files under the same absolute paths.
+
+    Raises:
+        UsageError: for numbers that no cluster has.
+    """
+
     address: str | None = None
-    """Of the cluster; None for ``RAY_ADDRESS``, or without that a Ray of this machine alone."""
+    """Its head, such as ``10.0.0.1:6379``, or ``auto`` for the one that this machine belongs to; None for
+    ``RAY_ADDRESS``, or without that for a Ray of this machine alone."""
+    workers: int | None = None
+    """Workers at a time; None for one a processor of the whole cluster."""
     gpus_per_worker: float = 0.0
+    """GPUs that a worker occupies, such as 0.5."""
     spill_limit: float = DEFAULT_SPILL_LIMIT_GB
-    """Gigabytes of items that may wait in Ray's memory, and be spilled to disk by it, at a time."""
+    """Gigabytes of work that may wait in Ray's memory, and be spilled to its disk, at a time."""
 
-    def open(
-        self,
-        *,
-        usual: int = 1,
-        threads: int = 1,
-        reads: Iterable[Path] = (),
-        writes: Iterable[Path] = (),
-        packages: Iterable[str] = (),
-        tell: Callable[[str], None] = lambda _: None,
-    ) -> Engine | RayEngine:
-        """Return the engine; one on a cluster connects with its first work, and wants to be closed.
+    def __post_init__(self) -> None:
+        if self.workers is not None and self.workers < 1:
+            raise UsageError(f"workers: expected a whole number of at least 1, found '{self.workers}'")
+        if self.gpus_per_worker < 0:
+            raise UsageError(f"gpus_per_worker: expected 0 or more, found {self.gpus_per_worker}.")
+        if self.spill_limit <= 0:
+            raise UsageError(f"spill_limit: expected gigabytes above 0, found {self.spill_limit}.")
 
-        Args:
-            usual: Workers on this machine where no number was chosen.
-            threads: Processors that a worker on a cluster occupies.
-            reads: What the work reads, for the check of every node.
-            writes: What it makes.
-            packages: Distributions that it needs beside the usual ones.
-            tell: Told, in a line, what the user should know of the cluster.
 
-        Raises:
-            UsageError: if options of a cluster were chosen without it.
-        """
-        if self.name != RAY:
-            if self.address is not None or self.gpus_per_worker:
-                raise UsageError("--address and --gpus-per-worker belong to --engine ray; add it, or leave them out.")
-            return engine_for(self.workers or usual)
-        from prbench.engine.cluster import Rules
-        from prbench.engine.nodes import Needs
-        from prbench.engine.on_ray import RayEngine
+EngineChoice = int | Cluster | None
+"""Processes of this machine, or a cluster; None for the usual number of processes."""
 
-        return RayEngine(
-            self.address,
-            workers=self.workers,
-            cpus_per_worker=threads,
-            gpus_per_worker=self.gpus_per_worker,
-            needs=Needs(tuple(reads), tuple(writes), tuple(packages)),
-            rules=Rules(most_waiting_bytes=1e9 * self.spill_limit),
-            tell=tell,
-        )
+
+def open_engine(
+    choice: EngineChoice,
+    *,
+    usual: int = 1,
+    threads: int = 1,
+    reads: Iterable[Path] = (),
+    writes: Iterable[Path] = (),
+    packages: Iterable[str] = (),
+    tell: Callable[[str], None] = lambda _: None,
+) -> Engine | RayEngine:
+    """Return the engine that was chosen; one on a cluster connects with its first work, and wants to be closed.
+
+    Args:
+        choice: What the user chose.
+        usual: Workers on this machine where no number was chosen.
+        threads: Processors that a worker on a cluster occupies.
+        reads: What the work reads, for the check of every node.
+        writes: What it makes.
+        packages: Distributions that it needs beside the usual ones.
+        tell: Told, in a line, what the user should know of the cluster.
+    """
+    if not isinstance(choice, Cluster):
+        return engine_for(choice or usual)
+    from prbench.engine.cluster import Rules
+    from prbench.engine.nodes import Needs
+    from prbench.engine.on_ray import RayEngine
+
+    return RayEngine(
+        choice.address,
+        workers=choice.workers,
+        cpus_per_worker=threads,
+        gpus_per_worker=choice.gpus_per_worker,
+        needs=Needs(tuple(reads), tuple(writes), tuple(packages)),
+        rules=Rules(most_waiting_bytes=1e9 * choice.spill_limit),
+        tell=tell,
+    )

@@ -113,15 +113,11 @@ def _found(folder: Path) -> str:
 
 
 def counts_stated(path: Path) -> dict[str, int]:
-    """The counts in a file that describes a dataset or corpus of any version; none where it cannot be read."""
+    """Return the counts in a file that describes a dataset or corpus of any version; none where it cannot be read."""
     try:
-        return msgspec.json.decode(path.read_bytes(), type=_Counted).counts
-    except (OSError, msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError):
+        return msgspec.convert(msgspec.json.decode(path.read_bytes(), type=dict)["counts"], dict[str, int])
+    except (OSError, KeyError, msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError):
         return {}
-
-
-class _Counted(msgspec.Struct):
-    counts: dict[str, int]
 
 
 class FunnelCounts(msgspec.Struct, frozen=True, kw_only=True):

@@ -28,34 +28,25 @@ _ROUNDING = 1e-5  # metres, seconds and unit vectors alike: 10 micrometres
 _SHOWN = 12  # characters of a digest
 
 
-def identity_digest(
-    sequence_ids: list[str], splits: list[str], actions: list[str], n_frames: Iterable[int], *, protocol_version: int
-) -> str:
-    """Digest what two laboratories with the same licensed data share: sorted ids with split, action and length."""
-    columns = [pa.array(list(column), pa.string()) for column in (sequence_ids, splits, actions, map(str, n_frames))]
-    rows = pa.Table.from_arrays(columns, ["sequence_id", "split", "action", "n_frames"])
-    return identity_of_rows(rows, protocol_version=protocol_version)
-
-
 def identity_of_rows(rows: pa.Table, *, protocol_version: int) -> str:
-    """Return :func:`identity_digest` of rows with its four columns, in its order."""
+    """Digest what two laboratories with the same licensed data share: sorted ids with split, action and length.
+
+    Args:
+        rows: The columns ``sequence_id``, ``split``, ``action`` (of a corpus ``kind``) and ``n_frames``, in this order.
+        protocol_version: Version of the protocol that the table was built with.
+    """
     digest = hashlib.sha256(f"prbench schema {SEQUENCES_VERSION} protocol {protocol_version}\n".encode())
-    ids = rows.column(0)
-    in_order: Iterable[tuple] = _tuples(rows)
+    batches = rows.to_batches(max_chunksize=1024)
+    in_order: Iterable[tuple] = (row for batch in batches for row in zip(*(column.to_pylist() for column in batch)))
     # Sorted: two laboratories may have built the same rows in another order. A table is sorted already, so its rows
     # need not all become Python's objects.
+    ids = rows.column(0)
     rising = pc.call_function("less", [ids.slice(0, max(len(ids) - 1, 0)), ids.slice(1)])
     if not pc.call_function("all", [rising]).as_py():
         in_order = sorted(in_order)
     for row in in_order:
-        digest.update("\t".join(row).encode() + b"\n")
+        digest.update("\t".join(map(str, row)).encode() + b"\n")
     return digest.hexdigest()
-
-
-def _tuples(rows: pa.Table) -> Iterator[tuple[str, ...]]:
-    for batch in rows.to_batches(max_chunksize=1024):
-        *texts, numbers = (column.to_pylist() for column in batch.columns)
-        yield from zip(*texts, map(str, numbers))
 
 
 class RowDigests:
@@ -63,7 +54,7 @@ class RowDigests:
 
     Args:
         columns: Every column of the table, for the content digest.
-        identity_columns: The columns of :func:`identity_digest`, in its order.
+        identity_columns: The columns of :func:`identity_of_rows`, in its order.
     """
 
     def __init__(self, columns: SequenceOf[str], identity_columns: SequenceOf[str]) -> None:
@@ -80,9 +71,10 @@ class RowDigests:
 
     def identity(self, protocol_version: int) -> str:
         """The identity digest of all rows that were passed on."""
-        if not self._identifying:
-            return identity_digest([], [], [], [], protocol_version=protocol_version)
-        return identity_of_rows(pa.Table.from_batches(self._identifying), protocol_version=protocol_version)
+        rows = pa.table({name: pa.array([], pa.string()) for name in self._identity_columns})
+        if self._identifying:
+            rows = pa.Table.from_batches(self._identifying)
+        return identity_of_rows(rows, protocol_version=protocol_version)
 
 
 class ContentDigest:

@@ -35,20 +35,14 @@ class Holdings:
     @classmethod
     def of(cls, recordings: Iterable[pa.RecordBatch], outcome: str) -> Holdings:
         """Count from the rows of ``recordings``, whose column ``outcome`` counts what became a sequence or clip."""
-        yields: dict[str, int] = {}
-        reasons: dict[str, str] = {}
+        found = cls({})
         for batch in recordings:
             for row in batch.select(["recording_id", "status", "message", outcome]).to_pylist():
                 if row["status"] == "read":
-                    yields[row["recording_id"]] = row[outcome]
+                    found.yields[row["recording_id"]] = row[outcome]
                 else:
-                    reasons[row["recording_id"]] = f"{row['status']}: {row['message']}"
-        return cls(yields, reasons)
-
-    @property
-    def failed(self) -> bool:
-        """Return True if a recording was left out because it could not be read."""
-        return any(reason.startswith("failed") for reason in self.reasons.values())
+                    found.reasons[row["recording_id"]] = f"{row['status']}: {row['message']}"
+        return found
 
 
 def require_no_loss(
@@ -73,44 +67,31 @@ def require_no_loss(
     """
     if not (folder / marker).is_file():
         return
-    old = _old_holdings(folder, outcome)
-    # What cannot be listed cannot be compared; a complete build may mend it.
-    if old is None:
-        _require_all_of_the_unlisted(folder, marker, new, what)
-        return
-    lost = {name: new.reasons.get(name, "not found") for name in old.yields if name not in new.yields}
-    for name in sorted(set(incomplete) & old.yields.keys() & new.yields.keys()):
-        if new.yields[name] < old.yields[name]:
-            lost[name] = f"{new.yields[name]} of {old.yields[name]} {what}: a part of it is missing or ends early"
-    before = sum(old.yields.values())
     after = sum(new.yields.values())
-    if lost or (before and not after):
-        counts = (
-            f"it holds {len(old.yields)} recordings with {before} {what}, the new one {len(new.yields)} with {after}"
-        )
-        raise RecordingsWouldBeLost(_message(folder, counts, lost))
-
-
-def _old_holdings(folder: Path, outcome: str) -> Holdings | None:
-    """List the contents of a folder; None where its recordings cannot be listed."""
-    columns = ["recording_id", "status", "message", outcome]
+    holds = f"{len(new.yields)} with {after}"
     try:
+        columns = ["recording_id", "status", "message", outcome]
         tables = [read_parquet(path, columns) for path in table_parts(folder, "recordings")]
     except TableError:
-        return None
-    return Holdings.of(pa.concat_tables(tables).to_batches(), outcome)
-
-
-def _require_all_of_the_unlisted(folder: Path, marker: str, new: Holdings, what: str) -> None:
-    """A table that is damaged is mended by building it again, as long as that does not go wrong itself."""
-    before = counts_stated(folder / marker).get("recordings_read", 0)
-    if new.yields and not new.failed and len(new.yields) >= before:
-        return
-    counts = (
-        f"its recordings cannot be listed (by {marker} {before or 'an unknown number of'} were read), and the new one"
-        f" holds {len(new.yields)} with {sum(new.yields.values())} {what}"
-    )
-    raise RecordingsWouldBeLost(_message(folder, counts, dict(new.reasons)))
+        # What cannot be listed cannot be compared. A complete build mends it, as long as that does not go wrong itself.
+        before = counts_stated(folder / marker).get("recordings_read", 0)
+        failed = any(reason.startswith("failed") for reason in new.reasons.values())
+        if new.yields and not failed and len(new.yields) >= before:
+            return
+        counts = (
+            f"its recordings cannot be listed (by {marker} {before or 'an unknown number of'} were read), and the new"
+            f" one holds {holds} {what}"
+        )
+        raise RecordingsWouldBeLost(_message(folder, counts, new.reasons)) from None
+    old = Holdings.of(pa.concat_tables(tables).to_batches(), outcome).yields
+    lost = {name: new.reasons.get(name, "not found") for name in old if name not in new.yields}
+    for name in sorted(set(incomplete) & old.keys() & new.yields.keys()):
+        if new.yields[name] < old[name]:
+            lost[name] = f"{new.yields[name]} of {old[name]} {what}: a part of it is missing or ends early"
+    before = sum(old.values())
+    if lost or (before and not after):
+        counts = f"it holds {len(old)} recordings with {before} {what}, the new one {holds}"
+        raise RecordingsWouldBeLost(_message(folder, counts, lost))
 
 
 def _message(folder: Path, counts: str, lost: dict[str, str]) -> str:

@@ -88,18 +88,18 @@ def finish_shard(out: Path, record: ShardRecord, folders: Sequence[Path]) -> Non
         record: What it is.
         folders: Of its parts, in the order of its items.
     """
-    places = record.shard.places(len(record.plan))
-    kept = tuple(
-        _KeptPart(place=place, name=record.plan[place], folder=folder.name, files=_digests(folder))
-        for place, folder in zip(places, folders, strict=True)
-    )
+    kept = []
+    for place, folder in zip(record.shard.places(len(record.plan)), folders, strict=True):
+        digests = {path.name: file_digest(path) for path in sorted(folder.iterdir())}
+        kept.append(_KeptPart(place=place, name=record.plan[place], folder=folder.name, files=digests))
     names = {part.folder for part in kept}
     for left in (out / _PARTS).iterdir() if (out / _PARTS).is_dir() else ():
         if left.name not in names:
             shutil.rmtree(left, ignore_errors=True)
-    write_json(out / _FINISHED, msgspec.to_builtins(_Finished(parts=kept)))
+    write_json(out / _FINISHED, msgspec.to_builtins(_Finished(parts=tuple(kept))))
 
 
+@foreign_input()
 def shard_parts(shards: Iterable[tuple[Path, ShardRecord]]) -> list[tuple[Path, dict]]:
     """Return folder and receipt of the parts of all shards of a build, in the order of its plan.
 
@@ -109,39 +109,31 @@ def shard_parts(shards: Iterable[tuple[Path, ShardRecord]]) -> list[tuple[Path, 
     Raises:
         ShardError: if one is unfinished, or a file of it is missing or changed.
     """
-    found: dict[int, Path] = {}
+    found: dict[int, tuple[Path, dict]] = {}
     for folder, record in shards:
-        parts = _read_finished(folder, record)
+        again = f"Run its command (--shard {record.shard}) again."
+        path = folder / _FINISHED
+        try:
+            parts = msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=_Finished).parts
+        except FileNotFoundError as error:
+            raise ShardError(f"{folder}: shard {record.shard} is not finished. {again}") from error
+        except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise ShardError(f"{path}: not a valid {path.name}: {error}. {again}") from error
         expected = [(place, record.plan[place]) for place in record.shard.places(len(record.plan))]
         if [(part.place, part.name) for part in parts] != expected:
-            raise ShardError(f"{folder / _FINISHED}: does not list the parts of shard {record.shard}. {_again(record)}")
+            raise ShardError(f"{path}: does not list the parts of shard {record.shard}. {again}")
         for part in parts:
             place = inside(folder / _PARTS, part.folder)
             for name, digest in part.files.items():
-                _require_unchanged(inside(place, name), digest, record)
-            found[part.place] = place
-    return [(found[place], _receipt(found[place])) for place in sorted(found)]
+                _require_unchanged(inside(place, name), digest, record, again)
+            receipt = read_receipt(place)
+            if receipt is None:
+                raise ShardError(f"{place}: expected a finished part, found one without receipt. Make its shard again.")
+            found[part.place] = place, receipt
+    return [found[place] for place in sorted(found)]
 
 
-def _receipt(folder: Path) -> dict:
-    entries = read_receipt(folder)
-    if entries is None:
-        raise ShardError(f"{folder}: expected a finished part, found one without receipt. Make its shard again.")
-    return entries
-
-
-@foreign_input()
-def _read_finished(folder: Path, record: ShardRecord) -> tuple[_KeptPart, ...]:
-    path = folder / _FINISHED
-    try:
-        return msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=_Finished).parts
-    except FileNotFoundError as error:
-        raise ShardError(f"{folder}: shard {record.shard} is not finished. {_again(record)}") from error
-    except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise ShardError(f"{path}: not a valid {path.name}: {error}. {_again(record)}") from error
-
-
-def _require_unchanged(path: Path, digest: str, record: ShardRecord) -> None:
+def _require_unchanged(path: Path, digest: str, record: ShardRecord, again: str) -> None:
     try:
         found = file_digest(path)
     except FileNotFoundError:
@@ -149,13 +141,5 @@ def _require_unchanged(path: Path, digest: str, record: ShardRecord) -> None:
     if found != digest:
         raise ShardError(
             f"{path}: expected the file that shard {record.shard} has written (SHA-256 {digest[:12]}…), found"
-            f" {found[:12]}{'…' if len(found) > 12 else ''}. Copy the shard again; or {_again(record).lower()}"
+            f" {found[:12]}{'…' if len(found) > 12 else ''}. Copy the shard again; or {again.lower()}"
         )
-
-
-def _again(record: ShardRecord) -> str:
-    return f"Run its command (--shard {record.shard}) again."
-
-
-def _digests(folder: Path) -> dict[str, str]:
-    return {path.name: file_digest(path) for path in sorted(folder.iterdir())}

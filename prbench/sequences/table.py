@@ -330,26 +330,18 @@ def find_sequence_id(wanted: str, known: SequenceOf[str], *, among: str) -> str:
     if len(fitting) == 1:
         return fitting[0]
     if fitting:
+        shown = "\n".join(f"  {name}" for name in fitting[:_SHOWN])
         more = f"\n  … and {len(fitting) - _SHOWN} more" if len(fitting) > _SHOWN else ""
         raise UsageError(
-            f"'{wanted}' fits {len(fitting)} sequences of {among}; give a longer part of one:\n{_lines(fitting)}{more}"
+            f"'{wanted}' fits {len(fitting)} sequences of {among}; give a longer part of one:\n{shown}{more}"
         )
-    near = _nearest_ids(wanted, known)
-    hint = f" Near it:\n{_lines(near)}" if near else ""
-    raise UsageError(f"no sequence '{wanted}' among the {len(known)} of {among}.{hint}")
-
-
-def _nearest_ids(wanted: str, known: SequenceOf[str]) -> list[str]:
-    """Up to three ids of which a part between slashes, as long as what was typed, looks like it."""
+    # Near are the ids of which a part between slashes, as long as what was typed, looks like it.
     length = wanted.count("/") + 1
     whole: dict[str, str] = {}
     for name in known:
         parts = name.split("/")
         for start in range(max(len(parts) - length, 0) + 1):
             whole.setdefault("/".join(parts[start : start + length]), name)
-    near = difflib.get_close_matches(wanted, whole, n=12, cutoff=0.0)
-    return list(dict.fromkeys(whole[part] for part in near))[:3]
-
-
-def _lines(names: SequenceOf[str]) -> str:
-    return "\n".join(f"  {name}" for name in names[:_SHOWN])
+    near = list(dict.fromkeys(whole[part] for part in difflib.get_close_matches(wanted, whole, n=12, cutoff=0.0)))
+    hint = "".join(f"\n  {name}" for name in near[:3])
+    raise UsageError(f"no sequence '{wanted}' among the {len(known)} of {among}.{' Near it:' + hint if hint else ''}")

@@ -111,7 +111,7 @@ class _PartWriter:
         return self._file.tell()
 
     def append(self, batch: pa.RecordBatch) -> int:
-        """Take up rows; complete row groups go to the file."""
+        """Take up rows; complete row groups go to the file. Return the number of rows."""
         self._pending.append(batch)
         self._pending_rows += batch.num_rows
         if self._pending_rows >= self._row_group_rows:

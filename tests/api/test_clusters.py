@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 
 import prbench
-from prbench.api.clusters import engine_of, local
+from prbench.api.arguments import engine_of, local
 from prbench.engine import InProcess, ProcessPool
-from prbench.engine.choice import EngineChoice
 from prbench.errors import ClusterError, MissingExtraError, UsageError
 
 
@@ -37,19 +36,19 @@ def test_a_cluster_is_opened_with_what_the_work_needs_and_closed(monkeypatch, tm
     opened = []
 
     class Closing:
-        def __init__(self, choice, needs):
+        def __init__(self, choice, **needs):
             self.choice, self.needs, self.closed = choice, needs, False
             opened.append(self)
 
         def close(self):
             self.closed = True
 
-    monkeypatch.setattr(EngineChoice, "open", lambda choice, **needs: Closing(choice, needs))
+    monkeypatch.setattr("prbench.api.arguments.open_engine", Closing)
     cluster = prbench.Cluster("10.0.0.1:6379", workers=8, gpus_per_worker=0.5, spill_limit=2.0)
     with engine_of(cluster, threads=2, reads=(tmp_path,)):
         assert not opened[0].closed
     assert opened[0].closed
-    assert opened[0].choice == EngineChoice("ray", 8, "10.0.0.1:6379", 0.5, 2.0)
+    assert opened[0].choice == cluster
     assert opened[0].needs["threads"] == 2
     assert opened[0].needs["reads"] == (tmp_path,)
 

@@ -9,9 +9,9 @@ import pytest
 
 from prbench.cli.main import main
 from prbench.engine import InProcess, ProcessPool
-from prbench.engine.choice import EngineChoice
+from prbench.engine.choice import Cluster, open_engine
 from prbench.engine.on_ray import RayEngine
-from prbench.errors import ClusterError, MissingExtraError, UsageError
+from prbench.errors import ClusterError, MissingExtraError
 
 
 def test_without_ray_one_line_says_what_to_install(monkeypatch):
@@ -51,19 +51,20 @@ def test_an_address_at_which_nothing_listens_is_refused_at_once():
 
 
 def test_the_choice_of_an_engine_on_this_machine_is_that_of_its_workers():
-    assert EngineChoice().open() == InProcess()
-    assert EngineChoice().open(usual=2) == ProcessPool(2)
-    assert EngineChoice(workers=3).open(usual=2) == ProcessPool(3)
+    assert open_engine(None) == InProcess()
+    assert open_engine(None, usual=2) == ProcessPool(2)
+    assert open_engine(3, usual=2) == ProcessPool(3)
 
 
-@pytest.mark.parametrize("given", [{"address": "auto"}, {"gpus_per_worker": 1.0}])
-def test_options_of_a_cluster_without_one_are_refused(given):
-    with pytest.raises(UsageError, match="belong to --engine ray"):
-        EngineChoice(**given).open()
+@pytest.mark.parametrize("given", [["--address", "auto"], ["--gpus-per-worker", "1"]])
+def test_options_of_a_cluster_without_one_are_refused(given, tmp_path, capsys):
+    words = ["build-dataset", "adt", "--root", str(tmp_path), "--out", str(tmp_path / "out"), *given]
+    assert main(words) == 2
+    assert "belong to --engine ray" in capsys.readouterr().err
 
 
 def test_a_worker_on_a_cluster_occupies_the_processors_of_its_threads():
-    engine = EngineChoice("ray", workers=5).open(threads=4)
+    engine = open_engine(Cluster(workers=5), threads=4)
     assert isinstance(engine, RayEngine)
     assert engine.workers == 5
     assert engine._resources == (4, 0.0)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import re
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from prbench.errors import TableError
 from prbench.sequences import SequenceTable
-from prbench.sequences.digests import UnverifiedTableWarning, identity_digest
+from prbench.sequences.digests import UnverifiedTableWarning, identity_of_rows
 from tests.fakes import fake_dataset
 
 LATER = {
@@ -64,4 +65,5 @@ def test_a_table_of_version_2_must_hold_them(tmp_path) -> None:
 
 def test_the_identity_of_sequences_outlives_columns_of_other_tables() -> None:
     of_version_1 = hashlib.sha256(b"prbench schema 1 protocol 1\nd/r/o/pick/1/egoallo\ttest\tpick\t7\n").hexdigest()
-    assert identity_digest(["d/r/o/pick/1/egoallo"], ["test"], ["pick"], [7], protocol_version=1) == of_version_1
+    rows = pa.table({"sequence_id": ["d/r/o/pick/1/egoallo"], "split": ["test"], "action": ["pick"], "n_frames": [7]})
+    assert identity_of_rows(rows, protocol_version=1) == of_version_1
