@@ -76,11 +76,21 @@ class MutatedCopy:
         Raises:
             RuntimeError: if the test that failed is no good on the sound tree.
         """
-        path = self._tree / mutant.module
+        return self.judge_source(mutant.module, mutated_source(self._tree, mutant), self._tests(mutant))
+
+    def judge_source(self, module: str, source: str, tests: list[Path]) -> Outcome:
+        """Run tests until one fails while a module has another source; arguments and errors as for :meth:`judge`.
+
+        Args:
+            module: File of the module, relative to the tree.
+            source: Its source with the mistake.
+            tests: Files of tests, relative to the tree, in the order in which they run.
+        """
+        path = self._tree / module
         sound = path.read_text(encoding="utf-8")
-        self._write(path, mutated_source(self._tree, mutant))
+        self._write(path, source)
         try:
-            outcome = self._run([str(file) for file in self._tests(mutant)])
+            outcome = self._run([str(file) for file in tests])
         finally:
             self._write(path, sound)
         if outcome.test and not self._passes(outcome.test):
