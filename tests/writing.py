@@ -366,8 +366,8 @@ WRITING = (
     Writing("diff --out", lambda given, out: ("diff", given.table, given.table, "--out", out), "d.json"),
     Writing("diff --csv", lambda given, out: ("diff", given.table, given.table, "--csv", out), "d.csv"),
     Writing(
-        "candidates --out",
-        lambda given, out: ("candidates", "gimo", "--root", given.gimo, "--out", out),
+        "build-dataset --propose-events",
+        lambda given, out: ("build-dataset", "gimo", "--root", given.gimo, "--propose-events", out),
         "c.csv",
         refuses=True,
     ),

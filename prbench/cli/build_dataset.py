@@ -13,6 +13,7 @@ from prbench.cli.builds import (
     BuildsReport,
     BuiltTable,
     NotBuilt,
+    ProposedPick,
     Stage,
     built_table,
     made_shard,
@@ -23,9 +24,10 @@ from prbench.cli.builds import (
     print_plan,
     print_stages,
 )
-from prbench.cli.commands import Answer, command
+from prbench.cli.commands import Answer, command, note
 from prbench.cli.engines import opened
 from prbench.cli.options import (
+    OUT_FILE,
     engine_options,
     on_error_option,
     out_folder_option,
@@ -63,6 +65,12 @@ EVERYTHING = "all"
 @replace_option()
 @recordings_options
 @click.option("--dry-run", is_flag=True, help="Say what would be read, and write nothing.")
+@click.option(
+    "--propose-events",
+    type=OUT_FILE,
+    metavar="FILE",
+    help="Write picks for a person to confirm into this new CSV file, and no table (gimo: docs/gimo-events.md).",
+)
 @click.option("--in-hand", metavar="RULE", help="Another in-hand rule of the manifest, for example wrist.")
 @click.option("--ray-origin", type=click.Choice(["eye", "camera"]), help="Where gaze rays start (default: eye).")
 @click.option(
@@ -109,6 +117,7 @@ def build_dataset(
     recordings: str,
     max_recordings: int | None,
     dry_run: bool,
+    propose_events: Path | None,
     in_hand: str | None,
     ray_origin: str | None,
     priming: Literal["rule", "published"],
@@ -149,12 +158,14 @@ def build_dataset(
         on_error=on_error,
         replace=replace,
     )
+    if propose_events is not None:
+        return _propose(dataset, root, propose_events, source, opened(engine, reads=(root,)))
     if dry_run:
         return _plan(dataset, root, chosen, engine if isinstance(engine, int) else 1)
     if out is None:
         from prbench.errors import UsageError
 
-        raise UsageError("--out DIR is needed: the folder of the table. (--dry-run does without.)")
+        raise UsageError("--out DIR is needed: the folder of the table. (--dry-run and --propose-events do without.)")
     where = opened(engine, reads=(root,), writes=(out,), packages=chosen.packages)
     if part is not None:
         return _build_shard(dataset, root, out, part, chosen, where)
@@ -175,6 +186,37 @@ def _meshes(dataset: str, *, in_hand: str | None, occlusion: str) -> dict[str, s
     if dataset != EVERYTHING and "meshes" not in reader_for(dataset).options.names():
         raise UsageError(f"--occlusion needs meshes, and {dataset} has none; leave the option out.")
     return {"meshes": "true"}
+
+
+def _propose(dataset: str, root: Path, out: Path, options: dict[str, str], engine: Engine) -> Answer:
+    """Propose pick events where a dataset has none, for a person to confirm."""
+    from prbench.workflows.candidates import write_candidates
+
+    with progress(f"looking for reaches in {dataset}") as show:
+        proposals = write_candidates(dataset, root, out, options=options, engine=engine, progress=show)
+    proposed = []
+    for proposal in proposals:
+        found = proposal.candidate
+        pick = ProposedPick(
+            recording=proposal.line.recording_id,
+            time=None if found is None else float(found.time),
+            hand=None if found is None else found.hand,
+            confidence=None if found is None else float(found.confidence),
+            reason=str(proposal.row()["reason"]),
+            problem=proposal.problem,
+        )
+        proposed.append(pick)
+        if pick.problem:
+            note(f"{pick.recording}: {pick.problem}")
+    unread = sum(bool(pick.problem) for pick in proposed)
+
+    def show_proposals() -> None:
+        found = sum(pick.time is not None for pick in proposed)
+        print(f"{found} proposals for {len(proposed)} segments, {unread} not read")
+        print(f"look at the videos, write yes or no into the column 'confirmed', and build with it: {out}")
+
+    report = BuildsReport(built=[], not_built=[], planned=[], proposed=proposed)
+    return Answer(report, show_proposals, NOT_EVERYTHING if unread else 0)
 
 
 def _plan(dataset: str, root: Path, options: BuildOptions, workers: int) -> Answer:

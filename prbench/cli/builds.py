@@ -119,6 +119,26 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     estimated_disk_bytes: int
 
 
+class ProposedPick(msgspec.Struct, frozen=True, kw_only=True):
+    """The proposal for one segment of a recording.
+
+    Attributes:
+        recording: Its id.
+        time: When the object is picked up, in seconds on the recording's clock; null without a proposal.
+        hand: ``left`` or ``right``; null without a proposal.
+        confidence: From 0 to 1; it ranks proposals and is no probability; null without a proposal.
+        reason: What speaks for the proposal, or why there is none; it stands in the file, too.
+        problem: Why the segment could not be read; empty for those that were.
+    """
+
+    recording: str
+    time: float | None
+    hand: str | None
+    confidence: float | None
+    reason: str
+    problem: str
+
+
 class BuildsReport(msgspec.Struct, frozen=True, kw_only=True):
     """The work of a command that builds tables, done or planned.
 
@@ -127,12 +147,14 @@ class BuildsReport(msgspec.Struct, frozen=True, kw_only=True):
         not_built: Datasets that were found and gave no table; only of ``build-dataset all``.
         planned: One entry for each table that would be written, with ``--dry-run``.
         shard: The shard that was made, with ``--shard``; else null.
+        proposed: One entry for each segment, with ``--propose-events``.
     """
 
     built: list[BuiltTable]
     not_built: list[NotBuilt]
     planned: list[Plan]
     shard: MadeShard | None = None
+    proposed: list[ProposedPick] = []
 
 
 def planned(plan: BuildPlan | CorpusPlan, workers: int, *, dataset: str, root: Path | None) -> Plan:

@@ -34,7 +34,6 @@ _COMMANDS = {
         "cite": "prbench.cli.datasets:cite",
         "inspect": "prbench.cli.inspect:inspect",
         "poses": "prbench.cli.poses:poses",
-        "candidates": "prbench.cli.candidates:candidates",
         "build-dataset": "prbench.cli.build_dataset:build_dataset",
         "build-corpus": "prbench.cli.build_corpus:build_corpus",
         "build-windows": "prbench.cli.build_windows:build_windows",

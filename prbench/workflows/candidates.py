@@ -1,4 +1,4 @@
-"""``prbench candidates``: a table of proposed events for a person to confirm."""
+"""``prbench build-dataset --propose-events``: a table of proposed events for a person to confirm."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def _reader(dataset: str, options: Mapping[str, str] | None) -> AnnotatedByHand:
     reader = reader_for(dataset, options)
     if not isinstance(reader, AnnotatedByHand):
         others = [each.dataset for each in usable_readers()[0] if isinstance(each, AnnotatedByHand)]
-        raise UsageError(f"events of '{dataset}' need no annotation by hand; candidates are for: {', '.join(others)}.")
+        raise UsageError(f"events of '{dataset}' need no annotation by hand; proposals are for: {', '.join(others)}.")
     return reader
 
 

@@ -1,4 +1,4 @@
-"""``prbench candidates``: the table of proposals, from files to a build."""
+"""``prbench build-dataset --propose-events``: the table of proposals, from files to a build."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from prbench.cli.candidates import CandidatesReport
+from prbench.cli.builds import BuildsReport
 from prbench.cli.main import main
 from prbench.curation import build_dataset
 from prbench.curation.options import BuildOptions
@@ -35,7 +35,9 @@ def rows_of(path) -> list[dict[str, str]]:
 
 def test_every_segment_has_a_line_and_none_counts_before_it_is_confirmed(root, tmp_path, capsys) -> None:
     out = tmp_path / "candidates.csv"
-    assert main(["candidates", "gimo", "--root", str(root), "--out", str(out)]) == 3, "one segment could not be read"
+    assert main(["build-dataset", "gimo", "--root", str(root), "--propose-events", str(out)]) == 3, (
+        "one segment could not be read"
+    )
     rows = rows_of(out)
     assert tuple(rows[0]) == COLUMNS
     assert [row["sequence_path"] for row in rows] == ["2022-01-23-080759", "2022-02-02-000000", "2022-03-03-000000"]
@@ -59,16 +61,15 @@ def test_every_segment_has_a_line_and_none_counts_before_it_is_confirmed(root, t
 
 
 def test_proposals_are_reported_as_they_are_written(root, tmp_path, capsys) -> None:
-    words = ["candidates", "gimo", "--root", str(root), "--out"]
-    report = reported([*words, str(tmp_path / "c.csv")], CandidatesReport, capsys, code=3)
-    assert report.file == tmp_path / "c.csv"
-    rows = rows_of(report.file)
-    assert [each.reason for each in report.segments] == [row["reason"] for row in rows]
-    assert report.segments[0].confidence == pytest.approx(float(rows[0]["confidence"]), abs=0.005)
-    assert report.segments[0].hand == rows[0]["hand"]
-    assert (report.segments[2].time, report.segments[2].hand) == (None, None)
+    words = ["build-dataset", "gimo", "--root", str(root), "--propose-events"]
+    report = reported([*words, str(tmp_path / "c.csv")], BuildsReport, capsys, code=3)
+    rows = rows_of(tmp_path / "c.csv")
+    assert [each.reason for each in report.proposed] == [row["reason"] for row in rows]
+    assert report.proposed[0].confidence == pytest.approx(float(rows[0]["confidence"]), abs=0.005)
+    assert report.proposed[0].hand == rows[0]["hand"]
+    assert (report.proposed[2].time, report.proposed[2].hand) == (None, None)
     document = printed_document([*words, str(tmp_path / "d.csv")], capsys, code=3)
-    assert document.notes == [f"{report.segments[2].recording}: {report.segments[2].problem}"]
+    assert document.notes == [f"{report.proposed[2].recording}: {report.proposed[2].problem}"]
     refused([*words, str(tmp_path / "c.csv")], capsys, code=8, message="never overwritten")
 
 
@@ -81,5 +82,5 @@ def test_annotations_are_never_overwritten(root, tmp_path) -> None:
 
 
 def test_datasets_with_events_of_their_own_need_none(root, tmp_path) -> None:
-    with pytest.raises(UsageError, match="candidates are for: gimo"):
+    with pytest.raises(UsageError, match="proposals are for: gimo"):
         write_candidates("adt", root, tmp_path / "a.csv")

@@ -66,7 +66,8 @@ def read_events(path: Path) -> tuple[EventRow, ...]:
             "header",
             expected=f"a column '{missing[0]}'",
             found=f"the columns {', '.join(header) or '(none)'}",
-            remedy=f"The columns are {', '.join(gimo.EVENT_COLUMNS)}; `prbench candidates gimo` writes such a file.",
+            remedy=f"The columns are {', '.join(gimo.EVENT_COLUMNS)};"
+            " `prbench build-dataset gimo --propose-events FILE` writes such a file.",
         )
     return tuple(_row(path, line, dict(zip(header, cells, strict=False))) for line, cells in lines[1:])
 

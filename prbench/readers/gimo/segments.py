@@ -149,7 +149,8 @@ def _events(root: Path, options: GimoOptions) -> tuple[tuple[EventRow, ...], Pat
             "",
             expected="the table of events that the option names",
             found="no such file",
-            remedy="Correct the option, or make the table: `prbench candidates gimo` proposes one.",
+            remedy="Correct the option, or make the table: `prbench build-dataset gimo --propose-events FILE` proposes"
+            " one.",
         )
     return read_events(path), path
 
