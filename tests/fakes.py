@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from prbench.randomness import named_generator
-from prbench.sequences import DatasetInfo, EventRecord, RecordingRecord, Sequence, SequenceTable
+from prbench.sequences import DatasetInfo, Event, Recording, Sequence, SequenceTable
 from prbench.sequences.dataset_info import FunnelCounts
 from prbench.sequences.sequence import SceneBox, event_batch, recording_batch, scene_batch, sequence_batch
 from prbench.sequences.write import write_dataset
@@ -149,7 +149,7 @@ def fake_dataset(
         key=lambda row: row.sequence_id,
     )
     events = [
-        EventRecord(
+        Event(
             event_id=row.sequence_id.rsplit("/", 1)[0], recording_id=row.recording_id, sequence_id=row.sequence_id,
             object_id=row.object_id, object_name=row.object_name, action=row.action, hand=row.hand,
             event_time=row.event_time, prime_time=row.prime_time, prime_kind=row.prime_kind,
@@ -160,7 +160,7 @@ def fake_dataset(
     ]  # fmt: skip
     splits = {row.recording_id: row.split for row in rows}
     records = [
-        RecordingRecord(
+        Recording(
             recording_id=name, participant_id="P0", split=split, split_group=name, duration=60.0,
             outcomes={"sequence": sum(row.recording_id == name for row in rows)}, status="read", message="",
         )

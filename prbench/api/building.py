@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from prbench.curation import BuildReport
-    from prbench.sequences import RecordingRecord
+    from prbench.sequences import Recording
     from prbench.synthetic.write_tree import WrittenTree
 
 _EVERYTHING = "all"
@@ -109,7 +109,7 @@ class Build:
         return notebook_table(title, self.to_pandas(), [*self.notes, f"table: {self.folder}"])
 
 
-def _why_fruitless(record: RecordingRecord) -> str:
+def _why_fruitless(record: Recording) -> str:
     """Name the outcomes of a recording's events, the most frequent first, and what the recording lacks."""
     outcomes = sorted(record.outcomes.items(), key=lambda item: (-item[1], item[0]))
     became = ", ".join(f"{number} {outcome}" for outcome, number in outcomes if number)

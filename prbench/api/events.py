@@ -15,8 +15,7 @@ import pyarrow as pa
 from prbench.api.arguments import PathLike
 from prbench.api.frames import frame_of, notebook_table
 from prbench.api.pictures import Picture
-from prbench.sequences import EventRecord as Event
-from prbench.sequences import RecordingRecord as Recording
+from prbench.sequences import Event, Recording
 from prbench.sequences.sequence import event_of, recording_of
 from prbench.shown import html
 

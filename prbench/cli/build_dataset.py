@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
     from prbench.engine.shards import Shard
-    from prbench.sequences import RecordingRecord
+    from prbench.sequences import Recording
 
 EVERYTHING = "all"
 """Stands in place of a dataset's name for whatever is found."""
@@ -331,7 +331,7 @@ def _built(report: BuildReport) -> BuiltTable:
     return built_table(report, stages)
 
 
-def _note_recordings(records: Iterable[RecordingRecord], *, reused: int) -> None:
+def _note_recordings(records: Iterable[Recording], *, reused: int) -> None:
     """Tell what of the recordings is missing from a table or shard."""
     records = list(records)
     note_unread(records, reused=reused)

@@ -15,7 +15,7 @@ from prbench.cli.terminal import print_table
 if TYPE_CHECKING:
     from prbench.corpora import CorpusPlan, CorpusReport
     from prbench.curation import BuildPlan, BuildReport
-    from prbench.sequences import RecordingRecord
+    from prbench.sequences import Recording
     from prbench.sequences.corpus import CorpusRecord
     from prbench.sequences.shard_parts import ShardReport
 
@@ -226,7 +226,7 @@ def built_table(report: BuildReport | CorpusReport, stages: Iterable[Stage]) -> 
     )
 
 
-def _built_recording(record: RecordingRecord | CorpusRecord) -> BuiltRecording:
+def _built_recording(record: Recording | CorpusRecord) -> BuiltRecording:
     return BuiltRecording(
         recording=record.recording_id,
         status=record.status,
@@ -242,7 +242,7 @@ def print_stages(title: str, stages: Iterable[Stage]) -> None:
     print_table(title, ("stage", "kept", "dropped", "why"), rows, numbers=(1, 2))
 
 
-def note_unread(records: Iterable[RecordingRecord | CorpusRecord], *, reused: int) -> None:
+def note_unread(records: Iterable[Recording | CorpusRecord], *, reused: int) -> None:
     """Name the recordings that are not in the result, and why."""
     if reused:
         note(f"{reused} recordings were taken over from an interrupted build.")
@@ -251,21 +251,21 @@ def note_unread(records: Iterable[RecordingRecord | CorpusRecord], *, reused: in
             note(f"{record.status}: {record.recording_id}: {record.message}")
 
 
-def note_cut_short(records: Iterable[RecordingRecord]) -> None:
+def note_cut_short(records: Iterable[Recording]) -> None:
     """Name the recordings of which a stream ends early: events may be missing, and nothing else would tell."""
     for record in records:
         for shortfall in record.shortfalls:
             note(f"cut short: {record.recording_id}: {shortfall}")
 
 
-def note_fruitless(records: Iterable[RecordingRecord]) -> None:
+def note_fruitless(records: Iterable[Recording]) -> None:
     """Name the recordings that were read and gave no sequence, and why; what a reader remarks is seldom the cause."""
     for record in records:
         if record.status == "read" and not record.outcomes.get("sequence"):
             note(f"no sequence: {record.recording_id}: {_why_fruitless(record)}")
 
 
-def _why_fruitless(record: RecordingRecord) -> str:
+def _why_fruitless(record: Recording) -> str:
     """Name the outcomes of its events, the most frequent first, and what the recording lacks."""
     outcomes = sorted(record.outcomes.items(), key=lambda item: (-item[1], item[0]))
     became = ", ".join(f"{number} {outcome}" for outcome, number in outcomes if number)

@@ -12,7 +12,7 @@ from prbench.cli.commands import Answer, command
 from prbench.cli.options import OUT_FILE, PATH, permission_option
 
 if TYPE_CHECKING:
-    from prbench.sequences import EventRecord
+    from prbench.sequences import Event
     from prbench.viewing.event_story import EventStory
 
 
@@ -137,7 +137,7 @@ def _report(story: EventStory, drawing: Path | None) -> ExplainReport:
     )
 
 
-def _other_event(other: EventRecord, event: EventRecord) -> OtherEvent:
+def _other_event(other: Event, event: Event) -> OtherEvent:
     return OtherEvent(
         event_id=other.event_id,
         seconds_later=other.event_time - event.event_time,

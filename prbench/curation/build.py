@@ -29,7 +29,7 @@ from prbench.protocol.manifests import BuildEstimate, digest_of, load_manifest, 
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.parts import read_batches, work_folder, working_in_parts
-from prbench.sequences.sequence import RecordingRecord
+from prbench.sequences.sequence import Recording
 from prbench.sequences.shard_parts import ShardReport, finish_shard, making_shard, shard_parts
 from prbench.sequences.write import write_dataset
 
@@ -43,7 +43,7 @@ class Progress:
 
     done: int
     total: int
-    record: RecordingRecord
+    record: Recording
     reused: bool
     """True if an interrupted build had already made it."""
 
@@ -54,7 +54,7 @@ class BuildReport:
 
     folder: Path
     info: DatasetInfo
-    records: tuple[RecordingRecord, ...]
+    records: tuple[Recording, ...]
     reused: int
     """Recordings taken over from an interrupted build."""
 
@@ -128,7 +128,7 @@ def build_dataset_shard(
     options: BuildOptions = NO_OPTIONS,
     engine: Engine = _IN_PROCESS,
     progress: Callable[[Progress], None] | None = None,
-) -> ShardReport[RecordingRecord]:
+) -> ShardReport[Recording]:
     """Make one shard of a build, for :func:`merge_dataset_shards`; goes on where it was interrupted.
 
     Args:
@@ -155,7 +155,7 @@ def build_shard_from_sources(
     options: BuildOptions = NO_OPTIONS,
     engine: Engine = _IN_PROCESS,
     progress: Callable[[Progress], None] | None = None,
-) -> ShardReport[RecordingRecord]:
+) -> ShardReport[Recording]:
     """Make one shard of any recordings of one dataset (see :func:`build_dataset_shard`).
 
     Args:

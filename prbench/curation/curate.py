@@ -21,7 +21,8 @@ from prbench.protocol.manifests import BenchmarkProtocol, InHandRule, Manifest, 
 from prbench.randomness import hash_fraction
 from prbench.recording import Recording
 from prbench.recording.reaching_hand import wrists_at
-from prbench.sequences.sequence import EventRecord, RecordingRecord, SceneBox, Sequence
+from prbench.sequences.sequence import Event, SceneBox, Sequence
+from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.sequences.table_one import body_movement, hand_movement
 
 Split = Literal["train", "validation", "test"]
@@ -33,9 +34,9 @@ class CuratedRecording:
 
     sequences: tuple[Sequence, ...]
     """Sorted by ``sequence_id``."""
-    events: tuple[EventRecord, ...]
+    events: tuple[Event, ...]
     """Every candidate event, sorted by ``event_id``."""
-    record: RecordingRecord
+    record: RecordingRow
     boxes: tuple[SceneBox, ...] = ()
     """What stands still around the person, sorted by ``object_id``."""
 
@@ -84,7 +85,7 @@ def curate_recording(
     return CuratedRecording(
         sequences=tuple(sorted((s.sequence for s in stories if s.sequence), key=lambda row: row.sequence_id)),
         events=tuple(sorted((_event_record(recording, s) for s in stories), key=lambda row: row.event_id)),
-        record=RecordingRecord(
+        record=RecordingRow(
             recording_id=recording.recording_id,
             participant_id=recording.participant_id,
             split=split,
@@ -250,13 +251,13 @@ def _reaching_wrist(event: PickPutEvent, place: Place, piece: Clip) -> int:
     return WRISTS[int(np.linalg.norm(piece.joints[-1, WRISTS] - place.location, axis=1).argmin())]
 
 
-def _event_record(recording: Recording, story: _Story) -> EventRecord:
+def _event_record(recording: Recording, story: _Story) -> Event:
     event = story.event
     place = story.event.place
     prime = story.prime
     published = story.event.published_priming
     wrists = {wrist.side: wrist.position for wrist in wrists_at(recording.hands, recording.body, event.event_time)}
-    return EventRecord(
+    return Event(
         event_id=event.event_id,
         recording_id=recording.recording_id,
         sequence_id=None if story.sequence is None else story.sequence.sequence_id,

@@ -20,7 +20,7 @@ from prbench.errors import InputFileError, PrbenchError
 from prbench.files.storage import text_digest
 from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of
 from prbench.sequences import parts
-from prbench.sequences.sequence import RecordingRecord, event_batch, recording_batch, scene_batch, sequence_batch
+from prbench.sequences.sequence import Recording, event_batch, recording_batch, scene_batch, sequence_batch
 from prbench.shown import quoted
 
 
@@ -30,14 +30,14 @@ class PartReceipt:
 
     folder: Path
     input_digest: str
-    record: RecordingRecord
+    record: Recording
     reused: bool
     """True if an earlier, interrupted build had made it."""
 
 
 def part_receipt(folder: Path, entries: Mapping[str, Any], *, reused: bool) -> PartReceipt:
     """Turn what stands in a finished part into its description."""
-    return PartReceipt(folder, entries["input_digest"], msgspec.convert(entries["record"], RecordingRecord), reused)
+    return PartReceipt(folder, entries["input_digest"], msgspec.convert(entries["record"], Recording), reused)
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class CurationJob:
     def _left_out(self, source: RecordingSource, status: str, message: str) -> CuratedRecording:
         name = source.recording_id
         split = source.split or split_of(name, name, self.manifest, self.protocol.splits)
-        return CuratedRecording((), (), RecordingRecord(name, "unknown", split, name, 0.0, {}, status, message))
+        return CuratedRecording((), (), Recording(name, "unknown", split, name, 0.0, {}, status, message))
 
     def _folder(self, source: RecordingSource, input_digest: str) -> Path:
         settings = text_digest(

@@ -24,7 +24,7 @@ from prbench.release.layout import EXPORT_RECORD, TARGETS, find_datasets
 from prbench.release.reading import ImportOptions, ReleasedDataset, ReleasedSequence, read_release
 from prbench.release.report import ImportReleaseReport, ImportReport, Inference, NotImported, count_splits
 from prbench.release.rows import make_row
-from prbench.sequences import DatasetInfo, EventRecord, RecordingRecord, SequenceTable
+from prbench.sequences import DatasetInfo, Event, Recording, SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME, FunnelCounts, QuarantinedRecording
 from prbench.sequences.redistribution import strictest
 from prbench.sequences.schema import SCHEMA_VERSION
@@ -102,7 +102,7 @@ def _import_dataset(
             raise InputFileError(TARGETS, one.sequence_id, expected="one entry", found="two with this sequence_id")
     progress(dataset, f"writing {len(found.sequences)} sequences")
     records = _recordings(found)
-    events: list[EventRecord] = []
+    events: list[Event] = []
     info = write_dataset(
         out,
         _describe(found, records, manifest, terms_of(dataset, manifest, exported)),
@@ -131,7 +131,7 @@ def _import_dataset(
     return report
 
 
-def _sequences(found: ReleasedDataset, manifest: Manifest, events: list[EventRecord]) -> Iterator[pa.RecordBatch]:
+def _sequences(found: ReleasedDataset, manifest: Manifest, events: list[Event]) -> Iterator[pa.RecordBatch]:
     """Yield the rows of ``sequences``, each read when it is written, and add their events to a list."""
     texts = load_protocol().text
     for start in range(0, len(found.sequences), _ROWS):
@@ -143,12 +143,12 @@ def _sequences(found: ReleasedDataset, manifest: Manifest, events: list[EventRec
         yield sequence_batch(sequence for sequence, _ in rows)
 
 
-def _events(events: list[EventRecord]) -> Iterator[pa.RecordBatch]:
+def _events(events: list[Event]) -> Iterator[pa.RecordBatch]:
     """Yield the rows of ``events``; they are known after all sequences were written."""
     yield event_batch(sorted(events, key=lambda event: event.event_id))
 
 
-def _recordings(found: ReleasedDataset) -> list[RecordingRecord]:
+def _recordings(found: ReleasedDataset) -> list[Recording]:
     """Return source recordings where the release names them, else one unknown recording for each split.
 
     Each sequence that was left out is a failed recording of its own, with the reason.
@@ -165,7 +165,7 @@ def _recordings(found: ReleasedDataset) -> list[RecordingRecord]:
             message = "the release does not say which recording a sequence comes from"
         else:
             message = ""
-        record = RecordingRecord(
+        record = Recording(
             recording_id=name,
             participant_id=rows[0].participant_id,
             # A recording has one split in our tables: the commoner one, where a release mixes them.
@@ -178,7 +178,7 @@ def _recordings(found: ReleasedDataset) -> list[RecordingRecord]:
         )
         records.append(record)
     for key, reason in sorted(found.left_out.items()):
-        records.append(RecordingRecord(f"sequence {key}", "unknown", "", "", 0.0, {}, "failed", reason))
+        records.append(Recording(f"sequence {key}", "unknown", "", "", 0.0, {}, "failed", reason))
     return records
 
 
@@ -238,7 +238,7 @@ def terms_of(dataset: str, manifest: Manifest, exported: Mapping[str, Any] | Non
 
 
 def _describe(
-    found: ReleasedDataset, records: list[RecordingRecord], manifest: Manifest, terms: Mapping[str, Any]
+    found: ReleasedDataset, records: list[Recording], manifest: Manifest, terms: Mapping[str, Any]
 ) -> DatasetInfo:
     """Describe an import: every inference stands among its options; the writer fills in the digests."""
     protocol = load_protocol()

@@ -15,7 +15,7 @@ from prbench.geometry.skeleton import WRISTS, Joint, invert_rigid, transform_poi
 from prbench.protocol.manifests import TextTemplates
 from prbench.release.arrays import read_array, read_further
 from prbench.release.reading import POSE_SOURCE, ReleasedDataset, ReleasedSequence, clean_gaze, parse_point
-from prbench.sequences import EventRecord, Sequence
+from prbench.sequences import Event, Sequence
 from prbench.sequences.sequence import SEQUENCES
 from prbench.sequences.table_one import body_movement, hand_movement
 
@@ -28,7 +28,7 @@ _HANDS = {"left": "left", "l": "left", "right": "right", "r": "right"}
 
 def make_row(
     found: ReleasedDataset, one: ReleasedSequence, *, head_tilt_deg: float, texts: TextTemplates
-) -> tuple[Sequence, EventRecord]:
+) -> tuple[Sequence, Event]:
     """Read one sequence again and convert it; times count from the first frame, unless its block tells them.
 
     Args:
@@ -161,11 +161,11 @@ def _action(stated: Any, text: str) -> str:
     return "pick" if picks else "put"
 
 
-def _event(sequence: Sequence, event_id: str) -> EventRecord:
+def _event(sequence: Sequence, event_id: str) -> Event:
     names = ("recording_id", "sequence_id", "object_id", "object_name", "action", "hand", "event_time", "prime_time",
              "prime_kind")  # fmt: skip
     location: Float[np.ndarray, "3"] = transform_points(sequence.world_from_canonical, sequence.goal_location)
-    return EventRecord(
+    return Event(
         event_id=event_id,
         **{name: getattr(sequence, name) for name in names},
         location=location,

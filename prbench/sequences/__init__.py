@@ -3,15 +3,15 @@
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.corpus_table import CorpusTable
 from prbench.sequences.dataset_info import CorpusInfo, DatasetInfo
-from prbench.sequences.sequence import EventRecord, RecordingRecord, Sequence
+from prbench.sequences.sequence import Event, Recording, Sequence
 from prbench.sequences.table import SequenceTable
 
 __all__ = [
     "CorpusInfo",
     "CorpusTable",
     "DatasetInfo",
-    "EventRecord",
-    "RecordingRecord",
+    "Event",
+    "Recording",
     "Sequence",
     "SequenceChunk",
     "SequenceTable",

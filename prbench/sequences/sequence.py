@@ -152,7 +152,7 @@ class Sequence:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class EventRecord:
+class Event:
     """One candidate event, an object picked or put, and what became of it; world frame, metres, seconds."""
 
     event_id: str
@@ -205,7 +205,7 @@ class EventRecord:
 
 
 @dataclass(frozen=True)
-class RecordingRecord:
+class Recording:
     """One recording that a build found."""
 
     recording_id: str
@@ -249,8 +249,8 @@ class SceneBox:
 
 
 SEQUENCES = schema_of(Sequence)
-EVENTS = schema_of(EventRecord)
-RECORDINGS = schema_of(RecordingRecord, counted=OUTCOMES, without=("shortfalls", "lacks"))
+EVENTS = schema_of(Event)
+RECORDINGS = schema_of(Recording, counted=OUTCOMES, without=("shortfalls", "lacks"))
 SCENES = schema_of(SceneBox)
 
 
@@ -259,14 +259,14 @@ def sequence_batch(sequences: Iterable[Sequence]) -> pa.RecordBatch:
     return row_batch(sequences, SEQUENCES)
 
 
-def event_batch(events: Iterable[EventRecord]) -> pa.RecordBatch:
+def event_batch(events: Iterable[Event]) -> pa.RecordBatch:
     """Return Arrow rows of events, in the order given."""
     events = list(events)
     assert all(event.outcome in OUTCOMES for event in events), "curation has no other outcomes"
     return row_batch(events, EVENTS)
 
 
-def recording_batch(recordings: Iterable[RecordingRecord]) -> pa.RecordBatch:
+def recording_batch(recordings: Iterable[Recording]) -> pa.RecordBatch:
     """Return Arrow rows of recordings, in the order given."""
     return row_batch(recordings, RECORDINGS, counted=OUTCOMES)
 
@@ -282,14 +282,14 @@ def sequences_in(batch: pa.RecordBatch) -> Iterator[Sequence]:
     return (Sequence(*values) for values in zip(*columns, strict=True))
 
 
-def event_of(events: pa.Table, row: int) -> EventRecord:
+def event_of(events: pa.Table, row: int) -> Event:
     """Return the event in one row of ``events``."""
     batch = events.slice(row, 1).combine_chunks().to_batches()[0]
-    return EventRecord(**{name: row_values(batch.column(name))[0] for name in EVENTS.names})
+    return Event(**{name: row_values(batch.column(name))[0] for name in EVENTS.names})
 
 
-def recording_of(recordings: pa.Table, row: int) -> RecordingRecord:
+def recording_of(recordings: pa.Table, row: int) -> Recording:
     """Return the recording in one row of ``recordings``."""
     (values,) = recordings.slice(row, 1).select(RECORDINGS.names).to_pylist()
     outcomes = {name: values.pop(name) for name in OUTCOMES}
-    return RecordingRecord(**values, outcomes=outcomes)
+    return Recording(**values, outcomes=outcomes)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from prbench.geometry.skeleton import WRISTS, Joint, head_forward
 from prbench.metrics.ray_track import ray_distance
-from prbench.sequences import EventRecord
+from prbench.sequences import Event
 from prbench.shown import clean, figure_text
 from prbench.viewing.figures import draw_box, draw_figure, flattened, horizontal_direction, new_figure, write_png
 from prbench.viewing.replay.measures import gaze_distance
@@ -56,11 +56,11 @@ class StoryMotion:
 class EventStory:
     """Everything that a built dataset knows about one event."""
 
-    event: EventRecord
+    event: Event
     dataset: str
     split: str
     stages: tuple[StoryStage, ...]
-    neighbours: tuple[EventRecord, ...]
+    neighbours: tuple[Event, ...]
     """Other events of the recording, by time: those around it, and those of the same object."""
     priming_window: float
     """Seconds before the event in which a look counts."""
@@ -94,7 +94,7 @@ class EventStory:
             lines += [f"  {self._beside(other)}" for other in self.neighbours]
         return "\n".join(map(clean, lines))
 
-    def _beside(self, other: EventRecord) -> str:
+    def _beside(self, other: Event) -> str:
         same = " (same object)" if other.object_id == self.event.object_id else ""
         difference = other.event_time - self.event.event_time
         return f"{difference:+9.2f} s  {other.action:<4} {other.object_name}{same}: {other.outcome}  {other.event_id}"

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from prbench.curation.priming import OCCLUSION_STAGE, PUBLISHED_STAGE
 from prbench.errors import TableError, UsageError
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
-from prbench.sequences import EventRecord, SequenceChunk, SequenceTable
+from prbench.sequences import Event, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice
 from prbench.sequences.sequence import event_of
 from prbench.shown import clean
@@ -104,7 +104,7 @@ def _readable(events: pa.Table, row: int) -> str:
     return f"{recording}/{name}/{action}/{event_id.rsplit('/', 1)[-1]}"
 
 
-def _neighbours(events: pa.Table, row: int) -> tuple[EventRecord, ...]:
+def _neighbours(events: pa.Table, row: int) -> tuple[Event, ...]:
     """The events just before and after in the recording, and all others of the same object; by time."""
     times = events["event_time"].to_numpy()
     recordings, objects = (np.array(events[name].to_pylist()) for name in ("recording_id", "object_id"))
@@ -130,7 +130,7 @@ def _sequence(table: SequenceTable, sequence_id: str | None) -> SequenceChunk | 
 
 
 def _stages(
-    event: EventRecord,
+    event: Event,
     chunk: SequenceChunk | None,
     protocol: BenchmarkProtocol,
     options: dict[str, str],
@@ -156,7 +156,7 @@ def _stages(
     return tuple(stages)
 
 
-def _in_hand(event: EventRecord, options: dict[str, str]) -> str:
+def _in_hand(event: Event, options: dict[str, str]) -> str:
     if event.outcome == "other_wearer":
         nearest = "not seen" if event.value is None else f"{_cm(event.value)} away"
         return f"somebody else's hand was nearer: {_cm(event.threshold)} away, the wearer's {nearest}"
@@ -168,7 +168,7 @@ def _in_hand(event: EventRecord, options: dict[str, str]) -> str:
     return f"{hand} (rule: {options.get('in_hand_rule', 'default')})"
 
 
-def _location(event: EventRecord, *, shown: bool) -> str:
+def _location(event: Event, *, shown: bool) -> str:
     """Return the object's place in words; empty where the licence keeps goals private."""
     if event.outcome == "no_location":
         return "the object never came to rest, or the dataset gives no place"
@@ -185,7 +185,7 @@ def _location(event: EventRecord, *, shown: bool) -> str:
     return where
 
 
-def _priming(event: EventRecord, protocol: BenchmarkProtocol) -> str:
+def _priming(event: Event, protocol: BenchmarkProtocol) -> str:
     constants = protocol.curation
     if event.prime_time is not None:
         gap = event.event_time - event.prime_time
@@ -204,7 +204,7 @@ def _priming(event: EventRecord, protocol: BenchmarkProtocol) -> str:
     )
 
 
-def _clipping(event: EventRecord, chunk: SequenceChunk | None, protocol: BenchmarkProtocol) -> str:
+def _clipping(event: Event, chunk: SequenceChunk | None, protocol: BenchmarkProtocol) -> str:
     interval = f"from {protocol.curation.lead:g} s before the prime"
     if event.stage == "clipping" and event.value is not None and event.threshold is not None:
         missing = event.threshold - event.value
@@ -217,7 +217,7 @@ def _clipping(event: EventRecord, chunk: SequenceChunk | None, protocol: Benchma
     return f"{n} frames at {float(chunk.numbers('fps')[0]):g} Hz from {start:.3f} s"
 
 
-def _body(event: EventRecord, protocol: BenchmarkProtocol) -> str:
+def _body(event: Event, protocol: BenchmarkProtocol) -> str:
     longest = protocol.curation.largest_interpolated_gap
     if event.stage != "body":
         return f"no gap of more than {longest:g} s in the body"
@@ -226,7 +226,7 @@ def _body(event: EventRecord, protocol: BenchmarkProtocol) -> str:
     return f"a gap of {event.value:.2f} s in the body (at most {longest:g} s is interpolated)"
 
 
-def _filters(event: EventRecord, options: dict[str, str]) -> str:
+def _filters(event: Event, options: dict[str, str]) -> str:
     if event.value is None or event.threshold is None:
         return ""
     measure = options.get("minimum_movement", "wrist_to_goal").replace("_", " ")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prbench.recording.reaching_hand import LEAST_DIFFERENCE
-from prbench.sequences.sequence import EventRecord
+from prbench.sequences.sequence import Event
 from prbench.synthetic.performance import TrueEvent
 
 _LARGEST_DIFFERENCE = 0.5
@@ -30,7 +30,7 @@ class Match:
 
     true: TrueEvent | None
     """Times on the recording's clock."""
-    found: EventRecord | None
+    found: Event | None
 
     @property
     def expected(self) -> str:
@@ -43,7 +43,7 @@ class Match:
         return "not_found" if self.found is None else self.found.outcome
 
 
-def match_events(true: Sequence[TrueEvent], found: Sequence[EventRecord]) -> list[Match]:
+def match_events(true: Sequence[TrueEvent], found: Sequence[Event]) -> list[Match]:
     """Pair the events of one recording one to one: same object and action, least time difference first, ≤ 0.5 s.
 
     Args:
@@ -220,7 +220,7 @@ def _hand_counts(matches: Sequence[Match]) -> HandCounts:
     )
 
 
-def _is_contradicted(event: EventRecord) -> bool:
+def _is_contradicted(event: Event) -> bool:
     if event.hand is None or event.location is None or event.left_wrist is None or event.right_wrist is None:
         return False
     left, right = (float(np.linalg.norm(wrist - event.location)) for wrist in (event.left_wrist, event.right_wrist))

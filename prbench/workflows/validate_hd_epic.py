@@ -216,7 +216,7 @@ def _judge_source(source: NativeSource) -> _JudgedRecording:
 
 
 def _judged(row: Mapping[str, Any]) -> JudgedEvent:
-    """Judge one row of ``events``, as a table holds it or as the fields of :class:`prbench.sequences.EventRecord`."""
+    """Judge one row of ``events``, as a table holds it or as the fields of :class:`prbench.sequences.Event`."""
     return JudgedEvent(
         action=row["action"],
         event_time=row["event_time"],

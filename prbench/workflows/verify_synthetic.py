@@ -16,7 +16,7 @@ from prbench.engine import Engine, InProcess
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.readers import reader_for
 from prbench.readers.found import RecordingFiles
-from prbench.sequences import EventRecord
+from prbench.sequences import Event
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import TrueEvent
 from prbench.synthetic.truth_files import read_truth
@@ -119,7 +119,7 @@ class NativeCuration:
     dataset: str
     options: CurationOptions = DEFAULTS
 
-    def __call__(self, found: RecordingFiles) -> Sequence[EventRecord]:
+    def __call__(self, found: RecordingFiles) -> Sequence[Event]:
         """Read and curate."""
         reader = reader_for(self.dataset)
         return curate_recording(reader.read(found), load_manifest(reader.dataset), load_protocol(), self.options).events

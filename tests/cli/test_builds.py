@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from prbench.cli.builds import note_cut_short, note_fruitless
-from prbench.sequences import RecordingRecord
+from prbench.sequences import Recording
 
 
-def record(name: str, status: str, outcomes: dict[str, int], message: str = "", **more) -> RecordingRecord:
-    return RecordingRecord(name, "somebody", "train", name, 60.0, outcomes, status, message, **more)
+def record(name: str, status: str, outcomes: dict[str, int], message: str = "", **more) -> Recording:
+    return Recording(name, "somebody", "train", name, 60.0, outcomes, status, message, **more)
 
 
 def test_recordings_that_gave_no_sequence_are_named_with_the_cause_and_not_with_every_remark(capsys):

@@ -14,16 +14,16 @@ import pytest
 from prbench.curation.differences import compare_builds
 from prbench.errors import UsageError
 from prbench.sequences import DatasetInfo
-from prbench.sequences.sequence import EventRecord, RecordingRecord, event_batch, recording_batch, sequence_batch
+from prbench.sequences.sequence import Event, Recording, event_batch, recording_batch, sequence_batch
 from prbench.sequences.write import write_dataset
 from tests.fakes import fake_info, fake_sequence
 
 ROWS = sorted((fake_sequence(index, recordings=2) for index in range(6)), key=lambda row: row.sequence_id)
 
 
-def event_of(row, **changes) -> EventRecord:
+def event_of(row, **changes) -> Event:
     return dataclasses.replace(
-        EventRecord(
+        Event(
             event_id=row.sequence_id.rsplit("/", 1)[0], recording_id=row.recording_id, sequence_id=row.sequence_id,
             object_id=row.object_id, object_name=row.object_name, action=row.action, hand=row.hand,
             event_time=row.event_time, prime_time=row.prime_time, prime_kind=row.prime_kind,
@@ -40,7 +40,7 @@ def write(
     events = [event_of(row) for row in rows] if events is None else events
     names = sorted({row.recording_id for row in ROWS} - {lacks})
     records = [
-        RecordingRecord(
+        Recording(
             recording_id=name, participant_id="P", split="train", split_group=name, duration=9.0, outcomes={},
             status="failed" if name == failed else "read", message="gaze.csv is missing" if name == failed else "",
         )

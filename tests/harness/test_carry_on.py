@@ -20,7 +20,7 @@ from prbench.harness.run import run_method
 from prbench.harness.run_folder.carry_on import read_carried_on
 from prbench.harness.run_folder.predictions import Predictions
 from prbench.sequences import SequenceTable
-from prbench.sequences.sequence import RecordingRecord, recording_batch, sequence_batch
+from prbench.sequences.sequence import Recording, recording_batch, sequence_batch
 from prbench.sequences.write import write_dataset
 from tests.fakes import fake_info, fake_sequence
 from tests.harness.test_run import reproducible_bytes, request
@@ -98,7 +98,7 @@ def pairs(tmp_path_factory) -> SequenceTable:
         )
     folder = tmp_path_factory.mktemp("pairs") / "table"
     names = [row.recording_id for row in rows[::2]]
-    records = [RecordingRecord(name, "P0", "test", name, 60.0, {}, "read", "") for name in names]
+    records = [Recording(name, "P0", "test", name, 60.0, {}, "read", "") for name in names]
     write_dataset(
         folder, fake_info(), sequences=[sequence_batch(rows)], events=[], recordings=[recording_batch(records)]
     )

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from prbench.geometry.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 from prbench.protocol.manifests import load_protocol
 from prbench.randomness import named_generator
-from prbench.sequences import EventRecord, RecordingRecord, Sequence, SequenceTable
+from prbench.sequences import Event, Recording, Sequence, SequenceTable
 from prbench.sequences.sequence import event_batch, recording_batch, sequence_batch
 from prbench.sequences.write import write_dataset
 from tests.fakes import fake_info, fake_sequence
@@ -56,7 +56,7 @@ def looking_table(folder: Path, n: int = 24, *, dataset: str = "synthetic-adt") 
     """A table of such sequences."""
     rows = sorted((looking_sequence(index, dataset) for index in range(n)), key=lambda row: row.sequence_id)
     events = [
-        EventRecord(
+        Event(
             event_id=row.sequence_id.rsplit("/", 1)[0], recording_id=row.recording_id, sequence_id=row.sequence_id,
             object_id=row.object_id, object_name=row.object_name, action=row.action, hand=row.hand,
             event_time=row.event_time, prime_time=row.prime_time, prime_kind=row.prime_kind,
@@ -66,7 +66,7 @@ def looking_table(folder: Path, n: int = 24, *, dataset: str = "synthetic-adt") 
         for row in rows
     ]  # fmt: skip
     records = [
-        RecordingRecord(
+        Recording(
             recording_id=name, participant_id="P0", split=split, split_group=name, duration=60.0,
             outcomes={"sequence": 1}, status="read", message="",
         )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import RecordingsWouldBeLost
-from prbench.sequences import CorpusInfo, RecordingRecord
+from prbench.sequences import CorpusInfo, Recording
 from prbench.sequences.corpus import CorpusRecord, corpus_recording_batch
 from prbench.sequences.corpus_table import write_corpus
 from prbench.sequences.dataset_info import CORPUS_FILE, FILE_NAME
@@ -23,10 +23,9 @@ from tests.training.tables import corpus_table
 
 def holdings(**yields: int) -> Holdings:
     records = [
-        RecordingRecord(name, "P0", "train", name, 60.0, {"sequence": number}, "read", "")
-        for name, number in yields.items()
+        Recording(name, "P0", "train", name, 60.0, {"sequence": number}, "read", "") for name, number in yields.items()
     ]
-    failed = RecordingRecord("never", "P0", "train", "never", 0.0, {}, "failed", "b.csv: cut off")
+    failed = Recording("never", "P0", "train", "never", 0.0, {}, "failed", "b.csv: cut off")
     return Holdings.of([recording_batch(records), recording_batch([failed])], "sequence")
 
 
@@ -78,7 +77,7 @@ def test_a_corpus_is_no_more_replaced_by_less_than_a_table(tmp_path) -> None:
 
 
 def test_receipts_hold_plain_numbers_whatever_a_reader_measured() -> None:
-    record = RecordingRecord("a", "P0", "train", "a", 1.0, {"sequence": 1}, "read", "")
+    record = Recording("a", "P0", "train", "a", 1.0, {"sequence": 1}, "read", "")
     found = plain({"record": replace(record, duration=np.float64(2.5)), "share": np.float32(0.5), "n": np.int64(3)})
     assert found == {"record": plain(replace(record, duration=2.5)), "share": 0.5, "n": 3}
     assert [type(found[name]) for name in ("share", "n")] == [float, int]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from prbench.sequences.sequence import EventRecord
+from prbench.sequences.sequence import Event
 from prbench.synthetic.performance import TrueEvent
 from prbench.workflows.matching import Spread, match_events, verification
 
@@ -27,16 +27,16 @@ def true(
 def found(
     time: float, *, action: str = "pick", name: str = "1", outcome: str = "sequence", prime: float | None = -3.0,
     stage: str = "filters", hand: str | None = "left", **columns,
-) -> EventRecord:  # fmt: skip
+) -> Event:  # fmt: skip
     point, time = np.array([0.0, 0.0, 0.01]), float(time)
-    return EventRecord(
+    return Event(
         f"{name}/{action}/{time}", "r", None, name, "cup", action, hand, time,
         None if prime is None else time + prime, None, point, point, point, outcome, stage, None, None,
         **columns,
     )  # fmt: skip
 
 
-def pairs(true_events: list[TrueEvent], found_events: list[EventRecord]) -> set[tuple[float | None, float | None]]:
+def pairs(true_events: list[TrueEvent], found_events: list[Event]) -> set[tuple[float | None, float | None]]:
     return {
         (m.true.event_time if m.true else None, m.found.event_time if m.found else None)
         for m in match_events(true_events, found_events)

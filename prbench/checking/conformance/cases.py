@@ -12,7 +12,7 @@ from prbench.files.storage import atomic_path
 from prbench.harness.conditions import ConditionSource
 from prbench.harness.planning import rows_of, select
 from prbench.protocol.manifests import load_protocol
-from prbench.sequences import DatasetInfo, RecordingRecord, Sequence, SequenceTable
+from prbench.sequences import DatasetInfo, Recording, Sequence, SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME as INFO_FILE
 from prbench.sequences.dataset_info import FunnelCounts
 from prbench.sequences.schema import SCHEMA_VERSION
@@ -94,7 +94,7 @@ def write_sequences(folder: Path, sequences: list[Sequence]) -> Path:
     """Write a dataset of synthetic sequences, sorted by id."""
     recordings = {row.recording_id: row for row in sequences}
     records = [
-        RecordingRecord(name, row.participant_id, row.split, name, 0.0, {}, "read", "")
+        Recording(name, row.participant_id, row.split, name, 0.0, {}, "read", "")
         for name, row in sorted(recordings.items())
     ]
     write_dataset(
