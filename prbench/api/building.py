@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from prbench.curation import BuildReport
-    from prbench.sequences import Recording
     from prbench.synthetic.write_tree import WrittenTree
 
 _EVERYTHING = "all"
@@ -83,7 +82,7 @@ class Build:
         notes += [f"{name}: {why}" for name, why in self.unread.items()]
         notes += [f"{one.recording_id}: cut short: {shortfall}" for one in records for shortfall in one.shortfalls]
         notes += [
-            f"{one.recording_id}: no sequence: {_why_fruitless(one)}"
+            f"{one.recording_id}: no sequence: {one.why_fruitless}"
             for one in records
             if one.status == "read" and not one.outcomes.get("sequence")
         ]
@@ -107,14 +106,6 @@ class Build:
     def _repr_html_(self) -> str:
         title = f"{self._report.info.title}: from files to sequences"
         return notebook_table(title, self.to_pandas(), [*self.notes, f"table: {self.folder}"])
-
-
-def _why_fruitless(record: Recording) -> str:
-    """Name the outcomes of a recording's events, the most frequent first, and what the recording lacks."""
-    outcomes = sorted(record.outcomes.items(), key=lambda item: (-item[1], item[0]))
-    became = ", ".join(f"{number} {outcome}" for outcome, number in outcomes if number)
-    events = f"of {sum(record.outcomes.values())} events {became}" if became else "no candidate event"
-    return "; ".join((events, *record.lacks))
 
 
 def build_dataset(
@@ -176,7 +167,7 @@ def build_dataset(
     """
     from prbench.curation import BuildOptions
     from prbench.curation import build_dataset as build
-    from prbench.curation.options import CurationOptions
+    from prbench.curation.options import CurationOptions, mesh_options
     from prbench.protocol.own_protocol import read_protocol
 
     if dataset == _EVERYTHING:
@@ -196,7 +187,7 @@ def build_dataset(
         minimum_prime=minimum_prime,
     )
     own = as_optional_path(protocol)
-    reader = _meshes(dataset, in_hand, occlusion) | as_options(option)
+    reader = mesh_options(dataset, in_hand=in_hand, occlusion=occlusion) | as_options(option)
     if poses is not None:
         reader["poses"] = poses
     options = BuildOptions(
@@ -223,19 +214,6 @@ def build_dataset(
             progress=lambda step: show(step.done, step.total, step.record.recording_id),
         )
     return Build(report)
-
-
-def _meshes(dataset: str, in_hand: str | None, occlusion: str) -> dict[str, str]:
-    """Ask the reader for meshes where an option needs them; readers load none otherwise."""
-    from prbench.readers import reader_for
-
-    if in_hand == "surface":
-        return {"meshes": "true"}
-    if occlusion == "off":
-        return {}
-    if "meshes" not in reader_for(dataset).options.names():
-        raise UsageError(f"--occlusion needs meshes, and {dataset} has none; leave the option out.")
-    return {"meshes": "true"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -27,29 +27,15 @@ if TYPE_CHECKING:
 
 _GOAL = "goal_location (or goal_box)"
 _TIME_TOLERANCE = 1e-6  # seconds
+_PRIME = (_GOAL, "prime_time", "head_tilt_deg", "fps")
 _NEEDS: dict[str, tuple[str, ...]] = {
-    "prime_success": (_GOAL, "prime_time", "head_tilt_deg", "fps"),
-    "prime_success_arrival": (_GOAL, "prime_time", "head_tilt_deg", "fps"),
-    "prime_success_onset": (_GOAL, "prime_time", "head_tilt_deg", "fps"),
-    "prime_success_angle": (_GOAL, "prime_time", "head_tilt_deg", "fps"),
-    "reach_success": (_GOAL,),
-    "reach_success_final": (_GOAL,),
+    **dict.fromkeys(("prime_success", "prime_success_arrival", "prime_success_onset", "prime_success_angle"), _PRIME),
+    **dict.fromkeys(("reach_success", "reach_success_final"), (_GOAL,)),
     "reach_wrist": ("recorded", _GOAL),
-    "goal_mpjpe": ("recorded",),
-    "location_error": ("recorded",),
-    "location_error_horizontal": ("recorded",),
-    "mpjpe": ("recorded",),
-    "foot_skating": ("fps",),
-    "contact_share": (),
-    "bone_length_change": (),
-    "first_frame_error": ("recorded",),
-    "first_step": (),
-    "floating": (),
-    "penetration": (),
-    "slow_slides": ("fps",),
-    "largest_jerk": ("fps",),
-    "largest_speed": ("fps",),
-    "plausible": ("fps",),
+    **dict.fromkeys(("goal_mpjpe", "mpjpe", "first_frame_error"), ("recorded",)),
+    **dict.fromkeys(("location_error", "location_error_horizontal"), ("recorded",)),
+    **dict.fromkeys(("foot_skating", "slow_slides", "largest_jerk", "largest_speed", "plausible"), ("fps",)),
+    **dict.fromkeys(("contact_share", "bone_length_change", "first_step", "floating", "penetration"), ()),
 }
 """Arguments beside the predicted motion that a metric needs."""
 _EVERYTHING = ("recorded", _GOAL, "prime_time", "head_tilt_deg", "fps")
@@ -187,31 +173,47 @@ def measure(
     reference = batch
     if recorded is not None:
         others, _ = _motions("recorded", recorded, n_frames)
-        _require_equal_lengths(motions, others)
+        if len(others) != size:
+            raise UsageError(f"recorded: expected {size} motions, as many as predicted, found {len(others)}.")
+        # Motions of different lengths cannot be compared (docs/specification/metrics.md#length-contract).
+        for row, (motion, other) in enumerate(zip(motions, others, strict=True)):
+            if len(motion) != len(other):
+                raise UsageError(
+                    f"motion {row}: expected as many predicted as recorded frames, found {len(motion)} and"
+                    f" {len(other)}. Give every motion the length of the recorded one."
+                )
         reference = MotionBatch.from_motions(others)
     goal = _goal(goal_location, goal_box, size)
-    rates = _numbers("fps", fps, size)
-    primes = _numbers("prime_time", prime_time, size)
-    tilts = _numbers("head_tilt_deg", head_tilt_deg, size)
-    given = {
-        "recorded": recorded is not None,
-        _GOAL: goal is not None,
-        "prime_time": primes is not None,
-        "head_tilt_deg": tilts is not None,
-        "fps": rates is not None,
-    }
+    rates = _one_each("fps", fps, size)
+    primes = _one_each("prime_time", prime_time, size)
+    tilts = _one_each("head_tilt_deg", head_tilt_deg, size)
+    given = {"recorded": recorded, _GOAL: goal, "prime_time": primes, "head_tilt_deg": tilts, "fps": rates}
     wanted = _wanted(metrics)
     left_out = {metric: why for metric in wanted if (why := _lacks(metric, given))}
     possible = [metric for metric in wanted if metric not in left_out]
     if rates is not None and primes is not None:
-        _require_inside(primes, rates, batch)
-    targets = _targets(goal, primes, tilts, rates, _hands(hand, size), size)
-    values = {}
-    if possible:
-        try:
+        lasts = (batch.n_frames - 1) / rates
+        outside = np.flatnonzero((primes < -_TIME_TOLERANCE) | (primes > lasts + _TIME_TOLERANCE))
+        if outside.size:
+            row = int(outside[0])
+            raise UsageError(
+                f"prime_time: expected seconds after the first frame, from 0 to {lasts[row]:g} for motion {row}, found"
+                f" {primes[row]:g}. Of a recording's clock, subtract the first frame's time (sequence.prime_after)."
+            )
+    try:
+        # What is not given is filled with numbers that no possible metric reads.
+        targets = ScoringTargets(
+            goal_location=np.zeros((size, 3)) if goal is None else goal,
+            prime_time=np.zeros(size) if primes is None else primes,
+            hand=_hands(hand, size),
+            head_tilt_deg=np.zeros(size) if tilts is None else tilts,
+            fps=np.ones(size) if rates is None else rates,
+        )
+        values = {}
+        if possible:
             values = score_metrics(batch, reference, targets, load_protocol().metrics, metrics=possible)
-        except ValueError as error:
-            raise UsageError(f"measure: {error}.") from error
+    except ValueError as error:
+        raise UsageError(f"measure: {error}.") from error
     flags = {metric: found.flag for metric, found in values.items() if any(found.flag)}
     return Measures({metric: frozen(found.value) for metric, found in values.items()}, left_out, flags, one)
 
@@ -232,9 +234,9 @@ def _wanted(metrics: Collection[str] | None) -> list[str]:
     return [name for name in known if name in asked]
 
 
-def _lacks(metric: str, given: Mapping[str, bool]) -> str:
+def _lacks(metric: str, given: Mapping[str, object]) -> str:
     """Return which arguments a metric needs and has not been given; empty if none."""
-    missing = [name for name in _NEEDS.get(metric, _EVERYTHING) if not given[name]]
+    missing = [name for name in _NEEDS.get(metric, _EVERYTHING) if given[name] is None]
     return f"needs {', '.join(missing)}" if missing else ""
 
 
@@ -251,14 +253,24 @@ def _motions(name: str, value: Any, n_frames: Any) -> tuple[list[Float[np.ndarra
         array = _array(name, value)
         one = array.ndim == 3
         motions = [array] if one else list(array)
-    for row, motion in enumerate(motions):
+    for motion in motions:
         if motion.ndim != 3 or motion.shape[1:] != (N_JOINTS, 3) or not len(motion):
             raise UsageError(
                 f"{name}: expected (n, {N_JOINTS}, 3), a list of such arrays, or (batch, frames, {N_JOINTS}, 3) with"
                 f" n_frames, found the shape {motion.shape if one else (len(motions), *motion.shape)}."
             )
-        if n_frames is not None:
-            motions[row] = motion[: _length(n_frames, row, len(motions), len(motion))]
+    if n_frames is not None:
+        lengths = np.atleast_1d(_array("n_frames", n_frames)).tolist()
+        if np.ndim(n_frames) == 0:
+            lengths *= len(motions)
+        if len(lengths) != len(motions):
+            raise UsageError(f"n_frames: expected {len(motions)} numbers, one a motion, found {len(lengths)}.")
+        for row, (motion, length) in enumerate(zip(motions, lengths, strict=True)):
+            if not 1 <= length <= len(motion):
+                raise UsageError(
+                    f"n_frames[{row}]: expected 1 to {len(motion)}, the frames of the array, found {length:g}."
+                )
+            motions[row] = motion[: int(length)]
     for row, motion in enumerate(motions):
         if problem := coordinate_problem(motion):
             raise UsageError(f"{name if one else f'{name}[{row}]'}, {problem}")
@@ -272,32 +284,6 @@ def _array(name: str, value: Any) -> np.ndarray:
         raise UsageError(f"{name}: expected numbers, found {type(value).__name__} ({error}).") from error
 
 
-def _length(n_frames: Any, row: int, size: int, padded: int) -> int:
-    lengths = np.broadcast_to(_array("n_frames", n_frames), (size,)) if np.ndim(n_frames) == 0 else n_frames
-    if len(lengths) != size:
-        raise UsageError(f"n_frames: expected {size} numbers, one a motion, found {len(lengths)}.")
-    length = int(lengths[row])
-    if not 1 <= length <= padded:
-        raise UsageError(f"n_frames[{row}]: expected 1 to {padded}, the frames of the array, found {length}.")
-    return length
-
-
-def _require_equal_lengths(predicted: list[np.ndarray], recorded: list[np.ndarray]) -> None:
-    """Refuse motions that cannot be compared frame by frame (docs/specification/metrics.md#length-contract).
-
-    Raises:
-        UsageError: naming the first that differs.
-    """
-    if len(predicted) != len(recorded):
-        raise UsageError(f"recorded: expected {len(predicted)} motions, as many as predicted, found {len(recorded)}.")
-    for row, (one, other) in enumerate(zip(predicted, recorded, strict=True)):
-        if len(one) != len(other):
-            raise UsageError(
-                f"motion {row}: expected as many predicted as recorded frames, found {len(one)} and {len(other)}. Give"
-                " every motion the length of the recorded one."
-            )
-
-
 def _goal(location: Any, box: Any, size: int) -> Float[np.ndarray, "batch 3"] | None:
     """Return the place of each motion's goal, or None if none is given.
 
@@ -306,33 +292,29 @@ def _goal(location: Any, box: Any, size: int) -> Float[np.ndarray, "batch 3"] | 
     """
     if location is not None and box is not None:
         raise UsageError("goal_location and goal_box: give one of them; of a box the centre counts.")
-    if location is not None:
-        points = _array("goal_location", location)
-        if points.shape not in ((3,), (size, 3)):
-            raise UsageError(f"goal_location: expected (3,) or ({size}, 3), found the shape {points.shape}.")
-        return np.broadcast_to(points, (size, 3)).copy()
     if box is None:
-        return None
+        return _one_each("goal_location", location, size, (3,))
     corners = _array("goal_box", box)
-    if corners.shape[-1:] != (3,) or corners.shape[-2:-1] not in ((2,), (8,)) or corners.ndim not in (2, 3):
-        raise UsageError(f"goal_box: expected (2, 3) or (8, 3), or one for each motion, found {corners.shape}.")
-    if corners.ndim == 3 and len(corners) != size:
-        raise UsageError(f"goal_box: expected {size} boxes, one a motion, found {len(corners)}.")
+    if corners.shape not in ((2, 3), (8, 3), (size, 2, 3), (size, 8, 3)):
+        raise UsageError(
+            f"goal_box: expected (2, 3) or (8, 3), or one for each of {size} motions, found the shape {corners.shape}."
+        )
     return np.broadcast_to(corners.mean(axis=-2), (size, 3)).copy()
 
 
-def _numbers(name: str, value: Any, size: int) -> Float[np.ndarray, " batch"] | None:
-    """Return one number a motion, or None if none is given.
+def _one_each(name: str, value: Any, size: int, shape: tuple[int, ...] = ()) -> np.ndarray | None:
+    """Return a value of one shape for each motion, or None if none is given.
 
     Raises:
-        UsageError: if it is neither one number nor one for each motion.
+        UsageError: if it is neither one value nor one for each motion.
     """
     if value is None:
         return None
-    numbers = _array(name, value)
-    if numbers.shape not in ((), (size,)):
-        raise UsageError(f"{name}: expected one number or {size}, one a motion, found the shape {numbers.shape}.")
-    return np.broadcast_to(numbers, (size,)).copy()
+    array = _array(name, value)
+    if array.shape not in (shape, (size, *shape)):
+        expected = f"{shape} or {(size, *shape)}" if shape else f"one number or {size}, one a motion"
+        raise UsageError(f"{name}: expected {expected}, found the shape {array.shape}.")
+    return np.broadcast_to(array, (size, *shape)).copy()
 
 
 def _hands(hand: str | Sequence[str | None] | None, size: int) -> np.ndarray:
@@ -348,44 +330,3 @@ def _hands(hand: str | Sequence[str | None] | None, size: int) -> np.ndarray:
         if word not in _SIDES:
             raise UsageError(f"hand: expected left, right or None, found '{word}'.")
     return np.array([_SIDES[word] for word in words])
-
-
-def _require_inside(primes: np.ndarray, rates: np.ndarray, batch: MotionBatch) -> None:
-    """Refuse prime times that are not counted from the first frame.
-
-    Raises:
-        UsageError: naming the first one.
-    """
-    lasts = (batch.n_frames - 1) / rates
-    outside = np.flatnonzero((primes < -_TIME_TOLERANCE) | (primes > lasts + _TIME_TOLERANCE))
-    if outside.size:
-        row = int(outside[0])
-        raise UsageError(
-            f"prime_time: expected seconds after the first frame, from 0 to {lasts[row]:g} for motion {row}, found"
-            f" {primes[row]:g}. Of a recording's clock, subtract the time of the first frame (sequence.prime_after)."
-        )
-
-
-def _targets(
-    goal: np.ndarray | None,
-    primes: np.ndarray | None,
-    tilts: np.ndarray | None,
-    rates: np.ndarray | None,
-    hands: np.ndarray,
-    size: int,
-) -> ScoringTargets:
-    """Return the targets; what is not given is filled with numbers that no wanted metric reads.
-
-    Raises:
-        UsageError: if a number is not finite, or a frame rate not above 0.
-    """
-    try:
-        return ScoringTargets(
-            goal_location=np.zeros((size, 3)) if goal is None else goal,
-            prime_time=np.zeros(size) if primes is None else primes,
-            hand=hands,
-            head_tilt_deg=np.zeros(size) if tilts is None else tilts,
-            fps=np.ones(size) if rates is None else rates,
-        )
-    except ValueError as error:
-        raise UsageError(f"measure: {error}.") from error

@@ -14,10 +14,10 @@ from prbench.metrics import METRICS, printed_scale, printed_unit
 if TYPE_CHECKING:
     import pandas as pd
 
-_SUMMARY = (
-    "dataset", "method", "condition", "metric", "title", "unit", "mean", "low", "high", "level", "interval",
-    "sequences", "recordings", "marks",
+_METRIC = (
+    "metric", "title", "unit", "mean", "low", "high", "level", "interval", "sequences", "recordings",
 )  # fmt: skip
+_SUMMARY = ("dataset", "method", "condition", *_METRIC, "marks")
 _ON_SYNTHETIC_DATA = "These are scores on synthetic data: never compare them with published ones."
 
 
@@ -28,27 +28,13 @@ def summary_frame(summaries: Sequence[DatasetSummary], irrelevant: frozenset[str
         summaries: One a dataset.
         irrelevant: Ids of metrics that say nothing of this method; they are left out.
     """
-    rows = [
-        {
-            "dataset": summary.dataset,
-            "method": summary.method,
-            "condition": summary.condition,
-            "metric": metric.metric,
-            "title": metric.title,
-            "unit": metric.unit,
-            "mean": metric.mean,
-            "low": metric.low,
-            "high": metric.high,
-            "level": metric.level,
-            "interval": metric.interval,
-            "sequences": metric.sequences,
-            "recordings": metric.recordings,
-            "marks": ";".join(metric.marks),
-        }
-        for summary in summaries
-        for metric in summary.metrics
-        if metric.metric not in irrelevant
-    ]
+    rows = []
+    for summary in summaries:
+        about = {"dataset": summary.dataset, "method": summary.method, "condition": summary.condition}
+        for metric in summary.metrics:
+            if metric.metric not in irrelevant:
+                values = {name: getattr(metric, name) for name in _METRIC}
+                rows.append({**about, **values, "marks": ";".join(metric.marks)})
     return frame_from_rows(rows, _SUMMARY)
 
 

@@ -135,11 +135,12 @@ def build_dataset(
 
     DATASET is its name, for example adt (`prbench datasets` lists them), or 'all' for whatever lies below --root.
     """
-    from prbench.curation.options import BuildOptions, CurationOptions
+    from prbench.curation.options import BuildOptions, CurationOptions, mesh_options
     from prbench.protocol.own_protocol import read_protocol
 
     part = chosen_shard(shard, replace=replace, dry_run=dry_run, everything=dataset == EVERYTHING)
-    source = _meshes(dataset, in_hand=in_hand, occlusion=occlusion) | dict(options)
+    named = None if dataset == EVERYTHING else dataset
+    source = mesh_options(named, in_hand=in_hand, occlusion=occlusion) | dict(options)
     if poses is not None:
         source["poses"] = poses
     chosen = BuildOptions(
@@ -172,20 +173,6 @@ def build_dataset(
     if dataset == EVERYTHING:
         return _build_all(root, out, chosen, where)
     return _build_one(dataset, root, out, chosen, where)
-
-
-def _meshes(dataset: str, *, in_hand: str | None, occlusion: str) -> dict[str, str]:
-    """Ask the reader for meshes where an option needs them; readers load none otherwise."""
-    from prbench.errors import UsageError
-    from prbench.readers import reader_for
-
-    if in_hand == "surface":
-        return {"meshes": "true"}
-    if occlusion == "off":
-        return {}
-    if dataset != EVERYTHING and "meshes" not in reader_for(dataset).options.names():
-        raise UsageError(f"--occlusion needs meshes, and {dataset} has none; leave the option out.")
-    return {"meshes": "true"}
 
 
 def _propose(dataset: str, root: Path, out: Path, options: dict[str, str], engine: Engine) -> Answer:

@@ -262,12 +262,4 @@ def note_fruitless(records: Iterable[Recording]) -> None:
     """Name the recordings that were read and gave no sequence, and why; what a reader remarks is seldom the cause."""
     for record in records:
         if record.status == "read" and not record.outcomes.get("sequence"):
-            note(f"no sequence: {record.recording_id}: {_why_fruitless(record)}")
-
-
-def _why_fruitless(record: Recording) -> str:
-    """Name the outcomes of its events, the most frequent first, and what the recording lacks."""
-    outcomes = sorted(record.outcomes.items(), key=lambda item: (-item[1], item[0]))
-    became = ", ".join(f"{number} {outcome}" for outcome, number in outcomes if number)
-    events = f"of {sum(record.outcomes.values())} events {became}" if became else "no candidate event"
-    return "; ".join((events, *record.lacks))
+            note(f"no sequence: {record.recording_id}: {record.why_fruitless}")

@@ -178,3 +178,25 @@ class BuildOptions:
 
 NO_OPTIONS = BuildOptions()
 """Every recording, curated by the defaults."""
+
+
+def mesh_options(dataset: str | None, *, in_hand: str | None, occlusion: str) -> dict[str, str]:
+    """Return the option that asks a dataset's reader for meshes where a choice needs them; it loads none otherwise.
+
+    Args:
+        dataset: Name of the dataset; None for whatever is found.
+        in_hand: Name of the in-hand rule, if one was chosen.
+        occlusion: ``off``, ``mark`` or ``require``.
+
+    Raises:
+        UsageError: if the dataset has no meshes.
+    """
+    from prbench.readers import reader_for
+
+    if in_hand == "surface":
+        return {"meshes": "true"}
+    if occlusion == "off":
+        return {}
+    if dataset is not None and "meshes" not in reader_for(dataset).options.names():
+        raise UsageError(f"--occlusion needs meshes, and {dataset} has none; leave the option out.")
+    return {"meshes": "true"}

@@ -229,6 +229,14 @@ class Recording:
     lacks: tuple[str, ...] = field(default=(), repr=False)
     """Parts that it lacks to have events or sequences at all; stands in ``message``, too."""
 
+    @property
+    def why_fruitless(self) -> str:
+        """The outcomes of its events, the most frequent first, and what it lacks: why it gave no sequence."""
+        outcomes = sorted(self.outcomes.items(), key=lambda item: (-item[1], item[0]))
+        became = ", ".join(f"{number} {outcome}" for outcome, number in outcomes if number)
+        events = f"of {sum(self.outcomes.values())} events {became}" if became else "no candidate event"
+        return "; ".join((events, *self.lacks))
+
 
 @dataclass(frozen=True, eq=False)
 class SceneBox:

@@ -158,7 +158,7 @@ def test_a_metric_beside_the_six_needs_no_more_than_it_reads(table, metric, name
 
 
 def test_a_metric_that_somebody_adds_is_taken_to_need_everything():
-    lacks = measuring._lacks("somebodys_metric", dict.fromkeys(measuring._EVERYTHING, False))
+    lacks = measuring._lacks("somebodys_metric", dict.fromkeys(measuring._EVERYTHING))
     assert lacks == "needs recorded, goal_location (or goal_box), prime_time, head_tilt_deg, fps"
 
 
