@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -53,10 +53,8 @@ class Build:
     def summary(self) -> str:
         """One line a stage, from files to sequences: how many were kept, how many dropped, and why."""
         lines = []
-        for row in self._rows():
-            dropped = f", {row['dropped']} dropped" if row["dropped"] else ""
-            why = f" ({row['why']})" if row["why"] else ""
-            lines.append(f"{row['stage']}: {row['kept']}{dropped}{why}")
+        for stage, kept, dropped, why in self._rows():
+            lines.append(f"{stage}: {kept}{f', {dropped} dropped' if dropped else ''}{f' ({why})' if why else ''}")
         return "\n".join(lines)
 
     @property
@@ -90,15 +88,13 @@ class Build:
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the way from files to sequences: one row a stage with columns ``stage, kept, dropped, why``."""
-        return frame_from_rows(self._rows(), ("stage", "kept", "dropped", "why"))
+        columns = ("stage", "kept", "dropped", "why")
+        return frame_from_rows((dict(zip(columns, row, strict=True)) for row in self._rows()), columns)
 
-    def _rows(self) -> list[dict[str, object]]:
+    def _rows(self) -> list[tuple[str, int, int, str]]:
         from prbench.curation import funnel_rows
 
-        return [
-            {"stage": row.stage, "kept": row.kept, "dropped": row.dropped, "why": row.reason}
-            for row in funnel_rows(self._report.info)
-        ]
+        return [astuple(row) for row in funnel_rows(self._report.info)]
 
     def __repr__(self) -> str:
         return f"<Build of {self._report.info.title}: {self._report.info.counts.sequences} sequences, {self.folder}>"

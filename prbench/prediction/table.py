@@ -11,7 +11,7 @@ from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -153,9 +153,9 @@ class Window:
 class WindowsInfo(Provenance, frozen=True, kw_only=True):
     """Provenance of one table of windows; its outcomes count windows by exclusion (``window`` for the others)."""
 
-    file_name: ClassVar[str] = FILE_NAME
-    described: ClassVar[str] = "table of windows"
-    build_command: ClassVar[str] = "build-windows"
+    file_name = FILE_NAME
+    described = "table of windows"
+    build_command = "build-windows"
 
     fps: float
     observed_frames: int

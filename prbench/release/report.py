@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
-from prbench.files.storage import write_json
-from prbench.release.known import KnownDataset
+if TYPE_CHECKING:
+    from prbench.release.known import KnownDataset
 
 FILE_NAME = "import_report.json"
 
@@ -93,6 +93,8 @@ class ImportReport(msgspec.Struct, frozen=True, kw_only=True):
 
     def write(self) -> None:
         """Write ``import_report.json`` beside ``dataset.json``; it holds no time of day and no absolute path."""
+        from prbench.files.storage import write_json  # not with the module: the command line reads only its shapes
+
         content = {name: value for name, value in msgspec.structs.asdict(self).items() if name != "folder"}
         write_json(self.folder / FILE_NAME, msgspec.to_builtins(content))
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import ClassVar
 
 import pyarrow as pa
 
@@ -22,10 +21,10 @@ from prbench.sequences.write import write_tables
 class CorpusTable(BuiltTable[CorpusInfo]):
     """A built corpus: its folder, its provenance, and its clips on demand."""
 
-    main: ClassVar[str] = "clips"
-    schemas: ClassVar[Mapping[str, pa.Schema]] = CORPUS_TABLES
-    identity_columns: ClassVar[tuple[str, ...]] = ("sequence_id", "split", "kind", "n_frames")
-    check: ClassVar[Callable[..., None]] = staticmethod(check_corpus_schema)
+    main = "clips"
+    schemas = CORPUS_TABLES
+    identity_columns = ("sequence_id", "split", "kind", "n_frames")
+    check = staticmethod(check_corpus_schema)
 
     @classmethod
     @foreign_input()

@@ -140,9 +140,9 @@ class FunnelCounts(msgspec.Struct, frozen=True, kw_only=True):
 class DatasetInfo(Provenance, frozen=True, kw_only=True):
     """Provenance of one built dataset; its outcomes are those of events."""
 
-    file_name: ClassVar[str] = FILE_NAME
-    described: ClassVar[str] = "dataset"
-    build_command: ClassVar[str] = "build-dataset"
+    file_name = FILE_NAME
+    described = "dataset"
+    build_command = "build-dataset"
 
     counts: FunnelCounts
 
@@ -176,8 +176,8 @@ class CorpusCounts(msgspec.Struct, frozen=True, kw_only=True):
 class CorpusInfo(Provenance, frozen=True, kw_only=True):
     """Provenance of one built corpus; its outcomes are those of annotations."""
 
-    file_name: ClassVar[str] = CORPUS_FILE
-    described: ClassVar[str] = "corpus"
-    build_command: ClassVar[str] = "build-corpus"
+    file_name = CORPUS_FILE
+    described = "corpus"
+    build_command = "build-corpus"
 
     counts: CorpusCounts

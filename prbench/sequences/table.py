@@ -164,11 +164,11 @@ class BuiltTable(Generic[Info]):
 class SequenceTable(BuiltTable[DatasetInfo]):
     """A built dataset: its folder, its provenance, and its rows on demand."""
 
-    main: ClassVar[str] = "sequences"
-    schemas: ClassVar[Mapping[str, pa.Schema]] = DATASET_TABLES
-    optional: ClassVar[Mapping[str, pa.Schema]] = OPTIONAL_TABLES
-    identity_columns: ClassVar[tuple[str, ...]] = ("sequence_id", "split", "action", "n_frames")
-    check: ClassVar[Callable[..., None]] = staticmethod(check_schema)
+    main = "sequences"
+    schemas = DATASET_TABLES
+    optional = OPTIONAL_TABLES
+    identity_columns = ("sequence_id", "split", "action", "n_frames")
+    check = staticmethod(check_schema)
 
     @classmethod
     @foreign_input()
