@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
     from prbench.viewing.replay.scene import Scene
 
+_COLUMNS = dict.fromkeys(SEQUENCES.names)
+"""Names of the columns, in their order; a dictionary finds one at once."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Goal:
@@ -98,7 +101,7 @@ class Sequence(sequences.Sequence):
     def __getattr__(self, name: str) -> Any:
         """Take a value from the rows that the sequence was read with; it is asked for the first time."""
         source = self.__dict__.get("_source")
-        if source is None or name not in SEQUENCES.names:
+        if source is None or name not in _COLUMNS:
             raise AttributeError(f"'{type(self).__name__}' object has no attribute '{name}'")
         columns, row = source
         value = columns[name][row]
@@ -113,7 +116,7 @@ class Sequence(sequences.Sequence):
         """Take copies of all values, so that the rows that were read together can be forgotten."""
         if "_source" not in self.__dict__:
             return
-        values = {name: getattr(self, name) for name in SEQUENCES.names}
+        values = {name: getattr(self, name) for name in _COLUMNS}
         own = {name: frozen(each.copy()) if isinstance(each, np.ndarray) else each for name, each in values.items()}
         for made_of_views in ("_source", "goal", "gaze", "head"):
             self.__dict__.pop(made_of_views, None)
