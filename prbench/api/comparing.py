@@ -60,21 +60,13 @@ class Comparison:
             recordings) and ``conclusion`` (``higher``, ``lower`` or ``not supported by the data``). Rates lie between
             0 and 1, lengths are in metres.
         """
-        rows = [
-            {
-                "dataset": row.dataset,
-                "metric": row.info.id,
-                "title": row.info.title,
-                "unit": row.info.unit,
-                "difference": row.comparison.difference.mean,
-                "low": row.comparison.difference.low,
-                "high": row.comparison.difference.high,
-                "p_value": row.comparison.p_value,
-                "adjusted_p_value": row.comparison.adjusted_p_value,
-                "conclusion": row.comparison.conclusion,
-            }
-            for row in self._found.metrics
-        ]
+        rows = []
+        for row in self._found.metrics:
+            difference = row.comparison.difference
+            about = (row.dataset, row.info.id, row.info.title, row.info.unit)
+            found = (row.comparison.p_value, row.comparison.adjusted_p_value, row.comparison.conclusion)
+            values = (*about, difference.mean, difference.low, difference.high, *found)
+            rows.append(dict(zip(_COLUMNS, values, strict=True)))
         return frame_from_rows(rows, _COLUMNS)
 
     def _said(self, row: ComparedMetric) -> str:
@@ -85,20 +77,22 @@ class Comparison:
         return f"<Comparison of {self.first.name} with {self.second.name}>"
 
     def _repr_html_(self) -> str:
-        rows = [
-            {
-                "dataset": row.dataset,
-                "metric": row.info.title,
-                "difference": _change(row),
-                "95 % interval": _bounds(row),
-                "p (Holm)": "–" if (p := row.comparison.adjusted_p_value) is None else f"{p:.4f}",
-                "": self._said(row),
-            }
-            for row in self._found.metrics
-        ]
-        frame = frame_from_rows(rows, ("dataset", "metric", "difference", "95 % interval", "p (Holm)", ""))
+        columns = ("dataset", "metric", "difference", "95 % interval", "p (Holm)", "")
+        rows = []
+        for row in self._found.metrics:
+            difference = row.comparison.difference
+            p_value = row.comparison.adjusted_p_value
+            interval = "–"
+            if "all_equal" in difference.marks:
+                interval = "all equal"  # a bootstrap of equal differences would claim certainty
+            elif difference.low is not None and difference.high is not None:
+                interval = f"[{difference.low * row.info.scale:+.2f}, {difference.high * row.info.scale:+.2f}]"
+            shown_p = "–" if p_value is None else f"{p_value:.4f}"
+            values = (row.dataset, row.info.title, _change(row), interval, shown_p, self._said(row))
+            rows.append(dict(zip(columns, values, strict=True)))
         title = f"{self.first.name} against {self.second.name}, sequence by sequence"
-        return notebook_table(title, frame, [f"unverified: {reason}" for reason in self.unverified])
+        remarks = [f"unverified: {reason}" for reason in self.unverified]
+        return notebook_table(title, frame_from_rows(rows, columns), remarks)
 
 
 def _change(row: ComparedMetric) -> str:
@@ -106,15 +100,6 @@ def _change(row: ComparedMetric) -> str:
 
     unit = " points" if row.info.unit == "rate" else printed_unit(row.info.unit)
     return f"{row.comparison.difference.mean * row.info.scale:+.2f}{unit}"
-
-
-def _bounds(row: ComparedMetric) -> str:
-    difference = row.comparison.difference
-    if "all_equal" in difference.marks:
-        return "all equal"  # a bootstrap of equal differences would claim certainty
-    if difference.low is None or difference.high is None:
-        return "–"
-    return f"[{difference.low * row.info.scale:+.2f}, {difference.high * row.info.scale:+.2f}]"
 
 
 def compare(
@@ -152,14 +137,10 @@ def compare(
 
     require_positive(workers=workers)
     folders = _folder_of(first), _folder_of(second)
-    tables = table_folders(data) or _tables_of(first, second)
+    remembered = [folder for run in (first, second) if isinstance(run, Run) for folder in run.tables]
+    tables = table_folders(data) or tuple(dict.fromkeys(remembered))
     checker = RunChecker(table_finder(tables), engine_for(workers))
     return Comparison(*folders, compare_runs(*folders, checker=checker))
-
-
-def _tables_of(*runs: PathLike | Run | Scores) -> tuple[Path, ...]:
-    """Return the folders of the tables that runs remember."""
-    return tuple(dict.fromkeys(folder for run in runs if isinstance(run, Run) for folder in run.tables))
 
 
 def _folder_of(run: PathLike | Run | Scores) -> Path:

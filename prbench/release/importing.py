@@ -103,11 +103,15 @@ def _import_dataset(
     progress(dataset, f"writing {len(found.sequences)} sequences")
     records = _recordings(found)
     events: list[Event] = []
+
+    def event_rows() -> Iterator[pa.RecordBatch]:  # asked for after all sequences were written
+        yield event_batch(sorted(events, key=lambda event: event.event_id))
+
     info = write_dataset(
         out,
         _describe(found, records, manifest, terms_of(dataset, manifest, exported)),
         sequences=_sequences(found, manifest, events),
-        events=_events(events),
+        events=event_rows(),
         recordings=[recording_batch(records)],
         replace=options.replace,
         incomplete=[each.recording_id for each in records] if found.left_out else (),
@@ -141,11 +145,6 @@ def _sequences(found: ReleasedDataset, manifest: Manifest, events: list[Event]) 
         ]
         events += [event for _, event in rows]
         yield sequence_batch(sequence for sequence, _ in rows)
-
-
-def _events(events: list[Event]) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of ``events``; they are known after all sequences were written."""
-    yield event_batch(sorted(events, key=lambda event: event.event_id))
 
 
 def _recordings(found: ReleasedDataset) -> list[Recording]:

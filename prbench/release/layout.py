@@ -85,39 +85,26 @@ def list_files(folder: Path) -> DatasetFiles:
     # A link to a file outside could make us print or copy what the user never meant to share.
     for name in (TARGETS, EXPORT_RECORD):
         _require_inside(folder, folder / name)
-    unused_names: list[str] = []
-    return DatasetFiles(
-        folder,
-        _numbered(folder, MOTIONS, ".npy", unused_names),
-        _numbered(folder, GAZES, ".npy", unused_names),
-        _numbered(folder, FURTHER, ".npz", unused_names),
-        tuple(unused_names),
-    )
-
-
-def _numbered(root: Path, name: str, suffix: str, unused_names: list[str]) -> dict[int, Path]:
-    folder = root / name
-    found = dict[int, Path]()
-    if not folder.is_dir():
-        return found
-    _require_inside(root, folder)
-    with os.scandir(folder) as listed:
-        entries = sorted(listed, key=lambda entry: entry.name)
-    for entry in entries:
-        path = Path(entry.path)
-        index = index_of(path.stem)
-        # Only links can lead out of the release, so no other path has to be resolved.
-        if entry.is_symlink():
-            _require_inside(root, path)
-        if path.suffix != suffix or index is None or not entry.is_file():
-            unused_names.append(f"{name}/{entry.name}")
-            continue
-        if index in found:
-            raise InputFileError(
-                folder, f"sequence {index}", expected="one file", found=f"{found[index].name} and {entry.name}"
-            )
-        found[index] = path
-    return found
+    found: dict[str, dict[int, Path]] = {MOTIONS: {}, GAZES: {}, FURTHER: {}}
+    unused_names = []
+    for name in [name for name in found if (folder / name).is_dir()]:
+        _require_inside(folder, folder / name)
+        with os.scandir(folder / name) as listed:
+            entries = sorted(listed, key=lambda entry: entry.name)
+        for entry in entries:
+            path = Path(entry.path)
+            index = index_of(path.stem)
+            # Only links can lead out of the release, so no other path has to be resolved.
+            if entry.is_symlink():
+                _require_inside(folder, path)
+            if path.suffix != (".npz" if name == FURTHER else ".npy") or index is None or not entry.is_file():
+                unused_names.append(f"{name}/{entry.name}")
+                continue
+            other = found[name].setdefault(index, path)
+            if other is not path:
+                names = f"{other.name} and {entry.name}"
+                raise InputFileError(folder / name, f"sequence {index}", expected="one file", found=names)
+    return DatasetFiles(folder, found[MOTIONS], found[GAZES], found[FURTHER], tuple(unused_names))
 
 
 @foreign_input()
