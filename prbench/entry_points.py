@@ -18,6 +18,8 @@ ADAPTERS = "prbench.adapters"
 """The group of methods; a third party finds it as :data:`prbench.contract.ENTRY_POINT_GROUP`."""
 PREDICTORS = "prbench.predictors"
 """The group of methods of motion prediction: ``load(weights, *, options, device) -> Predictor``."""
+COMMANDS = "prbench.commands"
+"""The group of commands: a word, and the :class:`prbench.cli.commands.Command` or ``Group`` that it runs."""
 _OURS = "prbench"  # the distribution whose plug-ins are built in
 _UNKNOWN = "unknown"
 _TARGET = re.compile(r"[A-Za-z_][\w.]*\s*:\s*[A-Za-z_][\w.]*\s*(\[.*\])?")

@@ -27,6 +27,7 @@ LAYERS = {
     **dict.fromkeys(("checking", "board", "prbench_adapters"), 11),
     "workflows": 12,
     **dict.fromkeys(("api", "cli"), 13),
+    "commands": 14,  # modules or packages of this name in prbench_adapters and prbench_benchmarks
     "prbench_data_manifests": 0,
     "prbench_benchmarks": 0,
 }
@@ -46,7 +47,9 @@ def _package(module: str) -> str | None:
     if module in ("prbench", "prbench.__main__"):
         return None  # the version line, and the way in for `python -m`
     parts = module.split(".")
-    return parts[0] if parts[0] != "prbench" else parts[1]
+    if parts[0] != "prbench":
+        return "commands" if "commands" in parts[1:] else parts[0]
+    return parts[1]
 
 
 def _imports(path: Path) -> list[str]:

@@ -12,13 +12,16 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import click
 
 from prbench.cli.places import PlaceType, Remote, has_urls, local_places, showing
+from prbench.entry_points import InstalledEntry, installed_entries
 from prbench.errors import did_you_mean
+from prbench.shown import quoted
 
 _WIDEST_HELP = 100
 """Columns that a help page takes at most: longer lines are hard to read."""
@@ -78,8 +81,11 @@ class Command(click.Command):
         name: What it is called by.
         example: A command line of it.
         resumes: It takes up what an interruption has left.
-        report: Shape of what it prints with ``--json``; None for a command that reports nothing.
+        report: Data class or msgspec struct that it prints with ``--json``, or ``module:class`` of one whose module
+            takes long to import; None for a command that reports nothing.
         writes_report: ``--out FILE`` writes that JSON; False where the command has an ``--out`` of its own.
+        section: For a command that a package registers: the section of ``prbench --help`` in which it is listed, by
+            the word before its colon, such as ``train``.
         settings: Of :class:`click.Command`.
     """
 
@@ -89,12 +95,14 @@ class Command(click.Command):
         *,
         example: str,
         resumes: bool = False,
-        report: type | None = None,
+        report: type | str | None = None,
         writes_report: bool = False,
+        section: str = "",
         **settings: Any,
     ) -> None:
         super().__init__(name, **settings)
         self.example = example
+        self.section = section
         self.resumes = resumes
         self.report = report
         if report is not None:
@@ -153,6 +161,9 @@ class Group(click.Group):
         sections: The title of each section, and the commands in it: name and where its function stands
             (``module:function``).
         example: A command line of one of them; empty for none.
+        section: As that of :class:`Command`.
+        renamed: Former command lines, without ``prbench``, and what to write in their place.
+        plugins: Entry-point group whose commands stand beside those of ``sections``; empty for none.
         settings: Of :class:`click.Group`.
     """
 
@@ -162,24 +173,76 @@ class Group(click.Group):
         *,
         sections: Mapping[str, Mapping[str, str]],
         example: str = "",
+        section: str = "",
+        renamed: Mapping[str, str] | None = None,
+        plugins: str = "",
         **settings: Any,
     ) -> None:
         super().__init__(name, **settings)
         self.sections = sections
         self.example = example
+        self.section = section
+        self.renamed = renamed or {}
+        self.plugins = plugins
         self.params += [_quiet_option(), _verbose_option()]
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of the commands, section by section."""
-        return [name for commands in self.sections.values() for name in commands]
+        """Return the names of the commands, section by section, those that cannot be loaded left out."""
+        return [name for commands in self._listed(ctx).values() for name in commands]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import one command, or return None for an unknown name."""
+        """Import one command, or return None for an unknown name.
+
+        Raises:
+            click.UsageError: for a command of another package that cannot be loaded.
+        """
         for commands in self.sections.values():
             if cmd_name in commands:
                 module, _, function = commands[cmd_name].partition(":")
                 return getattr(importlib.import_module(module), function)
-        return None
+        entry = self._plugins.get(cmd_name)
+        return None if entry is None else self._loaded(entry, ctx)
+
+    @cached_property
+    def _plugins(self) -> dict[str, InstalledEntry]:
+        """The commands that packages register, by name; those of prbench's own packages come first."""
+        found: dict[str, InstalledEntry] = {}
+        if self.plugins:
+            for entry in sorted(installed_entries(self.plugins, kind="command"), key=lambda each: not each.ours):
+                found.setdefault(entry.name, entry)
+        return found
+
+    def _loaded(self, entry: InstalledEntry, ctx: click.Context) -> click.Command:
+        problem = entry.problem
+        if not problem:
+            module, _, function = entry.target.partition(":")
+            try:
+                found = getattr(importlib.import_module(module.strip()), function.strip())
+            except Exception as error:  # whatever another package raises, it breaks its own command only
+                problem = f"{type(error).__name__}: {quoted(error)}"
+            else:
+                if isinstance(found, Command | Group):
+                    return found
+                problem = f"expected a Command or Group of prbench.cli.commands, found {type(found).__name__}"
+        raise click.UsageError(
+            f"the command '{quoted(entry.name)}' of the package {entry.package} {entry.version} cannot be used:"
+            f" {problem}.",
+            ctx,
+        )
+
+    def _listed(self, ctx: click.Context) -> dict[str, list[str]]:
+        """Return the title of each section and the names of its commands, those of packages behind the others."""
+        titles = {title.partition(":")[0]: title for title in self.sections}
+        listed = {title: list(commands) for title, commands in self.sections.items()}
+        for name, entry in self._plugins.items():
+            try:
+                command = self._loaded(entry, ctx)
+            except click.UsageError:
+                continue  # named with its problem when it is called
+            names = listed.setdefault(titles.get(getattr(command, "section", ""), "more: from packages"), [])
+            if name not in names:
+                names.append(name)
+        return listed
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -187,10 +250,15 @@ class Group(click.Group):
         """Find the command that the first word names.
 
         Raises:
-            click.UsageError: for an unknown one, naming the nearest, also one inside a group.
+            click.UsageError: for an unknown one, naming what it is called now or the nearest, also one inside a group.
         """
         name = args[0]
         if self.get_command(ctx, name) is None and not name.startswith("-") and not ctx.resilient_parsing:
+            renamed = getattr(ctx.find_root().command, "renamed", {})
+            for words in (args[:2], args[:1]):
+                former = " ".join([*ctx.command_path.split()[1:], *words])
+                if former in renamed:
+                    raise click.UsageError(f"'prbench {former}' is now `prbench {renamed[former]}`.", ctx)
             nearest = did_you_mean(name, self.list_commands(ctx))
             within = [full for full, _ in self.walk(ctx) if full.split()[-1] == name]
             where = f" Did you mean '{within[0]}'?" if within else nearest
@@ -199,7 +267,7 @@ class Group(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands of each section with their summaries."""
-        for title, commands in self.sections.items():
+        for title, commands in self._listed(ctx).items():
             with formatter.section(title):
                 formatter.write_dl([(name, summary(self.get_command(ctx, name))) for name in commands])
 
@@ -228,9 +296,9 @@ def command(
     *,
     example: str,
     resumes: bool = False,
-    report: type | None = None,
+    report: type | str | None = None,
     writes_report: bool = False,
-    hidden: bool = False,
+    section: str = "",
 ) -> Callable[[Callable[..., Any]], Command]:
     """Turn a function into a :class:`Command`; its docstring becomes the help, its parameters are the options."""
     return click.command(
@@ -240,7 +308,7 @@ def command(
         resumes=resumes,
         report=report,
         writes_report=writes_report,
-        hidden=hidden,
+        section=section,
         context_settings={"max_content_width": _WIDEST_HELP},
     )
 

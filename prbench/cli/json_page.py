@@ -5,10 +5,14 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
+import importlib
 import inspect
+import itertools
 import re
 import sys
+import textwrap
 import types
 import typing
 from collections.abc import Iterator
@@ -83,8 +87,7 @@ def json_page() -> str:
     writer = _Writer()
     writer.add_envelope()
     for name, command in reporting_commands():
-        assert command.report is not None
-        writer.add_command(name, command.report)
+        writer.add_command(name, report_of(command))
     return "\n".join(writer.lines) + "\n"
 
 
@@ -97,6 +100,15 @@ def all_commands() -> list[tuple[str, Command]]:
 def reporting_commands() -> list[tuple[str, Command]]:
     """Return the commands that report something."""
     return [(name, command) for name, command in all_commands() if command.report is not None]
+
+
+def report_of(command: Command) -> type:
+    """Return the class of what a command reports, imported if the command names it by module and class."""
+    if isinstance(command.report, str):
+        module, _, name = command.report.partition(":")
+        return getattr(importlib.import_module(module), name)
+    assert command.report is not None
+    return command.report
 
 
 def shapes_in(shape: type) -> list[type]:
@@ -117,23 +129,32 @@ def fields_of(shape: type) -> dict[str, Any]:
 
 
 def descriptions_of(shape: type) -> dict[str, str]:
-    """Return what the docstring of a class says about its fields, by their names.
+    """Return what a class says about its fields, by their names.
 
-    The section "Attributes:" describes them (Google style): ``name: text``, further lines indented.
+    Either the docstring has a section "Attributes:" (Google style: ``name: text``, further lines indented), or a string
+    stands below each field; fields of a class that it extends are described there.
     """
-    _, _, section = (inspect.getdoc(shape) or "").partition("\nAttributes:\n")
     found: dict[str, str] = {}
-    name = ""
-    for line in section.splitlines():
-        if line.strip() and not line.startswith("    "):
-            break  # another section
-        entry = re.match(r"    (\w+): (.*)", line)
-        if entry:
-            name = entry[1]
-            found[name] = entry[2]
-        elif name and line.strip():
-            found[name] += f" {line.strip()}"
-    return found
+    for each in reversed(shape.__mro__):
+        if not _has_fields(each) or each is msgspec.Struct:
+            continue
+        _, _, section = (inspect.getdoc(each) or "").partition("\nAttributes:\n")
+        name = ""
+        for line in section.splitlines():
+            if line.strip() and not line.startswith("    "):
+                break  # another section
+            entry = re.match(r"    (\w+): (.*)", line)
+            if entry:
+                name = entry[1]
+                found[name] = entry[2]
+            elif name and line.strip():
+                found[name] += f" {line.strip()}"
+        (tree,) = ast.parse(textwrap.dedent(inspect.getsource(each))).body
+        assert isinstance(tree, ast.ClassDef)
+        for field, below in itertools.pairwise(tree.body):
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(below, ast.Expr):
+                found[field.target.id] = " ".join(str(ast.literal_eval(below.value)).split())
+    return {name: text for name, text in found.items() if name in fields_of(shape)}
 
 
 def _classes(annotation: Any) -> Iterator[type]:

@@ -15,6 +15,7 @@ import click
 import prbench
 from prbench.cli.commands import Answer, Group, Session
 from prbench.cli.terminal import clean_output
+from prbench.entry_points import COMMANDS
 from prbench.errors import PrbenchError, UsageError
 
 _EXAMPLES = """\
@@ -76,6 +77,29 @@ _COMMANDS = {
         "completion": "prbench.cli.help:completion",
     },
 }
+_RENAMED = {
+    "ablation": "study ITEM --train, such as study table-3 --train",
+    "ablation table-3": "study table-3 --train",
+    "ablation table-4": "study table-4 --train",
+    "ablation table-s4": "study table-s4 --train",
+    "ablation table-s5": "study table-s5 --train",
+    "ablation table-s6": "study table-s6 --train",
+    "ablation table-s7": "study table-s7 --train",
+    "adapters converters": "adapters list --converters",
+    "agreement": "analyse agreement RUN",
+    "candidates": "build-dataset gimo --propose-events FILE",
+    "cite": "datasets --cite DIR",
+    "completion": "help completion SHELL",
+    "diversity": "analyse diversity RUN",
+    "error-budget": "analyse errors RUN",
+    "leaderboard merge": "merge BOARD",
+    "leaderboard pareto": "leaderboard export --plot FILE",
+    "prediction": "study prediction-tables, or view for pictures of futures",
+    "prediction tables": "study prediction-tables",
+    "prediction view": "view RUN",
+    "stats": "inspect TABLE",
+}
+"""Commands of earlier versions, and how to write them now."""
 
 
 class _Program(Group):
@@ -88,6 +112,8 @@ class _Program(Group):
 program = _Program(
     "prbench",
     sections=_COMMANDS,
+    renamed=_RENAMED,
+    plugins=COMMANDS,
     help="Prime-and-reach motion benchmark: curate sequences, run motion generators, score them.",
     context_settings={"max_content_width": 100},
 )

@@ -9,7 +9,15 @@ import msgspec
 import pytest
 
 from prbench.cli.documents import Document
-from prbench.cli.json_page import all_commands, descriptions_of, fields_of, json_page, reporting_commands, shapes_in
+from prbench.cli.json_page import (
+    all_commands,
+    descriptions_of,
+    fields_of,
+    json_page,
+    report_of,
+    reporting_commands,
+    shapes_in,
+)
 
 PAGE = Path(__file__).parents[2] / "docs" / "json.md"
 WITHOUT_REPORT = {"help", "completion"}
@@ -22,7 +30,7 @@ def test_the_page_is_up_to_date() -> None:
 
 @pytest.mark.parametrize(("name", "command"), reporting_commands(), ids=[name for name, _ in reporting_commands()])
 def test_every_field_of_a_report_is_described_and_no_other(name, command) -> None:
-    for shape in [*shapes_in(Document), *shapes_in(command.report)]:
+    for shape in [*shapes_in(Document), *shapes_in(report_of(command))]:
         described = descriptions_of(shape)
         assert set(described) == set(fields_of(shape)), f"{name}: {shape.__name__}"
         assert not [field for field, text in described.items() if not text.endswith(".")]
@@ -36,7 +44,7 @@ def test_every_command_reports_and_has_the_option() -> None:
 
 @pytest.mark.parametrize(("name", "command"), reporting_commands(), ids=[name for name, _ in reporting_commands()])
 def test_msgspec_knows_the_shape_of_every_report(name, command) -> None:
-    schema = msgspec.json.schema(command.report, schema_hook=lambda kind: {"type": "string"})
+    schema = msgspec.json.schema(report_of(command), schema_hook=lambda kind: {"type": "string"})
     assert schema["$defs"]
 
 
@@ -65,7 +73,17 @@ class _Outer:
     parts: dict[str, list[_Inner]]
 
 
+@dataclass
+class _Further(_Outer):
+    """More than the whole."""
+
+    rest: int
+    """What is left,
+    counted."""
+
+
 def test_descriptions_are_read_from_docstrings_of_structs_and_dataclasses() -> None:
     assert shapes_in(_Outer) == [_Outer, _Inner]
     assert descriptions_of(_Inner) == {"size": "Length, in metres; or nothing."}
     assert descriptions_of(_Outer) == {"parts": "By name."}
+    assert descriptions_of(_Further) == {"parts": "By name.", "rest": "What is left, counted."}
