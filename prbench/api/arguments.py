@@ -67,7 +67,11 @@ def output_folder(value: PathLike) -> Iterator[Path]:
     if is_url(value):
         from prbench.object_stores.outputs import written_folder
 
-        with written_folder(str(value), tell=_warn) as (folder, _):
+        def warn(line: str) -> None:  # where something went wrong; how much is fetched and uploaded is not told
+            if line.startswith(_NOTE):
+                warnings.warn(line.removeprefix(_NOTE), stacklevel=2)
+
+        with written_folder(str(value), tell=warn) as (folder, _):
             yield folder
     else:
         yield Path(value).expanduser()
@@ -106,12 +110,6 @@ def output_file(value: PathLike) -> Iterator[Path]:
         yield Path(value).expanduser()
 
 
-def _warn(line: str) -> None:
-    """Warn where something went wrong; how much is fetched and uploaded is not told."""
-    if line.startswith(_NOTE):
-        warnings.warn(line.removeprefix(_NOTE), stacklevel=2)
-
-
 def as_optional_path(value: PathLike | None) -> Path | None:
     """Return :func:`as_path` of a value, or None for None.
 
@@ -144,11 +142,8 @@ def as_options(value: Mapping[str, object] | None, *, name: str = "option") -> d
         return {}
     if not isinstance(value, Mapping):
         raise UsageError(f"{name}: expected a dict such as {{'name': 'value'}}, found {type(value).__name__}.")
-    return {str(key): _as_text(each) for key, each in value.items()}
-
-
-def _as_text(value: object) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
+    texts = {str(key): str(each) for key, each in value.items()}
+    return texts | {str(key): str(each).lower() for key, each in value.items() if isinstance(each, bool)}
 
 
 def as_condition(name: str) -> Condition:

@@ -69,10 +69,6 @@ def notebook_table(title: str, frame: pd.DataFrame, remarks: Iterable[str] = ())
     """
     below = "".join(f"<p>{html(remark)}</p>" for remark in remarks)
     table = frame.to_html(
-        index=False, max_rows=_SHOWN_ROWS, na_rep="", border=0, justify="left", float_format=_two_decimals
+        index=False, max_rows=_SHOWN_ROWS, na_rep="", border=0, justify="left", float_format="{:.2f}".format
     )
     return f"<p><b>{html(title)}</b></p>{table}{below}"
-
-
-def _two_decimals(number: float) -> str:
-    return f"{number:.2f}"

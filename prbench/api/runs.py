@@ -86,6 +86,8 @@ class Run:
     @property
     def notes(self) -> tuple[str, ...]:
         """Remarks beside the scores, one line each: work taken over, crashes, names that are refused."""
+        from prbench.harness.methods.installed import list_adapters
+
         notes = []
         if self._batches_found:
             notes.append(f"{self._batches_found} batches were taken over from an earlier run.")
@@ -95,7 +97,13 @@ class Run:
             if crashes:
                 times = "once" if crashes == 1 else f"{crashes} times"
                 notes.append(f"its program crashed {times} and was started again: {path}, restarts.")
-        return (*notes, *_claims(self.method))
+        # Packages that offer a method under a name that belongs to prbench; theirs is never run.
+        notes += [
+            f"{adapter.package} {adapter.version} is not used: {adapter.problem}."
+            for adapter in list_adapters()
+            if adapter.name == self.method and adapter.problem
+        ]
+        return tuple(notes)
 
     def to_pandas(self) -> pd.DataFrame:
         """Return one row a sequence, sample and metric.
@@ -246,17 +254,6 @@ class Run:
         shown = scores_for_notebook(self.summaries, self._irrelevant, origin=self.record.method.origin)
         lines = [*self.notes, f"run folder: {self.folder}"]
         return shown + "".join(f"<p>{html(line)}</p>" for line in lines)
-
-
-def _claims(method: str) -> list[str]:
-    """Name the packages that offer a method under a name that belongs to prbench; theirs is never run."""
-    from prbench.harness.methods.installed import list_adapters
-
-    return [
-        f"{adapter.package} {adapter.version} is not used: {adapter.problem}."
-        for adapter in list_adapters()
-        if adapter.name == method and adapter.problem
-    ]
 
 
 def open_run(path: PathLike) -> Run:

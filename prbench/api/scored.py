@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pyarrow as pa
 
 from prbench.api.frames import frame_from_rows, frame_of, notebook_table
-from prbench.harness.run_folder import DatasetSummary, MetricSummary
+from prbench.harness.run_folder import DatasetSummary
 from prbench.metrics import METRICS, printed_scale, printed_unit
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ _METRIC = (
     "metric", "title", "unit", "mean", "low", "high", "level", "interval", "sequences", "recordings",
 )  # fmt: skip
 _SUMMARY = ("dataset", "method", "condition", *_METRIC, "marks")
+_SHOWN = ("metric", "mean", "95 % interval", "remark")
 _ON_SYNTHETIC_DATA = "These are scores on synthetic data: never compare them with published ones."
 
 
@@ -70,35 +71,29 @@ def scores_for_notebook(summaries: Sequence[DatasetSummary], irrelevant: frozens
             f"{summary.title}: {summary.method} ({origin}), condition {summary.condition};"
             f" {summary.sequences} sequences of {summary.recordings} recordings, split {summary.split}"
         )
-        rows = [_shown(metric) for metric in summary.metrics if metric.metric not in irrelevant]
-        frame = frame_from_rows(rows, ("metric", "mean", "95 % interval", "remark"))
-        parts.append(notebook_table(title, frame, _remarks(summary)))
+        rows = []
+        for metric in summary.metrics:
+            if metric.metric in irrelevant:
+                continue
+            scale = printed_scale(metric.unit)
+            interval = "–"
+            if metric.low is not None and metric.high is not None:
+                interval = f"[{metric.low * scale:.2f}, {metric.high * scale:.2f}]"
+            remarks = [mark.replace("_", " ") for mark in metric.marks]
+            remarks += [f"{count} × {name.replace('_', ' ')}" for name, count in sorted(metric.flags.items())]
+            mean = f"{metric.mean * scale:.2f}{printed_unit(metric.unit)}"
+            rows.append(dict(zip(_SHOWN, (metric.title, mean, interval, "; ".join(remarks)), strict=True)))
+        below = []
+        if summary.unsupported:
+            below.append(
+                f"{summary.unsupported} sequences are longer than the method can generate and were not scored."
+            )
+        if summary.mark:
+            below.append(f"{summary.mark}.")
+        if summary.synthetic:
+            below.append(_ON_SYNTHETIC_DATA)
+        parts.append(notebook_table(title, frame_from_rows(rows, _SHOWN), below))
     return "".join(parts)
-
-
-def _shown(metric: MetricSummary) -> dict[str, str]:
-    scale = printed_scale(metric.unit)
-    interval = "–"
-    if metric.low is not None and metric.high is not None:
-        interval = f"[{metric.low * scale:.2f}, {metric.high * scale:.2f}]"
-    flags = [f"{count} × {name.replace('_', ' ')}" for name, count in sorted(metric.flags.items())]
-    return {
-        "metric": metric.title,
-        "mean": f"{metric.mean * scale:.2f}{printed_unit(metric.unit)}",
-        "95 % interval": interval,
-        "remark": "; ".join([*(mark.replace("_", " ") for mark in metric.marks), *flags]),
-    }
-
-
-def _remarks(summary: DatasetSummary) -> list[str]:
-    remarks = []
-    if summary.unsupported:
-        remarks.append(f"{summary.unsupported} sequences are longer than the method can generate and were not scored.")
-    if summary.mark:
-        remarks.append(f"{summary.mark}.")
-    if summary.synthetic:
-        remarks.append(_ON_SYNTHETIC_DATA)
-    return remarks
 
 
 def described(summaries: Sequence[DatasetSummary]) -> str:

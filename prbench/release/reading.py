@@ -269,6 +269,10 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
         found.note(key, "gaze: no frame has a unit vector")
     # From the head joint, because the layout holds directions of gaze and no eyes.
     to_gaze = ray_distance(joints[prime, Joint.HEAD][None], directions[prime][None], goal[None])[0]
+    # The matrix is a turn about y and a shift, so two entries hold the whole angle.
+    yaw = np.degrees(np.arctan2(motion_from_canonical[0, 2], motion_from_canonical[0, 0]))
+    offset = np.abs(motion_from_canonical[:3, 3]).max()
+    rules = load_known()
     further, further_content = _read_further(found, key, index, n_frames)
     block = None
     if further is not None and not found.first_frame_is_previous:
@@ -297,7 +301,7 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
             digest=bytes_digest(content + gaze_content + further_content),
             pelvis_to_head=float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=1))),
             motion_from_canonical=motion_from_canonical,
-            is_canonical=_is_canonical(motion_from_canonical),
+            is_canonical=bool(offset <= rules.canonical_position and abs(yaw) <= rules.canonical_yaw_deg),
             goal_to_wrist=float(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).min()),
             goal_to_gaze=float(to_gaze) if valid[prime] else None,
             **(named if block is None else {name: block[name] for name in named}),
@@ -357,14 +361,6 @@ def _read_further(found: ReleasedDataset, key: str, index: int, n_frames: int) -
     except InputFileError:
         found.note(key, "further: damaged or of another motion, not used")
         return None, b""
-
-
-def _is_canonical(motion_from_canonical: Float[np.ndarray, "4 4"]) -> bool:
-    rules = load_known()
-    # The matrix is a turn about y and a shift, so two entries hold the whole angle.
-    yaw = np.degrees(np.arctan2(motion_from_canonical[0, 2], motion_from_canonical[0, 0]))
-    offset = np.abs(motion_from_canonical[:3, 3]).max()
-    return bool(offset <= rules.canonical_position and abs(yaw) <= rules.canonical_yaw_deg)
 
 
 def _conclude(found: ReleasedDataset) -> None:

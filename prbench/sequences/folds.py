@@ -5,7 +5,6 @@ Source: docs/specification/protocol.md#participant-folds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -138,16 +137,18 @@ def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> Dat
 
     def split(batch: pa.RecordBatch) -> pa.RecordBatch:
         pairs = zip(batch["participant_id"].to_pylist(), batch["split"].to_pylist())
-        new = [_split(fold_of.get(person) == fold, old) for person, old in pairs]
+        kept = {"validation": "validation"}  # what is not tested on is learnt from, or stays apart
+        new = ["test" if fold_of.get(person) == fold else kept.get(old, "train") for person, old in pairs]
         return batch.set_column(batch.schema.get_field_index("split"), batch.schema.field("split"), pa.array(new))
 
+    names = table.schemas[table.main].names
     options = {**table.info.options, OPTION: f"{fold}/{folds}", WHOLE_TABLE: table.info.content_digest}
     info = msgspec.structs.replace(table.info, options=options)
     with sole_writer(out):
         return write_dataset(
             out,
             info,
-            sequences=map(split, _rows(table)),
+            sequences=(split(chunk.batch.select(names)) for chunk in table.chunks(columns=names)),
             events=table.events().to_batches(),
             recordings=map(split, table.recordings().to_batches()),
             scenes=table.scenes().to_batches(),
@@ -157,14 +158,3 @@ def write_fold(table: SequenceTable, out: Path, *, fold: int, folds: int) -> Dat
 def _require_whole(table: SequenceTable) -> None:
     if OPTION in table.info.options:
         raise UsageError(f"{table.folder}: is fold {table.info.options[OPTION]} already; name the whole table.")
-
-
-def _rows(table: SequenceTable) -> Iterator[pa.RecordBatch]:
-    names = table.schemas[table.main].names
-    return (chunk.batch.select(names) for chunk in table.chunks(columns=names))
-
-
-def _split(tested: bool, before: str) -> str:
-    if tested:
-        return "test"
-    return "validation" if before == "validation" else "train"

@@ -38,13 +38,13 @@ def write_part(folder: Path, batches: Mapping[str, pa.RecordBatch], receipt: Map
 
 def plain(receipt: object) -> Any:
     """A receipt as JSON knows it; numbers that a reader has taken from arrays become plain ones."""
-    return msgspec.to_builtins(receipt, enc_hook=_plain_number)
 
+    def plain_number(value: object) -> object:
+        if isinstance(value, np.generic):
+            return value.item()
+        raise NotImplementedError(f"{type(value).__name__} in a receipt")
 
-def _plain_number(value: object) -> object:
-    if isinstance(value, np.generic):
-        return value.item()
-    raise NotImplementedError(f"{type(value).__name__} in a receipt")
+    return msgspec.to_builtins(receipt, enc_hook=plain_number)
 
 
 def read_receipt(folder: Path) -> dict | None:
