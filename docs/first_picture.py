@@ -15,8 +15,8 @@ import numpy as np
 
 from prbench.geometry.skeleton import Joint
 from prbench.viewing.event_story import StoryMotion
+from prbench.viewing.explain import explain_event
 from prbench.viewing.figures import draw_figure, horizontal_direction, new_figure, write_png
-from prbench.workflows.explain import explain_event
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -87,3 +87,12 @@ def open3d_or_slow_loop(request: pytest.FixtureRequest, monkeypatch: pytest.Monk
             monkeypatch.setattr(f"prbench.curation.{module}.TriangleMesh", SlowMesh)
         monkeypatch.setattr("prbench.curation.options.import_open3d", lambda purpose: None)
     return request.param
+
+
+@pytest.fixture(scope="session")
+def adt_tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two small synthetic recordings in ADT's layout, below a folder that holds nothing else; not to be changed."""
+    from prbench.synthetic.write_tree import synthesize_tree  # not before the import hook
+
+    root = tmp_path_factory.mktemp("copies") / "ADT"
+    return synthesize_tree("adt", root, recordings=2, seed=3, n_events=3).root

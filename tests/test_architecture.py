@@ -22,12 +22,13 @@ LAYERS = {
     **dict.fromkeys(("metrics", "object_stores", "sequences", "representation", "text"), 6),
     **dict.fromkeys(("contract", "prediction", "readers", "tables"), 7),
     **dict.fromkeys(("curation", "corpora", "release"), 8),
-    **dict.fromkeys(("harness", "synthetic"), 9),
-    **dict.fromkeys(("training", "viewing"), 10),
-    **dict.fromkeys(("checking", "board", "prbench_adapters"), 11),
-    "workflows": 12,
-    **dict.fromkeys(("api", "cli"), 13),
-    "commands": 14,  # modules or packages of this name in prbench_adapters and prbench_benchmarks
+    "synthetic": 9,
+    "harness": 10,
+    **dict.fromkeys(("training", "viewing"), 11),
+    **dict.fromkeys(("checking", "board", "prbench_adapters"), 12),
+    "workflows": 13,
+    **dict.fromkeys(("api", "cli"), 14),
+    "commands": 15,  # modules or packages of this name in prbench_adapters and prbench_benchmarks
     "prbench_data_manifests": 0,
     "prbench_benchmarks": 0,
 }

@@ -16,6 +16,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from prbench.checking.matching import match_events
+from prbench.checking.verify_synthetic import on_clock
 from prbench.curation import BuildOptions, CurationOptions, build_from_sources
 from prbench.curation.curate import curate_recording
 from prbench.curation.options import DEFAULTS
@@ -27,9 +29,7 @@ from prbench.protocol.own_protocol import FILE_NAME
 from prbench.recording import Recording
 from prbench.sequences import SequenceTable
 from prbench.synthetic.layouts import layout_for
-from prbench.workflows.matching import match_events
-from prbench.workflows.synthetic_table import Staging, SyntheticSource, synthetic_source
-from prbench.workflows.verify_synthetic import on_clock
+from prbench.synthetic.synthetic_table import Staging, SyntheticSource, synthetic_source
 
 PRESET = "adt"
 RECORDINGS = 40

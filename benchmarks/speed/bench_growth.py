@@ -234,7 +234,7 @@ def draw(found: dict[str, list[Measured]], path: Path) -> None:
 
 def _embedded() -> Path:
     from prbench.engine import InProcess
-    from prbench.workflows.first_run import default_tables
+    from prbench.harness.first_run import default_tables
 
     return next(
         table.folder for table in default_tables(InProcess(), lambda *_: None) if table.info.dataset.endswith("mogaze")

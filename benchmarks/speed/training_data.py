@@ -11,9 +11,9 @@ from pathlib import Path
 import torch
 
 from benchmarks.speed.timing import Row, print_rows
+from prbench.synthetic.synthetic_table import build_synthetic_table
 from prbench.training import LengthBatches, MotionBatch, SequenceDataset
 from prbench.training.batches import WaitingClock, load_batches
-from prbench.workflows.synthetic_table import build_synthetic_table
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser

@@ -132,8 +132,8 @@ def compare(
     """
     from prbench.board import compare_runs
     from prbench.engine import engine_for
+    from prbench.harness.first_run import table_finder
     from prbench.harness.verification import RunChecker
-    from prbench.workflows.first_run import table_finder
 
     require_positive(workers=workers)
     folders = _folder_of(first), _folder_of(second)

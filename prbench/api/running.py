@@ -104,11 +104,11 @@ def run(
         StorageError: if the run folder cannot be written.
         ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
+    from prbench.harness import first_run
     from prbench.harness.methods.installed import packages_of
     from prbench.harness.preparation import DEFAULT_PARENT
     from prbench.harness.request import RunRequest
     from prbench.harness.run import run_method
-    from prbench.workflows import first_run
 
     if _EVERYTHING in (method, condition):
         raise UsageError(

@@ -213,7 +213,7 @@ class Run:
         permission: str | Iterable[str],
         scene: PathLike | None,
     ) -> tuple[Scene, ...]:
-        from prbench.workflows.view import ViewRequest, scenes_of
+        from prbench.viewing.view import ViewRequest, scenes_of
 
         self._require_motions()
         require_positive(limit=limit)

@@ -200,7 +200,7 @@ class Sequence(sequences.Sequence):
     def _scene(self, permission: str | Iterable[str], scene: PathLike | None) -> Scene:
         from prbench.sequences.redistribution import require_may_pass_on
         from prbench.viewing.replay.read import scene_of
-        from prbench.workflows.surroundings import Surroundings
+        from prbench.viewing.surroundings import Surroundings
 
         assert self._table is not None, "sequences are made by tables"
         permitted = as_texts(permission)

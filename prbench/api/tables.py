@@ -131,7 +131,7 @@ class Table:
         Raises:
             UsageError: if no event fits (names the nearest ids), or several do.
         """
-        from prbench.workflows.explain import explain_event
+        from prbench.viewing.explain import explain_event
 
         if not event:  # every event would fit
             raise UsageError("expected an event's id or a part of one, found an empty text.")
@@ -267,7 +267,7 @@ def embedded_tables(*, workers: int = 1) -> tuple[Table, ...]:
         StorageError: if prbench's cache folder cannot be written.
     """
     from prbench.engine import engine_for
-    from prbench.workflows.first_run import default_tables
+    from prbench.harness.first_run import default_tables
 
     require_positive(workers=workers)
     with progress("building synthetic data") as show:

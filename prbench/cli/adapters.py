@@ -194,8 +194,8 @@ def new(
 
     NAME is that of the method, such as glide: what --method will be given.
     """
+    from prbench.checking.scaffold import ScaffoldRequest, new_adapter
     from prbench.protocol.benchmarks import default_benchmark
-    from prbench.workflows.scaffold import ScaffoldRequest, new_adapter
 
     request = ScaffoldRequest(
         name=name,
@@ -216,7 +216,7 @@ def new(
 @out_file_option(f"The file, beside the program (default ./{_CONVERTERS}).")
 def converters(out: Path | None) -> Answer:
     """Write the converters as one file for a program: NumPy only, Python 3.8 or later."""
-    from prbench.workflows.scaffold.one_file import write_converters
+    from prbench.checking.scaffold.one_file import write_converters
 
     path = out or _CONVERTERS
     write_converters(path)

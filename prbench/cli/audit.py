@@ -23,8 +23,8 @@ from prbench.cli.summaries import DatasetScores, dataset_scores, phi_cell
 from prbench.cli.terminal import print_table, shown_width
 
 if TYPE_CHECKING:
+    from prbench.board.audit import ControlMeans, TableAudit
     from prbench.metrics import MetricInfo
-    from prbench.workflows.audit import ControlMeans, TableAudit
 
 _COLUMNS = 8
 """Metrics side by side at most; half as many on a narrow terminal."""
@@ -109,9 +109,9 @@ def audit(data: tuple[Path, ...], split: str, limit: int | None, out: Path | Non
     Of several tables it prints means of the main metrics; with -v of all metrics, and each table.
     Every cheat can be run by itself, too: `prbench run --method tremor`. docs/audit.md says what is to be learnt.
     """
+    from prbench.board.audit import audit as run_audit
+    from prbench.board.audit import means_of_controls
     from prbench.engine import engine_for
-    from prbench.workflows.audit import audit as run_audit
-    from prbench.workflows.audit import means_of_controls
 
     engine = engine_for(workers)
     default = _SEQUENCES if data else FIRST_RUN_SEQUENCES
@@ -170,7 +170,7 @@ def _means_report(control: ControlMeans) -> ControlMeansReport:
 
 def _as_good_as_people(controls: Sequence[ControlMeans]) -> dict[str, list[str]]:
     """Map each metric in which scoring like people can be told from being compared with them to who does."""
-    from prbench.workflows.audit import metrics_of, not_worse_than_people
+    from prbench.board.audit import metrics_of, not_worse_than_people
 
     contests = [
         info for info in metrics_of(controls) if info.higher_is_better is not None and not info.compares_with_recorded
@@ -199,7 +199,7 @@ def _print_dataset(each: TableAudit) -> None:
 
 def _print_all_metrics(title: str, controls: Sequence[ControlMeans], *, only_main: bool = False) -> None:
     """Print what every control earns, and in which metrics it does no worse than recorded people."""
-    from prbench.workflows.audit import metrics_of
+    from prbench.board.audit import metrics_of
 
     metrics = metrics_of(controls)
     columns = _COLUMNS if shown_width() >= _WIDE else _COLUMNS // 2

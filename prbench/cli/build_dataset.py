@@ -177,7 +177,7 @@ def build_dataset(
 
 def _propose(dataset: str, root: Path, out: Path, options: dict[str, str], engine: Engine) -> Answer:
     """Propose pick events where a dataset has none, for a person to confirm."""
-    from prbench.workflows.candidates import write_candidates
+    from prbench.curation.propose_events import write_candidates
 
     with progress(f"looking for reaches in {dataset}") as show:
         proposals = write_candidates(dataset, root, out, options=options, engine=engine, progress=show)
@@ -209,7 +209,7 @@ def _propose(dataset: str, root: Path, out: Path, options: dict[str, str], engin
 def _plan(dataset: str, root: Path, options: BuildOptions, workers: int) -> Answer:
     """Say what would be read, of one dataset or of all that are found."""
     if dataset == EVERYTHING:
-        from prbench.workflows.build_all import plan_all
+        from prbench.curation.build_all import plan_all
 
         plans = [planned(plan, workers, dataset=name, root=place) for name, place, plan in plan_all(root, options)]
     else:
@@ -274,7 +274,7 @@ def table_answer(report: BuildReport) -> Answer:
 
 
 def _build_all(root: Path, out: Path, options: BuildOptions, engine: Engine) -> Answer:
-    from prbench.workflows.build_all import build_all
+    from prbench.curation.build_all import build_all
 
     with progress("building") as tell:
         outcomes = build_all(

@@ -26,8 +26,8 @@ def tables_option(function: Callable) -> Callable:
 def run_checker(data: Sequence[Path], workers: int) -> RunChecker:
     """Make what scores again on the named tables and the embedded ones."""
     from prbench.engine import engine_for
+    from prbench.harness.first_run import table_finder
     from prbench.harness.verification import RunChecker
-    from prbench.workflows.first_run import table_finder
 
     return RunChecker(table_finder(data), engine_for(workers))
 

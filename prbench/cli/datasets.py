@@ -13,7 +13,7 @@ from prbench.cli.options import data_arguments, root_option
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
-    from prbench.workflows.catalogue import CatalogueEntry
+    from prbench.checking.catalogue import CatalogueEntry
 
 
 class DatasetEntry(msgspec.Struct, frozen=True, kw_only=True):
@@ -86,7 +86,7 @@ def datasets(*, name: str | None, root: Path | None) -> Answer:
 
     With NAME everything about that one is told.
     """
-    from prbench.workflows.catalogue import catalogue, unusable_readers
+    from prbench.checking.catalogue import catalogue, unusable_readers
 
     report = DatasetsReport(
         datasets=[_entry(each) for each in catalogue(root, name)],
@@ -160,7 +160,7 @@ def _everything(entry: DatasetEntry) -> str:
 @data_arguments
 def cite(*, data: tuple[Path, ...]) -> Answer:
     """Print BibTeX and licence terms of everything that built tables contain."""
-    from prbench.workflows.catalogue import citation_text
+    from prbench.checking.catalogue import citation_text
 
     report = CiteReport(bibtex=citation_text(data))
     return Answer(report, lambda: print(report.bibtex))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def embedded_tables(engine: Engine) -> tuple[Path, ...]:
     """Return the folders of the embedded synthetic datasets, which are built on the first call."""
-    from prbench.workflows.first_run import LAYOUTS, default_folder, default_tables, default_tables_are_built
+    from prbench.harness.first_run import LAYOUTS, default_folder, default_tables, default_tables_are_built
 
     folder = default_folder()
     if default_tables_are_built():

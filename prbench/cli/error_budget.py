@@ -40,8 +40,8 @@ def error_budget(runs: tuple[Path, ...], beside: Path | None, data: tuple[Path, 
     Choose with it on the validation split: `prbench run --split validation --samples 3`. docs/error-budget.md has the
     formulas.
     """
+    from prbench.harness.first_run import table_finder
     from prbench.workflows.error_budget.of_runs import error_budget as budget_of
-    from prbench.workflows.first_run import table_finder
 
     with progress("diagnosing") as show:
         report = budget_of(runs, beside=beside, find_table=table_finder(data), out=out, progress=show)

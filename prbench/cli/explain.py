@@ -105,7 +105,7 @@ def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ..
 
     EVENT is an event id, or any part of it that fits one event only.
     """
-    from prbench.workflows.explain import explain_event
+    from prbench.viewing.explain import explain_event
 
     story = explain_event(data, event, permitted=permission)
     if draw is not None:

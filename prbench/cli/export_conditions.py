@@ -188,7 +188,7 @@ def _windows(
 
 def _tell_first_run(data: Sequence[Path]) -> None:
     """Tell that runs without ``--data`` take a part of the embedded datasets, and this command all by default."""
-    from prbench.workflows.first_run import default_table_folders
+    from prbench.harness.first_run import default_table_folders
 
     embedded = {os.path.realpath(folder) for folder in default_table_folders()}
     if any(os.path.realpath(folder) in embedded for folder in data):

@@ -16,7 +16,7 @@ from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
-    from prbench.workflows.inspection import Inspection
+    from prbench.checking.inspection import Inspection
 
 _SHOWN = 30
 """Recordings of a dataset that are listed without ``--all``."""
@@ -93,7 +93,7 @@ def inspect(*, root: Path, thorough: bool, everything: bool) -> Answer:
 
     ROOT is a dataset's folder, or one that holds several.
     """
-    from prbench.workflows.inspection import inspect_folder
+    from prbench.checking.inspection import inspect_folder
 
     with progress("inspecting") as show:
         report = _report(inspect_folder(root, thorough=thorough, progress=show))

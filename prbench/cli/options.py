@@ -20,7 +20,7 @@ CONDITIONS = tuple(default_benchmark().conditions)
 ALL_CONDITIONS = tuple(name for about in benchmarks().values() for name in about.conditions)
 """Conditions of all benchmarks."""
 FIRST_RUN_SEQUENCES = 10
-"""Limit of a run on the embedded datasets, of each (``prbench.workflows.first_run``); spelt out for the same reason."""
+"""Limit of a run on the embedded datasets, of each (``prbench.harness.first_run``); spelt out for the same reason."""
 SPLITS = ("train", "validation", "test")
 PUBLISHED = "published"
 """Value of ``--split`` that means the test split of a published evaluation, where windows have one."""

@@ -15,8 +15,8 @@ from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
-    from prbench.workflows.poses import PoseState
-    from prbench.workflows.poses.config import PosesConfig
+    from prbench.curation.poses import PoseState
+    from prbench.curation.poses.config import PosesConfig
 
 _STILL_LACKING = 3
 """Exit code when some recording was to get a body and did not."""
@@ -114,8 +114,8 @@ def poses(
     keep_inputs: bool,
 ) -> Answer:
     """Say which recordings lack a body pose, and have EgoAllo estimate it."""
-    from prbench.workflows.poses import instructions, pose_states, read_config
-    from prbench.workflows.poses.states import Selection
+    from prbench.curation.poses import instructions, pose_states, read_config
+    from prbench.curation.poses.states import Selection
 
     assert estimator == "egoallo", "the only choice"
     settings = read_config(config) if config else None
@@ -149,7 +149,7 @@ def _estimate(
     states: tuple[PoseState, ...], settings: PosesConfig, *, root: Path, keep_inputs: bool
 ) -> list[EstimatedBody]:
     """Run EgoAllo on every recording that lacks a body, and note those that still lack it."""
-    from prbench.workflows.poses import make_poses
+    from prbench.curation.poses import make_poses
 
     with progress("running EgoAllo") as show:
         outcomes = make_poses(states, settings, root=root, keep_inputs=keep_inputs, progress=show)
@@ -164,7 +164,7 @@ def _estimate(
 
 def _prepare(lacking: list[PoseState], root: Path, poses_root: Path | None) -> list[PreparedInput]:
     """Write an input folder for each recording, and note those for which something lacks."""
-    from prbench.workflows.poses.make import prepare_by_hand
+    from prbench.curation.poses.make import prepare_by_hand
 
     prepared = []
     for name, text, well in prepare_by_hand(lacking, root, poses_root):

@@ -50,10 +50,10 @@ if TYPE_CHECKING:
     from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
     from prbench.engine.shards import Shard
+    from prbench.harness.experiment import Experiment, ExperimentMethod
     from prbench.harness.request import RunRequest
     from prbench.harness.run import RunReport
     from prbench.harness.run_folder import RunFolder
-    from prbench.workflows.experiment import Experiment, ExperimentMethod
 
 _FIRST_RUN_WORKERS = 2
 
@@ -300,9 +300,9 @@ def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> MadeS
 
 def _opened(choice: EngineChoice, experiment: Experiment) -> Engine:
     """Open the engine; on a cluster every node needs the tables, the run folder, and what the methods are made of."""
+    from prbench.harness.first_run import default_folder
     from prbench.harness.methods.installed import packages_of
     from prbench.harness.preparation import DEFAULT_PARENT
-    from prbench.workflows.first_run import default_folder
 
     first_run = not experiment.data
     reads = [Path(folder) for folder in experiment.data]
@@ -340,7 +340,7 @@ def _require_runnable(method: ExperimentMethod, device: str) -> None:
 
 def _on_embedded_tables(experiment: Experiment, engine: Engine) -> Experiment:
     """Run on the embedded datasets, by default on a part of each, in batches that two workers can share."""
-    from prbench.workflows import first_run
+    from prbench.harness import first_run
 
     changes: dict[str, Any] = {"data": tuple(map(str, embedded_tables(engine)))}
     if not experiment.sequences:
@@ -403,7 +403,7 @@ def _tell_isolation(method: str) -> None:
 
 
 def _tell_repetition(earlier: RunFolder, later: RunFolder) -> None:
-    from prbench.workflows.experiment import same_scores
+    from prbench.harness.experiment import same_scores
 
     if later.path.resolve() == earlier.path.resolve():
         note(f"this is the run itself; --out DIR makes it anew beside {earlier.path}.")
@@ -419,14 +419,14 @@ def _tell_repetition(earlier: RunFolder, later: RunFolder) -> None:
 def _in_company(request: RunRequest, report: RunReport, engine: Engine) -> list[RunReport]:
     """Run the methods that tell what the scores of a first run are worth."""
     from prbench.contract import Condition
-    from prbench.workflows.first_run import companions
+    from prbench.harness.first_run import companions
 
     request = replace(request, condition=Condition(report.folder.record.condition))
     return [_generated(companion, engine) for companion in companions(request)]
 
 
 def _view(out: Path, folder: Path, request: RunRequest, permission: tuple[str, ...]) -> tuple[str, ...]:
-    from prbench.workflows.view import ViewRequest, view
+    from prbench.viewing.view import ViewRequest, view
 
     data = () if request.fold else request.data  # folds stand in the cache, where the run's own is found
     wanted = ViewRequest(out=out, runs=(folder,), data=data, sequences=request.sequences, permitted=permission)

@@ -12,8 +12,8 @@ import msgspec
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
+    from prbench.harness.experiment import Experiment
     from prbench.harness.run_folder import RunFolder
-    from prbench.workflows.experiment import Experiment
 
 _OF_AN_EXPERIMENT = ("benchmark", "method", "condition", "options", "control", "sequences", "minutes")
 """Options whose place is in the file, where there is one."""
@@ -44,7 +44,7 @@ def read_command_line(config: Path | None, given: Mapping[str, Any]) -> tuple[Ru
     Raises:
         UsageError: for an option whose place is in the file that was named.
     """
-    from prbench.workflows.experiment import Experiment, ExperimentMethod, experiment_of_run, read_experiment, run_of
+    from prbench.harness.experiment import Experiment, ExperimentMethod, experiment_of_run, read_experiment, run_of
 
     own = _said_on_the_command_line(given)
     if config is None:

@@ -11,8 +11,8 @@ from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
+    from prbench.checking.matching import Verification
     from prbench.engine import Engine
-    from prbench.workflows.matching import Verification
 
 _FEWEST_VERIFIED = 4
 """Recordings on which each noise level is verified at least."""
@@ -92,7 +92,7 @@ def compare_with_truth(
     Returns:
         The name of the sensors and what was found with them, the files first.
     """
-    from prbench.workflows.verify_synthetic import LEVELS, verify_level, verify_tree
+    from prbench.checking.verify_synthetic import LEVELS, verify_level, verify_tree
 
     with progress("comparing curation with the truth") as tell:
         checked = [("these files", verify_tree(root, dataset=layout, engine=engine))]

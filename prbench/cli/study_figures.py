@@ -232,7 +232,7 @@ def _scenes(
     default: int,
 ) -> tuple[Scene, ...]:
     from prbench.viewing.figures import require_drawable
-    from prbench.workflows.view import ViewRequest, scenes_of
+    from prbench.viewing.view import ViewRequest, scenes_of
 
     require_drawable(out)
     chosen = limit

@@ -28,8 +28,8 @@ from prbench.cli.synthetic_people import PeopleCheck, check_people, print_people
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
+    from prbench.checking.matching import Verification
     from prbench.synthetic.write_tree import WrittenTree
-    from prbench.workflows.matching import Verification
 
 _SCENES_OF_ONE_PRESET = 12
 _RECORDINGS_OF_A_HISTOGRAM = 10
@@ -312,8 +312,8 @@ def _write_table(request: _Request) -> _Written:
     from prbench.curation.provenance import funnel_rows
     from prbench.engine import engine_for
     from prbench.errors import UsageError
+    from prbench.synthetic.synthetic_table import LARGE_RECORDINGS, Staging, build_synthetic_table
     from prbench.synthetic.write_tree import planned_recordings
-    from prbench.workflows.synthetic_table import LARGE_RECORDINGS, Staging, build_synthetic_table
 
     if request.out is None:
         raise UsageError("--out DIR is needed: the folder of the table.")

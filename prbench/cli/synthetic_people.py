@@ -45,9 +45,9 @@ def check_people(layout: str | None, *, seed: int, count: int | None, workers: i
     """
     import math
 
+    from prbench.checking.synthetic_people import people_numbers
     from prbench.engine import engine_for
     from prbench.synthetic.people import PRESETS
-    from prbench.workflows.synthetic_people import people_numbers
 
     presets = tuple(PRESETS) if layout is None else (layout,)
     checked: list[PeopleCheck] = []

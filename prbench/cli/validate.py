@@ -14,7 +14,7 @@ from prbench.cli.options import PATH, reader_options, recordings_options, root_o
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
-    from prbench.workflows.validate_hd_epic import Agreement, Validation
+    from prbench.checking.validate_hd_epic import Agreement, Validation
 
 
 class EventCount(msgspec.Struct, frozen=True, kw_only=True):
@@ -163,11 +163,11 @@ def validate(
 
     Either --root or --data is needed.
     """
+    from prbench.checking.hd_epic_funnel import as_json
+    from prbench.checking.validate_hd_epic import validate_build, validate_root
     from prbench.curation.options import BuildOptions
     from prbench.engine import engine_for
     from prbench.errors import UsageError
-    from prbench.workflows.hd_epic_funnel import as_json
-    from prbench.workflows.validate_hd_epic import validate_build, validate_root
 
     assert dataset == "hd-epic", "the only choice"
     if data is not None and root is None:
@@ -184,8 +184,8 @@ def validate(
 
 
 def _print(report: ValidateReport, validation: Validation) -> None:
-    from prbench.workflows.hd_epic_funnel import shares_of
-    from prbench.workflows.validate_hd_epic import PUBLISHED_OUTCOMES, RULE_OUTCOMES
+    from prbench.checking.hd_epic_funnel import shares_of
+    from prbench.checking.validate_hd_epic import PUBLISHED_OUTCOMES, RULE_OUTCOMES
 
     if validation.synthetic:
         print("synthetic videos, with priming results that an invented pipeline published")

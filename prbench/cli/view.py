@@ -22,7 +22,7 @@ from prbench.cli.progress import progress
 
 if TYPE_CHECKING:
     from prbench.viewing.replay.scene import Scene
-    from prbench.workflows.view import ViewReport as View
+    from prbench.viewing.view import ViewReport as View
 
 
 class ShownMotion(msgspec.Struct, frozen=True, kw_only=True):
@@ -97,8 +97,8 @@ def view(
 
     RUN are the run folders to compare; without any, the recorded motion of --data is shown.
     """
-    from prbench.workflows.view import ViewRequest
-    from prbench.workflows.view import view as draw
+    from prbench.viewing.view import ViewRequest
+    from prbench.viewing.view import view as draw
 
     request = ViewRequest(
         out=out,

@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from prbench.errors import RunError, UsageError
 from prbench.harness.diversity import SPREADS, MotionsToGoal, SpreadInfo, spreads
+from prbench.harness.first_run import tables_of_runs
 from prbench.harness.intervals import Estimate, difference_interval, mean_interval
 from prbench.harness.run_folder import RunFolder
 from prbench.harness.score_predictions.again import scored_sequences
@@ -25,7 +26,6 @@ from prbench.sequences.table import find_sequence_id
 from prbench.viewing.fan import Fan, FanGroup
 from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
 from prbench.viewing.replay.read import RunMotions, run_labels
-from prbench.workflows.first_run import tables_of_runs
 
 Progress = Callable[[int, int, str], None]
 """Called with finished sequences, all of them, and the dataset."""

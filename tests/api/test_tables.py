@@ -275,7 +275,7 @@ def test_what_is_no_table_is_refused_as_on_the_command_line(tmp_path, missing):
 
 
 def test_the_embedded_tables_are_built_once(monkeypatch, tmp_path):
-    from prbench.workflows import first_run
+    from prbench.harness import first_run
 
     built = []
 
@@ -284,7 +284,7 @@ def test_the_embedded_tables_are_built_once(monkeypatch, tmp_path):
         fakes.fake_dataset(Path(out), 12, dataset=f"synthetic-{preset}")
 
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path))
-    monkeypatch.setattr("prbench.workflows.synthetic_table.build_synthetic_table", _build)
+    monkeypatch.setattr("prbench.synthetic.synthetic_table.build_synthetic_table", _build)
     first = prbench.embedded_tables()
     folders = tuple(table.folder for table in prbench.embedded_tables())
     assert folders == tuple(table.folder for table in first) == first_run.default_table_folders()

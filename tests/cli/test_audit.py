@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from prbench.board import audit as workflow
 from prbench.cli import main
 from prbench.cli.audit import AuditReport
 from prbench.harness.run_folder import RunFolder
 from prbench.metrics import METRICS
-from prbench.workflows import audit as workflow
 from tests.cli.reports import reported
 from tests.fakes import fake_dataset
 

@@ -6,7 +6,7 @@ import pytest
 
 from prbench.cli.main import main
 from prbench.cli.options import FIRST_RUN_SEQUENCES
-from prbench.workflows import first_run
+from prbench.harness import first_run
 from tests.fakes import fake_dataset
 from tests.parsing import all_commands
 

@@ -8,7 +8,7 @@ from PIL import Image
 
 from prbench.curation import build_from_sources
 from prbench.sequences import SequenceTable
-from prbench.workflows.explain import explain_event
+from prbench.viewing.explain import explain_event
 from tests.curation.sources import SceneSource
 from tests.docs.test_citations import ROOT
 

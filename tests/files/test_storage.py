@@ -14,9 +14,11 @@ import pytest
 
 from prbench.board.comparison import compare_runs
 from prbench.checking.doctor.examine_file import DoctorRequest
+from prbench.checking.inspection import inspect_folder
 from prbench.contract import Condition
 from prbench.corpora import build_corpus, plan_corpus
 from prbench.curation import build_dataset, plan_build
+from prbench.curation.build_all import build_all, plan_all
 from prbench.curation.differences import compare_builds
 from prbench.curation.window_building import build_windows
 from prbench.datasets import readable_datasets
@@ -44,10 +46,8 @@ from prbench.readers import reader_for
 from prbench.release.exporting import export_release
 from prbench.release.importing import import_release
 from prbench.sequences import CorpusInfo, CorpusTable, DatasetInfo, SequenceTable
-from prbench.workflows.build_all import build_all, plan_all
-from prbench.workflows.explain import explain_event
-from prbench.workflows.inspection import inspect_folder
-from prbench.workflows.view import ViewRequest
+from prbench.viewing.explain import explain_event
+from prbench.viewing.view import ViewRequest
 
 
 def write_half(path):

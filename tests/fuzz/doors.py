@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
+from prbench.checking.inspection import inspect_folder
 from prbench.cli import main
 from prbench.corpora.sources import CorpusOptions, corpus_for, find_groups
 from prbench.curation.options import BuildOptions
@@ -25,7 +26,6 @@ from prbench.synthetic.corpus import synthesize_corpus_tree
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.training.configuration import load_configuration
 from prbench.training.weights import read_weights
-from prbench.workflows.inspection import inspect_folder
 from tests.fakes import fake_dataset
 from tests.fuzz.judging import Seen
 from tests.harness.offline import method

@@ -15,7 +15,7 @@ from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from prbench.metrics import MotionBatch
 from prbench.randomness import named_generator
 from prbench.sequences import SequenceTable
-from prbench.workflows.synthetic_table import build_synthetic_table
+from prbench.synthetic.synthetic_table import build_synthetic_table
 from tests.fakes import STANDING, fake_sequence
 from tests.harness.run_folder.test_record import SUMMARY
 from tests.harness.test_run import request

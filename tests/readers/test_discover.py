@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from prbench.checking.inspection import missing_files
 from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError
 from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.discover import discover
 from prbench.synthetic.write_tree import synthesize_tree
-from prbench.workflows.inspection import missing_files
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from prbench.release.importing import import_release
 from prbench.release.reading import ImportOptions
 from prbench.sequences import SequenceTable
 from prbench.sequences.schema import SEQUENCES
-from prbench.workflows.explain import explain_event
+from prbench.viewing.explain import explain_event
 from tests.release.tables import looking_table
 
 DATASETS = ["synthetic-adt", "synthetic-mogaze", "synthetic-hot3d", "synthetic-hd-epic", "synthetic-gimo"]

@@ -13,6 +13,7 @@ from prbench.cli.leaderboard_merge import MergeReport
 from prbench.cli.main import main
 from prbench.cli.split_dataset import SplitReport
 from prbench.errors import RunError, StorageError, TableError, UsageError
+from prbench.harness.first_run import table_finder
 from prbench.harness.request import RunRequest
 from prbench.harness.results import summary_of
 from prbench.harness.run import run_method
@@ -23,7 +24,6 @@ from prbench.harness.verification import RunChecker
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import participant_folds, write_fold
 from prbench.sequences.ids import recording_key
-from prbench.workflows.first_run import table_finder
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 

@@ -21,7 +21,7 @@ from prbench.sequences.redistribution import (
     strictest,
 )
 from prbench.viewing.event_story import draw_event_story
-from prbench.workflows.explain import explain_event
+from prbench.viewing.explain import explain_event
 from tests.fakes import fake_dataset, fake_info
 
 

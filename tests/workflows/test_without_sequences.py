@@ -13,7 +13,7 @@ from prbench.errors import TableError
 from prbench.recording import Recording
 from prbench.sequences import SequenceTable
 from prbench.training import SequenceDataset
-from prbench.workflows.explain import explain_event
+from prbench.viewing.explain import explain_event
 from tests.curation.sources import SceneSource
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from prbench.engine import Engine
 from prbench.errors import RunError, UsageError
+from prbench.harness.first_run import tables_of_runs
 from prbench.harness.run_folder import RunFolder
 from prbench.harness.run_folder.record import TableRecord
 from prbench.harness.verification import RunChecker
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.shown import clean
-from prbench.workflows.first_run import tables_of_runs
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from prbench.harness.methods.adapters import load_adapter
 from prbench.harness.methods.motions import generate_checked
 from prbench.harness.planning import select
 from prbench.sequences import SequenceTable
-from prbench.workflows.synthetic_table import Staging, synthetic_source
+from prbench.synthetic.synthetic_table import Staging, synthetic_source
 from prbench_adapters.gmd import adapter
 from prbench_adapters.gmd.model import GMDModel
 from tests.adapters.cards import described

@@ -14,7 +14,7 @@ from prbench.prediction.batch import Condition
 from prbench.prediction.predictors import ZeroVelocity
 from prbench.prediction.scoring import score_predictor
 from prbench.prediction.table import WindowsTable
-from prbench.workflows.synthetic_table import Staging, synthetic_source
+from prbench.synthetic.synthetic_table import Staging, synthetic_source
 from prbench_adapters.prediction.adapter import load_predictor
 from tests.adapters.cards import described
 

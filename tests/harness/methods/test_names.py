@@ -12,6 +12,7 @@ from prbench.cli import main
 from prbench.contract import Condition
 from prbench.errors import AdapterError, InputFileError, MemoryFullError, UsageError
 from prbench.harness.controls import CONTROLS
+from prbench.harness.first_run import companions
 from prbench.harness.methods.adapters import find_adapter, load_adapter
 from prbench.harness.methods.installed import entry_points_of, list_adapters, offered_twice
 from prbench.harness.methods.names import BUILT_IN_METHODS, METHOD_CONTROLS, has_form, name_problem
@@ -20,7 +21,6 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import RunRecord
 from prbench.harness.score_predictions import ScoreRequest, score_predictions
-from prbench.workflows.first_run import companions
 from tests.harness.test_run import request
 from tests.method_fixtures import adapter_source
 
@@ -90,7 +90,7 @@ def test_a_package_that_claims_a_method_of_prbench_spoils_nothing_and_is_listed_
 def test_a_companion_is_the_built_in_method_or_none(install, monkeypatch):
     install("static", adapter_source(), package="prbench_thief")
     others = [adapter for adapter in list_adapters() if adapter.package != "prbench"]
-    monkeypatch.setattr("prbench.workflows.first_run.list_adapters", lambda: others)
+    monkeypatch.setattr("prbench.harness.first_run.list_adapters", lambda: others)
     asked = RunRequest(method="made", data=(Path(),))
     assert [one.method for one in companions(asked)] == ["scripted", "ground-truth"]
 

@@ -11,9 +11,9 @@ import pytest
 from prbench.cli.main import main
 from prbench.engine import InProcess
 from prbench.errors import UsageError
+from prbench.harness.first_run import table_finder
 from prbench.harness.verification import RunChecker
 from prbench.training.ablations import load_ablations
-from prbench.workflows.first_run import table_finder
 from prbench.workflows.study import ablation
 from prbench.workflows.study.ablation import TABLES, AblationRequest, ablation_table, run_ablation
 from tests.fakes import fake_dataset

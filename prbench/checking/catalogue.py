@@ -1,0 +1,144 @@
+"""The catalogue of datasets: what each asks for, what of it lies below a folder, and what a built table must cite."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import prbench
+from prbench.checking.inspection import FoundCorpus, find_corpora, missing_files
+from prbench.datasets import own_datasets, readable_datasets
+from prbench.errors import InputFileError, UsageError, did_you_mean
+from prbench.protocol.manifests import Manifest, dataset_names, load_citations, load_manifest
+from prbench.readers import reader_for
+from prbench.readers.discover import Discovery, FoundDataset, discover, usable_readers
+from prbench.sequences import CorpusTable, DatasetInfo, SequenceTable
+from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
+from prbench.shown import clean
+
+_TERMS = {
+    "none": "must not be passed on in any form, derived data included, without permission of its owners",
+    "non-commercial": "may be used and passed on for non-commercial purposes only, under the same licence",
+    "yes": "may be passed on under its licence",
+}
+
+
+@dataclass(frozen=True)
+class CatalogueEntry:
+    """One dataset, and what was found of it."""
+
+    manifest: Manifest
+    found: str
+    """Places and counts of recordings; empty where nothing was looked for or found."""
+    missing: tuple[str, ...]
+    """Required files that no recording has, one line each."""
+    reader_options: tuple[str, ...]
+    """Options of its reader with their defaults."""
+
+
+def catalogue(root: Path | None = None, name: str | None = None) -> tuple[CatalogueEntry, ...]:
+    """List all datasets, or one of them.
+
+    Args:
+        root: Folder with copies, itself or one folder below; nothing is looked for if None.
+        name: Only this dataset.
+
+    Raises:
+        UsageError: for an unknown name, with the nearest known one.
+        InputFileError: if ``root`` does not exist or holds no dataset.
+    """
+    # Readers of other packages are listed beside ours; HumanML3D and Nymeria are ours but have no reader.
+    names = tuple(sorted({*own_datasets(), *(reader.dataset for reader in usable_readers()[0])}))
+    if name is not None:
+        if name not in dataset_names():
+            hint = did_you_mean(name, names)
+            raise UsageError(f"unknown dataset '{name}'.{hint} Known ones are: {', '.join(names)}.")
+        names = (name,)
+    discovery, corpora = (None, ()) if root is None else _look(root)
+    entries = []
+    for dataset in names:
+        here = [] if discovery is None else [each for each in discovery.found if each.dataset == dataset]
+        broken = [] if discovery is None else [each for each in discovery.broken if each.dataset == dataset]
+        places = [*here, *(corpus for corpus in corpora if corpus.corpus == dataset)]
+        entries.append(
+            CatalogueEntry(
+                manifest=load_manifest(dataset),
+                found="; ".join(f"{len(each.recordings)} recordings in {each.root}" for each in places),
+                missing=(*(each.message for each in broken), *_missing(here, load_manifest(dataset))),
+                reader_options=_reader_options(dataset),
+            )
+        )
+    return tuple(entries)
+
+
+def unusable_readers() -> tuple[str, ...]:
+    """Say of each package that offers a reader which cannot be used what is wrong with it."""
+    return usable_readers()[1]
+
+
+def _look(root: Path) -> tuple[Discovery | None, tuple[FoundCorpus, ...]]:
+    """Datasets and corpora below a folder.
+
+    Raises:
+        InputFileError: if there is neither.
+    """
+    corpora = find_corpora(root) if root.is_dir() else ()
+    try:
+        return discover(root), corpora
+    # A folder of corpora alone is no folder of datasets, and still worth a list.
+    except InputFileError:
+        if not corpora:
+            raise
+        return None, corpora
+
+
+def _missing(found: Sequence[FoundDataset], manifest: Manifest) -> Iterator[str]:
+    recordings = [recording for each in found for recording in each.recordings]
+    lacking = Counter(name for recording in recordings for name in missing_files(recording, manifest.required_roles))
+    for name, count in sorted(lacking.items()):
+        yield f"{name} is missing in {count} of {len(recordings)} recordings (`prbench inspect` names them)"
+
+
+def _reader_options(dataset: str) -> tuple[str, ...]:
+    if dataset not in readable_datasets():
+        return ()
+    options = reader_for(dataset).options
+    return tuple(
+        f"{name} (default {'none' if (value := getattr(options, name)) is None else value})" for name in options.names()
+    )
+
+
+def citation_text(folders: Sequence[Path]) -> str:
+    """BibTeX of everything in some built datasets, with their terms as comments.
+
+    Raises:
+        TableError: if a folder holds no built dataset, or one of which a file was edited.
+    """
+    terms = []
+    entries = []
+    for folder in folders:
+        if (folder / CORPUS_FILE).is_file():
+            table = CorpusTable(folder, CorpusInfo.read(folder))
+        else:
+            table = SequenceTable(folder, DatasetInfo.read(folder))
+        # An edited dataset.json could name other terms than the table's own.
+        table.require_unchanged()
+        info = table.info
+        terms.append(f"% {clean(info.dataset)}: {clean(info.title)}")
+        terms.append(f"%   licence: {clean(info.licence)}")
+        terms.append(f"%   it {clean(_TERMS.get(info.redistribution, info.redistribution))}.")
+        if info.homepage:
+            terms.append(f"%   {clean(info.homepage)}")
+        entries += [entry for entry in _bibtex_entries(info.citation) if entry not in entries]
+    common = load_citations()
+    toolkit = common.toolkit.replace("VERSION", prbench.__version__)
+    everything = dict.fromkeys([*entries, common.study.strip(), toolkit.strip()])  # imports cite the study, too
+    return "\n\n".join(["\n".join(terms), *everything])
+
+
+def _bibtex_entries(text: str) -> list[str]:
+    """The entries of a BibTeX text, each starting with ``@`` at the beginning of a line."""
+    return [entry.strip() for entry in re.split(r"^(?=@)", text, flags=re.MULTILINE) if entry.strip()]

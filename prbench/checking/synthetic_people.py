@@ -1,0 +1,143 @@
+"""Numbers of synthetic people, acted out and recorded, beside the ranges that are asked of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from prbench.curation import curate_recording
+from prbench.engine import Engine, InProcess
+from prbench.errors import UsageError
+from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
+from prbench.metrics.batch import MotionBatch
+from prbench.metrics.plausible import BodyNumbers, body_numbers, plausible
+from prbench.protocol.manifests import MetricConstants, load_manifest, load_protocol
+from prbench.synthetic.behaviour import Range, measure_behaviour, ranges
+from prbench.synthetic.people import PRESETS, perform
+from prbench.synthetic.performance import Performance
+from prbench.synthetic.statistics import FPS, clips_of
+from prbench.synthetic.synthetic_table import Staging
+
+EVENTS = 6
+"""Picks and puts of each recording."""
+_IN_PROCESS = InProcess()
+_PLAUSIBLE = Range(1.0, 1.0, "our limit: people are plausible")
+_RATE = 60.0
+"""Frames a second of people without sensors: twice what the fastest of their movements need."""
+
+
+@dataclass(frozen=True)
+class PeopleNumber:
+    """One number of the people of a preset, and where it must lie."""
+
+    preset: str
+    name: str
+    """A field of :class:`~prbench.synthetic.behaviour.Behaviour` or of
+    :class:`~prbench.metrics.plausible.BodyNumbers`, or ``plausible``: the share of sequences that keep all limits."""
+    acted: float
+    """Of noise-free motion and gaze; of body numbers the worst sequence."""
+    recorded: float | None
+    """Of the sequences that curation makes of the sensors' recordings, the worst; None for behaviour."""
+    range: Range
+
+    @property
+    def holds(self) -> bool:
+        """Return True where the number lies in its range, recorded and not."""
+        return self.range.holds(self.acted) and (self.recorded is None or self.range.holds(self.recorded))
+
+
+def people_numbers(
+    preset: str, *, recordings: int, seed: int, engine: Engine = _IN_PROCESS
+) -> tuple[PeopleNumber, ...]:
+    """Measure how the people of a preset act, and whether their bodies keep the protocol's limits.
+
+    Behaviour is measured without provocations, which are meant to be unusual; recorded people have them.
+
+    Args:
+        preset: A name of :data:`prbench.synthetic.people.PRESETS`.
+        recordings: Number of recordings of six events each.
+        seed: Of everything.
+        engine: Runs one recording at a time.
+
+    Returns:
+        Behaviour, then body numbers, in the order of their fields.
+
+    Raises:
+        UsageError: if there is no such preset, or the recordings hold no sequence.
+    """
+    if preset not in PRESETS:
+        raise UsageError(f"expected one of {', '.join(PRESETS)}, found {preset!r}: only these have people that act.")
+    performances = list(engine.map(_Acting(preset, seed), range(recordings)))
+    recorded = [joints for some in engine.map(_Recording(preset, seed), range(recordings)) for joints in some]
+    acted = [_canonical(clip.joints) for clip in clips_of(performances)]
+    if not acted or not recorded:
+        raise UsageError(f"{recordings} recordings of seed {seed} hold no sequence; ask for more with --count.")
+    return (
+        *_behaviour_numbers(preset, performances),
+        *_body_numbers(preset, MotionBatch.from_motions(acted), MotionBatch.from_motions(recorded)),
+    )
+
+
+@dataclass(frozen=True)
+class _Acting:
+    preset: str
+    seed: int
+
+    def __call__(self, index: int) -> Performance:
+        return perform(self.preset, seed=self.seed, index=index, n_events=EVENTS, rate=_RATE, provocations={})
+
+
+@dataclass(frozen=True)
+class _Recording:
+    preset: str
+    seed: int
+
+    def __call__(self, index: int) -> list[np.ndarray]:
+        staging = Staging(self.preset, self.seed, n_events=EVENTS)
+        recording = staging.sense(staging.perform(index))
+        curated = curate_recording(recording, load_manifest(self.preset), load_protocol())
+        return [np.asarray(sequence.joints) for sequence in curated.sequences]
+
+
+def _canonical(joints: np.ndarray) -> np.ndarray:
+    return transform_points(invert_rigid(canonical_frame(joints)), joints)
+
+
+def _behaviour_numbers(preset: str, performances: list[Performance]) -> Iterator[PeopleNumber]:
+    values = asdict(measure_behaviour(performances))
+    for name, asked in ranges(preset).items():
+        yield PeopleNumber(preset, name, values[name], None, asked)
+
+
+def _body_numbers(preset: str, acted: MotionBatch, recorded: MotionBatch) -> Iterator[PeopleNumber]:
+    constants = load_protocol().metrics
+    shares = [float(plausible(motions, FPS, constants).mean()) for motions in (acted, recorded)]
+    yield PeopleNumber(preset, "plausible", shares[0], shares[1], _PLAUSIBLE)
+    worst = [_worst(body_numbers(motions, FPS, constants)) for motions in (acted, recorded)]
+    for name, asked in _body_ranges(constants).items():
+        yield PeopleNumber(preset, name, worst[0][name], worst[1][name], asked)
+
+
+def _worst(numbers: BodyNumbers) -> dict[str, float]:
+    """Return the smallest pelvis height and the largest of the other numbers, by name."""
+    extremes = {name: float(values.max()) for name, values in vars(numbers).items()}
+    return extremes | {"lowest_pelvis": float(numbers.lowest_pelvis.min())}
+
+
+def _body_ranges(limits: MetricConstants) -> dict[str, Range]:
+    """Return the protocol's limits by the fields of :class:`~prbench.metrics.plausible.BodyNumbers`."""
+    highest = {
+        "trunk_tilt": limits.largest_trunk_tilt_deg,
+        "floating": limits.largest_floating,
+        "penetration": limits.largest_penetration,
+        "bone_change": limits.largest_bone_change,
+        "slow_slides": limits.largest_slide_share,
+        "jerk": limits.largest_jerk,
+        "speed": limits.largest_speed,
+    }
+    source = "the protocol's limit"
+    bounds = {"lowest_pelvis": Range(limits.lowest_pelvis, np.inf, source)}
+    bounds |= {name: Range(-np.inf, high, source) for name, high in highest.items()}
+    return bounds

@@ -1,0 +1,237 @@
+"""Make the bodies that are lacking: run EgoAllo, or write its input folders for whoever runs it by hand.
+
+What EgoAllo wrote is checked before it is put where readers look.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from prbench.curation.poses.config import PosesConfig
+from prbench.curation.poses.prepare import Prepared, guidance_mode, head_poses, prepare, source_trajectory
+from prbench.curation.poses.program import run_program
+from prbench.curation.poses.states import PoseState, coverage
+from prbench.errors import InputFileError, PrbenchError, StorageError
+from prbench.files.locks import lock_file, sole_writer
+from prbench.files.storage import atomic_folder
+from prbench.readers.aria_mps import format as mps
+from prbench.readers.egoallo import format as ego
+from prbench.readers.egoallo.inputs import EgoalloInputs
+from prbench.readers.egoallo.joints import read_window
+from prbench.readers.egoallo.places import find_model, poses_folder
+
+_LOG_FILE = "egoallo.log"
+_WORK = "input.partial"
+_REPLACED = ".replaced"
+_MARK = "prepared-by-prbench.txt"  # a folder without it is somebody else's and is never emptied
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The outcome of one recording."""
+
+    recording_id: str
+    state: Literal["made", "kept", "failed", "skipped"]
+    message: str
+
+    @property
+    def failed(self) -> bool:
+        """Return True if a body is still lacking."""
+        return self.state == "failed"
+
+
+def make_poses(
+    states: Sequence[PoseState],
+    config: PosesConfig,
+    *,
+    root: Path,
+    keep_inputs: bool = False,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> tuple[Outcome, ...]:
+    """Make the bodies that are lacking, one recording after the other; what is complete is kept.
+
+    A recording that fails is reported and does not stop the others. After an interruption the same call goes on where
+    it stopped: outputs take their place only when they are whole.
+
+    Args:
+        states: What there is.
+        config: How to run EgoAllo.
+        root: The dataset's folder.
+        keep_inputs: Leave the prepared folders in place.
+        progress: Called with finished recordings, all of them, and the last one's name and state.
+
+    Raises:
+        UsageError: if the program cannot be started: nothing else would go better.
+        InputFileError: if the body model that the command names does not exist.
+        StorageError: if nothing can be written.
+    """
+    # Checked once, before the first recording takes its minutes.
+    model = _model(config, root, [state for state in states if state.lacking])
+    outcomes = []
+    for done, state in enumerate(states, start=1):
+        outcome = _make(state, config, model, keep_inputs)
+        outcomes.append(outcome)
+        if progress is not None:
+            progress(done, len(states), f"{outcome.recording_id} {outcome.state}")
+    return tuple(outcomes)
+
+
+def _model(config: PosesConfig, root: Path, lacking: Sequence[PoseState]) -> Path | None:
+    model = find_model(root, config.model)
+    if lacking and any("{model}" in text for text in config.command) and (model is None or not model.is_file()):
+        raise InputFileError(
+            model or root / ego.MODEL_FILE,
+            "",
+            expected="the SMPL-H model, which the command names as {model}",
+            found="no such file",
+            remedy="Give its path as 'model' in the config.",
+        )
+    return model
+
+
+def _make(state: PoseState, config: PosesConfig, model: Path | None, keep_inputs: bool) -> Outcome:
+    name = state.found.recording_id
+    work = state.target.parent / _WORK
+    if not state.lacking:
+        if lock_file(state.target).exists():  # of a process that was killed after its outputs had found their place
+            with sole_writer(state.target):
+                _clear(work)
+        return Outcome(name, "kept" if state.state == "complete" else "skipped", state.message)
+    if state.inputs is None:
+        return Outcome(name, "failed", state.message)
+    lacking = state.inputs.lacking(config.needs)
+    if lacking:
+        return Outcome(name, "failed", lacking)
+    with sole_writer(state.target):
+        _clear(work)
+        try:
+            return _run(state, state.inputs, config, model, work)
+        except InputFileError as error:
+            return Outcome(name, "failed", str(error))
+        finally:
+            if not keep_inputs:
+                _clear(work)
+
+
+def _run(state: PoseState, inputs: EgoalloInputs, config: PosesConfig, model: Path | None, work: Path) -> Outcome:
+    name = state.found.recording_id
+    prepared = prepare(inputs, work)
+    command = config.command_line(_values(name, prepared, model))
+    log = state.target.parent / _LOG_FILE
+    ended = run_program(
+        command,
+        folder=config.folder,
+        environment=config.environment,
+        log=log,
+        timeout=config.timeout_minutes * 60,
+    )
+    if ended.problem:
+        return Outcome(name, "failed", ended.problem)
+    outputs = sorted(prepared.outputs.glob("*.npz"))
+    if not outputs:
+        return Outcome(name, "failed", f"ended well but wrote no output into {ego.OUTPUT_FOLDER}; its log is {log}")
+    # EgoAllo ends with code 0 even where it left parts out, so its files are checked and not believed.
+    covered = coverage(outputs, head_poses(inputs, source_trajectory(inputs)))
+    if not covered.complete:
+        return Outcome(name, "failed", f"its outputs cover only {covered}; they are not used; its log is {log}")
+    _place(prepared.outputs, state.target)
+    _keep_joints(state.target, model)
+    return Outcome(name, "made", f"{len(outputs)} outputs cover {covered}")
+
+
+def _values(name: str, prepared: Prepared, model: Path | None) -> dict[str, str]:
+    prepared.outputs.mkdir(exist_ok=True)
+    return {
+        "recording": name,
+        "mps": str(prepared.folder),
+        "trajectory": str(prepared.trajectory),
+        "out": str(prepared.outputs),
+        "frames": str(prepared.frames),
+        "guidance": guidance_mode(prepared),
+        "model": "" if model is None else str(model),
+    }
+
+
+def _place(outputs: Path, target: Path) -> None:
+    """Move whole outputs to where readers look, at once; what was there before keeps a name of its own."""
+    replaced = target.with_name(f"{target.name}{_REPLACED}")
+    # Readers take whatever lies in this folder for a whole body, so it appears at once or not at all.
+    with atomic_folder(target) as folder:
+        for path in sorted(outputs.iterdir()):
+            if path.suffix in (".npz", ".yaml") and path.is_file():
+                shutil.copyfile(path, folder / path.name)
+        if target.exists():
+            _clear(replaced)
+            target.replace(replaced)
+
+
+def _keep_joints(target: Path, model: Path | None) -> None:
+    """Compute the joints now, while the model is at hand; reading needs it no more."""
+    if model is None or not model.is_file():
+        return
+    for path in sorted(target.glob("*.npz")):
+        read_window(path, model)
+
+
+def _clear(folder: Path) -> None:
+    """Remove a folder of prepared inputs; links go, what they point to stays.
+
+    Raises:
+        PrbenchError: if it cannot be removed.
+    """
+    try:
+        shutil.rmtree(folder)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise PrbenchError(f"{folder}: cannot be removed ({error.strerror}). Remove it by hand and go on.") from error
+
+
+def prepare_by_hand(
+    lacking: Sequence[PoseState], root: Path, poses_root: Path | None = None
+) -> Iterator[tuple[str, str, bool]]:
+    """Write the input folder of each recording where its outputs belong, so that EgoAllo writes them there.
+
+    Yields:
+        Name of the recording; the command to run, or what is wrong; whether it went well.
+
+    Raises:
+        StorageError: if a folder cannot be written, or holds files that prbench did not put there.
+    """
+    for state in lacking:
+        name = state.found.recording_id
+        if state.inputs is None:
+            yield name, state.message, False
+            continue
+        # By hand there is no config that could say what the command can do without: EgoAllo's own script needs both.
+        lacks = state.inputs.lacking(frozenset(("vrs", "points")))
+        folder = poses_folder(root.expanduser().resolve(), name, poses_root).parent
+        try:
+            with sole_writer(folder):
+                _clear_prepared(folder)
+                prepared = prepare(state.inputs, folder)
+        except InputFileError as error:
+            yield name, str(error), False
+            continue
+        arguments = f"--traj-length {prepared.frames} --guidance-mode {guidance_mode(prepared)}"
+        run = f"python 3_aria_inference.py --traj-root {folder} {arguments}"
+        yield name, f"{run}   ({lacks})" if lacks else run, not lacks
+
+
+def _clear_prepared(folder: Path) -> None:
+    """Remove what an earlier call wrote into a folder, and nothing else."""
+    mark = folder / _MARK
+    parts = [folder / mps.SLAM_FOLDER, folder / mps.HAND_FOLDER, *folder.glob("*.vrs")]
+    if not mark.is_file() and any(part.exists() for part in parts):
+        raise StorageError(f"{folder} holds files that prbench did not put there; choose another --poses-root.")
+    for part in parts:
+        if part.is_dir() and not part.is_symlink():
+            shutil.rmtree(part)
+        else:
+            part.unlink(missing_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    mark.write_text("Inputs for EgoAllo, made by `prbench poses egoallo --prepare`; its outputs belong beside them.\n")

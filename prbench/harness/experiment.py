@@ -1,0 +1,289 @@
+"""An experiment: methods, conditions, tables and seeds in one file, or what an earlier run's ``run.json`` says.
+
+The file is TOML. Its keys are the options of ``prbench run``; each method may have several conditions, and each seed is
+a run of its own. ``docs/experiments.md`` shows one.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+
+from prbench.errors import InputFileError, RunError, UsageError, did_you_mean
+from prbench.files.boundary import foreign_input
+from prbench.files.bounded import read_whole
+from prbench.harness.first_run import table_finder
+from prbench.harness.preparation import DEFAULT_PARENT
+from prbench.harness.request import RunRequest
+from prbench.harness.run_folder import RunFolder, read_scores
+from prbench.harness.run_folder.record import FILE, FILE_NAME, PROGRAM, UNKNOWN, TableRecord
+from prbench.limits import HARMLESS_SIZE
+from prbench.object_stores.urls import is_url
+from prbench.protocol.benchmarks import benchmarks, find_benchmark
+from prbench.protocol.manifests import PROTOCOL_NAME
+from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
+from prbench.sequences import DatasetInfo, SequenceTable
+from prbench.sequences.folds import fold_table, parse_fold
+
+PARTICIPANTS = "participants"
+"""Split of an experiment that is a fold of participants."""
+
+
+class ExperimentMethod(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+    """One method of an experiment, and what it is run with."""
+
+    name: str
+    """An installed method, a control, ``cmd:`` and a command, or the path of a program's TOML file."""
+    conditions: tuple[str, ...] = ()
+    """Each is a run of its own; empty for the only condition that the method takes."""
+    weights: str | None = None
+    """Name of bundled weights, or a path."""
+    options: dict[str, str | int | float | bool] = {}
+    control: str | None = None
+    """``shuffled-goal`` or nothing."""
+
+    @property
+    def option_texts(self) -> dict[str, str]:
+        """The options as the command line writes them: ``true``, not ``True``."""
+        return {
+            key: str(value).lower() if isinstance(value, bool) else str(value) for key, value in self.options.items()
+        }
+
+
+class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True):
+    """Everything that decides the results of some runs; the defaults are those of ``prbench run``."""
+
+    methods: tuple[ExperimentMethod, ...]
+    benchmark: str = PROTOCOL_NAME
+    """What is asked of the methods."""
+    data: tuple[str, ...] = ()
+    """Folders of tables, which every run is made on; empty for the embedded synthetic datasets."""
+    split: str = "test"
+    """``participants`` goes with ``fold``."""
+    fold: str | None = None
+    """Such as ``2/6``: the participants of this fold are tested on."""
+    limit: int | None = None
+    """Sequences of each dataset."""
+    sequences: tuple[str, ...] = ()
+    """Single sequences: ids, or parts that fit one id only."""
+    seeds: tuple[int, ...] = (0,)
+    """Each is a run of its own."""
+    samples: int | None = None
+    """Motions kept of each sequence; absent for the benchmark's usual number."""
+    best_of: int = 1
+    """Motions drawn for each that is kept."""
+    carry_on: bool = False
+    """Run pairs of a pick and the put that follows it, which starts where the generated pick ends."""
+    batch_size: int | None = None
+    """Sequences a batch; absent for the benchmark's usual number."""
+    device: str = "cpu"
+    threads: int = 1
+    """Threads of each worker."""
+    isolate: bool = False
+    timeout: float | None = None
+    """Seconds for each batch of a program or an isolated method."""
+    protocol: str | None = None
+    """File of the user's own protocol; absent for prbench's."""
+    out: str | None = None
+    """The run folder; of several runs the folder that gets one run folder for each."""
+
+    def as_toml(self) -> str:
+        """Return the experiment as a file that :func:`read_experiment` reads back."""
+        return msgspec.toml.encode(self).decode("utf-8")
+
+    def requests(self) -> Iterator[RunRequest]:
+        """Yield the runs: method by method, condition by condition, seed by seed.
+
+        Raises:
+            UsageError: if a run's parts do not fit together, or two runs are the same.
+        """
+        if (self.split == PARTICIPANTS) != (self.fold is not None):
+            raise UsageError("--split participants and --fold K/N belong together.")
+        if self.fold is not None:
+            parse_fold(self.fold)
+        single = sum(max(1, len(method.conditions)) for method in self.methods) * len(self.seeds) == 1
+        taken: set[str] = set()
+        for method in self.methods:
+            for condition in method.conditions or (None,):
+                for seed in self.seeds:
+                    request = self._request(method, condition, seed)
+                    if not single:
+                        name = _run_name(request, several_seeds=len(self.seeds) > 1)
+                        if name in taken:
+                            raise UsageError(
+                                f"two runs of the experiment are called '{name}': run methods that differ only in"
+                                " weights or options from files of their own."
+                            )
+                        taken.add(name)
+                        request = replace(request, out=Path(self.out or DEFAULT_PARENT) / name)
+                    yield request
+
+    def _request(self, method: ExperimentMethod, condition: str | None, seed: int) -> RunRequest:
+        about = find_benchmark(self.benchmark)
+        return RunRequest(
+            method=method.name,
+            benchmark=self.benchmark,
+            data=tuple(Path(folder) for folder in self.data),
+            condition=condition,
+            weights=Path(method.weights) if method.weights else None,
+            options=method.option_texts,
+            split="test" if self.fold is not None else self.split,
+            fold=self.fold,
+            limit=self.limit,
+            sequences=self.sequences,
+            seed=seed,
+            samples=self.samples or about.samples,
+            best_of=self.best_of,
+            carry_on=self.carry_on,
+            batch_size=self.batch_size or about.batch_size,
+            device=self.device,
+            threads=self.threads,
+            control=method.control,
+            isolate=self.isolate,
+            timeout=self.timeout,
+            protocol=Path(self.protocol) if self.protocol else None,
+            out=Path(self.out) if self.out else None,
+        )
+
+
+def _run_name(request: RunRequest, *, several_seeds: bool) -> str:
+    parts = [request.method_label]
+    if request.control:
+        parts.append(request.control)
+    if request.condition is not None:
+        parts.append(str(request.condition))
+    if several_seeds:
+        parts.append(f"seed{request.seed}")
+    return "-".join(parts).replace(" ", "_")
+
+
+@foreign_input()
+def read_experiment(path: Path) -> Experiment:
+    """Read an experiment's TOML file.
+
+    Raises:
+        InputFileError: if it cannot be read, or a key is unknown or of another type (naming the key).
+    """
+    try:
+        experiment = msgspec.convert(tomllib.loads(read_whole(path, largest=HARMLESS_SIZE).decode("utf-8")), Experiment)
+    except OSError as error:
+        raise InputFileError(path, "", expected="an experiment's TOML file", found=error.strerror or "none") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
+        raise InputFileError(
+            path,
+            "",
+            expected="the keys of an experiment",
+            found=str(error),
+            remedy="`prbench run --method static --show-config` prints an example.",
+        ) from error
+    if not experiment.methods or not experiment.seeds:
+        key = "seeds" if experiment.methods else "methods"
+        raise InputFileError(path, key, expected="one entry or more", found="none")
+    for key, places in (("data", experiment.data), ("out", (experiment.out,))):
+        if any(is_url(place) for place in places):
+            raise InputFileError(
+                path,
+                key,
+                expected="paths on this machine",
+                found="a URL",
+                remedy=f"Give it by --{key} in place of this.",
+            )
+    if experiment.benchmark not in benchmarks():
+        raise InputFileError(path, "benchmark", expected=" or ".join(benchmarks()), found=experiment.benchmark)
+    known = find_benchmark(experiment.benchmark).conditions
+    for method in experiment.methods:
+        for condition in method.conditions:
+            if condition not in known:
+                remedy = did_you_mean(condition, known).strip()
+                raise InputFileError(
+                    path, "conditions", expected=f"some of {', '.join(known)}", found=condition, remedy=remedy
+                )
+    return experiment
+
+
+def run_of(path: Path) -> RunFolder | None:
+    """Open the run that a run folder or its ``run.json`` belongs to; return None for an experiment's file."""
+    if path.is_dir():
+        return RunFolder.open(path, any_benchmark=True)
+    return RunFolder.open(path.parent, any_benchmark=True) if path.name == FILE_NAME else None
+
+
+def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path | None) -> Experiment:
+    """Return the experiment that repeats an earlier run.
+
+    Args:
+        run: The earlier run.
+        data: Tables of the run; embedded ones need not be named. Run folders hold no paths.
+        weights: The run's weights, where it was given other ones than the method's own.
+
+    Raises:
+        RunError: if the run cannot be repeated: its motions came as a file, its program's command is not recorded, or
+            one of its tables is not among the named and the embedded ones.
+    """
+    record = run.record
+    if record.method.kind in (FILE, PROGRAM, UNKNOWN):
+        raise RunError(
+            f"{run.path}: {record.method.name} is {record.method.origin}, and a run folder does not record how to"
+            " start it. Repeat the command with --method."
+        )
+    method = ExperimentMethod(
+        name=record.method.name,
+        conditions=(record.condition,),
+        weights=None if weights is None else str(weights),
+        options=dict(record.method.options),
+        control=record.control,
+    )
+    return Experiment(
+        methods=(method,),
+        benchmark=record.benchmark,
+        data=_tables_of(run, data),
+        split=record.split,
+        limit=record.limit,
+        sequences=record.sequences,
+        seeds=(record.seed,),
+        samples=record.samples,
+        best_of=record.best_of,
+        carry_on=record.carry_on,
+        batch_size=record.tables[0].batch_plan.batch_size,
+        device=record.device,
+        threads=record.threads,
+        isolate=record.method.isolation is not None,
+        protocol=str(run.path / PROTOCOL_FILE) if (run.path / PROTOCOL_FILE).is_file() else None,
+    )
+
+
+def _tables_of(run: RunFolder, data: tuple[Path, ...]) -> tuple[str, ...]:
+    find = table_finder(data)
+    folders = []
+    for table in run.record.tables:
+        found = find(table) or _fold_of(table, data)
+        if found is None:
+            raise RunError(
+                f"{run.path}: the run was made on a table of {table.dataset} with content digest"
+                f" {table.content_digest[:12]}…, which is neither named with --data nor embedded. Name its folder."
+            )
+        folders.append(str(found.folder))
+    return tuple(folders)
+
+
+def _fold_of(record: TableRecord, data: tuple[Path, ...]) -> SequenceTable | None:
+    """The fold that a run was made on, made anew from the whole table if that is named; else None."""
+    if record.fold is None:
+        return None
+    for folder in data:
+        if DatasetInfo.read(folder).content_digest == record.whole_table:
+            made = fold_table(folder, record.fold)
+            return made if made.info.content_digest == record.content_digest else None
+    return None
+
+
+def same_scores(first: RunFolder, second: RunFolder) -> bool:
+    """Return True where two runs on the same tables have equal scores, to the last digit."""
+    names = [table.dataset for table in first.record.tables]
+    return all(
+        read_scores(first.dataset(name).scores).equals(read_scores(second.dataset(name).scores)) for name in names
+    )

@@ -1,0 +1,256 @@
+"""Tables that nobody has to name: the embedded defaults of a first run, and the tables that a run was made on.
+
+The defaults are small synthetic datasets, one of each layout, on which a first run is shown beside other methods. A run
+folder holds digests only, no paths, so its tables are looked for among the named and the embedded ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import prbench
+from prbench.contract import Condition
+from prbench.engine import Engine
+from prbench.errors import RunError, TableError, UsageError
+from prbench.files.locks import in_turn
+from prbench.files.storage import cache_folder, text_digest
+from prbench.harness.benchmark import CaseTable, load_benchmark
+from prbench.harness.controls import GROUND_TRUTH, SCRIPTED
+from prbench.harness.methods.installed import list_adapters
+from prbench.harness.request import RunRequest
+from prbench.harness.run_folder import RunFolder
+from prbench.harness.run_folder.record import TableRecord
+from prbench.protocol.benchmarks import benchmarks
+from prbench.protocol.manifests import digest_of, load_manifest, load_protocol
+from prbench.sequences import DatasetInfo, SequenceTable
+from prbench.sequences.dataset_info import FILE_NAME
+from prbench.sequences.schema import SCHEMA_VERSION
+from prbench.synthetic import GENERATOR_VERSION
+from prbench.synthetic.people.presets import PRESETS
+
+if TYPE_CHECKING:
+    from prbench.synthetic.people.world import Split
+    from prbench.synthetic.synthetic_table import Progress
+
+LAYOUTS = tuple(PRESETS)
+"""Datasets that the embedded tables imitate, one table each."""
+SEED = 0
+PEOPLE: Mapping[Split, int] = MappingProxyType({"train": 4, "validation": 2, "test": 7})
+"""People of each split whose first recording is in each table; those of the test split are all there are."""
+SEQUENCES = 10
+"""Number of test sequences of each table that a first run generates, unless the user names another."""
+BATCH_SIZE = 5
+"""Sequences a batch in a first run: small enough that two workers share the work."""
+_COMPANIONS = (("mdm", Condition.TEXT), (SCRIPTED, None), ("static", Condition.NONE), (GROUND_TRUTH, None))
+"""Methods beside which a first run is shown, and their condition; None takes the run's own."""
+_SHOWN = 12  # characters of a digest
+
+
+def default_tables(
+    engine: Engine, progress: Progress, tell: Callable[[str], None] = lambda _: None
+) -> tuple[SequenceTable, ...]:
+    """Open the embedded datasets, one of each layout, building those first that are not there yet.
+
+    Args:
+        engine: Where they are built.
+        progress: Called after each recording.
+        tell: Called with a line that names the process which is building them meanwhile, and is waited for.
+    """
+    if not default_tables_are_built():
+        _build_once(engine, progress, tell)
+    return tuple(SequenceTable.open(folder) for folder in default_table_folders())
+
+
+def default_tables_are_built() -> bool:
+    """Return True if every embedded dataset is there."""
+    return all(map(_is_built, default_table_folders()))
+
+
+def default_table_folders() -> tuple[Path, ...]:
+    """Return the folders of the embedded datasets, in the order of :data:`LAYOUTS`, built or not."""
+    return tuple(default_folder() / layout for layout in LAYOUTS)
+
+
+def default_folder() -> Path:
+    """Return the folder that holds the embedded datasets and nothing else.
+
+    Another version of prbench, generator, protocol or schema gets another one.
+    """
+    # Everything that the tables' bytes depend on, so that no version reads the tables of another.
+    key = text_digest(
+        prbench.__version__,
+        str(GENERATOR_VERSION),
+        str(SCHEMA_VERSION),
+        load_protocol().digest,
+        *(digest_of(load_manifest(layout)) for layout in LAYOUTS),
+        *(f"{split} {number}" for split, number in PEOPLE.items()),
+    )
+    return cache_folder() / "tables" / f"synthetic-{key[:12]}"
+
+
+def _is_built(folder: Path) -> bool:
+    return (folder / FILE_NAME).is_file()
+
+
+def _build_once(engine: Engine, progress: Progress, tell: Callable[[str], None]) -> None:
+    # Every later run goes without it.
+    from prbench.synthetic.synthetic_table import build_synthetic_table, recordings_of_people
+
+    parent = default_folder()
+    with in_turn(parent.with_name(f"{parent.name}.first-run"), tell):  # each build itself holds its folder
+        # Tables that a killed process or another one has finished stay.
+        missing = {
+            layout: recordings_of_people(layout, SEED, PEOPLE)
+            for layout, folder in zip(LAYOUTS, default_table_folders(), strict=True)
+            if not _is_built(folder)
+        }
+        total = sum(map(len, missing.values()))
+        done = 0
+        for layout, recordings in missing.items():
+            before = done
+
+            def show(finished: int, _: int, last: str, before: int = before) -> None:
+                progress(before + finished, total, last)
+
+            build_synthetic_table(
+                layout, recordings=recordings, seed=SEED, out=parent / layout, engine=engine, progress=show
+            )
+            done += len(recordings)
+
+
+def companions(request: RunRequest) -> Iterator[RunRequest]:
+    """Yield runs of the same sequences for controls and recorded motion, as far as their methods are installed.
+
+    The controls are text alone, constant timing and a mean pose. A run of one of them has no companions.
+    """
+    # A run of a companion, of shuffled goals or of chosen sequences is not a first look at a method.
+    if request.method in {name for name, _ in _COMPANIONS} or request.control is not None or request.sequences:
+        return
+    there = {SCRIPTED, GROUND_TRUTH, *(adapter.name for adapter in list_adapters() if adapter.built_in)}
+    for method, condition in _COMPANIONS:
+        if method not in there:
+            continue
+        # The companions see the same sequences, but nothing that belongs to the user's own method.
+        yield replace(
+            request,
+            method=method,
+            condition=condition or request.condition,
+            weights=None,
+            options={},
+            best_of=1,
+            out=None,
+            isolate=False,
+            timeout=None,
+        )
+
+
+def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[SequenceTable]:
+    """The tables that all runs have in common, in the order of the first run.
+
+    Args:
+        runs: One or more.
+        data: Dataset folders; where none is given, the tables in prbench's own cache are tried by digest.
+
+    Raises:
+        TableError: if no table was named and none in the cache is the one.
+        RunError: if a named table is another one than a run's; names both digests.
+        UsageError: if the runs have no dataset in common.
+    """
+    shared = set.intersection(*(_datasets(run) for run in runs))
+    common = [record for record in runs[0].record.tables if record.dataset in shared]
+    if not common:
+        raise UsageError("these runs have no dataset in common, so that nothing can stand beside one another.")
+    named = [SequenceTable.open(folder).with_sequences() for folder in data]
+    if not named:
+        tables = [_from_cache(runs[0], record) for record in common]
+    else:
+        tables = [table for table in named if table.info.dataset in shared]
+        if not tables:
+            raise RunError(
+                f"{runs[0].path}: the run is of {', '.join(record.dataset for record in common)}; --data names"
+                f" {', '.join(table.info.dataset for table in named)}. Name the table that it was made on."
+            )
+    for run in runs:
+        for table in tables:
+            _require_table_of(run, table)
+    return tables
+
+
+def _datasets(run: RunFolder) -> set[str]:
+    return {table.dataset for table in run.record.tables}
+
+
+def _from_cache(run: RunFolder, record: TableRecord) -> SequenceTable:
+    """An embedded table, or another one that an earlier version left beside it."""
+    for folder in _embedded():
+        table = SequenceTable.open(folder)
+        if table.info.dataset == record.dataset and _is_table_of(record, table):
+            return table
+    raise TableError(
+        f"{run.path}: was made on a table of {record.dataset} with content digest {record.content_digest[:_SHOWN]}…,"
+        " which is not among the embedded ones. Name its folder with --data DIR."
+    )
+
+
+def _require_table_of(run: RunFolder, table: SequenceTable) -> None:
+    record = next(record for record in run.record.tables if record.dataset == table.info.dataset)
+    if not _is_table_of(record, table):
+        raise RunError(
+            f"{table.folder}: expected the table that {run.path} was made on (content digest"
+            f" {record.content_digest[:_SHOWN]}…), found another one ({table.info.content_digest[:_SHOWN]}…)."
+            " Name that table with --data DIR, or run the method again on this one."
+        )
+
+
+def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], Any]:
+    """A function that finds the table of a run among the named ones and those in prbench's own cache.
+
+    Args:
+        data: Folders of tables of any benchmark.
+
+    Raises:
+        TableError: if a named one cannot be opened; the function raises it for one in the cache.
+    """
+    opened = [open_any_table(folder) for folder in data]
+
+    def find(record: TableRecord) -> CaseTable | None:
+        for table in opened:
+            if _is_table_of(record, table):
+                return table
+        for folder in _embedded():
+            if DatasetInfo.read(folder).content_digest == record.content_digest:
+                opened.append(SequenceTable.open(folder))
+                return opened[-1]
+        return None
+
+    return find
+
+
+def open_any_table(folder: Path) -> CaseTable:
+    """Open a table of whatever benchmark; a folder that holds none is opened as one of the default benchmark.
+
+    Raises:
+        TableError: if it holds none, or a damaged one.
+    """
+    known = [load_benchmark(name) for name in benchmarks()]
+    return next((each for each in known if (folder / each.table_file).is_file()), known[0]).open_table(folder)
+
+
+def _embedded() -> Iterator[Path]:
+    """Folders of the embedded default tables, and of other ones that an earlier version left beside them."""
+    tables = cache_folder() / "tables"
+    # Up to version 0.8.0 there was a single table, not a folder of tables.
+    earlier = sorted(path.parent for pattern in ("*", "*/*") for path in tables.glob(f"{pattern}/{FILE_NAME}"))
+    # The tables of the present version first: nearly every run was made on them.
+    for folder in dict.fromkeys([*default_table_folders(), *earlier]):
+        if _is_built(folder):
+            yield folder
+
+
+def _is_table_of(record: TableRecord, table: CaseTable) -> bool:
+    # Identity says which sequences, content says which numbers; a rebuilt table may share only the first.
+    return (record.identity_digest, record.content_digest) == (table.identity, table.info.content_digest)

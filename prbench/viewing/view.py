@@ -1,0 +1,219 @@
+"""``prbench view``: find the tables that runs belong to, choose sequences, and have them drawn."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from prbench.errors import UsageError
+from prbench.files.storage import turn_into_paths
+from prbench.harness.controls import GROUND_TRUTH
+from prbench.harness.first_run import tables_of_runs
+from prbench.harness.run_folder import RunFolder
+from prbench.harness.verification import RunChecker
+from prbench.sequences import SequenceTable
+from prbench.sequences.table import by_share, find_sequence_id
+from prbench.viewing.replay.parts import METHOD_COLOURS
+from prbench.viewing.replay.read import RunMotions, read_scenes, run_labels
+from prbench.viewing.replay.scene import Scene
+from prbench.viewing.replay.write import file_kind, write_view
+from prbench.viewing.surroundings import Surroundings
+
+DEFAULT_LIMIT = 4
+
+Progress = Callable[[int, int, str], None]
+"""Called with finished steps, all steps, and what was finished last."""
+
+
+def _silent(done: int, total: int, last: str) -> None:
+    """Say nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewRequest:
+    """The sequences and runs that a user wants to see.
+
+    Raises:
+        UsageError: if parts of it do not fit together.
+    """
+
+    out: Path
+    """The file; its suffix chooses the kind."""
+    runs: tuple[Path, ...] = ()
+    """Run folders whose motions stand beside one another; none for recorded motion alone."""
+    data: tuple[Path, ...] = ()
+    """Tables; where none is given, the tables in prbench's own cache are tried."""
+    sequences: tuple[str, ...] = ()
+    """Ids, or parts of ids that fit one sequence only."""
+    limit: int | None = None
+    """Largest number of sequences of each dataset, chosen as `prbench run --limit` does; by default four."""
+    sample: int = 0
+    """Number of the shown motion, for runs that drew several."""
+    permitted: Collection[str] = ()
+    """Datasets for which the user has permission to pass recorded motion on."""
+    scene: Path | None = None
+    """The user's copy of the dataset, for drawing what stood around; None draws the motions alone."""
+
+    def __post_init__(self) -> None:
+        turn_into_paths(self, "out", "runs", "data", "scene")
+        if not self.runs and not self.data:
+            raise UsageError("nothing to view: name a run folder, or a dataset folder with --data DIR.")
+        if self.sequences and self.limit is not None:
+            raise UsageError("--sequence names the sequences already; leave --limit out.")
+        if len(self.runs) > len(METHOD_COLOURS):
+            raise UsageError(f"expected at most {len(METHOD_COLOURS)} runs in one view, found {len(self.runs)}.")
+        if len(set(self.runs)) < len(self.runs):
+            raise UsageError("a run folder is named more than once.")
+
+
+@dataclass(frozen=True)
+class ViewReport:
+    """The sequences that were shown."""
+
+    out: Path
+    scenes: tuple[Scene, ...]
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """The notices that the datasets' terms ask for, as they stand in the view."""
+        return tuple(dict.fromkeys(scene.notice for scene in self.scenes if scene.notice))
+
+
+def view(request: ViewRequest, progress: Progress = _silent) -> ViewReport:
+    """Render runs, or recorded motion, into one file.
+
+    Raises:
+        UsageError: if the file's suffix is unknown, or a sequence is unknown or left out by a run.
+        RunError: if a run has no predictions, was made on another table, or its scores are not those of its motions.
+        TableError: if a table cannot be found or read.
+        RedistributionError: if nothing is left that the licence lets be shown.
+        MissingExtraError: if MP4 or HTML is asked for without the extra `view`, or a scene without the extra `open3d`.
+        StorageError: if the file cannot be written.
+    """
+    # First of all: an unwritable kind of file must not fail after minutes of drawing.
+    kind = file_kind(request.out)
+    scenes = scenes_of(request)
+    write_view(scenes, request.out, kind, progress)
+    return ViewReport(request.out, scenes)
+
+
+def scenes_of(request: ViewRequest) -> tuple[Scene, ...]:
+    """Read what is to be shown, table after table."""
+    runs = [RunFolder.open(path) for path in request.runs]
+    labels = run_labels(request.runs, [run.record for run in runs])
+    if runs:
+        tables = tables_of_runs(runs, request.data)
+    else:
+        tables = [SequenceTable.open(path).with_sequences() for path in request.data]
+    for table in tables:
+        # The scores stand beside the motions in the picture, so they have to be theirs.
+        _require_genuine_scores(runs, table)
+    shown = [Shown(table, _opened(runs, labels, table, request.sample)) for table in tables]
+    scenes: list[Scene] = []
+    for part, ids in zip(shown, _chosen(request, shown), strict=True):
+        if ids:
+            around = None if request.scene is None else Surroundings(part.table.info.dataset, request.scene).around
+            scenes += read_scenes(part.table, ids, part.generated, permitted=request.permitted, around=around)
+    return tuple(scenes)
+
+
+def _require_genuine_scores(runs: Sequence[RunFolder], table: SequenceTable) -> None:
+    """Refuse runs whose scores, which stand beside the motions, are not those of the motions."""
+    for run in runs:
+        record = next(record for record in run.record.tables if record.dataset == table.info.dataset)
+        if run.dataset(record.dataset).finished:
+            RunChecker(lambda _: table).check(run, record)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One table with the runs that were made on it."""
+
+    table: SequenceTable
+    runs: tuple[RunMotions, ...]
+
+    @property
+    def generated(self) -> list[RunMotions]:
+        """All runs but those of the recorded motion itself, which every view shows anyway."""
+        return [
+            # A shuffled control of the ground truth shows other motions and stays.
+            run
+            for run in self.runs
+            if run.run.record.method.name != GROUND_TRUTH or run.run.record.control is not None
+        ]
+
+
+def _opened(
+    runs: Sequence[RunFolder], labels: Sequence[str], table: SequenceTable, sample: int
+) -> tuple[RunMotions, ...]:
+    return tuple(
+        RunMotions.open(run, table.info.dataset, label=label, sample=sample)
+        for run, label in zip(runs, labels, strict=True)
+    )
+
+
+def _chosen(request: ViewRequest, shown: Sequence[Shown]) -> list[list[str]]:
+    """Ids of each table: those asked for, else a few that every run holds."""
+    rows = [part.table.scalars(columns=["sequence_id", "recording_id"]) for part in shown]
+    known = [table["sequence_id"].to_pylist() for table in rows]
+    if not request.sequences:
+        held = [_held_by_all(part.runs, ids) for part, ids in zip(shown, known, strict=True)]
+        if not any(held):
+            raise UsageError("these runs have no sequence in common; run them with the same --split and --limit.")
+        limit = request.limit or DEFAULT_LIMIT
+        recordings = [table["recording_id"].to_pylist() for table in rows]
+        return [
+            _limited(ids, dict(zip(names, recorded, strict=True)), limit)
+            for ids, names, recorded in zip(held, known, recordings, strict=True)
+        ]
+    # A part of an id has to fit one sequence of all tables together, so it is looked for among all of them.
+    everything = list(itertools.chain.from_iterable(known))
+    among = ", ".join(part.table.info.dataset for part in shown)
+    wanted = list(dict.fromkeys(find_sequence_id(name, everything, among=among) for name in request.sequences))
+    chosen = []
+    for part, ids in zip(shown, known, strict=True):
+        own = [name for name in wanted if name in ids]
+        for run in part.runs:
+            _require_in_run(run, part.table, own)
+        chosen.append(own)
+    return chosen
+
+
+def _limited(ids: Sequence[str], recording_of: Mapping[str, str], limit: int) -> list[str]:
+    """Return those of the ids that the limit takes up, in the order given."""
+    chosen = set(by_share(ids, [recording_of[name] for name in ids])[:limit])
+    return [name for name in ids if name in chosen]
+
+
+def _held_by_all(runs: Sequence[RunMotions], ids: Sequence[str]) -> list[str]:
+    return [name for name in ids if all(name in run for run in runs)]
+
+
+def _require_in_run(run: RunMotions, table: SequenceTable, sequence_ids: Sequence[str]) -> None:
+    """Refuse sequences that a run has no motion of, and say why it has none.
+
+    Raises:
+        UsageError: naming the first one.
+    """
+    for name in sequence_ids:
+        if name not in run:
+            raise UsageError(f"{run.run.path}: holds no motion of {name}: {_why_left_out(run, table, name)}")
+
+
+def _why_left_out(run: RunMotions, table: SequenceTable, name: str) -> str:
+    record = run.run.record
+    rows = table.scalars(columns=["sequence_id", "split", "n_frames"])
+    row = rows["sequence_id"].to_pylist().index(name)
+    split = rows["split"][row].as_py()
+    n_frames = rows["n_frames"][row].as_py()
+    if split != record.split:
+        return f"it is in split '{split}', the run is of '{record.split}'."
+    if record.method.max_frames is not None and n_frames > record.method.max_frames:
+        return f"it has {n_frames} frames, {record.method.name} generates at most {record.method.max_frames}."
+    if record.limit is not None:
+        return f"the run was limited to {record.limit} sequences (--limit). Run it alone: prbench run … --sequence ID"
+    if record.sequences:
+        return "the run was of other sequences (--sequence)."
+    return "the run was interrupted before it. Run the same `prbench run` again: it resumes."

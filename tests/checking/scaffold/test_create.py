@@ -1,0 +1,260 @@
+"""A new method's folder: complete, clean, whole or not there at all, and working as generated."""
+
+from __future__ import annotations
+
+import ast
+import itertools
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from prbench.checking import scaffold
+from prbench.checking.conformance import Outcome
+from prbench.checking.conformance.check import examine
+from prbench.checking.conformance.judges import judge_of
+from prbench.checking.conformance.predictors.cases import windows_of_table
+from prbench.checking.conformance.predictors.subject import PredictorSubject
+from prbench.checking.scaffold import ScaffoldRequest, new_adapter
+from prbench.cli import main
+from prbench.errors import StorageError, UsageError
+from prbench.harness.benchmark import load_benchmark
+from prbench.harness.methods.loaded_methods import forget_loaded_methods
+from prbench.harness.methods.methods import method_spec
+from tests.fakes import fake_dataset
+from tests.prediction.windows import walking, write
+
+CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
+CHOICES = [
+    (conditions, kind)
+    for size in (1, 2, 4)
+    for conditions in itertools.combinations(CONDITIONS, size)
+    for kind in ("package", "trainable", "program")
+]
+
+PREDICTED = (("pose",), ("pose+gaze", "pose+head"))
+
+
+@pytest.fixture(scope="module")
+def all_kinds(tmp_path_factory) -> Path:
+    """A folder of every kind of package and program."""
+    root = tmp_path_factory.mktemp("kinds")
+    for number, (conditions, kind) in enumerate(CHOICES):
+        trainable, program = kind == "trainable", kind == "program"
+        new_adapter(ScaffoldRequest(f"made-{number}", conditions, root / f"{kind}{number}", trainable, program))
+    for conditions in PREDICTED:
+        for kind in ("package", "trainable", "program"):
+            _predictor(root / f"{kind}-of-{'-'.join(conditions)}", conditions, kind)
+    return root
+
+
+def _predictor(folder: Path, conditions: tuple[str, ...], kind: str) -> Path:
+    chosen = {"trainable": kind == "trainable", "program": kind == "program"}
+    request = ScaffoldRequest("glance", conditions, folder, **chosen, benchmark="motion-prediction")
+    return new_adapter(request).folder
+
+
+def _run(*command: str, cwd: Path, path: Path | str = "") -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(path), "PRBENCH_CACHE": str(cwd / "cache")}
+    return subprocess.run([sys.executable, *command], cwd=cwd, env=environment, capture_output=True, text=True)
+
+
+def test_no_template_leaves_a_mark_and_all_python_parses(all_kinds):
+    for path in all_kinds.rglob("*"):
+        if path.is_file():
+            text = path.read_text(encoding="utf-8")
+            assert "<<" not in text, path
+            assert "\n%" not in text, path
+            if path.suffix == ".py":
+                version = (3, 8) if path.parent.parent == all_kinds else None
+                ast.parse(text, feature_version=version)
+            if path.suffix == ".toml":
+                tomllib.loads(text)
+
+
+def test_everything_is_clean_under_ruff(all_kinds):
+    ruff = shutil.which("ruff")
+    if ruff is None:
+        pytest.skip("ruff is not installed")
+    for command in (["check"], ["format", "--check"]):
+        done = subprocess.run([ruff, *command, "--no-cache", "."], cwd=all_kinds, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout[-2000:]
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory) -> Path:
+    """A generated package, installed by pip as a user would, in a folder of its own."""
+    root = tmp_path_factory.mktemp("new")
+    report = new_adapter(ScaffoldRequest("newcomer", out=root / "prbench-newcomer"))
+    options = ["--no-deps", "--no-build-isolation", "--no-index", "--quiet", "--disable-pip-version-check"]
+    done = _run("-m", "pip", "install", *options, "--target", str(root / "site"), str(report.folder), cwd=root)
+    assert done.returncode == 0, done.stderr
+    return root
+
+
+def test_an_installed_package_is_listed_with_what_it_declares(installed):
+    command = ["adapters", "list", "--details", "newcomer"]
+    done = _run("-m", "prbench", *command, cwd=installed, path=installed / "site")
+    assert "newcomer  prbench-newcomer 0.1.0  goal-loc    no      any     any   none" in done.stdout, done.stdout
+
+
+@pytest.mark.slow
+def test_packages_pass_their_own_tests_as_generated(installed, all_kinds):
+    everything = all_kinds / f"trainable{len(CHOICES) - 2}"  # all conditions, and fit()
+    predictor = all_kinds / "trainable-of-pose+gaze-pose+head"
+    tests = [
+        *(installed / "prbench-newcomer" / "tests", everything / "tests" / "test_method.py"),
+        predictor / "tests" / "test_method.py",
+    ]
+    path = os.pathsep.join([str(installed / "site"), str(everything / "src"), str(predictor / "src")])
+    options = ["-q", "-p", "no:cacheprovider", "--import-mode=importlib"]
+    done = _run("-m", "pytest", *options, *map(str, tests), cwd=installed, path=path)
+    assert done.returncode == 0, done.stdout[-3000:]
+    summary = done.stdout.splitlines()[-1]
+    assert int(summary.split()[0]) >= 30, summary
+
+
+def test_an_installed_package_is_run_and_scored(installed):
+    data = fake_dataset(installed / "table", 24).folder
+    command = ["run", "--method", "newcomer", "--condition", "goal-loc", "--data", str(data), "--out", "out"]
+    done = _run("-m", "prbench", *command, cwd=installed, path=installed / "site")
+    assert done.returncode == 0, done.stderr
+    assert "newcomer (package prbench-newcomer 0.1.0), condition goal-loc; 6 sequences" in done.stdout
+
+
+def test_a_program_is_run_and_scored_by_its_toml(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
+    data = fake_dataset(tmp_path / "table", 12).folder
+    assert (
+        main(["adapters", "new", "slider", "--program", "--condition", "text", "--out", str(tmp_path / "slider")]) == 0
+    )
+    toml = tmp_path / "slider" / "slider.toml"
+    toml.write_text(toml.read_text().replace('"python"', repr(sys.executable)))
+    out = tmp_path / "out"
+    arguments = ["run", "--method", str(toml), "--condition", "text", "--data", str(data), "--out", str(out)]
+    assert main(arguments) == 0
+    assert f"slider (program {Path(sys.executable).name} slider.py), condition text" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["package", "trainable"])
+def test_a_new_predictor_keeps_the_contract(all_kinds, tmp_path, kind):
+    file = all_kinds / f"{kind}-of-pose" / "src" / "prbench_glance" / "predictor.py"
+    spec = method_spec(str(file), group=load_benchmark("motion-prediction").methods)
+    quick = [
+        one for one in judge_of("motion-prediction").checks if not one.fresh and one.name not in ("memory", "speed")
+    ]
+    table = write(tmp_path / "w", walking("a", 120), walking("b", 120, split="train", number=1))
+    (tmp_path / "check").mkdir()
+    subject = PredictorSubject(spec, windows_of_table(table, tmp_path / "check"), tmp_path / "check")
+    found = list(examine(subject, quick))
+    forget_loaded_methods()
+    assert [each for each in found if each.outcome in (Outcome.FAILED, Outcome.WARNING)] == []
+
+
+def test_a_new_predictor_as_a_program_is_run_and_scored(tmp_path, capsys):
+    toml = _predictor(tmp_path / "glance", ("pose+gaze",), "program") / "glance.toml"
+    toml.write_text(toml.read_text().replace('"python"', repr(sys.executable)))
+    data = write(tmp_path / "w", walking("a", 120))
+    arguments = ["run", "--benchmark", "motion-prediction", "--method", str(toml), "--condition", "pose+gaze"]
+    assert main([*arguments, "--data", str(data), "--samples", "5", "--out", str(tmp_path / "out")]) == 0
+    assert "glance (program" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        ({"conditions": ("goal-loc",)}, "--condition goal-loc: expected one of the benchmark motion-prediction: pose,"),
+        ({"name": "humanmac"}, "method of prbench itself"),
+    ],
+)
+def test_a_predictor_of_another_benchmarks_condition_or_of_our_name_is_refused(tmp_path, wanted, message):
+    given = {"name": "glance", "out": tmp_path / "new", "benchmark": "motion-prediction", **wanted}
+    with pytest.raises(UsageError, match=message):
+        new_adapter(ScaffoldRequest(**given))
+
+
+def test_new_says_what_to_do_next(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["adapters", "new", "glide", "--condition", "text", "--condition", "goal-loc", "--trainable"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1:] == [
+        "  cd prbench-glide",
+        '  pip install -e ".[test]"',
+        "  python -m pytest",
+        "  prbench adapters check glide",
+        "  prbench run --method glide --condition text",
+    ]
+    assert (tmp_path / "prbench-glide" / "src" / "prbench_glide" / "standing.py").is_file()
+
+
+@pytest.mark.parametrize("program", [False, True])
+def test_the_readme_shows_the_same_commands(tmp_path, program):
+    report = new_adapter(ScaffoldRequest("glide", out=tmp_path / "glide", program=program))
+    readme = (report.folder / "README.md").read_text()
+    for step in report.next_steps[1:]:
+        assert step in readme
+
+
+@pytest.mark.parametrize("what", ["a file", "a folder with a file", "a link", "the current folder"])
+def test_nothing_is_ever_overwritten(what, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    if what == "a file":
+        out.write_text("mine")
+    elif what == "a link":
+        out.symlink_to(tmp_path / "nowhere")
+    else:
+        out.mkdir()
+        if what == "the current folder":
+            monkeypatch.chdir(out)
+        else:
+            (out / "mine.txt").write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(StorageError, match=r"exists already; nothing was written\. Name a new folder with --out DIR"):
+        new_adapter(ScaffoldRequest("glide", out=out))
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_an_empty_folder_is_filled(tmp_path):
+    (tmp_path / "out").mkdir()
+    report = new_adapter(ScaffoldRequest("glide", out=tmp_path / "out"))
+    found = {path.relative_to(report.folder) for path in report.folder.rglob("*") if path.is_file()}
+    assert found == set(report.files)
+
+
+def test_an_interrupted_writing_leaves_nothing(tmp_path, monkeypatch):
+    written: list[Path] = []
+
+    def fail(self: Path, *arguments, **keywords) -> None:
+        if written:
+            raise KeyboardInterrupt
+        written.append(self)
+
+    monkeypatch.setattr(Path, "write_text", fail)
+    with pytest.raises(KeyboardInterrupt):
+        new_adapter(ScaffoldRequest("glide", out=tmp_path / "out"))
+    assert written
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_program_is_not_fitted_by_a_run(tmp_path):
+    with pytest.raises(UsageError, match="a program is not fitted by a run"):
+        new_adapter(ScaffoldRequest("glide", out=tmp_path / "out", trainable=True, program=True))
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "message"), [("static", 2, "my-static"), ("No Good", 2, "Would 'no-good' do?")]
+)
+def test_a_bad_name_is_one_line_on_the_screen(name, code, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["adapters", "new", name]) == code
+    assert message in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_templates_ship_beside_the_code():
+    folder = Path(scaffold.__file__).parent / "templates"
+    assert {path.suffix for path in folder.iterdir() if path.is_file()} == {".template", ".py"}

@@ -1,0 +1,86 @@
+"""``prbench build-dataset --propose-events``: the table of proposals, from files to a build."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+
+import pytest
+
+from prbench.cli.builds import BuildsReport
+from prbench.cli.main import main
+from prbench.curation import build_dataset
+from prbench.curation.options import BuildOptions
+from prbench.curation.propose_events import write_candidates
+from prbench.errors import StorageError, UsageError
+from prbench.readers.gimo import format as gimo
+from prbench.readers.gimo.format import CANDIDATE_COLUMNS as COLUMNS
+from tests.cli.reports import printed_document, refused, reported
+from tests.readers import gimo_sample as sample
+
+
+@pytest.fixture
+def root(tmp_path):
+    first = replace(sample.readings(), events=())
+    first = replace(first, segment=replace(first.segment, hint=130))
+    second = sample.readings(sequence="2022-02-02-000000")
+    absent = replace(first.segment, sequence="2022-03-03-000000")
+    return sample.write_root(tmp_path / "GIMO", first, second, table=[first.segment, second.segment, absent])
+
+
+def rows_of(path) -> list[dict[str, str]]:
+    with open(path, encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_segment_has_a_line_and_none_counts_before_it_is_confirmed(root, tmp_path, capsys) -> None:
+    out = tmp_path / "candidates.csv"
+    assert main(["build-dataset", "gimo", "--root", str(root), "--propose-events", str(out)]) == 3, (
+        "one segment could not be read"
+    )
+    rows = rows_of(out)
+    assert tuple(rows[0]) == COLUMNS
+    assert [row["sequence_path"] for row in rows] == ["2022-01-23-080759", "2022-02-02-000000", "2022-03-03-000000"]
+    assert {row["confirmed"] for row in rows} == {""}
+    assert rows[0]["event_frame"] == "130"
+    assert rows[0]["reason"].startswith("hint +0.00 s away")
+    assert rows[2]["reason"].startswith("not read: ")
+    assert "1 not read" in capsys.readouterr().out
+    options = BuildOptions(reader=(("events", str(out)),))
+    records = build_dataset("gimo", root, tmp_path / "before", options=options).records
+    assert [record.status for record in records] == ["skipped"] * 3
+
+    rows[0]["confirmed"] = "yes"
+    with open(out, "w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows)
+    records = build_dataset("gimo", root, tmp_path / "after", options=options).records
+    assert [record.status for record in records] == ["read", "skipped", "skipped"]
+    assert sum(records[0].outcomes.values()) == 1
+
+
+def test_proposals_are_reported_as_they_are_written(root, tmp_path, capsys) -> None:
+    words = ["build-dataset", "gimo", "--root", str(root), "--propose-events"]
+    report = reported([*words, str(tmp_path / "c.csv")], BuildsReport, capsys, code=3)
+    rows = rows_of(tmp_path / "c.csv")
+    assert [each.reason for each in report.proposed] == [row["reason"] for row in rows]
+    assert report.proposed[0].confidence == pytest.approx(float(rows[0]["confidence"]), abs=0.005)
+    assert report.proposed[0].hand == rows[0]["hand"]
+    assert (report.proposed[2].time, report.proposed[2].hand) == (None, None)
+    document = printed_document([*words, str(tmp_path / "d.csv")], capsys, code=3)
+    assert document.notes == [f"{report.proposed[2].recording}: {report.proposed[2].problem}"]
+    refused([*words, str(tmp_path / "c.csv")], capsys, code=8, message="never overwritten")
+
+
+def test_annotations_are_never_overwritten(root, tmp_path) -> None:
+    mine = tmp_path / gimo.EVENTS_FILE
+    mine.write_text("my work")
+    with pytest.raises(StorageError, match="annotations are never overwritten"):
+        write_candidates("gimo", root, mine)
+    assert mine.read_text() == "my work"
+
+
+def test_datasets_with_events_of_their_own_need_none(root, tmp_path) -> None:
+    with pytest.raises(UsageError, match="proposals are for: gimo"):
+        write_candidates("adt", root, tmp_path / "a.csv")

@@ -1,0 +1,146 @@
+"""Stories of single events."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from prbench.curation import BuildOptions, CurationOptions, build_from_sources
+from prbench.errors import UsageError
+from prbench.recording import Occluder
+from prbench.viewing.event_story import EventStory, draw_event_story
+from prbench.viewing.explain import explain_event
+from tests.curation.scenes import LOOK_A, PLACE_A, clock, gaze, scene, stranger
+from tests.curation.sources import SceneSource
+from tests.fakes import fake_dataset
+
+
+class UnseenPut(SceneSource):
+    """The put is never looked at."""
+
+    def read(self):
+        import dataclasses
+
+        looks = [(LOOK_A, LOOK_A + 0.5, PLACE_A)]
+        return dataclasses.replace(super().read(), gaze=gaze(clock(30), looks))
+
+
+class BehindAWall(SceneSource):
+    """Everything is looked at through a wall."""
+
+    def read(self):
+        import dataclasses
+
+        corners = np.array([(-3.0, 0.0, 0.7), (3.0, 0.0, 0.7), (3.0, 3.0, 0.7), (-3.0, 3.0, 0.7)])
+        wall = Occluder("wall", corners, np.array([(0, 1, 2), (0, 2, 3)]))
+        return dataclasses.replace(super().read(), occluders=(wall,))
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("explain") / "adt"
+    build_from_sources([SceneSource("room_a"), UnseenPut("room_b")], folder)
+    return folder
+
+
+def stages(story: EventStory) -> dict[str, str]:
+    return {stage.name: stage.verdict for stage in story.stages}
+
+
+def test_a_sequences_story_names_every_number_that_decided(table: Path) -> None:
+    story = explain_event(table, "room_a/cup/pick")
+    assert set(stages(story).values()) == {"passed"}
+    text = story.text()
+    for part in (
+        "outcome: sequence",
+        "left hand",
+        "first look at 11.000 s (hit)",
+        "box 8 × 10 × 8 cm",
+        "at least 0.20 m",
+    ):
+        assert part in text
+    assert "put  cup (same object): sequence" in text
+
+
+def test_a_dropped_events_story_ends_where_it_was_dropped(table: Path) -> None:
+    story = explain_event(table, "room_b/cup/put")
+    assert stages(story) == {
+        "in hand": "passed", "location": "passed", "priming": "stopped here", "clipping": "not reached",
+        "body": "not reached", "filters": "not reached",
+    }  # fmt: skip
+    assert story.motion is None
+    assert "gaze came no nearer to the box than" in story.text()
+    assert "(near miss: at most 5.0 cm)" in story.text()
+
+
+def test_event_ids_sequence_ids_and_unique_parts_all_lead_to_the_event(table: Path) -> None:
+    story = explain_event(table, "room_a/cup/pick")
+    assert story.event.sequence_id is not None
+    for name in (story.event.event_id, story.event.sequence_id, story.event.event_id.removeprefix("adt/")):
+        assert explain_event(table, name).event.event_id == story.event.event_id
+
+
+def test_a_part_that_fits_several_lists_them_and_an_unknown_id_its_neighbours(table: Path) -> None:
+    with pytest.raises(UsageError, match=r"fits 2 events(.|\n)*room_a/1/pick(.|\n)*room_b/1/pick"):
+        explain_event(table, "cup/pick")
+    with pytest.raises(UsageError, match=r"no event 'room_a/cap/pick'(.|\n)*room_a/cup/pick"):
+        explain_event(table, "room_a/cap/pick")
+
+
+def test_the_motion_of_the_story_is_canonical_and_its_box_surrounds_the_goal(table: Path) -> None:
+    motion = explain_event(table, "room_a/cup/pick").motion
+    assert motion is not None
+    np.testing.assert_allclose(motion.goal.box_corners.mean(axis=0), motion.goal.location, atol=1e-6)
+    assert motion.joints.shape == (len(motion.times), 22, 3)
+
+
+@pytest.mark.parametrize("event", ["room_a/cup/pick", "room_b/cup/put"])
+def test_a_story_can_be_drawn(table: Path, tmp_path: Path, event: str) -> None:
+    draw_event_story(explain_event(table, event), tmp_path / "story.png")
+    assert (tmp_path / "story.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_dataset_without_sequences_can_be_explained(tmp_path: Path) -> None:
+    class Unseen(SceneSource):
+        def read(self):
+            times = clock(120)
+            return scene(
+                gaze=gaze(clock(30), []), other_people=(stranger(times, np.tile([9.0, 1.0, 9.0], (len(times), 1))),)
+            )
+
+    build_from_sources([Unseen("kitchen_1")], tmp_path / "adt")
+    assert explain_event(tmp_path / "adt", "cup/pick").event.outcome == "not_primed"
+
+
+@pytest.mark.usefixtures("open3d_or_slow_loop")
+def test_looks_through_a_wall_are_told_where_that_decided(tmp_path: Path) -> None:
+    build_from_sources(
+        [BehindAWall("room_c")], tmp_path / "adt", options=BuildOptions(CurationOptions(occlusion="require"))
+    )
+    story = explain_event(tmp_path / "adt", "room_c/cup/pick")
+    assert stages(story)["priming"] == "stopped here"
+    assert "15 gaze samples meet the place, and a mesh stands before it in all of them" in story.text()
+
+
+def test_where_the_licence_keeps_goals_the_story_does_not_tell_them(tmp_path) -> None:
+    table = fake_dataset(tmp_path / "t", n=3)
+    event = table.events()["event_id"][0].as_py()
+    assert " m, box " in explain_event(table.folder, event).text()
+    msgspec.structs.replace(table.info, redistribution="none").write(table.folder)
+    assert " m, box " not in explain_event(table.folder, event).text()
+    assert " m, box " in explain_event(table.folder, event, permitted=["synthetic-adt"]).text()
+
+
+def test_names_can_neither_steer_the_terminal_nor_add_lines_nor_end_a_drawing(table: Path, tmp_path: Path) -> None:
+    story = explain_event(table, "room_a/cup/pick")
+    name = "cup\x1b[2J\n  + filters  passed $\\frac$"
+    event = dataclasses.replace(story.event, object_name=name)
+    other = dataclasses.replace(story.neighbours[0], object_name=name)
+    named = dataclasses.replace(story, event=event, neighbours=(other,))
+    assert "\x1b" not in named.text()
+    assert "cup\\x1b[2J\\n  + filters" in named.text()
+    draw_event_story(named, tmp_path / "story.png")

@@ -1,0 +1,246 @@
+"""Which table, which sequences and which motions a view shows, and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from prbench.contract import Condition
+from prbench.errors import RedistributionError, RunError, StorageError, TableError, UsageError
+from prbench.harness.first_run import default_folder, default_table_folders
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+from prbench.harness.run_folder import Predictions, RunFolder, read_scores
+from prbench.sequences import DatasetInfo, SequenceTable
+from prbench.viewing.replay.measures import score_row
+from prbench.viewing.replay.scene import RECORDED
+from prbench.viewing.view import ViewRequest, scenes_of, view
+from tests.fakes import fake_dataset
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    """A made-up table, the same under other terms, another one of that name, and runs on the first."""
+    place = tmp_path_factory.mktemp("views")
+    fake_dataset(place / "table", 24)
+    fake_dataset(place / "other", 16)
+    data = (place / "table",)
+    for method, name, limit in (
+        ("scripted", "scripted", None),
+        ("ground-truth", "truth", None),
+        ("scripted", "few", 3),
+    ):
+        request = RunRequest(method=method, data=data, condition=Condition.GOAL_LOCATION, limit=limit, out=place / name)
+        run_method(request)
+    return place
+
+
+def _changed(place: Path, tmp_path: Path, **changes: object) -> Path:
+    """The table with other words in dataset.json; no digest depends on them."""
+    folder = tmp_path / "table"
+    folder.mkdir()
+    for path in (place / "table").iterdir():
+        if path.is_file():
+            (folder / path.name).write_bytes(path.read_bytes())
+    msgspec.structs.replace(DatasetInfo.read(folder), **changes).write(folder)
+    return folder
+
+
+def _request(place: Path, *runs: str, **options) -> ViewRequest:
+    given = {"out": place / "view.png", "data": (place / "table",)} | options
+    return ViewRequest(runs=tuple(place / run for run in runs), **given)
+
+
+def test_recorded_and_generated_motion_of_the_same_sequence_stand_side_by_side(place):
+    scenes = scenes_of(_request(place, "scripted", limit=2))
+    assert len(scenes) == 2
+    table = SequenceTable.open(place / "table")
+    predictions = Predictions.open(place / "scripted" / "predictions")
+    for scene in scenes:
+        chunk = next(table.chunks(ids=frozenset({scene.sequence_id})))
+        recorded, generated = scene.motions
+        assert recorded.label == RECORDED
+        assert generated.label == "scripted, goal-loc"
+        np.testing.assert_array_equal(recorded.joints, chunk.joints.astype(np.float64))
+        np.testing.assert_array_equal(generated.joints, predictions.motions([scene.sequence_id], 0).values)
+        assert scene.goal is not None
+        np.testing.assert_allclose(scene.goal.box_corners.mean(axis=0), chunk.vectors("goal_location")[0], atol=1e-5)
+        assert scene.prime_time == pytest.approx(2.0)
+
+
+def test_the_scores_shown_are_those_of_the_run(place):
+    scenes = scenes_of(_request(place, "scripted", limit=3))
+    rows = read_scores(place / "scripted" / "scores.parquet").to_pylist()
+    for scene in scenes:
+        for metric in ("prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe"):
+            (value,) = [r["value"] for r in rows if (r["sequence_id"], r["metric"]) == (scene.sequence_id, metric)]
+            assert scene.motions[1].scores[metric] == value
+
+
+def test_the_recorded_motion_is_scored_as_the_ground_truth_run_scores_it(place):
+    scenes = scenes_of(_request(place, "scripted", limit=4))
+    rows = read_scores(place / "truth" / "scores.parquet").to_pylist()
+    values = {(row["sequence_id"], row["metric"]): row["value"] for row in rows}
+    for scene in scenes:
+        for metric in ("prime_success", "reach_success", "prime_success_gaze"):
+            assert scene.motions[0].scores[metric] == values[scene.sequence_id, metric]
+
+
+def test_a_ground_truth_run_is_not_drawn_twice(place):
+    (scene,) = scenes_of(_request(place, "truth", limit=1))
+    assert [motion.label for motion in scene.motions] == [RECORDED]
+
+
+def test_several_runs_show_what_they_have_in_common(place):
+    scenes = scenes_of(_request(place, "scripted", "few"))
+    assert {scene.sequence_id for scene in scenes} == set(Predictions.open(place / "few" / "predictions").ids)
+    assert [motion.label for motion in scenes[0].motions[1:]] == [
+        "scripted, goal-loc (scripted)",
+        "scripted, goal-loc (few)",
+    ]
+
+
+def test_a_table_alone_shows_recorded_motion(place):
+    scenes = scenes_of(_request(place, limit=5))
+    assert len(scenes) == 5
+    assert all(len(scene.motions) == 1 for scene in scenes)
+
+
+def test_one_sequence_by_a_part_of_its_id(place):
+    (scene,) = scenes_of(_request(place, "scripted", sequences=("/obj5/",)))
+    assert "/obj5/" in scene.sequence_id
+
+
+def test_an_embedded_table_is_found_by_its_digest(place, tmp_path, monkeypatch):
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path))
+    with pytest.raises(TableError, match=r"content digest [0-9a-f]{12}….*--data DIR"):
+        scenes_of(_request(place, "scripted", data=()))
+    for number, folder in enumerate(default_table_folders(), start=1):
+        fake_dataset(folder, 2 * number)
+    # Until version 0.5 the default was a single table, now it is a folder of tables.
+    fake_dataset(default_folder().parent / "of-an-earlier-version" / "adt", 16)
+    fake_dataset(default_folder().parent / "of-a-much-earlier-version", 24)
+    assert scenes_of(_request(place, "scripted", data=(), limit=1))
+
+
+def test_another_table_is_refused_with_both_digests(place):
+    digests = [SequenceTable.open(place / name).info.content_digest[:12] for name in ("table", "other")]
+    with pytest.raises(RunError, match=f"{digests[0]}….*{digests[1]}…"):
+        scenes_of(_request(place, "scripted", data=(place / "other",)))
+
+
+def test_a_table_of_another_name_is_refused(place, tmp_path):
+    fake_dataset(tmp_path / "mogaze", 8, dataset="synthetic-mogaze")
+    with pytest.raises(RunError, match="is of synthetic-adt; --data names synthetic-mogaze"):
+        scenes_of(_request(place, "scripted", data=(tmp_path / "mogaze",)))
+
+
+def test_a_sequence_that_the_run_left_out_is_told_with_the_reason(place):
+    ids = SequenceTable.open(place / "table").scalars(split="train")["sequence_id"].to_pylist()
+    with pytest.raises(UsageError, match="it is in split 'train', the run is of 'test'"):
+        scenes_of(_request(place, "scripted", sequences=(ids[0],)))
+    held = set(Predictions.open(place / "few" / "predictions").ids)
+    test = SequenceTable.open(place / "table").scalars(split="test")["sequence_id"].to_pylist()
+    missing = next(name for name in test if name not in held)
+    with pytest.raises(UsageError, match="limited to 3 sequences"):
+        scenes_of(_request(place, "few", sequences=(missing,)))
+
+
+def test_a_run_without_predictions_is_told(place, tmp_path):
+    run = tmp_path / "interrupted"
+    run.mkdir()
+    (run / "run.json").write_bytes((place / "scripted" / "run.json").read_bytes())
+    with pytest.raises(RunError, match="expected the predictions of a run, found none"):
+        scenes_of(ViewRequest(out=Path("a.png"), runs=(run,), data=(place / "table",)))
+
+
+def test_an_interrupted_run_is_shown_without_scores(place, tmp_path):
+    run = tmp_path / "unscored"
+    (run / "predictions").mkdir(parents=True)
+    (run / "run.json").write_bytes((place / "scripted" / "run.json").read_bytes())
+    part = place / "scripted" / "predictions" / "part-00000.parquet"
+    (run / "predictions" / part.name).write_bytes(part.read_bytes())
+    (scene,) = scenes_of(ViewRequest(out=Path("a.png"), runs=(run,), data=(place / "table",), limit=1))
+    assert score_row(scene, scene.motions[1])[1:3] == ("–", "–")
+
+
+def test_a_folder_that_is_no_run_is_told(place):
+    with pytest.raises(RunError, match="expected a run folder"):
+        scenes_of(_request(place, "table"))
+
+
+def test_recorded_motion_gaze_and_goal_of_none_are_left_out(place, tmp_path):
+    data = (_changed(place, tmp_path, redistribution="none"),)
+    with pytest.raises(RedistributionError, match="--permission synthetic-adt"):
+        scenes_of(_request(place, data=data))
+    with pytest.raises(RedistributionError, match="scripted"):  # moved from the recorded first pose
+        scenes_of(_request(place, "scripted", data=data))
+    method = _as_method(place / "scripted", tmp_path / "run")
+    (scene,) = scenes_of(ViewRequest(out=Path("a.png"), runs=(method,), data=data, limit=1))
+    assert [motion.label for motion in scene.motions] == ["made-up, goal-loc"]
+    assert scene.goal is None
+    assert all(motion.gaze is None for motion in scene.motions)
+    assert "left out here" in scene.notice
+    permitted = ViewRequest(out=Path("a.png"), runs=(method,), data=data, limit=1, permitted=("synthetic-adt",))
+    (scene,) = scenes_of(permitted)
+    assert scene.shows_recorded
+    assert scene.goal is not None
+    assert "by permission" in scene.notice
+
+
+def _as_method(run: Path, folder: Path) -> Path:
+    """The same run as if an adapter had made it."""
+    record = RunFolder.open(run).record
+    method = msgspec.structs.replace(record.method, name="made-up", kind="adapter")
+    (folder / "predictions").mkdir(parents=True)
+    msgspec.structs.replace(record, method=method).write(folder)
+    for path in (run / "predictions").iterdir():
+        (folder / "predictions" / path.name).write_bytes(path.read_bytes())
+    return folder
+
+
+def test_the_notice_of_non_commercial_data_goes_into_the_view(place, tmp_path):
+    data = (_changed(place, tmp_path, redistribution="non-commercial"),)
+    report = view(_request(place, "scripted", data=data, out=tmp_path / "view.html", limit=1))
+    assert report.notices == ("Made up: for non-commercial purposes only, under the dataset's own licence.",)
+    assert "for non-commercial purposes only" in report.out.read_text(encoding="utf-8")
+
+
+def test_goals_in_an_unknown_frame_are_not_drawn_and_nothing_is_measured_against_them(place, tmp_path):
+    data = (_changed(place, tmp_path, options={"goal_frame": "unknown"}),)
+    report = view(ViewRequest(out=tmp_path / "a.png", data=data, limit=1))
+    (scene,) = report.scenes
+    assert scene.goal is None
+    assert not scene.motions[0].scores
+
+
+@pytest.mark.parametrize("name", ["view.gif", "view", "view.png.txt"])
+def test_another_suffix_is_refused_before_anything_is_read(name, tmp_path):
+    with pytest.raises(UsageError, match=r"\.png, \.mp4 or \.html"):
+        view(ViewRequest(out=tmp_path / name, runs=(tmp_path / "no run",)))
+
+
+def test_a_folder_as_file_is_refused(tmp_path):
+    (tmp_path / "a.png").mkdir()
+    with pytest.raises(StorageError, match="is a folder"):
+        view(ViewRequest(out=tmp_path / "a.png", data=(tmp_path,)))
+
+
+def test_requests_that_do_not_fit_together(tmp_path):
+    out = tmp_path / "a.png"
+    with pytest.raises(UsageError, match="nothing to view"):
+        ViewRequest(out=out)
+    with pytest.raises(UsageError, match="leave --limit out"):
+        ViewRequest(out=out, data=(tmp_path,), sequences=("a",), limit=2)
+    with pytest.raises(UsageError, match="at most 6 runs"):
+        ViewRequest(out=out, runs=tuple(tmp_path / str(number) for number in range(7)))
+    with pytest.raises(UsageError, match="more than once"):
+        ViewRequest(out=out, runs=(tmp_path, tmp_path))
+
+
+def test_a_sample_that_was_not_drawn_is_told(place):
+    with pytest.raises(RunError, match="a sample from 0 to 0, found 3"):
+        scenes_of(_request(place, "scripted", sample=3))
