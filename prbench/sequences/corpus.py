@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
 
-import numpy as np
 import pyarrow as pa
-from jaxtyping import Float
 
 from prbench.errors import TableError
 from prbench.sequences.chunk import row_batch
-from prbench.sequences.columns import KEY_VALUES, column_field
+from prbench.sequences.columns import Pose, Poses, Texts, Transform, schema_of
 from prbench.sequences.schema import SEQUENCES, check_columns
 from prbench.sequences.sequence import FrameSource
 
@@ -32,89 +31,6 @@ ANNOTATION_OUTCOMES = (
     "no_heading",
 )
 """Possible outcomes of one annotated span of text."""
-_CAPTION = pa.struct(
-    [
-        column_field("text", pa.string()),
-        column_field("kind", pa.string()),
-        column_field("tokens", pa.string()),
-    ]
-)
-"""One text of a clip; ``tokens`` as the source gives them (``word/POS``), else empty."""
-_METADATA = {_VERSION_KEY: str(CORPUS_SCHEMA_VERSION)}
-ANNOTATIONS = pa.schema(
-    [
-        column_field("annotation_id", pa.string()),
-        column_field("recording_id", pa.string()),
-        column_field("sequence_id", pa.string(), nullable=True),
-        column_field("kind", pa.string()),
-        column_field("text", pa.string()),
-        column_field("text_start", pa.float64()),
-        column_field("text_end", pa.float64()),
-        column_field("outcome", pa.string()),
-        column_field("value", pa.float64(), nullable=True),
-        column_field("threshold", pa.float64(), nullable=True),
-    ],
-    metadata=_METADATA,
-)
-
-
-def _shared(*names: str) -> list[pa.Field]:
-    return [SEQUENCES.field(name) for name in names]
-
-
-CLIPS = pa.schema(
-    [
-        *_shared("sequence_id", "dataset", "recording_id", "participant_id", "split", "split_group"),
-        column_field("kind", pa.string()),
-        *_shared("text"),
-        column_field("captions", pa.list_(_CAPTION)),
-        *_shared("fps", "n_frames", "start_time"),
-        column_field("end_time", pa.float64()),
-        column_field("text_start", pa.float64()),
-        column_field("text_end", pa.float64()),
-        column_field("cut", pa.bool_()),
-        column_field("mirrored", pa.bool_()),
-        column_field("clock_method", pa.string()),
-        column_field("clock_offset", pa.float64()),
-        column_field("clock_quality", pa.float64(), nullable=True),
-        column_field("approximate", pa.bool_()),
-        *_shared(
-            "pose_source", "head_tilt_deg", "joints", "previous_joints", "previous_source", "next_joints", "next_source"
-        ),
-        *_shared("world_from_canonical", "extra"),
-    ],
-    metadata=_METADATA,
-)
-CORPUS_RECORDINGS = pa.schema(
-    [
-        *_shared("recording_id", "participant_id", "split", "split_group"),
-        column_field("duration", pa.float64()),
-        *(column_field(outcome, pa.int32()) for outcome in ANNOTATION_OUTCOMES),
-        column_field("clock_method", pa.string()),
-        column_field("clock_quality", pa.float64(), nullable=True),
-        column_field("status", pa.string()),
-        column_field("message", pa.string()),
-        column_field("measured", KEY_VALUES),
-    ],
-    metadata=_METADATA,
-)
-CORPUS_TABLES = {"clips": CLIPS, "annotations": ANNOTATIONS, "recordings": CORPUS_RECORDINGS}
-"""The tables of a corpus folder by the names of their files."""
-
-
-def check_corpus_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None:
-    """Refuse a file of an unknown version or with missing or differently typed columns; further columns are welcome.
-
-    Raises:
-        TableError: naming the file, what was expected and what was found.
-    """
-    version = (schema.metadata or {}).get(_VERSION_KEY.encode(), b"").decode() or "none"
-    if version != str(CORPUS_SCHEMA_VERSION):
-        raise TableError(
-            f"{source}: expected version {CORPUS_SCHEMA_VERSION} of the corpus schema, found {version}."
-            " Build the corpus again with `prbench build-corpus`, or update prbench."
-        )
-    check_columns(schema, expected, source=source, what="corpus")
 
 
 @dataclass(frozen=True)
@@ -128,6 +44,9 @@ class Caption:
     """``word/POS`` tokens where the source gives them."""
 
 
+_CAPTION = pa.struct(list(schema_of(Caption)))
+
+
 @dataclass(frozen=True)
 class Clip:
     """One row of ``clips``. Canonical frame of the clip; metres, seconds."""
@@ -139,7 +58,7 @@ class Clip:
     split: str
     split_group: str
     kind: str
-    captions: tuple[Caption, ...]
+    captions: Annotated[tuple[Caption, ...], pa.list_(_CAPTION)]
     """The texts of the clip, at least one."""
     fps: float
     n_frames: int
@@ -160,13 +79,13 @@ class Clip:
     approximate: bool
     pose_source: str
     head_tilt_deg: float
-    joints: Float[np.ndarray, "n 22 3"]
-    previous_joints: Float[np.ndarray, "22 3"]
+    joints: Poses
+    previous_joints: Pose
     previous_source: FrameSource
-    next_joints: Float[np.ndarray, "22 3"]
+    next_joints: Pose
     next_source: FrameSource
-    world_from_canonical: Float[np.ndarray, "4 4"]
-    extra: Mapping[str, str] = field(default_factory=dict)
+    world_from_canonical: Transform
+    extra: Texts = field(default_factory=dict)
 
     @property
     def text(self) -> str:
@@ -211,8 +130,32 @@ class CorpusRecord:
     status: str
     """``read``, ``failed`` or ``skipped``."""
     message: str
-    measured: Mapping[str, str] = field(default_factory=dict)
+    measured: Texts = field(default_factory=dict)
     """Measurements of the recording, as text."""
+
+
+_METADATA = {_VERSION_KEY: str(CORPUS_SCHEMA_VERSION)}
+ANNOTATIONS = schema_of(Annotation).with_metadata(_METADATA)
+# The first caption has a column of its own, as the text of a sequence has.
+CLIPS = schema_of(Clip).insert(7, SEQUENCES.field("text")).with_metadata(_METADATA)
+CORPUS_RECORDINGS = schema_of(CorpusRecord, counted=ANNOTATION_OUTCOMES).with_metadata(_METADATA)
+CORPUS_TABLES = {"clips": CLIPS, "annotations": ANNOTATIONS, "recordings": CORPUS_RECORDINGS}
+"""The tables of a corpus folder by the names of their files."""
+
+
+def check_corpus_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None:
+    """Refuse a file of an unknown version or with missing or differently typed columns; further columns are welcome.
+
+    Raises:
+        TableError: naming the file, what was expected and what was found.
+    """
+    version = (schema.metadata or {}).get(_VERSION_KEY.encode(), b"").decode() or "none"
+    if version != str(CORPUS_SCHEMA_VERSION):
+        raise TableError(
+            f"{source}: expected version {CORPUS_SCHEMA_VERSION} of the corpus schema, found {version}."
+            " Build the corpus again with `prbench build-corpus`, or update prbench."
+        )
+    check_columns(schema, expected, source=source, what="corpus")
 
 
 def clip_batch(clips: Iterable[Clip]) -> pa.RecordBatch:
