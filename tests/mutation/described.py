@@ -109,21 +109,20 @@ def main() -> int:
     arguments = parser.parse_args()
     from tests.mutation.running import MutatedCopy  # needs POSIX
 
-    tree = arguments.tree.resolve()
-    changes = load_changes()
-    chosen = [change for change in changes if not arguments.only or change["name"] in arguments.only]
-    verdicts: Counter[str] = Counter()
-    is_worse = False
+    tree, changes = arguments.tree.resolve(), load_changes()
+    verdicts, is_worse = Counter[str](), False
     folder = Path(tempfile.mkdtemp(prefix="prbench-described-"))
     try:
         copied = MutatedCopy(tree, folder, _SECONDS)
-        for change in chosen:
+        for change in changes:
+            if change["name"] not in (arguments.only or [change["name"]]):
+                continue
             verdict, told = _judged(change, tree, copied)
             verdicts[verdict] += 1
             is_worse |= verdict == "not found" or (change.get("killed") is True and verdict != "killed")
-            before = {None: "", True: " (before: killed)", False: " (before: survived)"}[change.get("killed")]
-            print(f"{change['name']}: {verdict}{before}{told and ', '}{told}", flush=True)
-            if arguments.update and verdict != "not found":
+            before = {True: " (before: killed)", False: " (before: survived)"}.get(change.get("killed"), "")
+            print(f"{change['name']}: {verdict}{before} {told}".rstrip(), flush=True)
+            if arguments.update and verdict in ("killed", "survived"):
                 change |= {"killed": verdict == "killed", "killed_by": told if verdict == "killed" else ""}
                 FILE.write_text(tomli_w.dumps({"changes": changes}), encoding="utf-8")
     finally:
@@ -136,9 +135,10 @@ def _judged(change: Change, tree: Path, copied: Any) -> tuple[str, str]:
     """Return what became of a change (``killed``, ``survived``, ``timeout``, ``unsound``, ``not found``) and why."""
     places = find_places(change, tree)
     if len(places) != 1:
-        found = ", ".join(module for module, _ in places) or "nowhere"
-        return "not found", f"place by hand: {change['function']} with `{change['find']}`, found {found}"
+        found = [module for module, _ in places]
+        return "not found", f"place by hand: {change['function']} with `{change['find']}`, found in {found}"
     module, source = places[0]
+    copied.options = ("-m", "not fuzz") if change.get("slow") else ()  # else slow tests are left out, as usual
     try:
         outcome = copied.judge_source(module, source, nearest_tests(change, module, tree))
     except RuntimeError as error:  # the test that failed fails without the change, too

@@ -49,6 +49,7 @@ class MutatedCopy:
         self._tree = folder / "tree"
         self._seconds = seconds
         self._sound: dict[str, bool] = {}
+        self.options: tuple[str, ...] = ()  # more of pytest's
         shutil.copytree(tree, self._tree, ignore=_NOT_COPIED, symlinks=True)
         installed = folder / "installed"  # found before an editable installation of another tree
         installed.mkdir(parents=True)
@@ -123,7 +124,7 @@ class MutatedCopy:
 
     def _run(self, tests: list[str]) -> Outcome:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        options = ["-n", "0", "-x", "-q", "-p", "no:cacheprovider", "-ra"]
+        options = ["-n", "0", "-x", "-q", "-p", "no:cacheprovider", "-ra", *self.options]
         status, output = self._pytest(*options, *tests, limit=self._seconds)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

@@ -12,7 +12,7 @@ from tests.mutation.described import ROOT, Change, find_places, load_changes, ne
 
 CHANGES = load_changes()
 KEYS = {"name", "function", "change", "find", "replace", "tests"}
-OPTIONAL_KEYS = {"inside", "killed", "killed_by"}
+OPTIONAL_KEYS = {"inside", "slow", "killed", "killed_by"}
 
 MODULE = """
 class Walk:
