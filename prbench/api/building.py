@@ -88,8 +88,7 @@ class Build:
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the way from files to sequences: one row a stage with columns ``stage, kept, dropped, why``."""
-        columns = ("stage", "kept", "dropped", "why")
-        return frame_from_rows((dict(zip(columns, row, strict=True)) for row in self._rows()), columns)
+        return frame_from_rows(self._rows(), ("stage", "kept", "dropped", "why"))
 
     def _rows(self) -> list[tuple[str, int, int, str]]:
         from prbench.curation import funnel_rows
@@ -236,7 +235,7 @@ class SyntheticRecordings:
     def to_pandas(self) -> pd.DataFrame:
         """Return one row a recording with columns ``recording_id, split, duration, n_events, n_objects``."""
         columns = ("recording_id", "split", "duration", "n_events", "n_objects")
-        rows = [{name: getattr(one, name) for name in columns} for one in self._tree.recordings]
+        rows = [tuple(getattr(one, name) for name in columns) for one in self._tree.recordings]
         return frame_from_rows(rows, columns)
 
     def __repr__(self) -> str:

@@ -65,8 +65,7 @@ class Comparison:
             difference = row.comparison.difference
             about = (row.dataset, row.info.id, row.info.title, row.info.unit)
             found = (row.comparison.p_value, row.comparison.adjusted_p_value, row.comparison.conclusion)
-            values = (*about, difference.mean, difference.low, difference.high, *found)
-            rows.append(dict(zip(_COLUMNS, values, strict=True)))
+            rows.append((*about, difference.mean, difference.low, difference.high, *found))
         return frame_from_rows(rows, _COLUMNS)
 
     def _said(self, row: ComparedMetric) -> str:
@@ -88,8 +87,7 @@ class Comparison:
             elif difference.low is not None and difference.high is not None:
                 interval = f"[{difference.low * row.info.scale:+.2f}, {difference.high * row.info.scale:+.2f}]"
             shown_p = "–" if p_value is None else f"{p_value:.4f}"
-            values = (row.dataset, row.info.title, _change(row), interval, shown_p, self._said(row))
-            rows.append(dict(zip(columns, values, strict=True)))
+            rows.append((row.dataset, row.info.title, _change(row), interval, shown_p, self._said(row)))
         title = f"{self.first.name} against {self.second.name}, sequence by sequence"
         remarks = [f"unverified: {reason}" for reason in self.unverified]
         return notebook_table(title, frame_from_rows(rows, columns), remarks)

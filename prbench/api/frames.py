@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,11 +47,11 @@ def frozen(array: np.ndarray) -> np.ndarray:
     return array
 
 
-def frame_from_rows(rows: Iterable[Mapping[str, object]], columns: Iterable[str]) -> pd.DataFrame:
-    """Return dictionaries as a pandas frame that has its columns without a row, too.
+def frame_from_rows(rows: Iterable[tuple], columns: Iterable[str]) -> pd.DataFrame:
+    """Return rows as a pandas frame that has its columns without a row, too.
 
     Args:
-        rows: One mapping a row.
+        rows: The values of each row.
         columns: Names of the columns, in their order.
     """
     import pandas as pd

@@ -31,11 +31,11 @@ def summary_frame(summaries: Sequence[DatasetSummary], irrelevant: frozenset[str
     """
     rows = []
     for summary in summaries:
-        about = {"dataset": summary.dataset, "method": summary.method, "condition": summary.condition}
+        about = (summary.dataset, summary.method, summary.condition)
         for metric in summary.metrics:
             if metric.metric not in irrelevant:
-                values = {name: getattr(metric, name) for name in _METRIC}
-                rows.append({**about, **values, "marks": ";".join(metric.marks)})
+                values = (getattr(metric, name) for name in _METRIC)
+                rows.append((*about, *values, ";".join(metric.marks)))
     return frame_from_rows(rows, _SUMMARY)
 
 
@@ -82,7 +82,7 @@ def scores_for_notebook(summaries: Sequence[DatasetSummary], irrelevant: frozens
             remarks = [mark.replace("_", " ") for mark in metric.marks]
             remarks += [f"{count} × {name.replace('_', ' ')}" for name, count in sorted(metric.flags.items())]
             mean = f"{metric.mean * scale:.2f}{printed_unit(metric.unit)}"
-            rows.append(dict(zip(_SHOWN, (metric.title, mean, interval, "; ".join(remarks)), strict=True)))
+            rows.append((metric.title, mean, interval, "; ".join(remarks)))
         below = []
         if summary.unsupported:
             below.append(

@@ -221,7 +221,7 @@ class Sequence(sequences.Sequence):
             ("gaze", f"valid in {int(self.gaze.valid.sum())} of {self.n_frames} frames"),
             ("head", "unknown" if self.head is None else "position and rotation in every frame"),
         ]
-        frame = frame_from_rows([{"": name, "value": value} for name, value in rows], ["", "value"])
+        frame = frame_from_rows(rows, ["", "value"])
         return notebook_table(f"{self.action} of {self.object_name} ({self.dataset})", frame)
 
 
