@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import msgspec
 import pyarrow as pa
 import pytest
@@ -64,6 +67,13 @@ def test_folds_have_about_as_many_sequences(table):
     people = table.scalars()["participant_id"].to_pylist()
     counts = [sum(fold_of[name] == fold for name in people) for fold in (1, 2)]
     assert abs(counts[0] - counts[1]) <= max(people.count(name) for name in set(people))
+
+
+def test_somebody_with_as_many_sequences_as_all_others_has_a_fold_alone():
+    people = ["a"] * 5 + list("bcdef")
+    rows = pa.table({"participant_id": people, "split_group": [f"{name}{place}" for place, name in enumerate(people)]})
+    table: Any = SimpleNamespace(scalars=lambda: rows)
+    assert participant_folds(table, 2) == {"a": 1} | dict.fromkeys("bcdef", 2)
 
 
 def test_what_cannot_be_split_is_refused(table, folds, tmp_path):
