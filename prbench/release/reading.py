@@ -24,7 +24,7 @@ from prbench.release.arrays import read_array, read_further
 from prbench.release.block import convert_block
 from prbench.release.known import SYNTHETIC_PREFIX, letters, load_known
 from prbench.release.layout import TARGETS, DatasetFiles, index_of, list_files, read_targets
-from prbench.release.report import Inference, SequenceProblem, count_splits
+from prbench.release.report import Certainty, Inference, SequenceProblem, count_splits
 
 AS_THE_MOTIONS = "as the motions"
 UNKNOWN = "unknown"
@@ -105,6 +105,10 @@ class ReleasedDataset:
     problems: list[SequenceProblem] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
+    def infer(self, name: str, value: str, how_surely: Certainty, evidence: str) -> None:
+        """Put down a property that the release does not state."""
+        self.inferences.append(Inference(name=name, value=value, how_surely=how_surely, evidence=evidence))
+
     def note(self, key: str, problem: str, *, left_out: bool = False) -> None:
         """Note a problem of a sequence."""
         self.problems.append(SequenceProblem(key, problem, left_out))
@@ -159,7 +163,9 @@ def read_release(
         key, reason = next(iter(left_out.items()))
         more = f" (and {len(left_out) - 1} more sequences)" if len(left_out) > 1 else ""
         raise InputFileError(folder, f"sequence {key}", expected="a complete sequence", found=reason + more)
-    _conclude(found)
+    _judge_unit(found)
+    _judge_frames(found)
+    _judge_gaze(found)
     _warn(found)
     return found
 
@@ -269,10 +275,6 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
         found.note(key, "gaze: no frame has a unit vector")
     # From the head joint, because the layout holds directions of gaze and no eyes.
     to_gaze = ray_distance(joints[prime, Joint.HEAD][None], directions[prime][None], goal[None])[0]
-    # The matrix is a turn about y and a shift, so two entries hold the whole angle.
-    yaw = np.degrees(np.arctan2(motion_from_canonical[0, 2], motion_from_canonical[0, 0]))
-    offset = np.abs(motion_from_canonical[:3, 3]).max()
-    rules = load_known()
     further, further_content = _read_further(found, key, index, n_frames)
     block = None
     if further is not None and not found.first_frame_is_previous:
@@ -301,7 +303,7 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
             digest=bytes_digest(content + gaze_content + further_content),
             pelvis_to_head=float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=1))),
             motion_from_canonical=motion_from_canonical,
-            is_canonical=bool(offset <= rules.canonical_position and abs(yaw) <= rules.canonical_yaw_deg),
+            is_canonical=_is_canonical(motion_from_canonical),
             goal_to_wrist=float(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).min()),
             goal_to_gaze=float(to_gaze) if valid[prime] else None,
             **(named if block is None else {name: block[name] for name in named}),
@@ -363,21 +365,29 @@ def _read_further(found: ReleasedDataset, key: str, index: int, n_frames: int) -
         return None, b""
 
 
-def _conclude(found: ReleasedDataset) -> None:
-    """Judge the measurements of all sequences: unit, frames, and whether gazes meet goals.
+def _is_canonical(motion_from_canonical: Float[np.ndarray, "4 4"]) -> bool:
+    """Return True for a motion whose first frame stands over the origin, faces +z and has its lowest joint at 0."""
+    rules = load_known()
+    # The matrix is a turn about y and a shift, so two entries hold the whole angle.
+    yaw = np.degrees(np.arctan2(motion_from_canonical[0, 2], motion_from_canonical[0, 0]))
+    offset = np.abs(motion_from_canonical[:3, 3]).max()
+    return bool(offset <= rules.canonical_position and abs(yaw) <= rules.canonical_yaw_deg)
+
+
+def _judge_unit(found: ReleasedDataset) -> None:
+    """Check that people have the size of people in metres.
 
     Raises:
-        InputFileError: if people have an impossible size in metres, or another unit is stated.
+        InputFileError: if they have not, or another unit is stated.
     """
     rules = load_known()
-    folder = found.files.folder
     units = {str(each.fields.get(found.mapping.get("units", ""), "")).strip().lower() for each in found.sequences}
     stated = units.pop() if len(units) == 1 else ""
     size = float(np.median([each.pelvis_to_head for each in found.sequences]))
     # Bodies differ by some per cent, units by factors of ten: the distance from pelvis to head tells them apart.
     if not rules.lowest_pelvis_to_head <= size <= rules.highest_pelvis_to_head or stated in ("cm", "mm"):
         raise InputFileError(
-            folder,
+            found.files.folder,
             "motions",
             expected=f"a median distance from pelvis to head of {rules.lowest_pelvis_to_head:g} to"
             f" {rules.highest_pelvis_to_head:g} m",
@@ -385,49 +395,53 @@ def _conclude(found: ReleasedDataset) -> None:
             remedy="Turn positions and goals into metres, and check the joint order: 22 joints in the order of"
             " HumanML3D, y up.",
         )
-
-    def infer(name: str, value: str, how_surely: Any, evidence: str) -> None:
-        found.inferences.append(Inference(name=name, value=value, how_surely=how_surely, evidence=evidence))
-
     is_stated = stated in ("m", "metre", "metres", "meter", "meters")
-    infer("units", "metres", "certain" if is_stated else "likely", f"median distance from pelvis to head: {size:.3g}")
+    evidence = f"median distance from pelvis to head: {size:.3g}"
+    found.infer("units", "metres", "certain" if is_stated else "likely", evidence)
 
-    # Blocks state the frames. An entry without one was written or changed by somebody else; then measurements count.
+
+def _judge_frames(found: ReleasedDataset) -> None:
+    """Tell the frames of motions and goals, and what frame 0 is."""
     blocks = [each.block for each in found.sequences if each.block is not None]
+    # An entry without a block was written or changed by somebody else; then measurements count.
     if len(blocks) == len(found.sequences):
         evidence = "stated by the prbench block of every entry"
-        infer("motion_frame", " and ".join(sorted({block["motion_frame"] for block in blocks})), "certain", evidence)
-        known = all(block["goal_frame"] != UNKNOWN for block in blocks)
-        infer("goal_frame", AS_THE_MOTIONS if known else UNKNOWN, "certain" if known else "unknown", evidence)
+        frames = sorted({block["motion_frame"] for block in blocks})
+        found.infer("motion_frame", " and ".join(frames), "certain", evidence)
+        if all(block["goal_frame"] != UNKNOWN for block in blocks):
+            found.infer("goal_frame", AS_THE_MOTIONS, "certain", evidence)
+        else:
+            found.infer("goal_frame", UNKNOWN, "unknown", evidence)
     else:
         share = float(np.mean([each.is_canonical for each in found.sequences]))
-        infer(
-            "motion_frame",
-            "canonical" if share == 1 else "world (canonicalised here)" if share == 0 else "canonical and world",
-            "certain",
-            f"frame 0 stands over the origin, faces +z, lowest joint at 0 in {share:.1%} of the sequences",
-        )
+        evidence = f"frame 0 stands over the origin, faces +z, lowest joint at 0 in {share:.1%} of the sequences"
+        frame = {1.0: "canonical", 0.0: "world (canonicalised here)"}.get(share, "canonical and world")
+        found.infer("motion_frame", frame, "certain", evidence)
+        limit = load_known().goal_to_wrist
         distance = float(np.median([each.goal_to_wrist for each in found.sequences]))
         evidence = f"median distance of goal and nearer wrist in the last frame: {distance:.2f} m"
-        if distance < rules.goal_to_wrist:
-            infer("goal_frame", AS_THE_MOTIONS, "likely", evidence)
+        if distance < limit:
+            found.infer("goal_frame", AS_THE_MOTIONS, "likely", evidence)
         else:
-            infer("goal_frame", UNKNOWN, "unknown", f"{evidence}; not below {rules.goal_to_wrist:g} m")
+            found.infer("goal_frame", UNKNOWN, "unknown", f"{evidence}; not below {limit:g} m")
     if found.first_frame_is_previous:
-        infer("frame_0", "the frame before the sequence", "certain", "given by --first-frame previous")
+        found.infer("frame_0", "the frame before the sequence", "certain", "given by --first-frame previous")
     else:
-        infer("frame_0", "the first frame of the sequence", "assumed", "nothing tells otherwise")
+        found.infer("frame_0", "the first frame of the sequence", "assumed", "nothing tells otherwise")
 
-    # How often the gaze passes the goal at the primed frame checks frames and rate together.
+
+def _judge_gaze(found: ReleasedDataset) -> None:
+    """Count how often the gaze passes the goal at the primed frame, which checks frames and rate together."""
+    rules = load_known()
     rays = [each.goal_to_gaze for each in found.sequences if each.goal_to_gaze is not None]
     if not rays:
-        infer("gaze_on_goal", UNKNOWN, "unknown", "no valid gaze at any primed frame")
+        found.infer("gaze_on_goal", UNKNOWN, "unknown", "no valid gaze at any primed frame")
         found.warnings.append("No sequence has a valid gaze at its primed frame.")
         return
     share = float(np.mean([ray <= rules.goal_to_gaze for ray in rays]))
     evidence = f"gaze ray from the head joint within {rules.goal_to_gaze:g} m of the goal at the primed frame"
     enough = share >= rules.gazing_share
-    infer("gaze_on_goal", f"{share:.1%} of {len(rays)} sequences", "likely" if enough else "unknown", evidence)
+    found.infer("gaze_on_goal", f"{share:.1%} of {len(rays)} sequences", "likely" if enough else "unknown", evidence)
     if not enough:
         found.warnings.append(
             f"The gaze meets the goal at the primed frame in {share:.0%} of the sequences only (expected: a clear"

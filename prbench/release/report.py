@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from prbench.release.known import KnownDataset
 
 FILE_NAME = "import_report.json"
+Certainty = Literal["certain", "likely", "assumed", "unknown"]
+"""In this order: stated and confirmed; measured with room for doubt; taken for granted; not found out."""
 
 
 class Inference(msgspec.Struct, frozen=True, kw_only=True):
@@ -27,7 +29,7 @@ class Inference(msgspec.Struct, frozen=True, kw_only=True):
 
     name: str
     value: str
-    how_surely: Literal["certain", "likely", "assumed", "unknown"]
+    how_surely: Certainty
     evidence: str
 
 
