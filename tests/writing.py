@@ -351,13 +351,12 @@ WRITING = (
         lambda given, out: ("view", given.run, "--data", given.table, "--limit", 1, "--out", out),
         "v.mp4",
     ),
-    Writing("stats --draw", lambda given, out: ("stats", given.table, "--draw", out), "s.png"),
     Writing(
         "explain --draw",
         lambda given, out: ("explain", "--data", given.table, first_event(given.table), "--draw", out),
         "e.png",
     ),
-    Writing("stats --out", lambda given, out: ("stats", given.table, "--out", out), "s.json"),
+    Writing("inspect --out TABLE", lambda given, out: ("inspect", given.table, "--out", out), "s.json"),
     Writing(
         "explain --out",
         lambda given, out: ("explain", "--data", given.table, first_event(given.table), "--out", out),
@@ -401,7 +400,7 @@ WRITING = (
     Writing("inspect --out", lambda given, out: ("inspect", given.adt, "--out", out), "i.json"),
     Writing("adapters new --out", lambda _, out: ("adapters", "new", "glide", "--out", out), refuses=True),
     Writing(
-        "adapters converters --out", lambda _, out: ("adapters", "converters", "--out", out), "prbench_converters.py"
+        "adapters list --converters", lambda _, out: ("adapters", "list", "--converters", out), "prbench_converters.py"
     ),
     Writing(
         "adapters check --out",

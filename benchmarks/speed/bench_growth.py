@@ -81,7 +81,7 @@ WORKS = {
     "board": Work(
         lambda at: ("leaderboard", "export", at.out("truth"), at.out("scripted")), after=("run", "run scripted")
     ),
-    "stats": Work(lambda at: ("stats", at.table)),
+    "inspect": Work(lambda at: ("inspect", at.table)),
     "view": Work(lambda at: ("view", "--data", at.table, "--out", at.out("view.png"))),
     "export conditions": Work(
         lambda at: (

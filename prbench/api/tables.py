@@ -138,7 +138,7 @@ class Table:
         return Story(explain_event(self.folder, event, permitted=as_texts(permission)))
 
     def plot(self) -> Picture:
-        """Draw what the sequences of the table have in common, as ``prbench stats --draw`` does.
+        """Draw what the sequences of the table have in common, as ``prbench study figure-s2`` does.
 
         Where goals lie as seen from the start (distance, elevation, azimuth), how far bodies move, how gaze comes to
         the goal around the prime time, and how long before the event that is.

@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+
+import msgspec
 
 import prbench
 from prbench.checking.inspection import FoundCorpus, find_corpora, missing_files
@@ -26,17 +27,64 @@ _TERMS = {
 }
 
 
-@dataclass(frozen=True)
-class CatalogueEntry:
-    """One dataset, and what was found of it."""
+_OF_THE_MANIFEST = (
+    *("name", "kind", "title", "homepage", "licence", "redistribution", "how_to_obtain"),
+    *("required_files", "optional_files", "rates_hz", "known_bad"),
+)
 
-    manifest: Manifest
-    found: str
-    """Places and counts of recordings; empty where nothing was looked for or found."""
-    missing: tuple[str, ...]
-    """Required files that no recording has, one line each."""
+
+class CatalogueEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """One dataset that prbench can read, and what was found of it.
+
+    Attributes:
+        name: Name by which commands call it, such as ``adt``.
+        kind: ``benchmark`` for sequences, ``corpus`` for pre-training.
+        title: Its title.
+        homepage: Address of its page.
+        licence: Its licence.
+        redistribution: Whether data made from it may be passed on: ``yes``, ``non-commercial`` or ``none``.
+        how_to_obtain: What to do to get it.
+        required_files: Files without which a recording is not read.
+        optional_files: Files that add to a recording.
+        rates_hz: Samples a second of each of its streams.
+        known_bad: Recordings that are left out, and why.
+        citation: What to cite, as BibTeX.
+        body_poses: Where its bodies can come from.
+        reader_options: Options of its reader, with their defaults.
+        found: Places and counts of recordings below ``--root``; empty where nothing was looked for or found.
+        missing: Required files that recordings below ``--root`` lack, and what else is wrong with them.
+    """
+
+    name: str
+    kind: str
+    title: str
+    homepage: str
+    licence: str
+    redistribution: str
+    how_to_obtain: str
+    required_files: tuple[str, ...]
+    optional_files: tuple[str, ...]
+    rates_hz: dict[str, float]
+    known_bad: dict[str, str]
+    citation: str
+    body_poses: tuple[str, ...]
     reader_options: tuple[str, ...]
-    """Options of its reader with their defaults."""
+    found: str
+    missing: tuple[str, ...]
+
+
+class Catalogue(msgspec.Struct, frozen=True, kw_only=True):
+    """The catalogue of datasets, or the citations of tables.
+
+    Attributes:
+        datasets: One entry for each dataset, or the one that was named.
+        unusable_readers: Installed packages whose reader cannot be used, and why.
+        bibtex: With ``--cite``: BibTeX entries; the licence terms of each dataset stand above them as comments.
+    """
+
+    datasets: tuple[CatalogueEntry, ...] = ()
+    unusable_readers: tuple[str, ...] = ()
+    bibtex: str = ""
 
 
 def catalogue(root: Path | None = None, name: str | None = None) -> tuple[CatalogueEntry, ...]:
@@ -63,20 +111,18 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
         here = [] if discovery is None else [each for each in discovery.found if each.dataset == dataset]
         broken = [] if discovery is None else [each for each in discovery.broken if each.dataset == dataset]
         places = [*here, *(corpus for corpus in corpora if corpus.corpus == dataset)]
+        manifest = load_manifest(dataset)
         entries.append(
             CatalogueEntry(
-                manifest=load_manifest(dataset),
-                found="; ".join(f"{len(each.recordings)} recordings in {each.root}" for each in places),
-                missing=(*(each.message for each in broken), *_missing(here, load_manifest(dataset))),
+                **{name: getattr(manifest, name) for name in _OF_THE_MANIFEST},
+                citation=manifest.citation.strip(),
+                body_poses=tuple(body.pose_source for body in (manifest.body, *manifest.other_bodies.values())),
                 reader_options=_reader_options(dataset),
+                found="; ".join(f"{len(each.recordings)} recordings in {each.root}" for each in places),
+                missing=(*(each.message for each in broken), *_missing(here, manifest)),
             )
         )
     return tuple(entries)
-
-
-def unusable_readers() -> tuple[str, ...]:
-    """Say of each package that offers a reader which cannot be used what is wrong with it."""
-    return usable_readers()[1]
 
 
 def _look(root: Path) -> tuple[Discovery | None, tuple[FoundCorpus, ...]]:

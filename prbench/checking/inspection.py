@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -12,6 +12,7 @@ from prbench.corpora.sources import CORPUS_MODULES, CorpusOptions, CorpusRecordi
 from prbench.errors import InputFileError, PrbenchError
 from prbench.files.boundary import foreign_input
 from prbench.protocol.manifests import load_manifest
+from prbench.protocol.published import QUANTITIES, Spread
 from prbench.readers import RecordingFiles, reader_for
 from prbench.readers.aria_mps.trajectory import check_trajectory
 from prbench.readers.cut_short import cut_short
@@ -19,6 +20,10 @@ from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, dis
 from prbench.readers.integrity import damage
 from prbench.readers.synthetic_tree import SYNTHETIC_FILE, lacks_mark
 from prbench.readers.zipped import source_of
+from prbench.sequences import SequenceTable
+from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
+from prbench.sequences.table import why_no_sequences
+from prbench.sequences.table_one import table_statistics
 
 State = Literal["complete", "cut short", "incomplete", "damaged", "left out", "unreadable"]
 
@@ -62,7 +67,9 @@ class InspectedRecording:
     """One recording and what is wrong with it."""
 
     recording_id: str
+    """Its name."""
     state: State
+    """The worst of what was found; ``left out`` for a recording that is known to be bad."""
     size: int
     """Bytes of all files that reading it depends on."""
     remarks: tuple[str, ...]
@@ -74,9 +81,13 @@ class InspectedDataset:
     """One dataset below the folder."""
 
     name: str
+    """Name of the dataset; ``synthetic-`` stands before that of synthetic people."""
     title: str
+    """Its title."""
     root: Path
+    """Its folder."""
     recordings: tuple[InspectedRecording, ...]
+    """All of its recordings."""
 
     @property
     def usable(self) -> int:
@@ -85,18 +96,92 @@ class InspectedDataset:
 
 
 @dataclass(frozen=True)
+class InspectedTable:
+    """One built table."""
+
+    folder: Path
+    """The table."""
+    dataset: str
+    """Name of the dataset."""
+    sequences: int
+    """Number of sequences."""
+    by_split: dict[str, int]
+    """Number of sequences of each split."""
+    participants_in_two_splits: int
+    """People with sequences in both train and test."""
+    pose_sources: tuple[str, ...]
+    """Where the bodies come from."""
+    quantities: dict[str, Spread]
+    """Mean and standard deviation of ``duration``, ``prime_gap`` (s), ``body_movement`` and ``hand_movement`` (m)."""
+    remarks: tuple[str, ...]
+    """Why there are no sequences, and recordings that are cut short."""
+
+
+@dataclass(frozen=True)
 class Inspection:
     """Everything that was found."""
 
     datasets: tuple[InspectedDataset, ...]
+    """Datasets that were found."""
     broken: tuple[BrokenDataset, ...]
     """Folders that are recognised and cannot be listed."""
+    tables: tuple[InspectedTable, ...] = ()
+    """Built tables among the folders."""
 
     @property
     def all_complete(self) -> bool:
         """Return True if nothing is missing, damaged, cut short or unreadable, apart from what is left out."""
         states = {recording.state for dataset in self.datasets for recording in dataset.recordings}
         return not self.broken and states <= {"complete", "left out"}
+
+
+def inspect_folders(
+    folders: Sequence[Path], *, thorough: bool = False, progress: Callable[[int, int, str], None] | None = None
+) -> Inspection:
+    """Look at built tables and at every recording below other folders.
+
+    Args:
+        folders: Tables, datasets, or folders that hold several datasets.
+        thorough: See :func:`inspect_folder`; likewise the others.
+        progress: Called with done, total and the recording's name.
+
+    Raises:
+        TableError: if a table is damaged or of an unknown version.
+        InputFileError: if nothing is recognised in one of the folders.
+    """
+    tables = [folder for folder in folders if (folder / DATASET_FILE).exists()]
+    found = [inspect_folder(folder, thorough=thorough, progress=progress) for folder in folders if folder not in tables]
+    return Inspection(
+        tuple(dataset for each in found for dataset in each.datasets),
+        tuple(broken for each in found for broken in each.broken),
+        tuple(map(_inspect_table, tables)),
+    )
+
+
+def _inspect_table(folder: Path) -> InspectedTable:
+    table = SequenceTable.open(folder)
+    statistics = table_statistics(table)
+    counts = table.info.counts
+    remarks = []
+    if not counts.sequences:
+        remarks.append(f"no sequences. {why_no_sequences(table.info)}")
+    if counts.recordings_cut_short:
+        remarks.append(
+            f"{counts.recordings_cut_short} of {counts.recordings_read} recordings are cut short: a stream of theirs"
+            " ends before the others, and events may be missing. Messages in `recordings` name it."
+        )
+    if table.info.synthetic:
+        remarks.append("synthetic sequences imitate the study's means; counts and scores are not comparable with them.")
+    return InspectedTable(
+        folder=folder,
+        dataset=statistics.dataset,
+        sequences=statistics.sequences,
+        by_split={split: statistics.by_split[split] for split in ("train", "validation", "test")},
+        participants_in_two_splits=statistics.participants_in_two_splits,
+        pose_sources=statistics.pose_sources,
+        quantities={name: statistics.spread(name) for name in QUANTITIES},
+        remarks=tuple(remarks),
+    )
 
 
 @foreign_input()

@@ -3,31 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 import msgspec
 
 from prbench.cli.commands import Answer, command
 from prbench.cli.options import OUT_FILE, PATH, permission_option
-
-if TYPE_CHECKING:
-    from prbench.sequences import Event
-    from prbench.viewing.event_story import EventStory
-
-
-class StageVerdict(msgspec.Struct, frozen=True, kw_only=True):
-    """One stage of curation and its verdict on the event.
-
-    Attributes:
-        name: Name of the stage, such as ``priming``.
-        verdict: ``passed``, ``stopped here`` or ``not reached``.
-        text: The numbers beside what they are compared with; empty for a stage that was not reached.
-    """
-
-    name: str
-    verdict: str
-    text: str
 
 
 class OtherEvent(msgspec.Struct, frozen=True, kw_only=True):
@@ -51,7 +33,7 @@ class OtherEvent(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ExplainReport(msgspec.Struct, frozen=True, kw_only=True):
-    """The outcome of one event, and the reasons.
+    """The outcome of one event, and the reasons; what a licence keeps, such as places, is left out.
 
     Attributes:
         event_id: Id of the event.
@@ -66,7 +48,8 @@ class ExplainReport(msgspec.Struct, frozen=True, kw_only=True):
         event_time: Time of the event on the recording's clock, in seconds.
         prime_time: Time of the first look at the goal, in seconds; null without one.
         outcome: ``sequence``, or why it became none, such as ``not_primed``.
-        stages: The stages in the order in which curation asks.
+        stages: The stages in the order in which curation asks: ``name``, ``verdict`` (``passed``, ``stopped here`` or
+            ``not reached``) and ``text``, the numbers beside what they are compared with.
         other_events: Events around it, and those of the same object, by time.
         notice: Sentence that the dataset's terms ask a picture to show; empty if they ask for none.
         drawing: The picture, if one was asked for.
@@ -84,7 +67,7 @@ class ExplainReport(msgspec.Struct, frozen=True, kw_only=True):
     event_time: float
     prime_time: float | None
     outcome: str
-    stages: list[StageVerdict]
+    stages: list[dict[str, str]]
     other_events: list[OtherEvent]
     notice: str
     drawing: Path | None
@@ -112,43 +95,19 @@ def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ..
         from prbench.viewing.event_story import draw_event_story
 
         draw_event_story(story, draw)
-    return Answer(_report(story, draw), lambda: _print(story, draw))
+    here = story.event
+    others = [
+        vars(other)
+        | {"seconds_later": other.event_time - here.event_time, "same_object": other.object_id == here.object_id}
+        for other in story.neighbours
+    ]
+    # Each record takes the fields that it names; the others, such as places, stay out of the document.
+    told: dict[str, Any] = vars(here) | vars(story) | {"drawing": draw, "other_events": others}
+    told["stages"] = [vars(stage) for stage in story.stages]
 
+    def show() -> None:
+        print(story.text())
+        if draw is not None:
+            print(f"drawing: {draw}")
 
-def _report(story: EventStory, drawing: Path | None) -> ExplainReport:
-    event = story.event
-    return ExplainReport(
-        event_id=event.event_id,
-        sequence_id=event.sequence_id,
-        dataset=story.dataset,
-        recording_id=event.recording_id,
-        split=story.split,
-        action=event.action,
-        object_id=event.object_id,
-        object_name=event.object_name,
-        hand=event.hand,
-        event_time=event.event_time,
-        prime_time=event.prime_time,
-        outcome=event.outcome,
-        stages=[StageVerdict(name=stage.name, verdict=stage.verdict, text=stage.text) for stage in story.stages],
-        other_events=[_other_event(other, event) for other in story.neighbours],
-        notice=story.notice,
-        drawing=drawing,
-    )
-
-
-def _other_event(other: Event, event: Event) -> OtherEvent:
-    return OtherEvent(
-        event_id=other.event_id,
-        seconds_later=other.event_time - event.event_time,
-        action=other.action,
-        object_name=other.object_name,
-        same_object=other.object_id == event.object_id,
-        outcome=other.outcome,
-    )
-
-
-def _print(story: EventStory, drawing: Path | None) -> None:
-    print(story.text())
-    if drawing is not None:
-        print(f"drawing: {drawing}")
+    return Answer(msgspec.convert(told, ExplainReport), show)

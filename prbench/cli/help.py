@@ -1,4 +1,4 @@
-"""``prbench help`` and ``prbench completion``: what there is, and how a shell completes it."""
+"""``prbench help``: what there is, and how a shell completes it."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ EXIT_CODES = {
 }
 """Every exit code of the program, and what it means."""
 _SHELLS = {
-    "bash": 'eval "$(prbench completion bash)"    # in ~/.bashrc',
-    "zsh": 'eval "$(prbench completion zsh)"     # in ~/.zshrc',
-    "fish": "prbench completion fish > ~/.config/fish/completions/prbench.fish",
+    "bash": 'eval "$(prbench help completion bash)"    # in ~/.bashrc',
+    "zsh": 'eval "$(prbench help completion zsh)"     # in ~/.zshrc',
+    "fish": "prbench help completion fish > ~/.config/fish/completions/prbench.fish",
 }
 
 
@@ -41,10 +41,23 @@ _SHELLS = {
 def help(ctx: click.Context, topic: tuple[str, ...]) -> int:
     """Explain a command, or the exit codes.
 
-    `prbench help exit-codes` lists the exit codes of all commands.
+    `prbench help exit-codes` lists the exit codes of all commands. `prbench help completion bash` (or zsh, fish) prints
+    the script by which a shell completes commands, options and their values (docs/command-line.md).
     """
     if topic == ("exit-codes",):
-        _print_exit_codes()
+        from prbench.cli.terminal import print_table
+
+        rows = [(str(code), meaning) for code, meaning in EXIT_CODES.items()]
+        print_table("exit codes", ("code", "meaning"), rows, numbers=(0,))
+        return 0
+    if topic[:1] == ("completion",):
+        from click.shell_completion import get_completion_class
+
+        kind = get_completion_class(topic[1]) if len(topic) == 2 else None
+        if kind is None:
+            lines = "\n".join(f"  {shell:<5} {line}" for shell, line in _SHELLS.items())
+            raise click.UsageError(f"help completion: name one shell.\n{lines}\n", ctx)
+        print(kind(ctx.find_root().command, {}, "prbench", "_PRBENCH_COMPLETE").source())
         return 0
     found: click.Command = ctx.find_root().command
     context = ctx.find_root()
@@ -56,27 +69,4 @@ def help(ctx: click.Context, topic: tuple[str, ...]) -> int:
         found = command_found
         context = click.Context(found, info_name=word, parent=context)
     print(found.get_help(context))
-    return 0
-
-
-def _print_exit_codes() -> None:
-    from prbench.cli.terminal import print_table
-
-    rows = [(str(code), meaning) for code, meaning in EXIT_CODES.items()]
-    print_table("exit codes", ("code", "meaning"), rows, numbers=(0,))
-
-
-@command("completion", example='eval "$(prbench completion bash)"')
-@click.argument("shell", type=click.Choice(list(_SHELLS)))
-@click.pass_context
-def completion(ctx: click.Context, shell: str) -> int:
-    """Print the script by which a shell completes commands, options and their values.
-
-    bash and zsh evaluate it when they start, fish reads it from its folder of completions (docs/command-line.md).
-    """
-    from click.shell_completion import get_completion_class
-
-    kind = get_completion_class(shell)
-    assert kind is not None
-    print(kind(ctx.find_root().command, {}, "prbench", "_PRBENCH_COMPLETE").source())
     return 0

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+import functools
 import importlib
 import inspect
 import itertools
@@ -15,7 +16,7 @@ import sys
 import textwrap
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -122,10 +123,20 @@ def shapes_in(shape: type) -> list[type]:
 
 def fields_of(shape: type) -> dict[str, Any]:
     """Return the fields of a class with their types."""
+    _import_for_types(shape.__module__)
     hints = typing.get_type_hints(shape)
     if dataclasses.is_dataclass(shape):
         return {each.name: hints[each.name] for each in dataclasses.fields(shape)}
     return {each.encode_name: hints[each.name] for each in msgspec.structs.fields(shape)}
+
+
+@functools.cache
+def _import_for_types(name: str) -> None:
+    """Import what a module imports for type checkers alone, so that the types in its records have a meaning."""
+    module = sys.modules[name]
+    for node in ast.parse(inspect.getsource(module)).body:
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            exec(compile(ast.Module(node.body, []), name, "exec"), vars(module))
 
 
 def descriptions_of(shape: type) -> dict[str, str]:
@@ -136,7 +147,7 @@ def descriptions_of(shape: type) -> dict[str, str]:
     """
     found: dict[str, str] = {}
     for each in reversed(shape.__mro__):
-        if not _has_fields(each) or each is msgspec.Struct:
+        if not has_fields(each) or each is msgspec.Struct:
             continue
         _, _, section = (inspect.getdoc(each) or "").partition("\nAttributes:\n")
         name = ""
@@ -159,13 +170,14 @@ def descriptions_of(shape: type) -> dict[str, str]:
 
 def _classes(annotation: Any) -> Iterator[type]:
     """Yield the classes with fields that a type names."""
-    if _has_fields(annotation):
+    if has_fields(annotation):
         yield annotation
     for inner in typing.get_args(annotation):
         yield from _classes(inner)
 
 
-def _has_fields(annotation: Any) -> bool:
+def has_fields(annotation: Any) -> bool:
+    """Return True for a data class or struct, which is an object in JSON."""
     return isinstance(annotation, type) and (
         issubclass(annotation, msgspec.Struct) or dataclasses.is_dataclass(annotation)
     )
@@ -220,14 +232,14 @@ class _Writer:
         inner = typing.get_args(annotation)
         if annotation in _PLAIN_TYPES:
             return _PLAIN_TYPES[annotation]
-        if _has_fields(annotation):
+        if has_fields(annotation):
             heading = self.headings[annotation]
             return f"[{heading}](#{_anchor(heading)})"
         if origin in (types.UnionType, typing.Union):
             return " or ".join(self._in_words(each) for each in inner)
         if origin is typing.Literal:
             return " or ".join(f"`{value}`" for value in inner)
-        if origin is dict or annotation is dict:
+        if origin in (dict, Mapping) or annotation is dict:
             return f"object: {self._in_words(inner[1]) if inner else 'any'} by name"
         if origin in (list, tuple, set, frozenset) or annotation in (list, tuple):
             kinds = dict.fromkeys(self._plural(each) for each in inner if each is not Ellipsis)

@@ -32,7 +32,6 @@ examples:
 _COMMANDS = {
     "data: from recordings to tables": {
         "datasets": "prbench.cli.datasets:datasets",
-        "cite": "prbench.cli.datasets:cite",
         "inspect": "prbench.cli.inspect:inspect",
         "poses": "prbench.cli.poses:poses",
         "build-dataset": "prbench.cli.build_dataset:build_dataset",
@@ -65,7 +64,6 @@ _COMMANDS = {
         "ablation": "prbench.cli.ablation:ablation",
     },
     "look: at tables, events and motions": {
-        "stats": "prbench.cli.stats:stats",
         "explain": "prbench.cli.explain:explain",
         "diff": "prbench.cli.diff:diff",
         "view": "prbench.cli.view:view",
@@ -74,7 +72,6 @@ _COMMANDS = {
         "adapters": "prbench.cli.adapters:adapters",
         "doctor": "prbench.cli.doctor:doctor",
         "help": "prbench.cli.help:help",
-        "completion": "prbench.cli.help:completion",
     },
 }
 _RENAMED = {

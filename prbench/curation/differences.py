@@ -50,12 +50,15 @@ class Change:
     """One event that is not the same in both builds."""
 
     kind: Kind
+    """``gained``, ``lost``, ``appeared``, ``vanished``, ``moved``, ``outcome`` or ``values``."""
     recording_id: str
+    """Name of the recording."""
     event: str
     """``object name/action/time`` as a person would say it; empty for a change of the recording itself."""
-    before: str
+    first: str
     """Outcome in the first build; empty where it has no such event."""
-    after: str
+    second: str
+    """Outcome in the second build; empty where it has no such event."""
     decided_by: str
     """Stage that made the difference, with its number and threshold where it has them."""
 
@@ -69,7 +72,9 @@ class Difference:
     changes: tuple[Change, ...]
     """Sorted by kind, recording and time."""
     unchanged_events: int
+    """Number of events that are the same in both."""
     unchanged_sequences: int
+    """Number of sequences among them."""
 
     @property
     def equal(self) -> bool:
@@ -260,8 +265,8 @@ def _described(kind: Kind, one: Event | None, other: Event | None, decided_by: s
         kind=kind,
         recording_id=event["recording_id"],
         event=f"{event['object_name']}/{event['action']}/{event['event_time']:.3f} s",
-        before="" if one is None else one["outcome"],
-        after="" if other is None else other["outcome"],
+        first="" if one is None else one["outcome"],
+        second="" if other is None else other["outcome"],
         decided_by=decided_by,
     )
 

@@ -53,28 +53,30 @@ HOLDS_RECORDINGS = RECORDED_MOTION | {NEAREST_NEIGHBOUR}
 
 
 @dataclass(frozen=True)
-class _ControlInfo:
+class ControlInfo:
     """One control, for lists and messages."""
 
     name: str
+    """The value of the option that asks for it."""
     use: str
-    """``--method`` or ``--control``."""
+    """That option: ``--method`` or ``--control``."""
     summary: str
+    """What it does."""
 
 
 CONTROLS = (
-    _ControlInfo(GROUND_TRUTH, "--method", "the recorded motion itself: the ceiling of every metric"),
-    _ControlInfo(GROUND_TRUTH_RESAMPLED, "--method", "the recorded motion through the features that models learn from"),
-    _ControlInfo(GROUND_TRUTH_20_FPS, "--method", "the recorded motion at 20 frames per second and back"),
-    _ControlInfo(GROUND_TRUTH_30_FPS, "--method", "the recorded motion at 30 frames per second and back"),
-    _ControlInfo(SCRIPTED, "--method", "constant timing: faces the goal at 2.0 s, then glides there and reaches"),
-    _ControlInfo(STARE, "--method", "cheat: faces the goal from the first frame on and never moves"),
-    _ControlInfo(STARE_LATE, "--method", "cheat: turns to the goal just before 2.0 s and stares, without a step"),
-    _ControlInfo(TREMOR, "--method", "cheat: stare, with a head that trembles by 0.1 mm"),
-    _ControlInfo(TELEPORT, "--method", "cheat: is at the goal from one frame to the next"),
-    _ControlInfo(FLOAT, "--method", "cheat: scripted, 10 cm above the floor"),
-    _ControlInfo(NEAREST_NEIGHBOUR, "--method", "the training motion of the most similar task, laid on the goal"),
-    _ControlInfo(SHUFFLED_GOAL, "--control", "gives a method another sequence's goal and scores it on its own"),
+    ControlInfo(GROUND_TRUTH, "--method", "the recorded motion itself: the ceiling of every metric"),
+    ControlInfo(GROUND_TRUTH_RESAMPLED, "--method", "the recorded motion through the features that models learn from"),
+    ControlInfo(GROUND_TRUTH_20_FPS, "--method", "the recorded motion at 20 frames per second and back"),
+    ControlInfo(GROUND_TRUTH_30_FPS, "--method", "the recorded motion at 30 frames per second and back"),
+    ControlInfo(SCRIPTED, "--method", "constant timing: faces the goal at 2.0 s, then glides there and reaches"),
+    ControlInfo(STARE, "--method", "cheat: faces the goal from the first frame on and never moves"),
+    ControlInfo(STARE_LATE, "--method", "cheat: turns to the goal just before 2.0 s and stares, without a step"),
+    ControlInfo(TREMOR, "--method", "cheat: stare, with a head that trembles by 0.1 mm"),
+    ControlInfo(TELEPORT, "--method", "cheat: is at the goal from one frame to the next"),
+    ControlInfo(FLOAT, "--method", "cheat: scripted, 10 cm above the floor"),
+    ControlInfo(NEAREST_NEIGHBOUR, "--method", "the training motion of the most similar task, laid on the goal"),
+    ControlInfo(SHUFFLED_GOAL, "--control", "gives a method another sequence's goal and scores it on its own"),
 )
 
 

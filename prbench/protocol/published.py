@@ -25,7 +25,9 @@ class Spread:
     """Mean and standard deviation over sequences."""
 
     mean: float
+    """Their mean."""
     sd: float
+    """Their standard deviation."""
 
 
 QUANTITIES = {"duration": "s", "prime_gap": "s", "body_movement": "m", "hand_movement": "m"}

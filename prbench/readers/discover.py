@@ -34,8 +34,11 @@ class BrokenDataset:
     """A folder that a reader recognises as its own and cannot list."""
 
     dataset: str
+    """Name of the dataset that it looks like."""
     root: Path
+    """The folder."""
     message: str
+    """What is wrong."""
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,6 @@ from prbench.board import collect_runs, compare_runs
 from prbench.board.decidable import undecided
 from prbench.board.separation import separate_by_comparison
 from prbench.cli import main
-from prbench.cli.leaderboard_compare import CompareReport
-from prbench.cli.leaderboard_export import BoardReport
 from prbench.errors import RunError
 from prbench.harness.comparisons import smallest_detectable_unpaired
 from prbench.harness.request import RunRequest
@@ -111,7 +109,7 @@ def test_the_command_prints_a_conclusion_and_no_certainty(folder, capsys):
 
 def test_the_command_reports_the_comparison_as_json(folder, capsys):
     words = ["leaderboard", "compare", str(folder / "truth"), str(folder / "scripted")]
-    report = reported(words, CompareReport, capsys)
+    report = reported(words, capsys)
     rows = {row.info.id: row.comparison for row in compare_runs(folder / "truth", folder / "scripted").metrics}
     assert {each.metric: each.difference for each in report.differences} == {
         name: comparison.difference.mean for name, comparison in rows.items()
@@ -123,11 +121,11 @@ def test_the_command_reports_the_comparison_as_json(folder, capsys):
 
 def test_the_board_is_reported_as_json_in_every_format(folder, tmp_path, capsys):
     runs = [str(folder / "truth"), str(folder / "scripted")]
-    report = reported(["leaderboard", "export", *runs], BoardReport, capsys)
+    report = reported(["leaderboard", "export", *runs], capsys)
     assert report.out is None
     assert [row.method for row in report.board.tables[0].rows] == ["ground-truth", "scripted"]
     out = tmp_path / "board.csv"
-    written = reported(["leaderboard", "export", *runs, "--format", "csv", "--out", str(out)], BoardReport, capsys)
+    written = reported(["leaderboard", "export", *runs, "--format", "csv", "--out", str(out)], capsys)
     assert (written.format, written.out, written.board) == ("csv", out, report.board)
     assert out.read_text().startswith("table,dataset,condition,method")
     assert main(["leaderboard", "export", *runs, "--format", "json"]) == 0

@@ -11,7 +11,6 @@ import torch
 
 from prbench.board import export
 from prbench.cli import main
-from prbench.cli.pareto import ParetoReport
 from prbench.harness.methods.parameters import count_parameters
 from prbench.harness.run_folder.cost import BatchCost, total_cost
 from prbench.harness.run_folder.record import FILE
@@ -85,7 +84,7 @@ def test_runs_are_drawn_against_their_cost(tmp_path, capsys):
     runs = [str(tmp_path / "static"), str(tmp_path / "scripted")]
     out = tmp_path / "plot.svg"
     words = ["leaderboard", "pareto", *runs, "--data", table, "--metric", "mpjpe", "--out", str(out)]
-    report = reported(words, ParetoReport, capsys)
+    report = reported(words, capsys)
     assert {each.name: each.on_front for each in report.methods} == {"static (none)": True, "scripted": False}
     assert "static (none)" in out.read_text()
     refused([*words, "--metric", "mpjp"], capsys, code=2, message="Did you mean 'mpjpe'?")

@@ -15,8 +15,8 @@ from tests.fakes import fake_dataset
 
 def test_every_dataset_is_listed_with_its_terms() -> None:
     entries = catalogue()
-    assert tuple(entry.manifest.name for entry in entries) == dataset_names()
-    assert all(entry.manifest.redistribution in ("none", "non-commercial", "yes") for entry in entries)
+    assert tuple(entry.name for entry in entries) == dataset_names()
+    assert all(entry.redistribution in ("none", "non-commercial", "yes") for entry in entries)
 
 
 def test_what_is_below_a_root_is_counted_and_told_with_its_place(tmp_path, adt_tree) -> None:

@@ -10,7 +10,6 @@ import pytest
 from prbench.checking.hd_epic_funnel import funnel_lines, published_counts, remarks
 from prbench.checking.validate_hd_epic import JudgedEvent, agreement, validate_build, validate_root
 from prbench.cli.main import main
-from prbench.cli.validate import ValidateReport
 from prbench.curation import build_dataset
 from prbench.curation.options import NO_OPTIONS, BuildOptions, CurationOptions
 from prbench.errors import UsageError
@@ -110,16 +109,16 @@ def test_the_sample_shows_published_counts_and_says_what_is_a_guess(samples, cap
 
 
 def test_the_comparison_is_reported(tree, tables, tmp_path, capsys) -> None:
-    report = reported(["validate", "hd-epic", "--root", str(tree)], ValidateReport, capsys)
+    report = reported(["validate", "hd-epic", "--root", str(tree)], capsys)
     validation = validate_root(tree, options=NO_OPTIONS)
     assert (report.recordings, report.synthetic, report.failed) == (2, True, [])
     assert report.outcomes == dict(validation.outcomes)
     for ours, theirs in zip(report.agreements, validation.agreements, strict=True):
         assert {(each.published, each.rule): each.events for each in ours.counts} == theirs.counts
         assert (ours.action, ours.prime_time_difference_s.n) == (theirs.action, theirs.difference.n)
-    of_table = reported(["validate", "hd-epic", "--data", str(tables["rule"])], ValidateReport, capsys)
+    of_table = reported(["validate", "hd-epic", "--data", str(tables["rule"])], capsys)
     assert of_table.agreements == report.agreements
-    first = reported(["validate", "hd-epic", "--root", str(tree), "--max-recordings", "1"], ValidateReport, capsys)
+    first = reported(["validate", "hd-epic", "--root", str(tree), "--max-recordings", "1"], capsys)
     assert first.recordings == 1
     words = ["validate", "hd-epic", "--data", str(tables["published"])]
     refused(words, capsys, code=2, message="was built with --priming published")

@@ -3,26 +3,52 @@
 from __future__ import annotations
 
 import json
+import types
+import typing
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import pytest
 
 from prbench.cli import main
 from prbench.cli.documents import Document
+from prbench.cli.json_page import all_commands, fields_of, has_fields, report_of
 
-_Report = TypeVar("_Report")
 
-
-def reported(words: Sequence[str], shape: type[_Report], capsys: pytest.CaptureFixture, *, code: int = 0) -> _Report:
-    """Run a command with ``--json`` and return its report, which holds nothing beside what its shape names."""
+def reported(words: Sequence[str], capsys: pytest.CaptureFixture, *, code: int = 0) -> Any:
+    """Run a command with ``--json`` and return its report, which holds exactly what the page on JSON documents."""
     document = printed_document(words, capsys, code=code)
     assert document.error is None
-    report = msgspec.convert(document.report, shape, strict=True, dec_hook=lambda _, value: Path(value))
-    assert msgspec.to_builtins(report, enc_hook=str) == document.report, "keys that no shape names"
-    return report
+    return documented(document.report, report_of(dict(all_commands())[document.command]))
+
+
+def documented(value: Any, kind: Any) -> Any:
+    """Return JSON as attributes, after a look that every object has the keys of its class and no other."""
+    inner = typing.get_args(kind)
+    if value is None:
+        return None
+    if kind is Path:
+        return Path(value)
+    if typing.get_origin(kind) in (types.UnionType, typing.Union):
+        fitting = [
+            each for each in inner if isinstance(value, dict) == (has_fields(each) or not isinstance(each, type))
+        ]
+        return documented(value, fitting[0]) if fitting else value
+    if has_fields(kind):
+        kinds = fields_of(kind)
+        assert set(value) == set(kinds), kind.__name__
+        return SimpleNamespace(**{name: documented(value[name], kinds[name]) for name in kinds})
+    if isinstance(value, list) and inner:
+        return [
+            documented(each, inner[min(place, len(inner) - 1) if Ellipsis not in inner else 0])
+            for place, each in enumerate(value)
+        ]
+    if isinstance(value, dict) and inner:
+        return {name: documented(each, inner[1]) for name, each in value.items()}
+    return value
 
 
 def refused(words: Sequence[str], capsys: pytest.CaptureFixture, *, code: int, message: str) -> None:

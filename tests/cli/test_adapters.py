@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from prbench.cli import main
-from prbench.cli.adapters import ConvertersReport, MethodsReport, NewMethodReport
 from prbench.errors import AdapterError
 from prbench.training.installed import load_task
 from tests.cli.reports import refused, reported
@@ -23,22 +22,17 @@ def test_the_list_is_columns_or_json(capsys):
     header, row = capsys.readouterr().out.splitlines()
     assert header.split() == ["name", "package", "version", "target"]
     assert row.split()[0::3] == ["static", "prbench_adapters.static:load"]
-    report = reported(["adapters", "list"], MethodsReport, capsys)
+    report = reported(["adapters", "list"], capsys)
     found = {method.name: method for method in report.methods}
     assert found["static"].target == "prbench_adapters.static:load"
-    assert found["static"].details is None
+    assert report.details == []
     assert {method.problem for method in found.values() if method.package == "prbench"} == {""}
 
 
 def test_details_are_reported_for_the_named_methods(capsys):
-    report = reported(["adapters", "list", "--details", "static", "--timeout", "100"], MethodsReport, capsys)
-    (static,) = report.methods
-    assert static.details is not None
-    assert (static.details.conditions, static.details.trains, static.details.motionless) == (
-        ["none"],
-        "by the run",
-        True,
-    )
+    report = reported(["adapters", "list", "--details", "static", "--timeout", "100"], capsys)
+    (static,) = report.details
+    assert (static.method.name, static.conditions, static.fitted, static.motionless) == ("static", ["none"], True, True)
     assert report.controls == [], "only what was asked for"
     refused(["adapters", "list", "statik"], capsys, code=5, message="Did you mean 'static'?")
 
@@ -46,21 +40,21 @@ def test_details_are_reported_for_the_named_methods(capsys):
 def test_the_group_alone_shows_help(capsys):
     assert main(["adapters"]) == 2
     printed = capsys.readouterr().out
-    assert all(f"\n  {name} " in printed for name in ("list", "new", "check", "converters"))
+    assert all(f"\n  {name} " in printed for name in ("list", "new", "check"))
 
 
 def test_a_new_method_and_the_converters_are_reported(tmp_path, capsys):
-    made = reported(["adapters", "new", "glide", "--out", str(tmp_path / "glide")], NewMethodReport, capsys)
+    made = reported(["adapters", "new", "glide", "--out", str(tmp_path / "glide")], capsys)
     assert made.folder == tmp_path / "glide"
     assert all((made.folder / file).is_file() for file in made.files)
     assert made.next_steps
     words = ["adapters", "new", "glide", "--out", str(tmp_path / "glide")]
     refused(words, capsys, code=8, message="glide")
     out = tmp_path / "c.py"
-    written = reported(["adapters", "converters", "--out", str(out)], ConvertersReport, capsys)
-    assert written == ConvertersReport(out=out, imports="from c import motions_from_features, placed_on")
+    written = reported(["adapters", "list", "--converters", str(out)], capsys)
+    assert written.converters == out
     out.write_text("somebody's own file")
-    refused(["adapters", "converters", "--out", str(out)], capsys, code=8, message="c.py")
+    refused(["adapters", "list", "--converters", str(out)], capsys, code=8, message="c.py")
 
 
 @pytest.mark.parametrize(

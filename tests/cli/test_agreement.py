@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from prbench.cli import main
-from prbench.cli.agreement import AgreementsReport
-from prbench.cli.run_answer import RunAnswer
 from tests.cli.reports import reported
 from tests.fakes import fake_dataset
 
@@ -13,11 +11,11 @@ def test_agreement_of_runs_is_printed_and_reported(tmp_path, capsys):
     table = str(fake_dataset(tmp_path / "table", 48).folder)
     run = str(tmp_path / "run")
     words = ["run", "--method", "nearest-neighbour", "--data", table, "--out", run]
-    (made,) = reported(words, RunAnswer, capsys).runs
+    (made,) = reported(words, capsys).runs
     assert made.datasets[0].agreement is not None
     assert main(words) == 0
     assert "agreement with recorded people (phi): Prime Success" in capsys.readouterr().out
-    (found,) = reported(["agreement", run, "--data", table], AgreementsReport, capsys).runs
+    (found,) = reported(["agreement", run, "--data", table], capsys).runs
     assert found.agreement == made.datasets[0].agreement
     assert found.unverified == ""
     assert main(["agreement", run]) == 0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from prbench.board import audit as workflow
 from prbench.cli import main
-from prbench.cli.audit import AuditReport
 from prbench.harness.run_folder import RunFolder
 from prbench.metrics import METRICS
 from tests.cli.reports import reported
@@ -30,7 +29,7 @@ def test_of_several_tables_means_stand_first_and_each_table_follows_with_v(tmp_p
     words = ["audit", "--limit", "3", "--data", *folders]
     # The same runs are shown three times.
     monkeypatch.setattr(workflow, "audit", cache_of_one_call(workflow.audit))
-    report = reported(words, AuditReport, capsys)
+    report = reported(words, capsys)
     assert [control.name for control in report.means] == [control.name for control in report.tables[0].controls]
     for control, *on_each in zip(report.means, *(table.controls for table in report.tables), strict=True):
         rates = [
@@ -62,7 +61,7 @@ def test_the_report_holds_every_score_and_the_runs_are_kept_on_request(tmp_path,
     table = fake_dataset(tmp_path / "table", 24)
     out = tmp_path / "runs"
     words = ["audit", "--data", str(table.folder), "--limit", "6", "--out", str(out)]
-    report = reported(words, AuditReport, capsys)
+    report = reported(words, capsys)
     (audited,) = report.tables
     assert set(audited.as_good_as_people) <= {info.id for info in METRICS if info.higher_is_better is not None}
     for control in audited.controls:

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from prbench.cli import main
-from prbench.cli.builds import BuildsReport
 from prbench.errors import UsageError
 from prbench.sequences import SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
@@ -47,7 +46,7 @@ def test_what_needs_meshes_or_bodies_asks_the_reader_for_them(words, asked, tmp_
 
 def test_a_build_reports_its_funnel_and_every_recording(copy, tmp_path, capsys) -> None:
     words = ["build-dataset", "adt", "--root", str(copy), "--out", str(tmp_path / "table")]
-    report = reported(words, BuildsReport, capsys, code=3)
+    report = reported(words, capsys, code=3)
     (built,) = report.built
     table = SequenceTable.open(tmp_path / "table")
     assert built.folder == tmp_path / "table"
@@ -63,14 +62,14 @@ def test_a_build_reports_its_funnel_and_every_recording(copy, tmp_path, capsys) 
 
 def test_a_plan_reports_what_would_be_read_and_writes_nothing(copy, tmp_path, capsys) -> None:
     words = ["build-dataset", "adt", "--root", str(copy), "--dry-run"]
-    (one,) = reported([*words, "--workers", "2"], BuildsReport, capsys).planned
+    (one,) = reported([*words, "--workers", "2"], capsys).planned
     assert (one.dataset, one.root, len(one.recordings), one.workers) == ("adt", copy, 2, 2)
-    (alone,) = reported(words, BuildsReport, capsys).planned
+    (alone,) = reported(words, capsys).planned
     assert one.estimated_seconds == pytest.approx(alone.estimated_seconds / 2)
     assert one.input_bytes > 0
-    (first,) = reported([*words, "--max-recordings", "1"], BuildsReport, capsys).planned
+    (first,) = reported([*words, "--max-recordings", "1"], capsys).planned
     assert first.recordings == one.recordings[:1]
-    (chosen,) = reported([*words, "--recordings", "*seq001*"], BuildsReport, capsys).planned
+    (chosen,) = reported([*words, "--recordings", "*seq001*"], capsys).planned
     assert chosen.recordings == one.recordings[1:]
     assert list(tmp_path.iterdir()) == []
 
@@ -78,11 +77,11 @@ def test_a_plan_reports_what_would_be_read_and_writes_nothing(copy, tmp_path, ca
 def test_building_all_reports_what_gave_no_table(copy, tmp_path, capsys) -> None:
     shutil.copytree(copy, tmp_path / "copies" / "ADT")
     words = ["build-dataset", "all", "--root", str(tmp_path / "copies")]
-    (plan,) = reported([*words, "--dry-run"], BuildsReport, capsys).planned
+    (plan,) = reported([*words, "--dry-run"], capsys).planned
     assert plan.root == tmp_path / "copies" / "ADT"
     (tmp_path / "tables" / "synthetic-adt").mkdir(parents=True)
     (tmp_path / "tables" / "synthetic-adt" / "mine.txt").write_text("a file that prbench did not write")
-    report = reported([*words, "--out", str(tmp_path / "tables")], BuildsReport, capsys, code=3)
+    report = reported([*words, "--out", str(tmp_path / "tables")], capsys, code=3)
     assert report.built == []
     assert [each.dataset for each in report.not_built] == ["synthetic-adt"]
     assert "synthetic-adt" in report.not_built[0].message

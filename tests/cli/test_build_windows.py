@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from prbench.cli.build_windows import WindowsReport
 from prbench.cli.main import main
 from prbench.readers.mogaze.format import Segment
 from prbench.synthetic.layouts.mogaze import write
@@ -26,7 +25,7 @@ def root(tmp_path):
 
 def test_recordings_become_windows(root, tmp_path, capsys):
     words = ["build-windows", "mogaze", "--root", str(root), "--out", str(tmp_path / "w")]
-    report = reported(words, WindowsReport, capsys)
+    report = reported(words, capsys)
     assert report.built is not None
     assert (report.built.joint_set, report.built.windows) == ("mogaze21", {"window": 3})
 

@@ -36,7 +36,7 @@ def test_every_command_has_help_with_an_example_that_parses(name, capsys):
     text = capsys.readouterr().out
     if name in all_commands():
         assert "example:\n  " in text
-        parsed(shlex.split(all_commands()[name].example)[1:]) if name != "completion" else None
+        parsed(shlex.split(all_commands()[name].example)[1:])
 
 
 def test_the_same_option_has_the_same_meaning_everywhere():
@@ -68,10 +68,10 @@ def test_nothing_asked_shows_the_commands_in_sections_and_fails(capsys):
         (["leaderboard", "exprot"], "Did you mean 'export'?"),
         (["run", "--methd", "static"], "No such option '--methd'. (Did you mean one of: '--method'"),
         (["run", "--meth", "static"], "No such option '--meth'."),
-        (["help", "stast"], "Did you mean 'stats'?"),
+        (["help", "inspekt"], "Did you mean 'inspect'?"),
         (["run", "--condition", "goal-lok"], "is not one of 'none', 'text'"),
         (["run", "--method"], "requires an argument"),
-        (["stats"], "Missing argument 'DIR...'"),
+        (["inspect"], "Missing argument 'DIR...'"),
         (["run", "--option", "steps"], "expected key=value, found 'steps'"),
         (["run", "--method", "static", "--limit", "0"], "expected a whole number of at least 1, found '0'"),
     ],
@@ -113,7 +113,7 @@ def test_quiet_leaves_notes_out_and_verbose_tells_the_cost(data, tmp_path, capsy
     assert "Prime Success" in captured.out
     assert main(["-v", *words]) == 0
     assert "s of processor time" in capsys.readouterr().err
-    assert main(["stats", str(tmp_path / "nowhere"), "-v"]) == 4
+    assert main(["inspect", str(tmp_path / "nowhere"), "-v"]) == 3
     assert "Traceback" in capsys.readouterr().err, "the traceback of a user's error is there for those who ask for it"
 
 
@@ -126,7 +126,7 @@ def test_json_prints_one_document_whether_it_works_or_not(data, tmp_path, capsys
     report = msgspec.convert(document["report"], RunAnswer, dec_hook=lambda _, value: Path(value))
     assert report.runs[0].datasets[0].metrics[0].title == "Prime Success"
     assert msgspec.to_builtins(report, enc_hook=str) == document["report"], "no key beyond the documented ones"
-    for refused, code in (["stats", str(tmp_path / "nowhere"), "--json"], 4), (["stats", "--json"], 2):
+    for refused, code in (["inspect", str(tmp_path / "nowhere"), "--json"], 3), (["inspect", "--json"], 2):
         assert main(refused) == code
         document = json.loads(capsys.readouterr().out)
         assert document["report"] is None
@@ -136,7 +136,7 @@ def test_json_prints_one_document_whether_it_works_or_not(data, tmp_path, capsys
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_a_shell_completes_commands_and_options(shell, capsys):
-    assert main(["completion", shell]) == 0
+    assert main(["help", "completion", shell]) == 0
     assert "_PRBENCH_COMPLETE" in capsys.readouterr().out
     words = (
         {"COMP_WORDS": "prbench ru", "COMP_CWORD": "1"}

@@ -63,7 +63,7 @@ def test_a_file_cut_between_two_lines_is_told_by_every_command(place, capsys) ->
     assert "cut short: " in printed.err
     (row,) = SequenceTable.open(place / "cut").recordings().to_pylist()
     assert "objects (scene_objects.csv) ends" in row["message"]
-    assert main(["stats", str(place / "cut")]) == 0
+    assert main(["inspect", str(place / "cut")]) == 0
     assert "1 of 1 recordings are cut short" in capsys.readouterr().out
     assert build(place, "all") == 3, "nor does it replace the table of the whole copy"
     assert "scene_objects" not in (place / "tables/synthetic-adt/dataset.json").read_text()

@@ -1,4 +1,4 @@
-"""``prbench datasets``, ``prbench cite`` and ``prbench inspect`` as a program reads them."""
+"""``prbench datasets`` and ``prbench inspect`` as a program reads them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from pathlib import Path
 import pytest
 
 from prbench.cli import main
-from prbench.cli.datasets import CiteReport, DatasetsReport
-from prbench.cli.inspect import InspectReport
 from prbench.datasets import readable_datasets
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.cli.reports import refused, reported
@@ -26,7 +24,7 @@ def copies(tmp_path_factory) -> Path:
 
 
 def test_every_dataset_is_reported_with_its_terms(capsys) -> None:
-    report = reported(["datasets"], DatasetsReport, capsys)
+    report = reported(["datasets"], capsys)
     assert set(readable_datasets()) <= {each.name for each in report.datasets}
     for each in report.datasets:
         assert each.licence
@@ -36,7 +34,7 @@ def test_every_dataset_is_reported_with_its_terms(capsys) -> None:
 
 
 def test_what_is_found_below_a_folder_is_reported_with_what_it_lacks(copies, capsys) -> None:
-    (adt,) = reported(["datasets", "adt", "--root", str(copies)], DatasetsReport, capsys).datasets
+    (adt,) = reported(["datasets", "adt", "--root", str(copies)], capsys).datasets
     assert adt.found == f"2 recordings in {copies / 'ADT'}"
     assert any("scene_objects.csv is missing in 1 of 2 recordings" in line for line in adt.missing)
     assert adt.rates_hz
@@ -58,16 +56,16 @@ def test_a_mistake_in_a_name_is_an_error_in_the_document(capsys) -> None:
 
 def test_citations_are_reported_as_they_are_printed(tmp_path, capsys) -> None:
     table = fake_dataset(tmp_path / "table", 4).folder
-    report = reported(["cite", str(table)], CiteReport, capsys)
-    assert main(["cite", str(table)]) == 0
+    report = reported(["datasets", "--cite", str(table)], capsys)
+    assert main(["datasets", "--cite", str(table)]) == 0
     assert capsys.readouterr().out == f"{report.bibtex}\n"
-    refused(["cite", str(tmp_path / "gone")], capsys, code=4, message="expected a built dataset")
+    refused(["datasets", "--cite", str(tmp_path / "gone")], capsys, code=4, message="expected a built dataset")
 
 
 def test_an_inspection_reports_every_recording_also_the_complete_ones(copies, tmp_path, capsys) -> None:
-    report = reported(["inspect", str(copies)], InspectReport, capsys, code=3)
+    report = reported(["inspect", str(copies)], capsys, code=3)
     (adt,) = report.datasets
-    assert (adt.dataset, adt.root, report.all_complete) == ("synthetic-adt", copies / "ADT", False)
+    assert (adt.name, adt.root) == ("synthetic-adt", copies / "ADT")
     assert [each.state for each in adt.recordings] == ["incomplete", "complete"]
     assert "scene_objects.csv" in " ".join(adt.recordings[0].remarks)
     assert all(each.size > 0 for each in adt.recordings)

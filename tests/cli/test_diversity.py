@@ -8,7 +8,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from prbench.cli import main
-from prbench.cli.diversity import DiversityReport
 from prbench.contract import Condition
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
@@ -37,7 +36,7 @@ def test_spreads_stand_beside_those_of_people_with_intervals(table, tmp_path, in
     install("made", adapter_source(body=GENTLE))
     run = made_run(table, tmp_path / "run")
     words = ["diversity", run, "--data", str(table.folder)]
-    (found,) = reported(words, DiversityReport, capsys).datasets
+    (found,) = reported(words, capsys).datasets
     assert (found.motions, found.sequences) == (3, 8)
     assert found.goals_apart is not None
     assert found.goals_apart > 0
@@ -59,7 +58,7 @@ def test_spreads_stand_beside_those_of_people_with_intervals(table, tmp_path, in
 
 def test_recorded_motion_drawn_several_times_has_no_spread(table, tmp_path, capsys):
     run = made_run(table, tmp_path / "run", method="ground-truth", condition=None)
-    (found,) = reported(["diversity", run, "--data", str(table.folder)], DiversityReport, capsys).datasets
+    (found,) = reported(["diversity", run, "--data", str(table.folder)], capsys).datasets
     assert [spread.method.mean for spread in found.spreads] == pytest.approx([0.0] * len(found.spreads), abs=1e-12)
     assert all(spread.people is not None and spread.people.mean > 0 for spread in found.spreads[:4])
 
@@ -74,7 +73,7 @@ def test_a_fan_is_drawn_and_the_same_bytes_again(table, tmp_path, install, capsy
         out = tmp_path / folder / name
         out.parent.mkdir()
         words = ["diversity", run, "--data", str(table.folder), "--fan", str(out), "--sequence", sequence]
-        assert reported(words, DiversityReport, capsys).fan_sequence == sequence
+        assert reported(words, capsys).fan_sequence == sequence
         pictures.append(out.read_bytes())
     assert pictures[0] == pictures[1]
     assert len(pictures[0]) > 10_000
@@ -106,6 +105,6 @@ def test_a_table_of_one_recording_has_no_people_beside(tmp_path, install, capsys
     install("made", adapter_source(body=GENTLE))
     table = fake_dataset(tmp_path / "table", 12, recordings=1)
     run = made_run(table, tmp_path / "run", split="train", limit=None)
-    (found,) = reported(["diversity", run, "--data", str(table.folder)], DiversityReport, capsys).datasets
+    (found,) = reported(["diversity", run, "--data", str(table.folder)], capsys).datasets
     assert found.goals_apart is None
     assert all(spread.people is None and spread.difference is None for spread in found.spreads)

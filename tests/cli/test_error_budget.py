@@ -9,8 +9,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from prbench.cli import main
-from prbench.cli.run_answer import RunAnswer
-from prbench.workflows.error_budget.report import ErrorBudgetReport
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 
@@ -28,12 +26,12 @@ def folder(tmp_path_factory):
 
 def budget(folder, capsys, *words, run="run"):
     given = ["error-budget", str(folder / run), "--data", str(folder / "table"), *map(str, words)]
-    return reported(given, ErrorBudgetReport, capsys)
+    return reported(given, capsys)
 
 
 def test_shares_add_up_and_rates_are_those_of_the_run(folder, tmp_path, capsys):
     words = ["run", "--config", str(folder / "run"), "--data", str(folder / "table"), "--out", str(tmp_path / "again")]
-    (made,) = reported(words, RunAnswer, capsys).runs
+    (made,) = reported(words, capsys).runs
     scores = {metric.metric: metric.mean for metric in made.datasets[0].metrics}
     (found,) = budget(folder, capsys).runs
     for group in found.method_groups + found.people_groups:

@@ -6,11 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from prbench.cli.build_windows import WindowsReport
-from prbench.cli.builds import BuildsReport
 from prbench.cli.main import main
-from prbench.cli.merge import MergedShards
-from prbench.cli.run_answer import RunAnswer
 from tests.cli.reports import refused, reported
 from tests.curation.sources import folder_bytes
 from tests.fakes import fake_dataset
@@ -35,15 +31,15 @@ def test_a_dataset_in_shards_has_the_bytes_of_one_build(recordings, tmp_path, ca
     assert main([*words, "--out", str(tmp_path / "whole")]) == 0
     folders = shards_of(tmp_path, words, 2)
     assert "shard 1/2: 1 of 3 recordings" in capsys.readouterr().out
-    report = reported([*words, "--out", folders[0], "--shard", "1/2"], BuildsReport, capsys)
+    report = reported([*words, "--out", folders[0], "--shard", "1/2"], capsys)
     assert report.shard is not None
     assert (report.shard.shard, report.shard.made_of, report.shard.taken_over) == ("1/2", 1, 1)
-    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], MergedShards, capsys)
+    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], capsys)
     assert merged.table is not None
     assert (merged.kind, merged.shards, merged.table.counts["recordings_read"]) == ("dataset", 2, 3)
     assert folder_bytes(tmp_path / "merged") == folder_bytes(tmp_path / "whole")
     # Everything but a merge says what the folder is.
-    refused(["stats", folders[0]], capsys, code=4, message="found a shard, which `prbench merge` puts together")
+    refused(["diff", folders[0], folders[0]], capsys, code=4, message="found a shard, which `prbench merge` puts together")
 
 
 def test_windows_in_shards_have_the_bytes_of_one_build(recordings, tmp_path, capsys):
@@ -51,10 +47,10 @@ def test_windows_in_shards_have_the_bytes_of_one_build(recordings, tmp_path, cap
     assert main([*words, "--out", str(tmp_path / "whole")]) == 0
     folders = shards_of(tmp_path, words, 4)
     assert "there are fewer recordings than shards: shard 4/4 is empty" in capsys.readouterr().err
-    report = reported([*words, "--out", folders[0], "--shard", "1/4"], WindowsReport, capsys)
+    report = reported([*words, "--out", folders[0], "--shard", "1/4"], capsys)
     assert report.shard is not None
     assert report.shard.planned == 3
-    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], MergedShards, capsys)
+    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], capsys)
     assert merged.windows is not None
     assert folder_bytes(tmp_path / "merged") == folder_bytes(tmp_path / "whole")
 
@@ -64,7 +60,7 @@ def test_a_corpus_in_shards_has_the_bytes_of_one_build(tmp_path, capsys):
     assert main([*words, "--out", str(tmp_path / "whole")]) == 0
     folders = shards_of(tmp_path, words, 2)
     capsys.readouterr()
-    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], MergedShards, capsys)
+    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], capsys)
     assert merged.table is not None
     assert (merged.kind, merged.table.counts["recordings_read"]) == ("corpus", 3)
     assert folder_bytes(tmp_path / "merged") == folder_bytes(tmp_path / "whole")
@@ -81,9 +77,9 @@ def test_a_run_in_shards_is_scored_by_the_merge(tmp_path, capsys):
     assert main([*words, "--out", str(tmp_path / "whole")]) == 0
     folders = shards_of(tmp_path, words, 2)
     assert "shard 2/2: 2 of 3 batches" in capsys.readouterr().out
-    report = reported([*words, "--out", folders[0], "--shard", "1/2"], RunAnswer, capsys)
+    report = reported([*words, "--out", folders[0], "--shard", "1/2"], capsys)
     assert [shard.taken_over for shard in report.shards] == [1]
-    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], MergedShards, capsys)
+    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], capsys)
     assert merged.run is not None
     assert merged.run.datasets[0].sequences == 6
     bytes_of = [folder_bytes(tmp_path / name) for name in ("whole", "merged")]

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.cli.export_conditions import ConditionsReport
-from prbench.cli.score import ScoreReport
 from prbench.harness.offline import read_conditions_file
 from prbench.harness.run_folder import DatasetSummary
 from tests.cli.reports import printed_document, refused, reported
@@ -21,7 +19,7 @@ def data(tmp_path):
 def test_from_conditions_to_scores_everything_is_reported(data, tmp_path, capsys):
     conditions = tmp_path / "conditions.npz"
     asked = ["export-conditions", "--data", str(data), "--condition", "goal-loc", "--out", str(conditions)]
-    exported = reported([*asked, "--samples", "2"], ConditionsReport, capsys)
+    exported = reported([*asked, "--samples", "2"], capsys)
     (part,) = exported.datasets
     assert (exported.out, part.dataset, part.left_out) == (conditions, "synthetic-adt", 0)
     assert exported.motions == 2 * part.sequences
@@ -36,7 +34,7 @@ def test_from_conditions_to_scores_everything_is_reported(data, tmp_path, capsys
     )
     out = tmp_path / "scores"
     words = ["score", str(predictions), "--conditions", str(conditions), "--data", str(data), "--out", str(out)]
-    report = reported([*words, "--name", "still"], ScoreReport, capsys)
+    report = reported([*words, "--name", "still"], capsys)
     (dataset,) = report.datasets
     scores = dataset.scores
     assert dataset.origin == "file predictions.npz"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from prbench.cli import main, sensor_checks
-from prbench.cli.synthesize import SynthesizeReport
 from tests.cli.reports import refused, reported
 
 
@@ -13,7 +12,7 @@ from tests.cli.reports import refused, reported
 def test_files_are_reported_with_what_curation_finds_in_them(tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.setattr(sensor_checks, "_FEWEST_VERIFIED", 2)
     words = ["synthesize", "adt", "--count", "1", "--events", "3", "--seed", "2", "--out", str(tmp_path / "adt")]
-    report = reported(words, SynthesizeReport, capsys)
+    report = reported(words, capsys)
     assert report.folder == tmp_path / "adt"
     (recording,) = report.recordings
     assert recording.events == 3
@@ -37,9 +36,9 @@ def test_files_are_reported_with_what_curation_finds_in_them(tmp_path, capsys, m
 
 def test_unverified_files_and_text_motion_are_reported_without_checks(tmp_path, capsys) -> None:
     words = ["synthesize", "gimo", "--count", "1", "--events", "2", "--no-verify", "--out", str(tmp_path / "gimo")]
-    assert reported(words, SynthesizeReport, capsys).checks == []
+    assert reported(words, capsys).checks == []
     words = ["synthesize", "nymeria", "--count", "1", "--out", str(tmp_path / "nymeria")]
-    report = reported(words, SynthesizeReport, capsys)
+    report = reported(words, capsys)
     assert [each.objects for each in report.recordings] == [None]
     assert report.checks == []
 
@@ -48,7 +47,7 @@ def test_unverified_files_and_text_motion_are_reported_without_checks(tmp_path, 
 def test_a_table_and_a_picture_are_reported(tmp_path, capsys) -> None:
     out = tmp_path / "table"
     words = ["synthesize", "gimo", "--table", "--count", "1", "--events", "3", "--out", str(out)]
-    report = reported([*words, "--gallery", str(tmp_path / "g.png")], SynthesizeReport, capsys)
+    report = reported([*words, "--gallery", str(tmp_path / "g.png")], capsys)
     assert report.table is not None
     assert (report.table.dataset, report.table.folder) == ("synthetic-gimo", out)
     assert report.table.counts["recordings_read"] == len(report.table.recordings) == 1
@@ -59,7 +58,7 @@ def test_a_table_and_a_picture_are_reported(tmp_path, capsys) -> None:
 
 def test_people_are_reported_with_the_ranges_asked_of_them(capsys) -> None:
     words = ["synthesize", "gimo", "--people", "--count", "1", "--seed", "3"]
-    report = reported(words, SynthesizeReport, capsys)
+    report = reported(words, capsys)
     assert (report.folder, report.table) == (None, None)
     assert {each.preset for each in report.people} == {"gimo"}
     numbers = {each.number: each for each in report.people}

@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from prbench.cli import main
-from prbench.cli.train import TrainReport
 from prbench.errors import TrainingError, UsageError
 from prbench.files.storage import file_digest, read_json
 from prbench.sequences import SequenceTable
@@ -201,7 +200,7 @@ def test_the_configuration_can_be_printed_and_used_as_a_file(tmp_path, capsys):
     file.write_text(printed)
     assert main(["train", "--method", "toy", "--config", str(file), "--show-config", "--stage", "finetune"]) == 0
     assert capsys.readouterr().out == printed.replace("width = 6", "width = 7")
-    report = reported(["train", "--method", "toy", "--config", str(file), "--show-config"], TrainReport, capsys)
+    report = reported(["train", "--method", "toy", "--config", str(file), "--show-config"], capsys)
     assert report.trained is None
     assert report.configuration is not None
     assert report.configuration["model"]["width"] == 7
@@ -253,7 +252,7 @@ def test_data_and_out_are_asked_for(capsys):
 
 def test_a_finished_training_is_reported_as_json(trained, data, capsys):
     out = trained[0] if isinstance(trained, tuple) else trained
-    report = reported(command(data, out, *VALIDATED), TrainReport, capsys)
+    report = reported(command(data, out, *VALIDATED), capsys)
     assert report.trained is not None
     assert report.trained.weights.is_file()
     assert (report.method, report.configuration, report.trained.steps) == ("toy", None, 8)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from prbench.cli import main
-from prbench.cli.view import ViewReport
 from prbench.harness.run_folder import RunRecord
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
@@ -40,7 +39,7 @@ def test_a_run_becomes_a_picture(run, data, tmp_path, capsys):
 def test_what_a_view_shows_is_reported_as_json(run, data, tmp_path, capsys):
     out = tmp_path / "view.png"
     words = ["view", str(run), "--data", str(data), "--sequence", "/obj5/", "--out", str(out)]
-    report = reported(words, ViewReport, capsys)
+    report = reported(words, capsys)
     (sequence,) = report.sequences
     assert report.out == out
     assert "/obj5/" in sequence.sequence_id

@@ -64,7 +64,7 @@ def first(tmp_path) -> Path:
 
 def changes_to(first: Path, rows, events=None, **options) -> list[tuple[str, str, str, str]]:
     second = write(first.with_name("second"), rows, events, **options)
-    return [(c.kind, c.before, c.after, c.decided_by) for c in compare_builds(first, second).changes]
+    return [(c.kind, c.first, c.second, c.decided_by) for c in compare_builds(first, second).changes]
 
 
 def test_a_build_does_not_differ_from_itself(first) -> None:
@@ -154,8 +154,8 @@ def test_a_recording_without_events_that_one_build_alone_has_is_seen(tmp_path) -
     both, fewer = write(tmp_path / "both", rows), write(tmp_path / "fewer", rows, lacks=idle)
     (vanished,) = compare_builds(both, fewer).changes
     (appeared,) = compare_builds(fewer, both).changes
-    assert (vanished.kind, vanished.recording_id, vanished.before, vanished.after) == ("vanished", idle, "read", "")
-    assert (appeared.kind, appeared.recording_id, appeared.before, appeared.after) == ("appeared", idle, "", "read")
+    assert (vanished.kind, vanished.recording_id, vanished.first, vanished.second) == ("vanished", idle, "read", "")
+    assert (appeared.kind, appeared.recording_id, appeared.first, appeared.second) == ("appeared", idle, "", "read")
 
 
 def test_a_sequence_that_no_event_names_is_seen(first) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from prbench.cli.main import main
-from prbench.cli.poses import PosesReport
 from prbench.curation.poses import make_poses, pose_states, read_config
 from prbench.curation.poses.prepare import prepare
 from prbench.curation.poses.states import Selection
@@ -213,12 +212,12 @@ def test_from_the_command_line(root, config, monkeypatch, capsys):
 def test_what_is_lacking_prepared_and_estimated_is_reported(root, config, monkeypatch, capsys):
     words = ["poses", "egoallo", "--root", str(root)]
     first, second = _names(root)
-    lacking = reported(words, PosesReport, capsys)
+    lacking = reported(words, capsys)
     assert [(each.recording, each.outputs) for each in lacking.recordings] == [(first, "missing"), (second, "missing")]
     assert lacking.instructions is not None
     assert lacking.estimated == lacking.prepared == []
-    assert reported([*words, "--dry-run"], PosesReport, capsys).instructions is None
-    prepared = reported([*words, "--prepare"], PosesReport, capsys).prepared
+    assert reported([*words, "--dry-run"], capsys).instructions is None
+    prepared = reported([*words, "--prepare"], capsys).prepared
     assert [(each.recording, each.ready) for each in prepared] == [(first, True), (second, True)]
     assert "--traj-root" in prepared[0].text
 
@@ -231,7 +230,7 @@ def test_what_is_lacking_prepared_and_estimated_is_reported(root, config, monkey
     ]
     assert any(text.startswith(f"failed: {second}: ended with exit code 1") for text in document.notes)
     monkeypatch.setenv("FAKE_BEHAVIOUR", "good")
-    assert [each.state for each in reported(words, PosesReport, capsys).estimated] == ["kept", "made"]
+    assert [each.state for each in reported(words, capsys).estimated] == ["kept", "made"]
     refused([*words, "--dataset", "gimo"], capsys, code=2, message="EgoAllo needs Aria glasses")
 
 

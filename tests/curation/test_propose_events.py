@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import pytest
 
-from prbench.cli.builds import BuildsReport
 from prbench.cli.main import main
 from prbench.curation import build_dataset
 from prbench.curation.options import BuildOptions
@@ -62,7 +61,7 @@ def test_every_segment_has_a_line_and_none_counts_before_it_is_confirmed(root, t
 
 def test_proposals_are_reported_as_they_are_written(root, tmp_path, capsys) -> None:
     words = ["build-dataset", "gimo", "--root", str(root), "--propose-events"]
-    report = reported([*words, str(tmp_path / "c.csv")], BuildsReport, capsys, code=3)
+    report = reported([*words, str(tmp_path / "c.csv")], capsys, code=3)
     rows = rows_of(tmp_path / "c.csv")
     assert [each.reason for each in report.proposed] == [row["reason"] for row in rows]
     assert report.proposed[0].confidence == pytest.approx(float(rows[0]["confidence"]), abs=0.005)

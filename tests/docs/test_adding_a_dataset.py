@@ -60,12 +60,12 @@ def test_every_command_of_the_page_works_for_the_package(package, capsys) -> Non
         else:
             assert program == "prbench"
             assert main(arguments) == 0, line
-            printed[arguments[0]] = capsys.readouterr().out
+            printed[arguments[0]] = printed.get(arguments[0], "") + capsys.readouterr().out
     assert "Tabletop (tabletop), for: benchmark" in printed["datasets"]
     assert "2 recordings (2 complete)" in printed["inspect"]
-    assert "tabletop" in printed["stats"]
+    assert "prime-and-reach sequences" in printed["inspect"]
     assert "cup" in printed["explain"]
-    assert "doe2026tabletop" in printed["cite"]
+    assert "doe2026tabletop" in printed["datasets"]
 
     table = SequenceTable.open(package / "tables" / "tabletop")
     assert table.info.dataset == "tabletop"

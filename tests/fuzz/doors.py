@@ -289,7 +289,7 @@ COMMANDS = (
         spared=("synthetic.json",), knows_whole=False,
     ),
     _command("diff", _two_tables, "diff", "FOLDER/input", "FOLDER/other"),
-    _command("stats", _table, "stats", "FOLDER/input"),
+    _command("inspect", _table, "inspect", "FOLDER/input"),
     _command("run", _table, "run", "--method", "static", "--condition", "none", "--data", "FOLDER/input", "--out",
              "FOLDER/run", out="run"),
     _command("board", _run, "leaderboard", "export", "FOLDER/input", "--format", "md"),

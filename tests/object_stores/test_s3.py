@@ -64,8 +64,8 @@ def test_commands_read_and_write_there_and_show_urls_in_place_of_local_copies(bu
     said = capsys.readouterr().err
     assert f"prbench: {run}" in said
     assert "cache" not in said
-    assert main(["stats", stored_table, "--out", f"{bucket}/stats.json"]) == 0
-    assert json.loads(contents(bucket)["stats.json"])["command"] == "stats"
+    assert main(["inspect", stored_table, "--out", f"{bucket}/inspect.json"]) == 0
+    assert json.loads(contents(bucket)["inspect.json"])["command"] == "inspect"
     assert len(prbench.open_table(stored_table)) == 12
     assert prbench.open_run(run).to_pandas().shape[0] > 0
 
@@ -84,15 +84,15 @@ def test_python_takes_urls_where_it_takes_folders(bucket, stored_table, table, t
 @pytest.mark.parametrize(
     ("command", "code", "said"),
     [
-        (["stats", "{}/nothing"], 3, "found nothing"),
-        (["stats", "s3://no-such-bucket/table"], 8, "there is no such bucket"),
+        (["inspect", "{}/nothing"], 3, "found nothing"),
+        (["inspect", "s3://no-such-bucket/table"], 8, "there is no such bucket"),
         ([*RUN, "--data", "{}/nothing", "--out", "{}/run"], 3, "found nothing"),
         (
             ["build-dataset", "adt", "--root", "{}/nothing", "--out", "{}/table"],
             3,
             "expected files of adt, found nothing",
         ),
-        (["stats", "s3://key:hunter2@bench/table"], 2, "the URL holds a name or a password"),
+        (["inspect", "s3://key:hunter2@bench/table"], 2, "the URL holds a name or a password"),
         (["poses", "egoallo", "--root", "{}/x"], 2, "has to be a path on this machine"),
     ],
 )

@@ -31,7 +31,7 @@ def test_a_released_dataset_names_the_study_and_the_source(dataset, tmp_path, ca
     assert manifest.citation.strip() in info.citation
     assert info.redistribution == ("none" if manifest.redistribution == "none" else "non-commercial")
     assert not info.synthetic
-    assert main(["cite", str(tmp_path / "out" / dataset)]) == 0
+    assert main(["datasets", "--cite", str(tmp_path / "out" / dataset)]) == 0
     assert capsys.readouterr().out.count("hatano_prime_and_reach") == 1
     assert any(f"the study has {load_known().datasets[dataset].train}" in warning for warning in report.warnings)
 

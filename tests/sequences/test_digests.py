@@ -48,7 +48,7 @@ def test_every_command_that_opens_a_table_refuses_an_edited_one(tmp_path: Path, 
     np.savez(tmp_path / "p.npz", joints=np.zeros((1, 40, 22, 3), dtype=np.float32))
     event = table.scalars()["sequence_id"][0].as_py()
     for command in (
-        ["stats", data],
+        ["inspect", data],
         ["explain", event, "--data", data],
         ["diff", data, data],
         ["view", "--data", data, "--out", str(tmp_path / "x.png")],
@@ -58,7 +58,7 @@ def test_every_command_that_opens_a_table_refuses_an_edited_one(tmp_path: Path, 
         ["doctor", str(tmp_path / "p.npz"), "--data", data],
         ["train", "--method", "mdm", "--config", "smoke", "--data", data, "--out", str(tmp_path / "trained")],
         ["export-release", data, "--out", str(tmp_path / "released")],
-        ["cite", data],
+        ["datasets", "--cite", data],
     ):
         assert main(command) == TableError.exit_code, command
         assert "events.parquet: expected the file that dataset.json describes" in capsys.readouterr().err, command

@@ -12,9 +12,7 @@ import pytest
 from prbench.board.collect import CollectedRuns, collect_runs
 from prbench.board.merging import merge_folds
 from prbench.board.tables import make_leaderboard
-from prbench.cli.leaderboard_merge import MergeReport
 from prbench.cli.main import main
-from prbench.cli.split_dataset import SplitReport
 from prbench.errors import RunError, StorageError, TableError, UsageError
 from prbench.harness.first_run import table_finder
 from prbench.harness.request import RunRequest
@@ -94,7 +92,7 @@ def test_merged_folds_are_the_scores_of_all_sequences(table, folds, tmp_path, ca
     assert merged.sequences == table.scalars().num_rows
     assert merged.split == "3 folds"
     words = ["leaderboard", "merge", *map(str, paths)]
-    report = reported(words, MergeReport, capsys)
+    report = reported(words, capsys)
     assert report.scores.sequences == merged.sequences
     with pytest.raises(RunError, match="fold 1/3 is that of"):
         merge_folds([paths[0], paths[0]])
@@ -116,7 +114,7 @@ def test_merged_folds_are_the_scores_of_all_sequences(table, folds, tmp_path, ca
 
 def test_the_command_says_who_is_tested_on(table, tmp_path, capsys):
     words = ["split-dataset", str(table.folder), "--fold", "2/3", "--out", str(tmp_path / "two")]
-    report = reported(words, SplitReport, capsys)
+    report = reported(words, capsys)
     assert report.tested == sorted(_tested(SequenceTable.open(tmp_path / "two"), "participant_id"))
     assert sum(report.sequences.values()) == table.scalars().num_rows
     refused([*words[:3], "half", *words[4:]], capsys, code=UsageError.exit_code, message="expected K/N")
@@ -176,7 +174,7 @@ def test_an_experiment_may_be_of_a_fold(table, fold_runs, tmp_path):
 def test_merged_scores_stand_beside_others_and_are_held_against_their_runs(table, fold_runs, tmp_path, capsys):
     out = tmp_path / "merged"
     merge = ["leaderboard", "merge", *map(str, fold_runs), "--out", str(out)]
-    assert reported(merge, MergeReport, capsys).out == out
+    assert reported(merge, capsys).out == out
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     assert main(merge) == 0, "the same again changes nothing"
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before

@@ -82,5 +82,5 @@ def test_a_message_that_quotes_a_header_of_100_000_characters_is_cut(tmp_path: P
     folder = fake_dataset(tmp_path / "d", 2).folder
     rows = pq.read_table(folder / "sequences.parquet")
     pq.write_table(rows.rename_columns(["x" * 100_000, *rows.column_names[1:]]), folder / "sequences.parquet")
-    assert main(["stats", str(folder)]) == TableError.exit_code
+    assert main(["inspect", str(folder)]) == TableError.exit_code
     assert len(capsys.readouterr().err) < 5_000

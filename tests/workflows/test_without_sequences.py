@@ -43,7 +43,7 @@ def test_it_is_opened_and_its_events_and_recordings_are_read(table) -> None:
 
 
 def test_statistics_stories_and_comparisons_work_on_it(table, tmp_path, capsys) -> None:
-    assert main(["stats", str(table)]) == 0
+    assert main(["inspect", str(table)]) == 0
     told = " ".join(capsys.readouterr().out.split())
     assert "no sequences. 2 of 2 recordings were read; what became of their" in told
     assert "no_body" in told
@@ -52,7 +52,7 @@ def test_statistics_stories_and_comparisons_work_on_it(table, tmp_path, capsys) 
     assert explain_event(str(table), event).event.event_id == event
     assert main(["explain", event, "--data", str(table)]) == 0
     capsys.readouterr()
-    assert main(["stats", str(table), "--draw", str(tmp_path / "s2.png")]) == 4
+    assert main(["study", "figure-s2", str(table), "--out", str(tmp_path / "s2.png")]) == 4
     assert "nothing to draw" in capsys.readouterr().err
     assert not (tmp_path / "s2.png").exists()
 

@@ -56,15 +56,19 @@ class DoctorReport:
     """The result of examining a file."""
 
     path: Path
+    """The file, or the folder."""
     total: int
     """Motions in the file."""
     examined: int
+    """Number of motions that were looked at."""
     compared: int
     """Number of motions that were compared with what was asked for."""
     shapes: tuple[str, ...]
     """Different shapes of the arrays, in the order of the file; at most five."""
     fps: float
+    """Frame rate by which the motions were read, in frames per second."""
     diagnoses: tuple[Diagnosis, ...]
+    """Findings; empty if there are none. Where one is certain, the exit code is 1."""
 
     @property
     def certain(self) -> bool:

@@ -65,11 +65,13 @@ class ScaffoldReport:
     """The files that were written."""
 
     folder: Path
+    """The new folder."""
     files: tuple[Path, ...]
     """Relative to the folder, sorted."""
     next_steps: tuple[str, ...]
     """Commands to try, in order."""
     warnings: tuple[str, ...]
+    """What may keep the method from being used."""
 
 
 def new_adapter(request: ScaffoldRequest) -> ScaffoldReport:

@@ -37,13 +37,13 @@ _ROOTS: Mapping[str, tuple[str, ...]] = {
 }
 """Names that the file offers besides the converters."""
 
-_MARK = "Written by `prbench adapters converters`"
+_MARK = "functions are those of prbench.representation.converters"
 _HEADER = '''# ruff: noqa
 # fmt: off
 """What models put out, as the 22 joints of prbench: NumPy only, Python 3.8 or later, nothing to install.
 
-Written by `prbench adapters converters` from prbench {version} (MIT licence); do not change it, write it anew. The
-functions are those of prbench.representation.converters and give the same numbers; docs/wrapping.md shows them at
+Written by `prbench adapters list --converters` from prbench {version} (MIT licence); do not change it, write it anew.
+The functions are those of prbench.representation.converters and give the same numbers; docs/wrapping.md shows them at
 work. Put the file beside your program, then: from prbench_converters import motions_from_features, placed_on
 """
 '''

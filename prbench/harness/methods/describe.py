@@ -37,12 +37,17 @@ class Description:
     """One installed method, imported and asked, or the reason why it could not be."""
 
     method: InstalledAdapter
+    """Its package metadata."""
     conditions: tuple[str, ...] = ()
+    """Conditions that it can be given, of those of its benchmark."""
     fitted: bool = False
     """It learns from a table (``fit``), so a run fits it by itself when it is given no weights."""
     max_frames: int | None = None
+    """Longest motion that it generates, in frames; None if there is no limit."""
     native_fps: float | None = None
+    """Rate of its motions in frames per second; None if it takes any."""
     motionless: bool = False
+    """Its motions stand still."""
     weights: tuple[str, ...] = ()
     """Files or folders that it brings, over all its conditions."""
     import_seconds: float | None = None

@@ -21,10 +21,13 @@ class InstalledAdapter:
     """The package metadata of a method; nothing of it was imported."""
 
     name: str
+    """What ``--method`` is given."""
     package: str
+    """Package that offers it."""
     version: str
+    """Version of the package."""
     target: str
-    """``module:callable``."""
+    """Where its ``load`` stands: ``module:callable``."""
     problem: str = ""
     """Reason why the method cannot be used: damaged metadata, or a name that is not its own; empty if it can."""
     built_in: bool = False

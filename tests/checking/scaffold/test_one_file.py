@@ -42,7 +42,7 @@ OURS = SimpleNamespace(
 def folder(tmp_path_factory):
     """Beside one another: the file, the calculations, and what they are given."""
     folder = tmp_path_factory.mktemp("one-file")
-    assert main(["adapters", "converters", "--out", str(folder / one_file.ONE_FILE)]) == 0
+    assert main(["adapters", "list", "--converters", str(folder / one_file.ONE_FILE)]) == 0
     shutil.copy(calculations.__file__, folder / "calculations.py")
     np.savez(folder / "given.npz", **given())
     return folder
@@ -129,10 +129,10 @@ def test_it_is_written_anew_but_over_nothing_else(folder, tmp_path, capsys) -> N
     shutil.copy(folder / one_file.ONE_FILE, path)
     with path.open("a") as file:
         file.write("# from an older version\n")
-    assert main(["adapters", "converters", "--out", str(path)]) == 0
+    assert main(["adapters", "list", "--converters", str(path)]) == 0
     assert path.read_bytes() == (folder / one_file.ONE_FILE).read_bytes()
     path.write_text("print('mine')\n")
-    assert main(["adapters", "converters", "--out", str(path)]) == 8
+    assert main(["adapters", "list", "--converters", str(path)]) == 8
     assert "something else than the converters" in capsys.readouterr().err
     assert path.read_text() == "print('mine')\n"
 

@@ -317,7 +317,7 @@ def test_a_program_converts_features_with_the_one_file(tmp_path, monkeypatch) ->
     (tmp_path / "model").mkdir()
     np.save(tmp_path / "model" / "Mean.npy", mean)
     np.save(tmp_path / "model" / "Std.npy", std)
-    assert main(["adapters", "converters", "--out", str(tmp_path / "prbench_converters.py")]) == 0
+    assert main(["adapters", "list", "--converters", str(tmp_path / "prbench_converters.py")]) == 0
     drawn = []
 
     def sample(text, goal, n_frames):

@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from prbench.cli.evaluate_text import TextReport
 from prbench.cli.main import main
 from prbench.contract import Condition, Motions
 from prbench.errors import AdapterError, InputFileError, TableError, UsageError
@@ -193,7 +192,7 @@ def test_the_command_writes_prints_and_refuses(build, saved, corpus, tmp_path, c
     assert "real motion is no upper bound" in printed.err
     assert json.loads(out.read_text())["rows"][0]["source"] == "real"
     words = [*command, "--repetitions", "1", "--diversity-pairs", "20"]
-    report = reported(words, TextReport, capsys)
+    report = reported(words, capsys)
     written = json.loads(out.read_text())
     assert msgspec.to_builtins(report.rows) == written["rows"]
     assert (report.clips, report.remarks) == (written["clips"], written["notes"])
