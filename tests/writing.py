@@ -327,8 +327,8 @@ WRITING = (
         lambda given, out: ("split-dataset", given.table, "--fold", "1/2", "--out", out),
     ),
     Writing(
-        "leaderboard merge --out",
-        lambda given, out: ("leaderboard", "merge", given.folder / "fold-1", given.folder / "fold-2", "--out", out),
+        "merge --out FOLDS",
+        lambda given, out: ("merge", given.folder / "fold-1", given.folder / "fold-2", "--out", out),
     ),
     Writing("leaderboard export --out", lambda given, out: ("leaderboard", "export", given.run, "--out", out), "l.md"),
     Writing(

@@ -199,7 +199,7 @@ def _why_unverified(merged: RunFolder, named: Sequence[tuple[LeaderboardRow, Run
     if again.record != merged.record or not again.scores.equals(stored.cast(again.scores.schema)):
         raise RunError(
             f"{merged.path}: does not follow from the runs that {MERGED} names. It was edited; merge them again into"
-            " another folder: `prbench leaderboard merge RUN … --out DIR`."
+            " another folder: `prbench merge RUN … --out DIR`."
         )
     reasons = [row.unverified for row, _ in found if row.unverified]
     return f"one of the runs that it was merged from is unverified: {reasons[0]}" if reasons else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
@@ -10,9 +11,12 @@ import msgspec
 from prbench.cli.checked_runs import run_checker
 from prbench.cli.commands import Answer, command
 from prbench.cli.options import PATH, data_option, workers_option
-from prbench.cli.summaries import AgreementReport, agreement_report, phi_cell
+from prbench.cli.summaries import phi_cell
 from prbench.cli.terminal import print_table
-from prbench.harness.run_folder.rates_of_people import BinRate
+
+if TYPE_CHECKING:
+    from prbench.harness.run_folder.agreement import DatasetAgreement
+    from prbench.harness.run_folder.rates_of_people import BinRate
 
 _UNITS = {"bearing": "°", "distance": " m", "height": " m"}
 
@@ -34,7 +38,7 @@ class RunAgreement(msgspec.Struct, frozen=True, kw_only=True):
     dataset: str
     synthetic: bool
     unverified: str
-    agreement: AgreementReport
+    agreement: DatasetAgreement
 
 
 class AgreementsReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -75,7 +79,7 @@ def agreement(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> A
                     dataset=table.dataset,
                     synthetic=table.synthetic,
                     unverified=checked.unverified,
-                    agreement=agreement_report(stored),
+                    agreement=stored,
                 )
             )
     report = AgreementsReport(runs=found)

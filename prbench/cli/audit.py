@@ -19,11 +19,13 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.progress import progress
-from prbench.cli.summaries import DatasetScores, dataset_scores, phi_cell
+from prbench.cli.summaries import phi_cell
 from prbench.cli.terminal import print_table, shown_width
 
 if TYPE_CHECKING:
     from prbench.board.audit import ControlMeans, TableAudit
+    from prbench.harness.run_folder.agreement import DatasetAgreement
+    from prbench.harness.run_folder.summary import DatasetSummary
     from prbench.metrics import MetricInfo
 
 _COLUMNS = 8
@@ -41,13 +43,15 @@ class ControlScores(msgspec.Struct, frozen=True, kw_only=True):
         name: Name of the control; ``ground-truth, shuffled-goal`` was scored against other sequences' goals.
         use: What it does.
         is_recorded: The motions are the recorded ones, through another form at most.
-        scores: Its scores.
+        scores: Its scores, as in ``summary.json``.
+        agreement: Agreement with recorded people, and rates by the goal's place.
     """
 
     name: str
     use: str
     is_recorded: bool
-    scores: DatasetScores
+    scores: DatasetSummary
+    agreement: DatasetAgreement
 
 
 class AuditedTable(msgspec.Struct, frozen=True, kw_only=True):
@@ -149,7 +153,8 @@ def _audited_table(each: TableAudit) -> AuditedTable:
                 name=control.name,
                 use=control.use,
                 is_recorded=control.is_recorded,
-                scores=dataset_scores(control.summary, control.agreement),
+                scores=control.summary,
+                agreement=control.agreement,
             )
             for control in each.controls
         ],

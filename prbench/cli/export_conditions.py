@@ -6,9 +6,9 @@ import os
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
-import msgspec
 
 from prbench.cli.commands import Answer, command, note
 from prbench.cli.options import (
@@ -28,41 +28,14 @@ from prbench.cli.options import (
 from prbench.errors import UsageError
 from prbench.protocol.benchmarks import default_benchmark
 
-
-class ExportedDataset(msgspec.Struct, frozen=True, kw_only=True):
-    """The part of one dataset in a conditions file.
-
-    Attributes:
-        dataset: Name of the dataset.
-        sequences: Number of sequences whose conditions were written.
-        left_out: Number of sequences that were left out because they are longer than ``--max-frames``.
-    """
-
-    dataset: str
-    sequences: int
-    left_out: int
-
-
-class ConditionsReport(msgspec.Struct, frozen=True, kw_only=True):
-    """The conditions that were written.
-
-    Attributes:
-        out: The conditions file.
-        motions: Number of motions that a method has to generate from it.
-        datasets: Its parts.
-        notices: Sentences that the datasets' terms ask for; they stand in a file beside ``out``, too.
-    """
-
-    out: Path
-    motions: int
-    datasets: list[ExportedDataset]
-    notices: list[str]
+if TYPE_CHECKING:
+    from prbench.harness.offline.export import ExportReport
 
 
 @command(
     "export-conditions",
     example="prbench export-conditions --data tables/adt --condition goal-loc --seed 0 --out conditions.npz",
-    report=ConditionsReport,
+    report="prbench.harness.offline.export:ExportReport",
 )
 @data_option(required=True)
 @benchmark_option
@@ -139,16 +112,7 @@ def export_conditions(
     if limit is None:
         _tell_first_run(data)
     note(f"then: prbench score PREDICTIONS --conditions {shlex.quote(str(exported.out))} --data …")
-    report = ConditionsReport(
-        out=exported.out,
-        motions=exported.rows,
-        datasets=[
-            ExportedDataset(dataset=name, sequences=sequences, left_out=exported.left_out.get(name, 0))
-            for name, sequences in exported.sequences.items()
-        ],
-        notices=list(exported.notices),
-    )
-    return Answer(report, lambda: _print(report))
+    return Answer(exported, lambda: _print(exported))
 
 
 def _windows(
@@ -163,6 +127,7 @@ def _windows(
 ) -> Answer:
     """Write what a predictor may see."""
     from prbench.harness.motion_prediction.offline import WindowsRequest, export_windows
+    from prbench.harness.offline.export import ExportReport
 
     exported = export_windows(
         WindowsRequest(
@@ -177,11 +142,12 @@ def _windows(
         )
     )
     note(f"then: prbench score FUTURES.npz --conditions {shlex.quote(str(exported.out))} --data …")
-    report = ConditionsReport(
+    report = ExportReport(
         out=exported.out,
-        motions=exported.windows * samples,
-        datasets=[ExportedDataset(dataset=exported.dataset, sequences=exported.windows, left_out=0)],
-        notices=list(exported.notices),
+        rows=exported.windows * samples,
+        sequences={exported.dataset: exported.windows},
+        left_out={},
+        notices=exported.notices,
     )
     return Answer(report, lambda: _print(report, case="windows"))
 
@@ -198,10 +164,10 @@ def _tell_first_run(data: Sequence[Path]) -> None:
         )
 
 
-def _print(report: ConditionsReport, case: str = "sequences") -> None:
-    for each in report.datasets:
-        more = f" ({each.left_out} longer ones left out)" if each.left_out else ""
-        print(f"{each.dataset}: {each.sequences} {case}{more}")
+def _print(report: ExportReport, case: str = "sequences") -> None:
+    for dataset, count in report.sequences.items():
+        longer = report.left_out.get(dataset, 0)
+        print(f"{dataset}: {count} {case}{f' ({longer} longer ones left out)' if longer else ''}")
     for line in report.notices:
         print(f"notice: {line}")
-    print(f"{report.motions} motions to generate: {report.out}")
+    print(f"{report.rows} motions to generate: {report.out}")

@@ -13,7 +13,6 @@ leaderboard = Group(
             "export": "prbench.cli.leaderboard_export:export",
             "compare": "prbench.cli.leaderboard_compare:compare",
             "pareto": "prbench.cli.pareto:pareto",
-            "merge": "prbench.cli.leaderboard_merge:merge",
         }
     },
     example=EXAMPLE,

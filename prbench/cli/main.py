@@ -89,7 +89,7 @@ _RENAMED = {
     "completion": "help completion SHELL",
     "diversity": "analyse diversity RUN",
     "error-budget": "analyse errors RUN",
-    "leaderboard merge": "merge BOARD",
+    "leaderboard merge": "merge RUN... --out DIR",
     "leaderboard pareto": "leaderboard export --plot FILE",
     "prediction": "study prediction-tables, or view for pictures of futures",
     "prediction tables": "study prediction-tables",

@@ -11,8 +11,6 @@ import msgspec
 from prbench.cli.commands import Answer
 from prbench.cli.shards import MadeShard, shard_answer
 from prbench.cli.summaries import (
-    DatasetScores,
-    dataset_scores,
     print_agreement,
     print_carried_on,
     print_datasets,
@@ -22,12 +20,12 @@ from prbench.cli.summaries import (
     print_summary,
 )
 from prbench.cli.table_two import TableTwoAnswer
-from prbench.harness.run_folder.rates_of_people import CarriedOn
 
 if TYPE_CHECKING:
-    from prbench.harness.benchmark import Benchmark
     from prbench.harness.run import RunReport
     from prbench.harness.run_folder.agreement import DatasetAgreement
+    from prbench.harness.run_folder.rates_of_people import CarriedOn
+    from prbench.harness.run_folder.summary import DatasetSummary
 
 
 class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
@@ -37,10 +35,13 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
         folder: The run folder.
         method: Name of the method.
         origin: Where the method comes from, in words.
+        motionless: The method stands still, so that some metrics, such as Foot Skating, say nothing about it.
         condition: What it was given.
         seed: Seed of the run.
         batches_found: Number of batches that an earlier call had left.
-        datasets: Scores of each dataset.
+        datasets: Scores of each dataset, as in ``summary.json``.
+        agreements: Agreement with recorded people on each dataset, and rates by the goal's place, as in
+            ``agreement.json``; empty for merged folds and for benchmarks without recorded people.
         means: Mean of each metric over the datasets, each counting alike; without metrics that a dataset lacks, and
             empty for a single dataset.
         intervals: The two bounds of each mean's 95 % interval, where every dataset has one.
@@ -50,10 +51,12 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
     folder: Path
     method: str
     origin: str
+    motionless: bool
     condition: str
     seed: int
     batches_found: int
-    datasets: list[DatasetScores]
+    datasets: tuple[DatasetSummary, ...]
+    agreements: list[DatasetAgreement]
     means: dict[str, float]
     intervals: dict[str, list[float]]
     carried_on: list[CarriedOn]
@@ -128,13 +131,12 @@ def _made(report: RunReport) -> MadeRun:
         folder=report.folder.path,
         method=record.method.name,
         origin=record.method.origin,
+        motionless=record.method.motionless,
         condition=record.condition,
         seed=record.seed,
         batches_found=report.batches_found,
-        datasets=[
-            dataset_scores(summary, _agreement(report, summary.dataset), motionless=record.method.motionless)
-            for summary in report.summaries
-        ],
+        datasets=report.summaries,
+        agreements=[found for summary in report.summaries if (found := _agreement(report, summary.dataset))],
         means={name: mean.mean for name, mean in means.items()},
         intervals=intervals_of_means(means),
         carried_on=_carried_on(report),
@@ -158,41 +160,30 @@ def _agreement(report: RunReport, dataset: str) -> DatasetAgreement | None:
 
 
 def _print_run(report: RunReport, *, single: bool) -> None:
-    if single:
-        print_sequence_scores(report.folder, _benchmark(report).metrics)
-        return
-    _print_scores(report)
-    print_carried_on(_carried_on(report))
-
-
-def _benchmark(report: RunReport) -> Benchmark:
     from prbench.harness.benchmark import load_benchmark
-
-    return load_benchmark(report.folder.record.benchmark)
-
-
-def _print_scores(report: RunReport) -> None:
     from prbench.harness.run_folder.means import share_a_mean
 
-    method = report.folder.record.method
-    benchmark = _benchmark(report)
+    record = report.folder.record
+    metrics = load_benchmark(record.benchmark).metrics
+    if single:
+        print_sequence_scores(report.folder, metrics)
+        return
+    method = record.method
+    agreements = [_agreement(report, summary.dataset) for summary in report.summaries]
     if len(report.summaries) > 1:
-        agreements = [_agreement(report, summary.dataset) for summary in report.summaries]
         print_datasets(
             report.summaries,
             agreements,
             origin=method.origin,
             motionless=method.motionless,
-            metrics=benchmark.metrics,
-            one_mean=share_a_mean(report.folder.record.tables),
+            metrics=metrics,
+            one_mean=share_a_mean(record.tables),
         )
-        print_scene(report.summaries, agreements)
-        return
-    for summary in report.summaries:
-        print_summary(summary, origin=method.origin, motionless=method.motionless, metrics=benchmark.metrics)
-        agreement = _agreement(report, summary.dataset)
-        print_agreement(agreement)
-        print_scene([summary], [agreement])
+    else:
+        print_summary(report.summaries[0], origin=method.origin, motionless=method.motionless, metrics=metrics)
+        print_agreement(agreements[0])
+    print_scene(report.summaries, agreements)
+    print_carried_on(_carried_on(report))
 
 
 def _print_company(reports: list[RunReport]) -> None:

@@ -26,11 +26,13 @@ from prbench.cli.options import (
     split_option,
 )
 from prbench.cli.progress import progress
-from prbench.cli.summaries import DatasetScores, dataset_scores, print_agreement, print_scene, print_summary
+from prbench.cli.summaries import print_agreement, print_scene, print_summary
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
+    from prbench.harness.run_folder.agreement import DatasetAgreement
+    from prbench.harness.run_folder.summary import DatasetSummary
     from prbench.harness.score_predictions import ScoreReport as Scored
 
 
@@ -39,11 +41,15 @@ class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         origin: Where the motions come from, in words.
-        scores: Their scores.
+        motionless: They are declared to stand still, so that some metrics, such as Foot Skating, say nothing.
+        scores: Their scores, as in ``summary.json``.
+        agreement: Agreement with recorded people, and rates by the goal's place; null for futures.
     """
 
     origin: str
-    scores: DatasetScores
+    motionless: bool
+    scores: DatasetSummary
+    agreement: DatasetAgreement | None
 
 
 class ScoreReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -165,9 +171,7 @@ def score(
             progress=lambda step: show(step.done, step.total, step.dataset),
         )
     datasets = [
-        ScoredMotions(
-            origin=each.origin, scores=dataset_scores(each.summary, each.agreement, motionless=each.motionless)
-        )
+        ScoredMotions(origin=each.origin, motionless=each.motionless, scores=each.summary, agreement=each.agreement)
         for each in scored
     ]
     return Answer(ScoreReport(datasets=datasets, out=out), lambda: _print(scored, out))
@@ -197,9 +201,8 @@ def _futures(
             engine=opened(engine, reads=(futures, conditions, *data)),
             progress=lambda step: show(step.done, step.total, step.dataset),
         )
-    report = ScoreReport(
-        datasets=[ScoredMotions(origin=scored.origin, scores=dataset_scores(scored.summary, None))], out=out
-    )
+    made = ScoredMotions(origin=scored.origin, motionless=False, scores=scored.summary, agreement=None)
+    report = ScoreReport(datasets=[made], out=out)
 
     def show_scores() -> None:
         print_summary(scored.summary, origin=scored.origin)

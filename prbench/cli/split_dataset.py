@@ -43,7 +43,7 @@ class SplitReport(msgspec.Struct, frozen=True, kw_only=True):
 def split_dataset(data: Path, split: str, fold: str, out: Path) -> Answer:
     """Write a copy of a table in which nobody is both learnt from and tested on.
 
-    One run on each fold, put together by `prbench leaderboard merge`, scores every sequence once.
+    One run on each fold, put together by `prbench merge`, scores every sequence once.
     """
     from prbench.sequences import SequenceTable
     from prbench.sequences.folds import parse_fold, participant_folds, write_fold

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import msgspec
-
 from prbench.cli.terminal import print_table, shown_width
-from prbench.harness.run_folder.rates_of_people import BinRate, CarriedOn, RateAgreement, SceneOfPeople
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,6 +12,7 @@ if TYPE_CHECKING:
     from prbench.harness.run_folder import RunFolder
     from prbench.harness.run_folder.agreement import DatasetAgreement
     from prbench.harness.run_folder.means import MeanOverDatasets
+    from prbench.harness.run_folder.rates_of_people import CarriedOn, RateAgreement
     from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
     from prbench.metrics import MetricInfo
 
@@ -23,159 +21,6 @@ _MARKS = {
     "one_recording": "one recording",
     "all_equal": "all equal",
 }
-
-
-class MetricScore(msgspec.Struct, frozen=True, kw_only=True):
-    """One metric of one method on one dataset.
-
-    Attributes:
-        metric: Id of the metric, such as ``prime_success``.
-        title: Its name as printed.
-        unit: ``rate`` (from 0 to 1), ``m``, or the metric's other unit.
-        mean: Mean over sequences; null without any.
-        low: Lower bound of the interval; null where too few recordings allow none.
-        high: Upper bound of the interval; null likewise.
-        level: Confidence level of the interval, such as 0.95.
-        sequences: Number of sequences that it was computed on.
-        recordings: Number of recordings that they come from.
-        marks: What a reader of the interval has to know: ``few_recordings``, ``one_recording``, ``all_equal``.
-        flags: Number of motions that carry each remark.
-        detectable: Smallest difference to an unrelated method of the same spread that is found with 80 % power, among
-            the metrics that are compared; null where nothing can be tested.
-        uncertainty: Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``.
-        means_nothing: The method stands still, so that this metric says nothing about it.
-    """
-
-    metric: str
-    title: str
-    unit: str
-    mean: float | None
-    low: float | None
-    high: float | None
-    level: float
-    sequences: int
-    recordings: int
-    marks: list[str]
-    flags: dict[str, int]
-    detectable: float | None
-    uncertainty: dict[str, float]
-    means_nothing: bool
-
-
-class AgreementReport(msgspec.Struct, frozen=True, kw_only=True):
-    """How a method's successes go with those of recorded people, and with where the goal is.
-
-    Attributes:
-        rates: Agreement with recorded people, one entry a rate.
-        breakdown: Rates by the goal's bearing, distance and height.
-        scene: How recorded people keep out of the scene's boxes; null where the table knows of none.
-    """
-
-    rates: list[RateAgreement]
-    breakdown: list[BinRate]
-    scene: SceneOfPeople | None
-
-
-class DatasetScores(msgspec.Struct, frozen=True, kw_only=True):
-    """Scores of one method on one dataset.
-
-    Attributes:
-        dataset: Name of the dataset.
-        title: Its name as printed; carries the word "synthetic" where the data are.
-        synthetic: The people are synthetic: never compare these scores with published ones.
-        method: Name of the method.
-        condition: What it was given.
-        control: ``shuffled-goal`` or null.
-        split: Split of the table.
-        sequences: Number of chosen sequences.
-        unsupported: Number of them that are longer than the method can generate, and were not scored.
-        recordings: Number of recordings that they come from.
-        samples: Motions kept of each sequence.
-        best_of: Motions drawn for each that was kept.
-        gaze: The motions bring gaze that the method generated.
-        obstacles: The method was given the solid boxes around each sequence.
-        carry_on: Every put starts where the generated pick before it ends.
-        remark: That recorded motions were handed in, that motions were chosen among several, that they bring gaze, or
-            that the method was given boxes or carries on; empty otherwise.
-        metrics: One entry a metric.
-        agreement: Agreement with recorded people, and rates by the goal's place; null for merged folds and for runs of
-            earlier versions.
-    """
-
-    dataset: str
-    title: str
-    synthetic: bool
-    method: str
-    condition: str
-    control: str | None
-    split: str
-    sequences: int
-    unsupported: int
-    recordings: int
-    samples: int
-    best_of: int
-    gaze: bool
-    obstacles: bool
-    carry_on: bool
-    remark: str
-    metrics: list[MetricScore]
-    agreement: AgreementReport | None
-
-
-def dataset_scores(
-    summary: DatasetSummary, agreement: DatasetAgreement | None, *, motionless: bool = False
-) -> DatasetScores:
-    """Turn a summary into the shape that ``--json`` prints.
-
-    Args:
-        summary: Scores of a method on a dataset.
-        agreement: How they go with recorded people's; None for a run of an earlier version.
-        motionless: The method's motions stand still.
-    """
-    metrics = [
-        MetricScore(
-            metric=metric.metric,
-            title=metric.title,
-            unit=metric.unit,
-            mean=metric.mean,
-            low=metric.low,
-            high=metric.high,
-            level=metric.level,
-            sequences=metric.sequences,
-            recordings=metric.recordings,
-            marks=list(metric.marks),
-            flags=metric.flags,
-            detectable=metric.detectable,
-            uncertainty=metric.uncertainty,
-            means_nothing=metric.metric in _irrelevant(motionless),
-        )
-        for metric in summary.metrics
-    ]
-    return DatasetScores(
-        dataset=summary.dataset,
-        title=summary.title,
-        synthetic=summary.synthetic,
-        method=summary.method,
-        condition=summary.condition,
-        control=summary.control,
-        split=summary.split,
-        sequences=summary.sequences,
-        unsupported=summary.unsupported,
-        recordings=summary.recordings,
-        samples=summary.samples,
-        best_of=summary.best_of,
-        gaze=summary.gaze,
-        obstacles=summary.obstacles,
-        carry_on=summary.carry_on,
-        remark=summary.mark,
-        metrics=metrics,
-        agreement=agreement and agreement_report(agreement),
-    )
-
-
-def agreement_report(agreement: DatasetAgreement) -> AgreementReport:
-    """Turn the file of a run into the shape that ``--json`` prints."""
-    return AgreementReport(rates=list(agreement.rates), breakdown=list(agreement.breakdown), scene=agreement.scene)
 
 
 def print_agreement(agreement: DatasetAgreement | None) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 import msgspec
@@ -20,24 +19,6 @@ from prbench.cli.options import (
 )
 from prbench.cli.progress import progress
 
-if TYPE_CHECKING:
-    from prbench.viewing.replay.scene import Scene
-    from prbench.viewing.view import ViewReport as View
-
-
-class ShownMotion(msgspec.Struct, frozen=True, kw_only=True):
-    """One motion of a shown sequence.
-
-    Attributes:
-        label: ``recorded``, or the method with its condition.
-        scores: Maps ids of metrics to their values: rates are 0 or 1, lengths in metres; empty if it was not scored.
-        sentence: The scores that the view shows, in words; empty if it was not scored.
-    """
-
-    label: str
-    scores: dict[str, float | None]
-    sentence: str
-
 
 class ShownSequence(msgspec.Struct, frozen=True, kw_only=True):
     """One shown sequence.
@@ -46,13 +27,14 @@ class ShownSequence(msgspec.Struct, frozen=True, kw_only=True):
         sequence_id: Id of the sequence.
         dataset: Name of the dataset.
         title: Action, object, hand and split in words.
-        motions: The recorded motion, unless the dataset's licence withholds it, and that of each run.
+        motions: Scores of the recorded motion, unless the dataset's licence withholds it, and of each run, by the
+            metric's id: rates are 0 or 1, lengths in metres; empty for a motion that was not scored.
     """
 
     sequence_id: str
     dataset: str
     title: str
-    motions: list[ShownMotion]
+    motions: dict[str, dict[str, float | None]]
 
 
 class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -112,32 +94,29 @@ def view(
     )
     with progress(f"drawing {out.name}") as show:
         drawn = draw(request, show)
-    report = _report(drawn)
-    return Answer(report, lambda: _print(report))
-
-
-def _report(drawn: View) -> ViewReport:
-    return ViewReport(
-        out=drawn.out, sequences=[_sequence(scene) for scene in drawn.scenes], notices=list(drawn.notices)
+    report = ViewReport(
+        out=drawn.out,
+        sequences=[
+            ShownSequence(
+                sequence_id=scene.sequence_id,
+                dataset=scene.dataset,
+                title=scene.title,
+                motions={motion.label: dict(motion.scores) for motion in scene.motions},
+            )
+            for scene in drawn.scenes
+        ],
+        notices=list(drawn.notices),
     )
 
+    def show_scores() -> None:
+        from prbench.viewing.replay.measures import score_sentence
 
-def _sequence(scene: Scene) -> ShownSequence:
-    from prbench.viewing.replay.measures import score_sentence
+        for scene in drawn.scenes:
+            print(f"{scene.sequence_id}: {scene.title}")
+            for motion in scene.motions:
+                print(f"  {motion.label}: {score_sentence(scene, motion) or 'not scored'}")
+        for notice in report.notices:
+            print(notice)
+        print(f"view: {report.out}")
 
-    motions = [
-        ShownMotion(label=motion.label, scores=dict(motion.scores), sentence=score_sentence(scene, motion))
-        for motion in scene.motions
-    ]
-    return ShownSequence(sequence_id=scene.sequence_id, dataset=scene.dataset, title=scene.title, motions=motions)
-
-
-def _print(report: ViewReport) -> None:
-    """Say what was shown: each sequence with what every motion scored."""
-    for sequence in report.sequences:
-        print(f"{sequence.sequence_id}: {sequence.title}")
-        for motion in sequence.motions:
-            print(f"  {motion.label}: {motion.sentence or 'not scored'}")
-    for notice in report.notices:
-        print(notice)
-    print(f"view: {report.out}")
+    return Answer(report, show_scores)

@@ -113,7 +113,6 @@ class ShardRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         except (FileNotFoundError, NotADirectoryError) as error:
             raise ShardError(
                 f"{folder}: expected a shard (a folder with {FILE_NAME}, from --shard K/N), found no such file in it."
-                " Runs on folds of participants are put together by `prbench leaderboard merge`."
             ) from error
         except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
             raise ShardError(f"{path}: not a valid {FILE_NAME}: {error}. Make the shard again.") from error

@@ -12,11 +12,10 @@ def test_agreement_of_runs_is_printed_and_reported(tmp_path, capsys):
     run = str(tmp_path / "run")
     words = ["run", "--method", "nearest-neighbour", "--data", table, "--out", run]
     (made,) = reported(words, capsys).runs
-    assert made.datasets[0].agreement is not None
     assert main(words) == 0
     assert "agreement with recorded people (phi): Prime Success" in capsys.readouterr().out
     (found,) = reported(["agreement", run, "--data", table], capsys).runs
-    assert found.agreement == made.datasets[0].agreement
+    assert found.agreement == made.agreements[0]
     assert found.unverified == ""
     assert main(["agreement", run]) == 0
     shown = capsys.readouterr().out

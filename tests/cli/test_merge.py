@@ -39,7 +39,8 @@ def test_a_dataset_in_shards_has_the_bytes_of_one_build(recordings, tmp_path, ca
     assert (merged.kind, merged.shards, merged.table.counts["recordings_read"]) == ("dataset", 2, 3)
     assert folder_bytes(tmp_path / "merged") == folder_bytes(tmp_path / "whole")
     # Everything but a merge says what the folder is.
-    refused(["diff", folders[0], folders[0]], capsys, code=4, message="found a shard, which `prbench merge` puts together")
+    words = ["diff", folders[0], folders[0]]
+    refused(words, capsys, code=4, message="found a shard, which `prbench merge` puts together")
 
 
 def test_windows_in_shards_have_the_bytes_of_one_build(recordings, tmp_path, capsys):

@@ -20,9 +20,8 @@ def test_from_conditions_to_scores_everything_is_reported(data, tmp_path, capsys
     conditions = tmp_path / "conditions.npz"
     asked = ["export-conditions", "--data", str(data), "--condition", "goal-loc", "--out", str(conditions)]
     exported = reported([*asked, "--samples", "2"], capsys)
-    (part,) = exported.datasets
-    assert (exported.out, part.dataset, part.left_out) == (conditions, "synthetic-adt", 0)
-    assert exported.motions == 2 * part.sequences
+    assert (exported.out, list(exported.sequences)) == (conditions, ["synthetic-adt"])
+    assert exported.rows == 2 * exported.sequences["synthetic-adt"]
 
     given = read_conditions_file(conditions)
     assert given.initial_joints is not None
@@ -41,7 +40,7 @@ def test_from_conditions_to_scores_everything_is_reported(data, tmp_path, capsys
     summary = DatasetSummary.read(out)
     assert report.out == out
     assert (scores.method, scores.condition, scores.samples) == ("still", "goal-loc", 2)
-    assert scores.sequences == summary.sequences == part.sequences
+    assert scores.sequences == summary.sequences == exported.sequences["synthetic-adt"]
     assert {each.metric: (each.mean, each.low) for each in scores.metrics} == {
         each.metric: (each.mean, each.low) for each in summary.metrics
     }

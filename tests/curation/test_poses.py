@@ -213,18 +213,18 @@ def test_what_is_lacking_prepared_and_estimated_is_reported(root, config, monkey
     words = ["poses", "egoallo", "--root", str(root)]
     first, second = _names(root)
     lacking = reported(words, capsys)
-    assert [(each.recording, each.outputs) for each in lacking.recordings] == [(first, "missing"), (second, "missing")]
+    assert [(each.recording_id, each.state) for each in lacking.recordings] == [(first, "missing"), (second, "missing")]
     assert lacking.instructions is not None
     assert lacking.estimated == lacking.prepared == []
     assert reported([*words, "--dry-run"], capsys).instructions is None
     prepared = reported([*words, "--prepare"], capsys).prepared
-    assert [(each.recording, each.ready) for each in prepared] == [(first, True), (second, True)]
-    assert "--traj-root" in prepared[0].text
+    assert [(each.recording_id, each.state) for each in prepared] == [(first, "prepared"), (second, "prepared")]
+    assert "--traj-root" in prepared[0].message
 
     monkeypatch.setenv("FAKE_BEHAVIOUR", f"{second}=crash")
     words += ["--config", str(config)]
     document = printed_document(words, capsys, code=3)
-    assert [(each["recording"], each["state"]) for each in document.report["estimated"]] == [
+    assert [(each["recording_id"], each["state"]) for each in document.report["estimated"]] == [
         (first, "made"),
         (second, "failed"),
     ]

@@ -91,9 +91,8 @@ def test_merged_folds_are_the_scores_of_all_sequences(table, folds, tmp_path, ca
     merged = merge_folds(paths[::-1]).summary
     assert merged.sequences == table.scalars().num_rows
     assert merged.split == "3 folds"
-    words = ["leaderboard", "merge", *map(str, paths)]
-    report = reported(words, capsys)
-    assert report.scores.sequences == merged.sequences
+    report = reported(["merge", *map(str, paths), "--out", str(tmp_path / "merged")], capsys)
+    assert (report.kind, report.folds.sequences) == ("folds", merged.sequences)
     with pytest.raises(RunError, match="fold 1/3 is that of"):
         merge_folds([paths[0], paths[0]])
     with pytest.raises(RunError, match="each of the 3 folds, found none of 2"):
@@ -173,8 +172,8 @@ def test_an_experiment_may_be_of_a_fold(table, fold_runs, tmp_path):
 
 def test_merged_scores_stand_beside_others_and_are_held_against_their_runs(table, fold_runs, tmp_path, capsys):
     out = tmp_path / "merged"
-    merge = ["leaderboard", "merge", *map(str, fold_runs), "--out", str(out)]
-    assert reported(merge, capsys).out == out
+    merge = ["merge", *map(str, fold_runs), "--out", str(out)]
+    assert reported(merge, capsys).kind == "folds"
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     assert main(merge) == 0, "the same again changes nothing"
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
@@ -205,5 +204,5 @@ def test_forged_merged_scores_are_refused(fold_runs, tmp_path, capsys):
     assert collect_runs([out]).rows[0].unverified, "alone it cannot be known, and is not called verified"
     with pytest.raises(RunError, match="does not follow from the runs"):
         collect_runs([out, *fold_runs])
-    words = ["leaderboard", "merge", *map(str, fold_runs), "--out"]
+    words = ["merge", *map(str, fold_runs), "--out"]
     refused([*words, str(fold_runs[0])], capsys, code=StorageError.exit_code, message="it is no merged run")

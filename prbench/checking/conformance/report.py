@@ -32,6 +32,7 @@ class Finding:
     check: str
     """Name of the check; one check may find several things."""
     outcome: Outcome
+    """How it came out."""
     said: str
     """The observation with its numbers; for a skipped check, the reason."""
     remedy: str = ""
@@ -42,11 +43,14 @@ class Finding:
 
 @dataclass(frozen=True)
 class Report:
-    """All findings about one method, in the order of the checks."""
+    """All findings about one method."""
 
     method: str
+    """The method, as it was named."""
     findings: tuple[Finding, ...]
+    """In the order of the checks. The exit code is 5 if one failed."""
     seconds: float
+    """How long the checks took."""
 
     @property
     def failed(self) -> tuple[Finding, ...]:
@@ -60,12 +64,6 @@ class Report:
     def about(self, check: str) -> tuple[Finding, ...]:
         """Return the findings of one check."""
         return tuple(finding for finding in self.findings if finding.check == check)
-
-    def as_json(self) -> dict[str, object]:
-        """Return the report as plain values."""
-        counts = {outcome.value: len(self.of(outcome)) for outcome in Outcome}
-        findings = [asdict(finding) | {"outcome": finding.outcome.value} for finding in self.findings]
-        return {"method": self.method, "seconds": round(self.seconds, 3), "counts": counts, "findings": findings}
 
 
 @dataclass(frozen=True)

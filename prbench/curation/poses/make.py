@@ -9,7 +9,6 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from prbench.curation.poses.config import PosesConfig
 from prbench.curation.poses.prepare import Prepared, guidance_mode, head_poses, prepare, source_trajectory
@@ -32,11 +31,14 @@ _MARK = "prepared-by-prbench.txt"  # a folder without it is somebody else's and 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of one recording."""
+    """One recording, and what there is or was made of its body."""
 
     recording_id: str
-    state: Literal["made", "kept", "failed", "skipped"]
+    """Its name."""
+    state: str
+    """``made``, ``kept``, ``prepared``, ``failed`` or ``skipped``, or the state of its outputs before."""
     message: str
+    """How much the outputs cover, the command to run, or what is wrong."""
 
     @property
     def failed(self) -> bool:
@@ -191,13 +193,11 @@ def _clear(folder: Path) -> None:
         raise PrbenchError(f"{folder}: cannot be removed ({error.strerror}). Remove it by hand and go on.") from error
 
 
-def prepare_by_hand(
-    lacking: Sequence[PoseState], root: Path, poses_root: Path | None = None
-) -> Iterator[tuple[str, str, bool]]:
+def prepare_by_hand(lacking: Sequence[PoseState], root: Path, poses_root: Path | None = None) -> Iterator[Outcome]:
     """Write the input folder of each recording where its outputs belong, so that EgoAllo writes them there.
 
     Yields:
-        Name of the recording; the command to run, or what is wrong; whether it went well.
+        The command to run (``prepared``), or what is wrong (``failed``).
 
     Raises:
         StorageError: if a folder cannot be written, or holds files that prbench did not put there.
@@ -205,7 +205,7 @@ def prepare_by_hand(
     for state in lacking:
         name = state.found.recording_id
         if state.inputs is None:
-            yield name, state.message, False
+            yield Outcome(name, "failed", state.message)
             continue
         # By hand there is no config that could say what the command can do without: EgoAllo's own script needs both.
         lacks = state.inputs.lacking(frozenset(("vrs", "points")))
@@ -215,11 +215,11 @@ def prepare_by_hand(
                 _clear_prepared(folder)
                 prepared = prepare(state.inputs, folder)
         except InputFileError as error:
-            yield name, str(error), False
+            yield Outcome(name, "failed", str(error))
             continue
         arguments = f"--traj-length {prepared.frames} --guidance-mode {guidance_mode(prepared)}"
         run = f"python 3_aria_inference.py --traj-root {folder} {arguments}"
-        yield name, f"{run}   ({lacks})" if lacks else run, not lacks
+        yield Outcome(name, "failed", f"{run}   ({lacks})") if lacks else Outcome(name, "prepared", run)
 
 
 def _clear_prepared(folder: Path) -> None:

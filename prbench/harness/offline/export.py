@@ -85,6 +85,7 @@ class ExportReport:
     """Counts of what was written."""
 
     out: Path
+    """The conditions file."""
     rows: int
     """Motions to be generated."""
     sequences: dict[str, int]

@@ -1,4 +1,4 @@
-"""``folds.json``: the runs that a merged run was put together from (``prbench leaderboard merge --out``)."""
+"""``folds.json``: the runs that a merged run was put together from (``prbench merge RUN … --out``)."""
 
 from __future__ import annotations
 

@@ -37,18 +37,25 @@ class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
     """One metric of one dataset; rates from 0 to 1."""
 
     metric: str
+    """Id of the metric, such as ``prime_success``."""
     title: str
+    """Its name as printed."""
     unit: str
+    """``rate`` (from 0 to 1), ``m``, or the metric's other unit."""
     mean: float
+    """Mean over sequences."""
     low: float | None
+    """Lower bound of the interval; None where too few recordings allow none."""
     high: float | None
-    """Bounds of the interval; None where too few recordings allow none."""
+    """Upper bound of the interval."""
     level: float
     """Confidence level of the interval, such as 0.95."""
     interval: str
     """Name of the estimator of the interval."""
     sequences: int
+    """Number of sequences that it was computed on."""
     recordings: int
+    """Number of recordings that they come from."""
     marks: tuple[str, ...]
     """Remarks that a reader of the interval needs: ``few_recordings``, ``one_recording``, ``all_equal``."""
     flags: dict[str, int]
@@ -64,19 +71,29 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Scores of a method on one dataset. Holds no time of day, host or path."""
 
     schema_version: int = RUN_SCHEMA_VERSION
+    """Version of the files of a run folder."""
     dataset: str
+    """Name of the dataset."""
     title: str
     """Carries the word "synthetic" where the data are."""
     synthetic: bool
+    """The people are synthetic: never compare these scores with published ones."""
     redistribution: str
+    """Whether data made from the dataset may be passed on: ``yes``, ``non-commercial`` or ``none``."""
     method: str
+    """Name of the method."""
     condition: str
+    """What it was given."""
     control: str | None
+    """``shuffled-goal`` or None."""
     split: str
+    """Split of the table."""
     sequences: int
-    """Chosen; ``unsupported`` of them were not scored."""
+    """Number of chosen sequences; ``unsupported`` of them were not scored."""
     unsupported: int
+    """Number of sequences that are longer than the method can generate."""
     recordings: int
+    """Number of recordings that they come from."""
     samples: int
     """Motions kept of each sequence."""
     best_of: int = 1
@@ -88,7 +105,9 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     carry_on: bool = False
     """Every put starts where the generated pick before it ends."""
     length_mismatches: int
+    """Number of motions whose length is not the recorded one's."""
     metrics: tuple[MetricSummary, ...]
+    """Each metric that has a value."""
 
     def metric(self, name: str) -> MetricSummary | None:
         """Return one metric, or None if there is no value of it."""

@@ -6,15 +6,14 @@ import json
 import re
 import sys
 
-import msgspec
 import pytest
 
 from prbench.checking.conformance import CheckRequest, Finding, Outcome, Report, check
 from prbench.checking.conformance.checks import CHECKS
 from prbench.cli import main
-from prbench.cli.adapters_check import CheckReport, print_report
+from prbench.cli.adapters_check import print_report
 from prbench.errors import AdapterError, UsageError
-from tests.cli.reports import refused, reported
+from tests.cli.reports import documented, refused, reported
 
 
 def outcomes(report):
@@ -65,16 +64,14 @@ def test_the_command_prints_what_to_change_and_exits_with_5(site, data, capsys, 
     assert lines[-1] == f"report: {tmp_path / 'report.json'}"
     document = json.loads((tmp_path / "report.json").read_text())
     assert document["exit_code"] == 5
-    report = msgspec.convert(document["report"], CheckReport, strict=True)
-    assert msgspec.to_builtins(report) == document["report"]
-    assert report.counts["failed"] == 1
+    report = documented(document["report"], Report)
+    assert [finding.outcome for finding in report.findings].count("failed") == 1
     assert {finding.check for finding in report.findings} == {one.name for one in CHECKS}
 
 
 def test_the_command_reports_a_sound_method_and_an_unknown_one_as_json(site, data, capsys):
     report = reported(["adapters", "check", "glide", "--data", str(data)], capsys)
-    assert report.counts["failed"] == 0
-    assert report.counts["passed"] == sum(finding.outcome == "passed" for finding in report.findings)
+    assert {finding.outcome for finding in report.findings} <= {"passed", "skipped", "warning"}
     refused(["adapters", "check", "glied"], capsys, code=5, message="Did you mean 'glide'?")
 
 
