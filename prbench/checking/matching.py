@@ -76,7 +76,9 @@ class Spread:
     """A sample of differences, summarised; NaN for an empty one."""
 
     n: int
+    """Size of the sample."""
     bias: float
+    """Mean."""
     median: float
     """Median of the absolute values."""
     p95: float
@@ -98,11 +100,14 @@ class Spread:
 
 @dataclass(frozen=True)
 class HandCounts:
-    """Counts of located events by the hand that they name, right, wrong or none."""
+    """Counts of located events by the hand that they name."""
 
     right: int
+    """With the hand that acted."""
     wrong: int
+    """With the other hand."""
     unknown: int
+    """Without a hand."""
     contradicted: int
     """Events of which the table's own wrists say that the other hand was nearer."""
 
@@ -114,11 +119,15 @@ class Miss:
     event_id: str
     """The true event that curation missed."""
     action: str
+    """``pick`` or ``put``."""
     outcome: str
+    """What it became."""
     stage: str
-    """Empty for an event that was not found at all."""
+    """Stage that decided; empty for an event that was not found at all."""
     value: float | None
+    """The number by which it decided."""
     threshold: float | None
+    """What that number was compared with."""
 
     @property
     def text(self) -> str:
@@ -137,13 +146,21 @@ class Verification:
     """
 
     recordings: int
+    """Number of recordings."""
     true_events: int
+    """Number of events that were acted out."""
     found_events: int
+    """Number of events that curation found."""
     matched: int
+    """Number of true events that were found."""
     thin: int
+    """Number of events within the sensors' resolution of a threshold."""
     thin_missed: int
+    """Number of those that were not found."""
     recall: float
+    """Share of the true events that were found."""
     precision: float
+    """Share of the found events that are true."""
     timing: Spread
     """Found minus true event time, seconds."""
     location: Spread
@@ -161,13 +178,15 @@ class Verification:
     prime_first: Spread
     """Found minus true first instant of looking there at all, seconds."""
     hands: HandCounts
+    """Hands of all events that have a place."""
     expected_sequences: int
+    """Number of sequences that were acted out."""
     missed_sequences: tuple[Miss, ...]
     """Those of the expected ones that did not become sequences."""
     lost: dict[str, int]
     """Count events around which the object was not tracked: found, reported or missed."""
-    confusion: dict[tuple[str, str], int]
-    """Events by (expected, found) outcome, ``lost`` and ``thin`` ones left out."""
+    confusion: dict[str, int]
+    """Events by ``expected → found`` outcome, ``lost`` and ``thin`` ones left out."""
 
 
 def verification(matches: Sequence[Match], *, recordings: int) -> Verification:
@@ -204,7 +223,7 @@ def verification(matches: Sequence[Match], *, recordings: int) -> Verification:
         expected_sequences=sum(m.expected == _SEQUENCE for m in real),
         missed_sequences=_missed(real),
         lost=_lost_counts(lost),
-        confusion=dict(sorted(Counter((m.expected, m.outcome) for m in counted).items())),
+        confusion=dict(sorted(Counter(f"{m.expected} → {m.outcome}" for m in counted).items())),
     )
 
 

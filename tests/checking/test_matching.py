@@ -66,8 +66,8 @@ def test_recall_precision_and_errors_by_hand() -> None:
     assert result.timing.median == pytest.approx(0.1)
     assert result.prime.largest == pytest.approx(0.1)
     assert result.location.median == pytest.approx(0.01)
-    assert result.confusion[("sequence", "not_found")] == 1
-    assert result.confusion[("not_an_event", "sequence")] == 1
+    assert result.confusion["sequence → not_found"] == 1
+    assert result.confusion["not_an_event → sequence"] == 1
 
 
 def test_priming_recall_and_false_primes_have_their_own_denominators() -> None:
