@@ -33,6 +33,7 @@ class PeopleNumber:
     """One number of the people of a preset, and where it must lie."""
 
     preset: str
+    """The people: a dataset whose people they imitate."""
     name: str
     """A field of :class:`~prbench.synthetic.behaviour.Behaviour` or of
     :class:`~prbench.metrics.plausible.BodyNumbers`, or ``plausible``: the share of sequences that keep all limits."""
@@ -41,6 +42,7 @@ class PeopleNumber:
     recorded: float | None
     """Of the sequences that curation makes of the sensors' recordings, the worst; None for behaviour."""
     range: Range
+    """Where it must lie, and why."""
 
     @property
     def holds(self) -> bool:

@@ -11,7 +11,6 @@ from prbench.cli.builds import (
     NOT_EVERYTHING,
     BuildsReport,
     BuiltTable,
-    Stage,
     built_table,
     made_shard,
     note_unread,
@@ -38,6 +37,7 @@ from prbench.cli.shards import chosen_shard, shard_answer, shard_option
 
 if TYPE_CHECKING:
     from prbench.corpora import CorpusOptions, CorpusReport
+    from prbench.curation.provenance import FunnelRow
     from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
     from prbench.engine.shards import Shard
@@ -170,23 +170,25 @@ def corpus_answer(report: CorpusReport) -> Answer:
     )
 
 
-def _stages(report: CorpusReport) -> list[Stage]:
+def _stages(report: CorpusReport) -> list[FunnelRow]:
     """Count what is left from files to captions."""
+    from prbench.curation.provenance import FunnelRow
+
     counts = report.info.counts
     left_out = counts.recordings_failed + counts.recordings_skipped
     why = f"{counts.recordings_failed} failed, {counts.recordings_skipped} skipped" if left_out else ""
     stages = [
-        Stage(stage="recordings found", kept=counts.recordings_found, dropped=0, why=""),
-        Stage(stage="recordings read", kept=counts.recordings_read, dropped=left_out, why=why),
-        Stage(stage="texts", kept=counts.annotations, dropped=0, why=""),
+        FunnelRow("recordings found", counts.recordings_found, 0, ""),
+        FunnelRow("recordings read", counts.recordings_read, left_out, why),
+        FunnelRow("texts", counts.annotations, 0, ""),
     ]
     kept = counts.annotations
     for outcome, number in report.info.outcomes.items():
         if number and outcome != "clip":
             kept -= number
-            stages.append(Stage(stage=f"without {outcome}", kept=kept, dropped=number, why=_REASONS[outcome]))
+            stages.append(FunnelRow(f"without {outcome}", kept, number, _REASONS[outcome]))
     size = f"of {counts.clips} clips, {counts.frames} frames"
-    return [*stages, Stage(stage="captions", kept=counts.captions, dropped=0, why=size)]
+    return [*stages, FunnelRow("captions", counts.captions, 0, size)]
 
 
 def _print_corpus(table: BuiltTable) -> None:

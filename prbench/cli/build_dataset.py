@@ -12,9 +12,7 @@ from prbench.cli.builds import (
     NOT_EVERYTHING,
     BuildsReport,
     BuiltTable,
-    NotBuilt,
     ProposedPick,
-    Stage,
     built_table,
     made_shard,
     note_cut_short,
@@ -275,6 +273,7 @@ def table_answer(report: BuildReport) -> Answer:
 
 def _build_all(root: Path, out: Path, options: BuildOptions, engine: Engine) -> Answer:
     from prbench.curation.build_all import build_all
+    from prbench.readers.discover import BrokenDataset
 
     with progress("building") as tell:
         outcomes = build_all(
@@ -286,9 +285,7 @@ def _build_all(root: Path, out: Path, options: BuildOptions, engine: Engine) -> 
         )
     built = [_built(outcome.report) for outcome in outcomes if outcome.report is not None]
     not_built = [
-        NotBuilt(dataset=outcome.dataset, root=outcome.root, message=outcome.message)
-        for outcome in outcomes
-        if outcome.report is None
+        BrokenDataset(outcome.dataset, outcome.root, outcome.message) for outcome in outcomes if outcome.report is None
     ]
     rows = [
         (each.dataset, *(_sizes(each.report) if each.report else ("–", "–", "–")), each.message) for each in outcomes
@@ -313,9 +310,7 @@ def _built(report: BuildReport) -> BuiltTable:
     from prbench.curation.provenance import funnel_rows
 
     _note_recordings(report.records, reused=report.reused)
-    rows = funnel_rows(report.info)
-    stages = [Stage(stage=row.stage, kept=row.kept, dropped=row.dropped, why=row.reason) for row in rows]
-    return built_table(report, stages)
+    return built_table(report, funnel_rows(report.info))
 
 
 def _note_recordings(records: Iterable[Recording], *, reused: int) -> None:

@@ -15,6 +15,8 @@ from prbench.cli.terminal import print_table
 if TYPE_CHECKING:
     from prbench.corpora import CorpusPlan, CorpusReport
     from prbench.curation import BuildPlan, BuildReport
+    from prbench.curation.provenance import FunnelRow
+    from prbench.readers.discover import BrokenDataset
     from prbench.sequences import Recording
     from prbench.sequences.corpus import CorpusRecord
     from prbench.sequences.shard_parts import ShardReport
@@ -23,22 +25,6 @@ NOT_EVERYTHING = 3
 """Exit code of a command that finished, but had to leave out something that could not be read."""
 _SKIPPED_SHOWN = 10
 """Known-bad recordings that a printed plan names."""
-
-
-class Stage(msgspec.Struct, frozen=True, kw_only=True):
-    """One stage between the files and the table.
-
-    Attributes:
-        stage: Name of the stage, such as ``located``.
-        kept: How many recordings, events or texts passed it.
-        dropped: How many of those that came to it did not pass.
-        why: Reasons for what was dropped, with counts; empty if nothing was.
-    """
-
-    stage: str
-    kept: int
-    dropped: int
-    why: str
 
 
 class BuiltRecording(msgspec.Struct, frozen=True, kw_only=True):
@@ -76,23 +62,9 @@ class BuiltTable(msgspec.Struct, frozen=True, kw_only=True):
     title: str
     folder: Path
     counts: dict[str, int]
-    stages: list[Stage]
+    stages: list[FunnelRow]
     recordings: list[BuiltRecording]
     taken_over: int
-
-
-class NotBuilt(msgspec.Struct, frozen=True, kw_only=True):
-    """One dataset that was found and gave no table.
-
-    Attributes:
-        dataset: Name of the dataset.
-        root: The folder in which it was found.
-        message: What is wrong.
-    """
-
-    dataset: str
-    root: Path
-    message: str
 
 
 class Plan(msgspec.Struct, frozen=True, kw_only=True):
@@ -151,7 +123,7 @@ class BuildsReport(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     built: list[BuiltTable]
-    not_built: list[NotBuilt]
+    not_built: list[BrokenDataset]
     planned: list[Plan]
     shard: MadeShard | None = None
     proposed: list[ProposedPick] = []
@@ -208,7 +180,7 @@ def made_shard(report: ShardReport[Any], *, made_of: int) -> MadeShard:
     )
 
 
-def built_table(report: BuildReport | CorpusReport, stages: Iterable[Stage]) -> BuiltTable:
+def built_table(report: BuildReport | CorpusReport, stages: Iterable[FunnelRow]) -> BuiltTable:
     """Put the report of one build into its documented shape.
 
     Args:
@@ -236,9 +208,9 @@ def _built_recording(record: Recording | CorpusRecord) -> BuiltRecording:
     )
 
 
-def print_stages(title: str, stages: Iterable[Stage]) -> None:
+def print_stages(title: str, stages: Iterable[FunnelRow]) -> None:
     """Print how much of the files each stage left."""
-    rows = [(each.stage, str(each.kept), str(each.dropped or ""), each.why) for each in stages]
+    rows = [(each.stage, str(each.kept), str(each.dropped or ""), each.reason) for each in stages]
     print_table(title, ("stage", "kept", "dropped", "why"), rows, numbers=(1, 2))
 
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 import msgspec
 
-from prbench.cli.builds import BuiltTable, Stage, built_table
+from prbench.cli.builds import BuiltTable, built_table
 from prbench.cli.commands import Answer, command
 from prbench.cli.options import (
     OUT_FILE,
@@ -23,92 +22,43 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.progress import progress
-from prbench.cli.sensor_checks import SensorCheck, compare_with_truth, print_checks, sensor_check
-from prbench.cli.synthetic_people import PeopleCheck, check_people, print_people
 from prbench.cli.terminal import print_table
+from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.checking.matching import Verification
-    from prbench.synthetic.write_tree import WrittenTree
+    from prbench.checking.synthetic_people import PeopleNumber
+    from prbench.synthetic.write_tree import WrittenRecording, WrittenTree
 
 _SCENES_OF_ONE_PRESET = 12
 _RECORDINGS_OF_A_HISTOGRAM = 10
+_RECORDINGS_OF_PEOPLE = 20
+_FEWEST_VERIFIED = 4
+"""Recordings on which each noise level is verified at least."""
+_FILES = "these files"
 
 
-class SyntheticRecording(msgspec.Struct, frozen=True, kw_only=True):
-    """One recording that was written.
-
-    Attributes:
-        recording: Its id.
-        split: ``train``, ``validation`` or ``test``.
-        duration: Its length, in seconds.
-        events: Number of picks and puts; in a text-motion layout the number of texts.
-        objects: Number of objects; null in a text-motion layout, which has none.
-    """
-
-    recording: str
-    split: str
-    duration: float
-    events: int
-    objects: int | None
-
-
-class SynthesizeReport(msgspec.Struct, frozen=True, kw_only=True):
+class SynthesizeReport(msgspec.Struct, kw_only=True):
     """The recordings and pictures that were written.
 
     Attributes:
         folder: The native files; null if none were asked for.
         recordings: The recordings in them.
-        checks: What curation finds in these files and at each level of noise; empty with ``--no-verify``,
-            ``--defect`` and text-motion layouts.
-        missed: Sequences that were acted out in these files and not found, and why.
+        checks: What curation finds in these files (``these files``) and at each level of noise, by its name; empty with
+            ``--no-verify``, ``--defect`` and text-motion layouts. Numbers without a sample are null.
         table: The table, with ``--table``.
         gallery: The picture of sequences, if one was asked for.
         histograms: The picture of durations, gaps and movements, if one was asked for.
         people: How the people act and what their bodies keep, with ``--people``; else empty.
     """
 
-    folder: Path | None
-    recordings: list[SyntheticRecording]
-    checks: list[SensorCheck]
-    missed: list[str]
-    table: BuiltTable | None
-    gallery: Path | None
-    histograms: Path | None
-    people: list[PeopleCheck]
-
-
-@dataclass(frozen=True)
-class _Request:
-    """The recordings that are to be written."""
-
-    layout: str
-    out: Path | None
-    count: int | None
-    seed: int
-    size: Literal["tiny", "default", "large"]
-    events: int | None
-    bystander_objects: int | None
-    defects: tuple[str, ...]
-    egoallo: bool
-    verify: bool
-    replace: bool
-    workers: int
-
-
-@dataclass(frozen=True)
-class _Written:
-    """The recordings that were written, and how they are printed."""
-
-    show: Callable[[], None]
     folder: Path | None = None
-    recordings: tuple[SyntheticRecording, ...] = ()
-    checks: tuple[SensorCheck, ...] = ()
-    missed: tuple[str, ...] = ()
+    recordings: tuple[WrittenRecording, ...] = ()
+    checks: dict[str, Verification] = {}
     table: BuiltTable | None = None
-
-
-_NOTHING = _Written(lambda: None)
+    gallery: Path | None = None
+    histograms: Path | None = None
+    people: list[PeopleNumber] = []
 
 
 @command(
@@ -180,202 +130,138 @@ def synthesize(
     LAYOUT is the native layout to write: any dataset of `prbench datasets`. For --gallery alone it is any preset.
     --people acts out 20 recordings of six events a preset, or --count.
     """
-    from prbench.errors import UsageError
-
     draws = gallery is not None or histograms is not None or people
-    written = _NOTHING
-    if layout is None:
-        if not draws:
-            raise UsageError(
-                "name a layout to write (for example: prbench synthesize adt --out DIR), --gallery FILE or --people."
-            )
-    elif out is not None or not draws:
-        request = _Request(
-            layout=layout,
-            out=out,
-            count=count,
-            seed=seed,
-            size=size,
-            events=events,
-            bystander_objects=bystander_objects,
-            defects=defects,
-            egoallo=egoallo,
-            verify=not no_verify,
-            replace=replace,
-            workers=workers,
+    report = SynthesizeReport(gallery=gallery, histograms=histograms)
+    if layout is None and not draws:
+        raise UsageError(
+            "name a layout to write (for example: prbench synthesize adt --out DIR), --gallery FILE or --people."
         )
-        written = _write_table(request) if table else _write_tree(request)
+    if layout is not None and (out is not None or not draws):
+        if out is None:
+            raise UsageError(f"--out DIR is needed: the folder of the {'table' if table else 'recordings'}.")
+        if table:
+            if defects or egoallo or bystander_objects is not None:
+                raise UsageError(
+                    "--table writes no native files; leave --defect, --egoallo and --bystander-objects out."
+                )
+            _write_table(report, layout, out, size, count, seed=seed, events=events, replace=replace, workers=workers)
+        else:
+            asked: dict[str, Any] = {"recordings": count, "seed": seed, "workers": workers, "defects": defects}
+            native = {"size": size, "n_events": events, "bystander_objects": bystander_objects, "estimates": egoallo}
+            tree = _write_tree(layout, out, asked, native)
+            report.folder = tree.root
+            report.recordings = tree.recordings
+            if not (no_verify or defects or _is_corpus(layout)):
+                report.checks = _compare_with_truth(tree, layout, seed, workers)
     if gallery is not None:
         _draw_gallery(gallery, layout=layout, seed=seed)
     if histograms is not None:
         _draw_histograms(histograms, layout=layout, seed=seed, count=count)
-    checked = check_people(layout, seed=seed, count=count, workers=workers) if people else []
-    report = SynthesizeReport(
-        folder=written.folder,
-        recordings=list(written.recordings),
-        checks=list(written.checks),
-        missed=list(written.missed),
-        table=written.table,
-        gallery=gallery,
-        histograms=histograms,
-        people=checked,
-    )
-
-    def show() -> None:
-        written.show()
-        if gallery is not None:
-            print(f"gallery: {gallery}")
-        if histograms is not None:
-            print(f"histograms: {histograms}")
-        if checked:
-            print_people(checked)
-
-    return Answer(report, show)
+    if people:
+        report.people = _measure_people(layout, seed=seed, count=count, workers=workers)
+    return Answer(report, lambda: _print(report, layout))
 
 
-def _write_tree(request: _Request) -> _Written:
-    from prbench.engine import engine_for
-    from prbench.errors import UsageError
+def _is_corpus(layout: str | None) -> bool:
     from prbench.synthetic.corpus import CORPUS_LAYOUTS
+
+    return layout in CORPUS_LAYOUTS
+
+
+def _write_tree(layout: str, out: Path, asked: dict[str, Any], native: dict[str, Any]) -> WrittenTree:
+    """Write synthetic people in the layout of a dataset, or of text and motion, which has no ``native`` options."""
+    from prbench.synthetic.corpus import DEFAULT_RECORDINGS, synthesize_corpus_tree
     from prbench.synthetic.write_tree import planned_recordings, synthesize_tree
 
-    if request.out is None:
-        raise UsageError("--out DIR is needed: the folder of the recordings.")
-    if request.layout in CORPUS_LAYOUTS:
-        return _write_corpus_tree(request, request.out)
     done = itertools.count(1)
-    planned = planned_recordings(request.size, request.count)
-    with progress(f"writing {request.layout}") as tell:
-        tree = synthesize_tree(
-            request.layout,
-            request.out,
-            recordings=request.count,
-            seed=request.seed,
-            size=request.size,
-            workers=request.workers,
-            n_events=request.events,
-            bystander_objects=request.bystander_objects,
-            defects=request.defects,
-            estimates=request.egoallo,
-            on_written=lambda written: tell(next(done), planned, written.recording_id),
-        )
-    checked: list[tuple[str, Verification]] = []
-    if request.verify and not request.defects:
-        checked = compare_with_truth(
-            tree.root,
-            layout=request.layout,
-            recordings=len(tree.recordings),
-            seed=request.seed,
-            engine=engine_for(request.workers),
-        )
-    missed = tuple(miss.text for miss in checked[0][1].missed_sequences) if checked else ()
+    if _is_corpus(layout):
+        planned = asked["recordings"] or DEFAULT_RECORDINGS
+    else:
+        planned = planned_recordings(native["size"], asked["recordings"])
+    with progress(f"writing {layout}") as tell:
 
-    def show() -> None:
-        print_table(
-            "synthetic recordings",
-            ("recording", "split", "seconds", "events", "objects"),
-            [
-                (r.recording_id, r.split, f"{r.duration:.1f}", str(r.n_events), str(r.n_objects))
-                for r in tree.recordings
-            ],
-            numbers=(2, 3, 4),
-        )
-        if checked:
-            print_checks(checked, missed)
-        print(f"recordings: {tree.root} (the truth is in {tree.root / 'truth'}; readers never open it)")
+        def tell_written(written: WrittenRecording) -> None:
+            tell(next(done), planned, written.recording_id)
 
-    return _Written(
-        show,
-        folder=tree.root,
-        recordings=_recordings(tree, with_objects=True),
-        checks=tuple(sensor_check(name, result) for name, result in checked),
-        missed=missed,
-    )
+        if _is_corpus(layout):
+            return synthesize_corpus_tree(layout, out, **{**asked, "recordings": planned}, on_written=tell_written)
+        return synthesize_tree(layout, out, **asked, **native, on_written=tell_written)
 
 
-def _recordings(tree: WrittenTree, *, with_objects: bool) -> tuple[SyntheticRecording, ...]:
-    return tuple(
-        SyntheticRecording(
-            recording=each.recording_id,
-            split=each.split,
-            duration=float(each.duration),
-            events=each.n_events,
-            objects=each.n_objects if with_objects else None,
-        )
-        for each in tree.recordings
-    )
+def _compare_with_truth(tree: WrittenTree, layout: str, seed: int, workers: int) -> dict[str, Verification]:
+    """Compare curation with the truth, for written files and at each noise level for the same seed."""
+    from prbench.checking.verify_synthetic import LEVELS, verify_level, verify_tree
+    from prbench.engine import engine_for
+
+    engine = engine_for(workers)
+    recordings = max(len(tree.recordings), _FEWEST_VERIFIED)
+    with progress("comparing curation with the truth") as tell:
+        checked = {_FILES: verify_tree(tree.root, dataset=layout, engine=engine)}
+        for done, level in enumerate(LEVELS, start=1):
+            tell(done, len(LEVELS), level.name)
+            checked[level.name] = verify_level(level, preset=layout, recordings=recordings, seed=seed, engine=engine)
+    return checked
 
 
-def _write_table(request: _Request) -> _Written:
+def _write_table(
+    report: SynthesizeReport,
+    layout: str,
+    out: Path,
+    size: str,
+    count: int | None,
+    *,
+    seed: int,
+    events: int | None,
+    replace: bool,
+    workers: int,
+) -> None:
     """Act out, sense and curate recordings in memory: training data without native files."""
     from prbench.curation import BuildOptions
     from prbench.curation.provenance import funnel_rows
     from prbench.engine import engine_for
-    from prbench.errors import UsageError
     from prbench.synthetic.synthetic_table import LARGE_RECORDINGS, Staging, build_synthetic_table
     from prbench.synthetic.write_tree import planned_recordings
 
-    if request.out is None:
-        raise UsageError("--out DIR is needed: the folder of the table.")
-    if request.defects or request.egoallo or request.bystander_objects is not None:
-        raise UsageError("--table writes no native files; leave --defect, --egoallo and --bystander-objects out.")
-    large = request.size == "large"
-    recordings = request.count or (LARGE_RECORDINGS if large else planned_recordings(request.size, None))
-    with progress(f"acting out {request.layout}") as tell:
-        report = build_synthetic_table(
-            request.layout,
+    large = size == "large"
+    recordings = count or (LARGE_RECORDINGS if large else planned_recordings(size, None))
+    with progress(f"acting out {layout}") as tell:
+        made = build_synthetic_table(
+            layout,
             recordings,
-            request.seed,
-            request.out,
-            engine=engine_for(request.workers),
+            seed,
+            out,
+            engine=engine_for(workers),
             world="large" if large else "default",
-            n_events=Staging.n_events if request.events is None else request.events,
-            options=BuildOptions(replace=request.replace),
+            n_events=Staging.n_events if events is None else events,
+            options=BuildOptions(replace=replace),
             progress=tell,
         )
-    rows = funnel_rows(report.info)
-    stages = [Stage(stage=row.stage, kept=row.kept, dropped=row.dropped, why=row.reason) for row in rows]
-    said = f"table: {request.out} ({report.info.counts.sequences} sequences of {recordings} recordings)"
-    return _Written(lambda: print(said), table=built_table(report, stages))
+    report.table = built_table(made, funnel_rows(made.info))
 
 
-def _write_corpus_tree(request: _Request, out: Path) -> _Written:
-    """Write synthetic people in the layout of a text-motion dataset."""
-    from prbench.synthetic.corpus import DEFAULT_RECORDINGS, synthesize_corpus_tree
+def _measure_people(layout: str | None, *, seed: int, count: int | None, workers: int) -> list[PeopleNumber]:
+    """Measure the people of the preset that was named, or of all presets."""
+    from prbench.checking.synthetic_people import people_numbers
+    from prbench.engine import engine_for
+    from prbench.synthetic.people import PRESETS
 
-    done = itertools.count(1)
-    planned = request.count or DEFAULT_RECORDINGS
-    with progress(f"writing {request.layout}") as tell:
-        tree = synthesize_corpus_tree(
-            request.layout,
-            out,
-            recordings=planned,
-            seed=request.seed,
-            workers=request.workers,
-            defects=request.defects,
-            on_written=lambda written: tell(next(done), planned, written.recording_id),
-        )
-
-    def show() -> None:
-        print_table(
-            "synthetic recordings",
-            ("recording", "split", "seconds", "texts"),
-            [(r.recording_id, r.split, f"{r.duration:.1f}", str(r.n_events)) for r in tree.recordings],
-            numbers=(2, 3),
-        )
-        print(f"recordings: {tree.root} (build them with `prbench build-corpus {request.layout} --root {tree.root}`)")
-
-    return _Written(show, folder=tree.root, recordings=_recordings(tree, with_objects=False))
+    presets = tuple(PRESETS) if layout is None else (layout,)
+    recordings = count or _RECORDINGS_OF_PEOPLE
+    measured: list[PeopleNumber] = []
+    with progress("acting out people") as tell:
+        for done, preset in enumerate(presets):
+            tell(done, len(presets), preset)
+            measured += people_numbers(preset, recordings=recordings, seed=seed, engine=engine_for(workers))
+    return measured
 
 
 def _draw_gallery(file: Path, *, layout: str | None, seed: int) -> None:
     """Draw twelve sequences of all presets, or of the one that was named."""
-    from prbench.synthetic.corpus import CORPUS_LAYOUTS
     from prbench.synthetic.people import perform
     from prbench.viewing.clip_strips import render_strips, strips_of_activities
     from prbench.viewing.gallery import render_contact_sheet, render_gallery, sequences_of
 
-    if layout in CORPUS_LAYOUTS:
+    if _is_corpus(layout):
         render_strips(strips_of_activities(seed), file)
     elif layout is None:
         render_contact_sheet(file, seed=seed)
@@ -398,3 +284,83 @@ def _draw_histograms(file: Path, *, layout: str | None, seed: int, count: int | 
         for preset in presets
     }
     render_histograms(acted, file)
+
+
+def _print(report: SynthesizeReport, layout: str | None) -> None:
+    if report.recordings:
+        of_corpus = _is_corpus(layout)
+        counted = ("texts",) if of_corpus else ("events", "objects")
+        rows = []
+        for each in report.recordings:
+            counts = (each.n_events,) if of_corpus else (each.n_events, each.n_objects)
+            rows.append((each.recording_id, each.split, f"{each.duration:.1f}", *map(str, counts)))
+        print_table("synthetic recordings", ("recording", "split", "seconds", *counted), rows, numbers=(2, 3, 4))
+        if report.checks:
+            _print_checks(report.checks)
+        then = f"the truth is in {report.folder}/truth; readers never open it"
+        if of_corpus:
+            then = f"build them with `prbench build-corpus {layout} --root {report.folder}`"
+        print(f"recordings: {report.folder} ({then})")
+    if report.table is not None:
+        found = f"{report.table.counts['sequences']} sequences of {len(report.table.recordings)} recordings"
+        print(f"table: {report.table.folder} ({found})")
+    if report.gallery is not None:
+        print(f"gallery: {report.gallery}")
+    if report.histograms is not None:
+        print(f"histograms: {report.histograms}")
+    if report.people:
+        _print_people(report.people)
+
+
+def _print_checks(checks: dict[str, Verification]) -> None:
+    """Print a row for each kind of sensors, and the sequences that were missed in the files."""
+    rows = []
+    for name, found in checks.items():
+        low, _, high = found.prime_quantiles
+        cells = (
+            f"{found.recall:.3f}",
+            f"{found.precision:.3f}",
+            f"{found.timing.bias * 1e3:+.0f}",
+            f"{found.timing.median * 1e3:.0f}",
+            f"{found.timing.p95 * 1e3:.0f}",
+            f"{found.priming_recall:.3f}",
+            f"{found.false_primes:.3f} of {found.unprimed}",
+            f"{found.prime.median * 1e3:.0f}",
+            f"{low * 1e3:+.0f} … {high * 1e3:+.0f}",
+            f"{found.hands.right} / {found.hands.wrong} / {found.hands.unknown}",
+            f"{found.expected_sequences - len(found.missed_sequences)} of {found.expected_sequences}",
+        )
+        rows.append((name, str(found.recordings), str(found.true_events), *cells))
+    print_table(
+        "what curation finds, against what was acted out",
+        (
+            "sensors", "recordings", "events", "recall", "precision", "timing bias", "median", "p95", "priming recall",
+            "false primes", "prime median", "p5 … p95", "hands", "sequences",
+        ),
+        rows,
+        numbers=range(1, 14),
+    )  # fmt: skip
+    print("times in ms; events within the sensors' resolution of a threshold and lost tracks are not counted")
+    print("hands: right / wrong / unknown of all located events; sequences: found of those that were acted out")
+    for miss in checks[_FILES].missed_sequences:
+        print(f"no sequence in these files: {miss.text}")
+
+
+def _print_people(people: list[PeopleNumber]) -> None:
+    """Print each number beside its range."""
+    rows = []
+    for each in people:
+        bounds = [f"{bound:.4g}" if math.isfinite(bound) else "" for bound in (each.range.low, each.range.high)]
+        acted = "" if math.isnan(each.acted) else f"{each.acted:.3g}"
+        recorded = "" if each.recorded is None else f"{each.recorded:.3g}"
+        outside = "" if each.holds else "OUTSIDE"
+        rows.append((each.preset, each.name, acted, recorded, " … ".join(bounds), outside, each.range.source))
+    print_table(
+        "how synthetic people act and move",
+        ("preset", "number", "acted out", "recorded", "range", "", "why"),
+        rows,
+        numbers=(2, 3),
+    )
+    print(
+        "of bodies the worst sequence; metres, seconds, degrees (docs/specification/synthetic-recordings.md#behaviour)"
+    )

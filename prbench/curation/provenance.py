@@ -125,11 +125,14 @@ def _options(manifest: Manifest, protocol: BenchmarkProtocol, options: BuildOpti
 
 @dataclass(frozen=True)
 class FunnelRow:
-    """One stage."""
+    """One stage between the files and the table."""
 
     stage: str
+    """Name of the stage, such as ``located``."""
     kept: int
+    """How many recordings, events or texts passed it."""
     dropped: int
+    """How many of those that came to it did not pass."""
     reason: str
     """Counts by reason for what was dropped; empty if nothing was."""
 

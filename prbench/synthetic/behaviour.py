@@ -55,7 +55,9 @@ class Range:
     """Where a number must lie, borders included, and why there."""
 
     low: float
+    """Smallest value allowed; minus infinity without one."""
     high: float
+    """Largest value allowed; infinity without one."""
     source: str
     """``people:`` and who measured it on people, or ``our limit:`` and what it is for."""
 

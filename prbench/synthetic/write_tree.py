@@ -60,10 +60,15 @@ class WrittenRecording:
     """Result of writing one recording of a tree."""
 
     recording_id: str
+    """Its name."""
     split: str
+    """``train``, ``validation`` or ``test``."""
     duration: float
+    """Its length, in seconds."""
     n_events: int
+    """Number of picks and puts; in a text-motion layout the number of texts."""
     n_objects: int
+    """Number of objects; 0 in a text-motion layout."""
 
 
 @dataclass(frozen=True)

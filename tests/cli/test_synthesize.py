@@ -4,43 +4,42 @@ from __future__ import annotations
 
 import pytest
 
-from prbench.cli import main, sensor_checks
+from prbench.cli import main, synthesize
 from tests.cli.reports import refused, reported
 
 
 @pytest.mark.unchecked_shapes
 def test_files_are_reported_with_what_curation_finds_in_them(tmp_path, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(sensor_checks, "_FEWEST_VERIFIED", 2)
+    monkeypatch.setattr(synthesize, "_FEWEST_VERIFIED", 2)
     words = ["synthesize", "adt", "--count", "1", "--events", "3", "--seed", "2", "--out", str(tmp_path / "adt")]
     report = reported(words, capsys)
     assert report.folder == tmp_path / "adt"
     (recording,) = report.recordings
-    assert recording.events == 3
-    assert recording.objects
-    assert [each.sensors for each in report.checks] == [
+    assert recording.n_events == 3
+    assert recording.n_objects
+    assert list(report.checks) == [
         "these files",
         "ideal sensors",
         "default noise",
         "default noise, provocations",
         "twice the noise, provocations",
     ]
-    files, ideal = report.checks[:2]
-    assert (files.recordings, files.missed_sequences) == (1, len(report.missed))
-    assert 1 <= files.events <= 3, "events within the sensors' resolution of a threshold are not counted"
+    files, ideal = list(report.checks.values())[:2]
+    assert files.recordings == 1
+    assert 1 <= files.true_events <= 3, "events within the sensors' resolution of a threshold are not counted"
     assert ideal.recordings == 2, "levels of noise may have more recordings than the files"
     assert ideal.recall == pytest.approx(1.0)
-    assert ideal.timing_median is not None
-    assert ideal.timing_median < 0.05
+    assert ideal.timing.median < 0.05
     assert report.table is report.gallery is report.histograms is None
 
 
 def test_unverified_files_and_text_motion_are_reported_without_checks(tmp_path, capsys) -> None:
     words = ["synthesize", "gimo", "--count", "1", "--events", "2", "--no-verify", "--out", str(tmp_path / "gimo")]
-    assert reported(words, capsys).checks == []
+    assert reported(words, capsys).checks == {}
     words = ["synthesize", "nymeria", "--count", "1", "--out", str(tmp_path / "nymeria")]
     report = reported(words, capsys)
-    assert [each.objects for each in report.recordings] == [None]
-    assert report.checks == []
+    assert [each.n_objects for each in report.recordings] == [0]
+    assert report.checks == {}
 
 
 @pytest.mark.unchecked_shapes
@@ -61,10 +60,14 @@ def test_people_are_reported_with_the_ranges_asked_of_them(capsys) -> None:
     report = reported(words, capsys)
     assert (report.folder, report.table) == (None, None)
     assert {each.preset for each in report.people} == {"gimo"}
-    numbers = {each.number: each for each in report.people}
-    assert (numbers["reach_peak"].low, numbers["reach_peak"].high, numbers["reach_peak"].recorded) == (0.3, 0.5, None)
-    assert numbers["reach_peak"].source.startswith("people: ")
-    assert (numbers["lowest_pelvis"].high, numbers["jerk"].low) == (None, None)
+    numbers = {each.name: each for each in report.people}
+    assert (numbers["reach_peak"].range.low, numbers["reach_peak"].range.high, numbers["reach_peak"].recorded) == (
+        0.3,
+        0.5,
+        None,
+    )
+    assert numbers["reach_peak"].range.source.startswith("people: ")
+    assert (numbers["lowest_pelvis"].range.high, numbers["jerk"].range.low) == (None, None)
     assert numbers["jerk"].recorded is not None
     assert main(words) == 0
     assert "reach_peak" in capsys.readouterr().out
