@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -86,6 +86,7 @@ class Command(click.Command):
         writes_report: ``--out FILE`` writes that JSON; False where the command has an ``--out`` of its own.
         section: For a command that a package registers: the section of ``prbench --help`` in which it is listed, by
             the word before its colon, such as ``train``.
+        first: Options that help shows first, for a command with many; the others follow under "advanced".
         settings: Of :class:`click.Command`.
     """
 
@@ -98,11 +99,13 @@ class Command(click.Command):
         report: type | str | None = None,
         writes_report: bool = False,
         section: str = "",
+        first: Collection[str] = (),
         **settings: Any,
     ) -> None:
         super().__init__(name, **settings)
         self.example = example
         self.section = section
+        self.first = first
         self.resumes = resumes
         self.report = report
         if report is not None:
@@ -138,6 +141,19 @@ class Command(click.Command):
         if isinstance(answer, Answer):
             return replace(answer, show=showing(answer.show, places))
         return answer
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options that are shown first, and under a second heading those of seldom use."""
+        parts: dict[str, list[tuple[str, str]]] = {"Options": [], "advanced": []}
+        for option in self.get_params(ctx):
+            record = option.get_help_record(ctx)
+            if record is not None:
+                is_first = not self.first or not {"--help", *self.first}.isdisjoint(option.opts)
+                parts["Options" if is_first else "advanced"].append(record)
+        for title, records in parts.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the example, folded as a shell reads it."""
@@ -299,6 +315,7 @@ def command(
     report: type | str | None = None,
     writes_report: bool = False,
     section: str = "",
+    first: Collection[str] = (),
 ) -> Callable[[Callable[..., Any]], Command]:
     """Turn a function into a :class:`Command`; its docstring becomes the help, its parameters are the options."""
     return click.command(
@@ -309,6 +326,7 @@ def command(
         report=report,
         writes_report=writes_report,
         section=section,
+        first=first,
         context_settings={"max_content_width": _WIDEST_HELP},
     )
 

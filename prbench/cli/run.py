@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
     from prbench.engine.shards import Shard
     from prbench.harness.experiment import Experiment, ExperimentMethod
-    from prbench.harness.request import RunRequest
+    from prbench.harness.request import Progress, RunRequest
     from prbench.harness.run import RunReport
     from prbench.harness.run_folder import RunFolder
 
@@ -63,6 +64,10 @@ _FIRST_RUN_WORKERS = 2
     example="prbench run --method static --condition none --data tables/adt --out runs/static",
     report=RunAnswer,
     resumes=True,
+    first=(
+        *("--method", "--condition", "--config", "--data", "--out", "--split", "--limit", "--sequence", "--view"),
+        *("--weights", "--option", "--seed", "--workers", "--json"),
+    ),
 )
 @benchmark_option
 @click.option(
@@ -167,7 +172,10 @@ def run(
     of_table_two = ALL in (given["method"], given["condition"])
     part = chosen_shard(shard, view=view, table_two=of_table_two)
     if of_table_two:
-        _refuse_with_all(config=config, show_config=show_config, view=view, permission=permission)
+        single = {"config": config, "show-config": show_config, "view": view, "permission": permission}
+        for option, value in single.items():
+            if value:
+                raise UsageError(f"--{option}: belongs to a run of one method under one condition; leave it out.")
         made = run_table_two(given, minutes=minutes, choice=engine)
         return replace(made, report=RunAnswer(runs=[], companions=[], view=None, table_two=made.report))
     if minutes is not None:
@@ -217,13 +225,6 @@ def _require_fits_benchmark(given: Mapping[str, Any]) -> None:
         raise UsageError(f"--data DIR: {about.name} has no embedded tables; `{about.build}` makes one.")
 
 
-def _refuse_with_all(**given: object) -> None:
-    for name, value in given.items():
-        if value:
-            option = name.replace("_", "-")
-            raise UsageError(f"--{option}: belongs to a run of one method under one condition; leave it out.")
-
-
 def _run_all(
     experiment: Experiment,
     repeated: RunFolder | None,
@@ -233,14 +234,18 @@ def _run_all(
     choice: EngineChoice,
     shard: Shard | None,
 ) -> Answer:
+    from prbench.harness.methods.installed import list_adapters
+
     if shard is not None:
         chosen_shard(str(shard), first_run=not experiment.data)
     if view is not None:
         from prbench.viewing.replay.write import file_kind
 
         file_kind(view)  # what would fail after the run fails before it
-    for method in experiment.methods:
-        _tell_claims(method.name, _group(experiment))
+    # Packages that offer a method under a name of prbench's own are named; theirs is never run.
+    for adapter in list_adapters(_group(experiment)):
+        if adapter.problem and adapter.name in {method.name for method in experiment.methods}:
+            note(f"note: {adapter.package} {adapter.version} is not used: {adapter.problem}.")
     first_run = not experiment.data
     engine = _opened(choice, experiment)
     if first_run:
@@ -255,10 +260,31 @@ def _run_all(
     reports = [_generated(request, engine) for request in requests]
     if repeated is not None:
         _tell_repetition(repeated, reports[0].folder)
-    companions = _in_company(requests[0], reports[0], engine) if first_run and len(requests) == 1 else []
-    notices = _view(view, reports[0].folder.path, requests[0], permission) if view is not None else ()
+    companions: list[RunReport] = []
+    if first_run and len(requests) == 1:
+        # Methods that tell what the scores of a first run are worth, under the condition that the method chose.
+        from prbench.contract import Condition
+        from prbench.harness.first_run import companions as companions_of
+
+        chosen = replace(requests[0], condition=Condition(reports[0].folder.record.condition))
+        companions = [_generated(companion, engine) for companion in companions_of(chosen)]
+    notices: Sequence[str] = ()
+    if view is not None:
+        from prbench.viewing.view import ViewRequest
+        from prbench.viewing.view import view as draw
+
+        data = () if requests[0].fold else requests[0].data  # folds stand in the cache, where the run's own is found
+        wanted = ViewRequest(
+            out=view, runs=(reports[0].folder.path,), data=data, sequences=requests[0].sequences, permitted=permission
+        )
+        with progress(f"drawing {view.name}") as show_drawing:
+            notices = draw(wanted, show_drawing).notices
     if first_run and not experiment.sequences:
-        _tell_limit(requests[0])
+        note(
+            f"these are {requests[0].limit} sequences of each dataset (--limit N takes another number); for the same"
+            f" ones elsewhere: prbench export-conditions --data {requests[0].data[0].parent}/* --limit"
+            f" {requests[0].limit} …"
+        )
     answer = run_answer(reports, companions, view=view, single=bool(experiment.sequences))
 
     def show() -> None:
@@ -277,16 +303,9 @@ def _run_all(
 def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> MadeShard:
     from prbench.harness.sharded import run_shard
 
-    if request.isolate:
-        _tell_isolation(request.method)
-    with progress(f"running shard {shard} of {request.method_label}") as show:
-        report = run_shard(
-            request,
-            shard,
-            tables_at=[session().shown_place(str(folder.absolute())) for folder in request.data],
-            engine=engine,
-            progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
-        )
+    with _told(request, f"running shard {shard} of {request.method_label}") as tell:
+        tables = [session().shown_place(str(folder.absolute())) for folder in request.data]
+        report = run_shard(request, shard, tables_at=tables, engine=engine, progress=tell)
     if report.batches_found:
         note(f"{report.batches_found} batches were taken over from an earlier run.")
     return MadeShard(
@@ -296,6 +315,36 @@ def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> MadeS
         planned=report.planned,
         taken_over=report.batches_found,
     )
+
+
+def _generated(request: RunRequest, engine: Engine) -> RunReport:
+    from prbench.harness.run import run_method
+    from prbench.harness.run_folder.cost import RunCost
+
+    with _told(request, f"running {request.method_label}") as tell:
+        report = run_method(request, engine=engine, progress=tell)
+    if report.batches_found:
+        note(f"{report.batches_found} batches were taken over from an earlier run.")
+    for table in report.folder.record.tables:  # how often a program crashed, which its motions do not show
+        cost = report.folder.dataset(table.dataset).cost
+        crashes = sum(RunCost.read(cost).restarts.values())
+        if crashes:
+            times = "once" if crashes == 1 else f"{crashes} times"
+            note(f"its program crashed {times} and was started again: {cost}, restarts.")
+    return report
+
+
+@contextlib.contextmanager
+def _told(request: RunRequest, what: str) -> Iterator[Callable[[Progress], None]]:
+    """Tell how a method is isolated, and show the progress of its run."""
+    if request.isolate:
+        from prbench.harness.methods.isolation import available_fence
+        from prbench.harness.methods.programs import runs_in_container
+
+        container = "isolated in its container, which shows what its TOML file mounts; tables in there are covered."
+        note(container if runs_in_container(request.method) else available_fence().notice)
+    with progress(what) as show:
+        yield lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}")
 
 
 def _opened(choice: EngineChoice, experiment: Experiment) -> Engine:
@@ -356,52 +405,6 @@ def _group(experiment: Experiment) -> str:
     return find_benchmark(experiment.benchmark).entry_points
 
 
-def _tell_claims(method: str, entry_points: str) -> None:
-    """Name the packages that offer a method under a name that belongs to prbench; theirs is never run."""
-    from prbench.harness.methods.installed import list_adapters
-
-    for adapter in list_adapters(entry_points):
-        if adapter.name == method and adapter.problem:
-            note(f"note: {adapter.package} {adapter.version} is not used: {adapter.problem}.")
-
-
-def _generated(request: RunRequest, engine: Engine) -> RunReport:
-    from prbench.harness.run import run_method
-
-    if request.isolate:
-        _tell_isolation(request.method)
-    with progress(f"running {request.method_label}") as show:
-        report = run_method(
-            request,
-            engine=engine,
-            progress=lambda step: show(step.done, step.total, f"{step.stage} {step.dataset}"),
-        )
-    if report.batches_found:
-        note(f"{report.batches_found} batches were taken over from an earlier run.")
-    _tell_crashes(report)
-    return report
-
-
-def _tell_crashes(report: RunReport) -> None:
-    """Tell how often a program crashed, which its motions do not show."""
-    from prbench.harness.run_folder.cost import RunCost
-
-    for table in report.folder.record.tables:
-        cost = report.folder.dataset(table.dataset).cost
-        crashes = sum(RunCost.read(cost).restarts.values())
-        if crashes:
-            times = "once" if crashes == 1 else f"{crashes} times"
-            note(f"its program crashed {times} and was started again: {cost}, restarts.")
-
-
-def _tell_isolation(method: str) -> None:
-    from prbench.harness.methods.isolation import available_fence
-    from prbench.harness.methods.programs import runs_in_container
-
-    in_container = "isolated in its container, which shows what its TOML file mounts; tables in there are covered."
-    note(in_container if runs_in_container(method) else available_fence().notice)
-
-
 def _tell_repetition(earlier: RunFolder, later: RunFolder) -> None:
     from prbench.harness.experiment import same_scores
 
@@ -414,29 +417,3 @@ def _tell_repetition(earlier: RunFolder, later: RunFolder) -> None:
             f"repeats {earlier.path}: scores differ. `prbench leaderboard compare {earlier.path} {later.path}` says"
             " where; other versions of packages, processors or numbers of threads can be the cause."
         )
-
-
-def _in_company(request: RunRequest, report: RunReport, engine: Engine) -> list[RunReport]:
-    """Run the methods that tell what the scores of a first run are worth."""
-    from prbench.contract import Condition
-    from prbench.harness.first_run import companions
-
-    request = replace(request, condition=Condition(report.folder.record.condition))
-    return [_generated(companion, engine) for companion in companions(request)]
-
-
-def _view(out: Path, folder: Path, request: RunRequest, permission: tuple[str, ...]) -> tuple[str, ...]:
-    from prbench.viewing.view import ViewRequest, view
-
-    data = () if request.fold else request.data  # folds stand in the cache, where the run's own is found
-    wanted = ViewRequest(out=out, runs=(folder,), data=data, sequences=request.sequences, permitted=permission)
-    with progress(f"drawing {out.name}") as show:
-        return tuple(view(wanted, show).notices)
-
-
-def _tell_limit(request: RunRequest) -> None:
-    """Tell which of the embedded sequences were run, and how a method that runs elsewhere gets the same ones."""
-    note(
-        f"these are {request.limit} sequences of each dataset (--limit N takes another number); for the same ones"
-        f" elsewhere: prbench export-conditions --data {request.data[0].parent}/* --limit {request.limit} …"
-    )

@@ -84,6 +84,19 @@ def test_a_misspelt_word_is_answered_with_the_nearest_one(words, message, capsys
     assert captured.out == ""
 
 
+def test_a_run_shows_fifteen_options_first_and_all_others_as_advanced(capsys):
+    assert main(["run", "--help"]) == 0
+    first, _, advanced = capsys.readouterr().out.partition("\nOptions:\n")[2].partition("\nadvanced:\n")
+    names = [
+        [line.split()[0].rstrip(",") for line in part.splitlines() if line.startswith("  -")]
+        for part in (first, advanced)
+    ]
+    assert len(names[0]) <= 15
+    assert {"--method", "--condition", "--data", "--out"} <= set(names[0])
+    options = {option.opts[0] for option in all_commands()["run"].params}
+    assert options | {"--help"} == {*names[0], *names[1]}
+
+
 def test_help_explains_a_command_as_its_option_does(capsys):
     assert main(["help", "leaderboard", "compare"]) == 0
     text = capsys.readouterr().out

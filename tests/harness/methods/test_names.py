@@ -24,7 +24,7 @@ from prbench.harness.score_predictions import ScoreRequest, score_predictions
 from tests.harness.test_run import request
 from tests.method_fixtures import adapter_source
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def test_the_reserved_names_are_those_of_the_methods_and_controls_that_come_with_prbench():
