@@ -145,10 +145,7 @@ def read_config(path: Path) -> PosesConfig:
             expected=f"the placeholders {', '.join(f'{{{name}}}' for name in _PLACEHOLDERS)}",
             found=f"{{{unknown[0]}}}",
         )
-    return _with_absolute_paths(config, path.expanduser().absolute().parent)
-
-
-def _with_absolute_paths(config: PosesConfig, base: Path) -> PosesConfig:
+    base = path.expanduser().absolute().parent
     model = None if config.model is None else base / config.model.expanduser()
     # A bare name such as python3.12 is found on PATH; anything with a separator is a path relative to the file.
     looks_like_path = "/" in config.python or "\\" in config.python

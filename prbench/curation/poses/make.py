@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.curation.poses.config import PosesConfig
-from prbench.curation.poses.prepare import Prepared, guidance_mode, head_poses, prepare, source_trajectory
+from prbench.curation.poses.prepare import guidance_mode, head_poses, prepare, source_trajectory
 from prbench.curation.poses.program import run_program
 from prbench.curation.poses.states import PoseState, coverage
 from prbench.errors import InputFileError, PrbenchError, StorageError
@@ -72,19 +72,9 @@ def make_poses(
         StorageError: if nothing can be written.
     """
     # Checked once, before the first recording takes its minutes.
-    model = _model(config, root, [state for state in states if state.lacking])
-    outcomes = []
-    for done, state in enumerate(states, start=1):
-        outcome = _make(state, config, model, keep_inputs)
-        outcomes.append(outcome)
-        if progress is not None:
-            progress(done, len(states), f"{outcome.recording_id} {outcome.state}")
-    return tuple(outcomes)
-
-
-def _model(config: PosesConfig, root: Path, lacking: Sequence[PoseState]) -> Path | None:
     model = find_model(root, config.model)
-    if lacking and any("{model}" in text for text in config.command) and (model is None or not model.is_file()):
+    wanted = any(state.lacking for state in states) and any("{model}" in text for text in config.command)
+    if wanted and (model is None or not model.is_file()):
         raise InputFileError(
             model or root / ego.MODEL_FILE,
             "",
@@ -92,7 +82,13 @@ def _model(config: PosesConfig, root: Path, lacking: Sequence[PoseState]) -> Pat
             found="no such file",
             remedy="Give its path as 'model' in the config.",
         )
-    return model
+    outcomes = []
+    for done, state in enumerate(states, start=1):
+        outcome = _make(state, config, model, keep_inputs)
+        outcomes.append(outcome)
+        if progress is not None:
+            progress(done, len(states), f"{outcome.recording_id} {outcome.state}")
+    return tuple(outcomes)
 
 
 def _make(state: PoseState, config: PosesConfig, model: Path | None, keep_inputs: bool) -> Outcome:
@@ -122,32 +118,8 @@ def _make(state: PoseState, config: PosesConfig, model: Path | None, keep_inputs
 def _run(state: PoseState, inputs: EgoalloInputs, config: PosesConfig, model: Path | None, work: Path) -> Outcome:
     name = state.found.recording_id
     prepared = prepare(inputs, work)
-    command = config.command_line(_values(name, prepared, model))
-    log = state.target.parent / _LOG_FILE
-    ended = run_program(
-        command,
-        folder=config.folder,
-        environment=config.environment,
-        log=log,
-        timeout=config.timeout_minutes * 60,
-    )
-    if ended.problem:
-        return Outcome(name, "failed", ended.problem)
-    outputs = sorted(prepared.outputs.glob("*.npz"))
-    if not outputs:
-        return Outcome(name, "failed", f"ended well but wrote no output into {ego.OUTPUT_FOLDER}; its log is {log}")
-    # EgoAllo ends with code 0 even where it left parts out, so its files are checked and not believed.
-    covered = coverage(outputs, head_poses(inputs, source_trajectory(inputs)))
-    if not covered.complete:
-        return Outcome(name, "failed", f"its outputs cover only {covered}; they are not used; its log is {log}")
-    _place(prepared.outputs, state.target)
-    _keep_joints(state.target, model)
-    return Outcome(name, "made", f"{len(outputs)} outputs cover {covered}")
-
-
-def _values(name: str, prepared: Prepared, model: Path | None) -> dict[str, str]:
     prepared.outputs.mkdir(exist_ok=True)
-    return {
+    values = {
         "recording": name,
         "mps": str(prepared.folder),
         "trajectory": str(prepared.trajectory),
@@ -156,27 +128,38 @@ def _values(name: str, prepared: Prepared, model: Path | None) -> dict[str, str]
         "guidance": guidance_mode(prepared),
         "model": "" if model is None else str(model),
     }
-
-
-def _place(outputs: Path, target: Path) -> None:
-    """Move whole outputs to where readers look, at once; what was there before keeps a name of its own."""
-    replaced = target.with_name(f"{target.name}{_REPLACED}")
-    # Readers take whatever lies in this folder for a whole body, so it appears at once or not at all.
+    log = state.target.parent / _LOG_FILE
+    ended = run_program(
+        config.command_line(values),
+        folder=config.folder,
+        environment=config.environment,
+        log=log,
+        timeout=config.timeout_minutes * 60,
+    )
+    if ended:
+        return Outcome(name, "failed", ended)
+    outputs = sorted(prepared.outputs.glob("*.npz"))
+    if not outputs:
+        return Outcome(name, "failed", f"ended well but wrote no output into {ego.OUTPUT_FOLDER}; its log is {log}")
+    # EgoAllo ends with code 0 even where it left parts out, so its files are checked and not believed.
+    covered = coverage(outputs, head_poses(inputs, source_trajectory(inputs)))
+    if not covered.complete:
+        return Outcome(name, "failed", f"its outputs cover only {covered}; they are not used; its log is {log}")
+    # Readers take whatever lies in this folder for a whole body, so it appears at once or not at all; what was there
+    # before keeps a name of its own.
+    target = state.target
     with atomic_folder(target) as folder:
-        for path in sorted(outputs.iterdir()):
+        for path in sorted(prepared.outputs.iterdir()):
             if path.suffix in (".npz", ".yaml") and path.is_file():
                 shutil.copyfile(path, folder / path.name)
         if target.exists():
+            replaced = target.with_name(f"{target.name}{_REPLACED}")
             _clear(replaced)
             target.replace(replaced)
-
-
-def _keep_joints(target: Path, model: Path | None) -> None:
-    """Compute the joints now, while the model is at hand; reading needs it no more."""
-    if model is None or not model.is_file():
-        return
-    for path in sorted(target.glob("*.npz")):
-        read_window(path, model)
+    if model is not None and model.is_file():  # the joints are computed while the model is at hand
+        for path in sorted(target.glob("*.npz")):
+            read_window(path, model)
+    return Outcome(name, "made", f"{len(outputs)} outputs cover {covered}")
 
 
 def _clear(folder: Path) -> None:

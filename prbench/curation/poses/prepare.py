@@ -13,7 +13,6 @@ from typing import IO
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
-from jaxtyping import Float
 
 from prbench.errors import InputFileError
 from prbench.files.storage import atomic_path
@@ -173,13 +172,25 @@ def _write_turned_points(source: Source | None, place: Path) -> None:
     """Points of a world with Y up, with Z up; without any, a flat floor at height 0, where such scenes have it."""
     if source is None:
         x, y = np.meshgrid(*2 * [np.linspace(-_FLOOR_EDGE, _FLOOR_EDGE, _FLOOR_POINTS)])
-        table = _point_table(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))
+        points = (x.ravel(), y.ravel(), np.zeros(x.size))
+        values = (np.arange(x.size), np.full(x.size, "floor"), *points, *(np.full(x.size, sure) for sure in _SURE))
+        table = pa.table(dict(zip(_POINT_COLUMNS, values, strict=True)))
     else:
         with opened(source) as packed, gzip.open(packed, "rb") as plain:
             content = plain.read(LARGEST_FILE + 1)
         if len(content) > LARGEST_FILE:
             raise InputFileError(str(source), "", expected=f"at most {LARGEST_FILE:,} bytes unpacked", found="more")
-        table = _turned(source, content)
+        try:
+            table = pyarrow.csv.read_csv(pa.BufferReader(content))
+            x, y, z = (table[name] for name in _POINT_COLUMNS[2:5])
+        except (pa.ArrowInvalid, KeyError) as error:
+            raise InputFileError(
+                str(source), "", expected="points with px_world, py_world, pz_world", found=str(error).splitlines()[0]
+            ) from error
+        # (x, y, z) with Y up is (x, -z, y) with Z up.
+        below = pa.array(-z.to_numpy())
+        for name, values in zip(_POINT_COLUMNS[2:5], (x, below, y), strict=True):
+            table = table.set_column(table.column_names.index(name), name, values)
     # Without name and time, equal points are equal files.
     with (
         atomic_path(place) as temporary,
@@ -187,27 +198,6 @@ def _write_turned_points(source: Source | None, place: Path) -> None:
         gzip.GzipFile("", "wb", compresslevel=1, fileobj=packed, mtime=0) as file,
     ):
         _write_csv(file, table)
-
-
-def _turned(source: Source, content: bytes) -> pa.Table:
-    try:
-        table = pyarrow.csv.read_csv(pa.BufferReader(content))
-        x, y, z = (table[name] for name in _POINT_COLUMNS[2:5])
-    except (pa.ArrowInvalid, KeyError) as error:
-        raise InputFileError(
-            str(source), "", expected="points with px_world, py_world, pz_world", found=str(error).splitlines()[0]
-        ) from error
-    # (x, y, z) with Y up is (x, -z, y) with Z up.
-    below = pa.array(-z.to_numpy())
-    for name, values in zip(_POINT_COLUMNS[2:5], (x, below, y), strict=True):
-        table = table.set_column(table.column_names.index(name), name, values)
-    return table
-
-
-def _point_table(points: Float[np.ndarray, "n 3"]) -> pa.Table:
-    n = len(points)
-    values = (np.arange(n), np.full(n, "floor"), *points.T, *(np.full(n, sure) for sure in _SURE))
-    return pa.table(dict(zip(_POINT_COLUMNS, values, strict=True)))
 
 
 def _write_csv(file: IO[bytes] | gzip.GzipFile, table: pa.Table) -> None:

@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from prbench.errors import StorageError, UsageError
@@ -19,26 +18,9 @@ _TAIL_LINES = 3
 _UNPRINTABLE = re.compile(r"[^\x20-\x7e]+")
 
 
-@dataclass(frozen=True)
-class Ended:
-    """The end of a program."""
-
-    code: int | None
-    """Exit code; None if it ran out of time."""
-    log: Path
-
-    @property
-    def problem(self) -> str:
-        """Say what went wrong, with the last words of the log; empty if nothing."""
-        if self.code == 0:
-            return ""
-        how = "ran out of time" if self.code is None else f"ended with exit code {self.code}"
-        return f"{how}{_last_words(self.log)}; its log is {self.log}"
-
-
 def run_program(
     command: Sequence[str], *, folder: Path, environment: Mapping[str, str], log: Path, timeout: float
-) -> Ended:
+) -> str:
     """Run a program without a shell, everything it prints into a log, and end it when its time is up.
 
     Args:
@@ -47,6 +29,9 @@ def run_program(
         environment: Added to this process's environment.
         log: Overwritten.
         timeout: Seconds.
+
+    Returns:
+        What went wrong, with the last words of the log; empty if nothing.
 
     Raises:
         UsageError: if it cannot be started.
@@ -75,22 +60,23 @@ def run_program(
                 " Check python, folder and command in the config."
             ) from error
         try:
-            return Ended(process.wait(timeout), log)
+            code = process.wait(timeout)
+            how = f"ended with exit code {code}" if code else ""
         except subprocess.TimeoutExpired:
-            return Ended(None, log)
+            how = "ran out of time"
         finally:
             _end(process)
-
-
-def _last_words(log: Path) -> str:
-    """The last lines of a log that can be printed, whatever else it holds; empty if there are none."""
+    if not how:
+        return ""
+    # The last lines that can be printed, whatever else the log holds.
     with open(log, "rb") as file:
         file.seek(0, 2)
         file.seek(max(file.tell() - _TAIL_BYTES, 0))
         text = file.read().decode("utf-8", errors="replace")
     lines = [_UNPRINTABLE.sub(" ", line).strip()[-160:] for line in text.splitlines()]
     kept = [line for line in lines if line][-_TAIL_LINES:]
-    return f" ('{' / '.join(kept)}')" if kept else ""
+    said = f" ('{' / '.join(kept)}')" if kept else ""
+    return f"{how}{said}; its log is {log}"
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

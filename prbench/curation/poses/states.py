@@ -105,7 +105,16 @@ def pose_states(root: Path, selection: Selection = EVERYTHING) -> Iterator[PoseS
 def select(root: Path, selection: Selection) -> tuple[RecordingFiles, ...]:
     """The recordings that are meant, with their outputs among their files (see :func:`pose_states`)."""
     datasets = tuple(reader.dataset for reader in usable_readers()[0] if isinstance(reader, AriaGlasses))
-    dataset = selection.dataset or _dataset_at(root, datasets)
+    dataset = selection.dataset
+    if dataset is None:
+        try:
+            held = sorted({each.dataset for each in discover(root).found if each.root == root} & set(datasets))
+        except PrbenchError as error:
+            raise UsageError(f"{error} Name the dataset with --dataset.") from error
+        if len(held) != 1:
+            names = " and ".join(held) or "no dataset of Aria glasses"
+            raise UsageError(f"{root} holds {names}; give the folder of one dataset, or name it with --dataset.")
+        dataset = held[0]
     if dataset not in datasets:
         raise UsageError(
             f"EgoAllo needs Aria glasses: --dataset must be one of {', '.join(datasets)}, not '{dataset}'."
@@ -120,17 +129,6 @@ def select(root: Path, selection: Selection) -> tuple[RecordingFiles, ...]:
     return tuple(chosen[: selection.limit])
 
 
-def _dataset_at(root: Path, datasets: tuple[str, ...]) -> str:
-    try:
-        found = sorted({each.dataset for each in discover(root).found if each.root == root} & set(datasets))
-    except PrbenchError as error:
-        raise UsageError(f"{error} Name the dataset with --dataset.") from error
-    if len(found) != 1:
-        held = " and ".join(found) or "no dataset of Aria glasses"
-        raise UsageError(f"{root} holds {held}; give the folder of one dataset, or name it with --dataset.")
-    return found[0]
-
-
 def _pose_state(root: Path, found: RecordingFiles, poses_root: Path | None = None) -> PoseState:
     """Look at one recording's outputs and inputs."""
     outputs = [file.path for file in found.files if file.role.startswith(OUTPUT_ROLE)]
@@ -142,7 +140,9 @@ def _pose_state(root: Path, found: RecordingFiles, poses_root: Path | None = Non
     if bad:
         return PoseState(found, "skipped", bad, target, None)
     try:
-        inputs = _reader(found.dataset).egoallo_inputs(root, found)
+        reader = reader_for(found.dataset)
+        assert isinstance(reader, AriaGlasses), "select() takes recordings of such datasets alone"
+        inputs = reader.egoallo_inputs(root, found)
         if not outputs:
             return PoseState(found, "missing", "no outputs", target, inputs)
         cpf = head_poses(inputs, source_trajectory(inputs))
@@ -154,12 +154,6 @@ def _pose_state(root: Path, found: RecordingFiles, poses_root: Path | None = Non
         return PoseState(found, "refused", str(error), target, inputs)
     state: State = "complete" if covered.complete else "partial"
     return PoseState(found, state, f"{len(outputs)} outputs cover {covered}", target, inputs)
-
-
-def _reader(dataset: str) -> AriaGlasses:
-    reader = reader_for(dataset)
-    assert isinstance(reader, AriaGlasses), "select() takes recordings of such datasets alone"
-    return reader
 
 
 def coverage(outputs: Sequence[Path], cpf: PoseStream) -> Coverage:
