@@ -263,16 +263,11 @@ def _missed(real: Sequence[Match]) -> tuple[Miss, ...]:
     )
 
 
-def _fate(match: Match) -> str:
-    """Say what curation made of an event that happened while tracking was lost."""
-    if match.found is None:
-        return "missed"
-    return "reported" if match.found.outcome == "tracking_lost" else "found"
-
-
 def _lost_counts(lost: Sequence[Match]) -> dict[str, int]:
-    counts = Counter(_fate(match) for match in lost)
-    return {name: counts[name] for name in ("found", "reported", "missed")}
+    """Count what curation made of events that happened while tracking was lost."""
+    seen = [match.found for match in lost if match.found is not None]
+    reported = sum(event.outcome == "tracking_lost" for event in seen)
+    return {"found": len(seen) - reported, "reported": reported, "missed": len(lost) - len(seen)}
 
 
 def _share(part: int, whole: int, *, empty: float = 1.0) -> float:

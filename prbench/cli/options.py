@@ -38,42 +38,37 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Decorator = Callable[[_Function], _Function]
 
 
-class _Positive(click.ParamType):
-    """A whole number of at least 1."""
+class _Above(click.ParamType):
+    """A number that has to be large enough.
 
-    name = "number"
+    Args:
+        name: Shown in help.
+        kind: ``int`` or ``float``.
+        least: Smallest value, or for floats the value that it must exceed.
+        expected: What is expected, for messages.
+    """
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+    def __init__(self, name: str, kind: type, least: int, expected: str) -> None:
+        self.name = name
+        self._kind = kind
+        self._least = least
+        self._expected = expected
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int | float:
         """Parse the number."""
         try:
-            number = int(value)
+            number = self._kind(value)
         except ValueError:
-            number = 0
-        if number < 1:
-            self.fail(f"expected a whole number of at least 1, found '{value}'.", param, ctx)
+            number = math.nan
+        fits = number >= self._least if self._kind is int else self._least < number < math.inf
+        if not fits:
+            self.fail(f"expected {self._expected}, found '{value}'.", param, ctx)
         return number
 
 
-POSITIVE = _Positive()
-
-
-class _Seconds(click.ParamType):
-    """A time limit in seconds, above 0."""
-
-    name = "seconds"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Parse the number."""
-        try:
-            number = float(value)
-        except ValueError:
-            number = 0.0
-        if not 0 < number < math.inf:
-            self.fail(f"expected seconds above 0, found '{value}'.", param, ctx)
-        return number
-
-
-SECONDS = _Seconds()
+POSITIVE = _Above("number", int, 1, "a whole number of at least 1")
+SECONDS = _Above("seconds", float, 0, "seconds above 0")
+"""A time limit."""
 
 
 class KeyValue(click.ParamType):
@@ -94,13 +89,11 @@ class KeyValue(click.ParamType):
         return "KEY=VALUE"
 
 
-def benchmark_option(function: _Function) -> _Function:
-    """Add ``--benchmark NAME``."""
-    return click.option(
-        "--benchmark",
-        type=click.Choice(list(benchmarks())),
-        help=f"What is asked of the method (default {default_benchmark().name}).",
-    )(function)
+benchmark_option = click.option(
+    "--benchmark",
+    type=click.Choice(list(benchmarks())),
+    help=f"What is asked of the method (default {default_benchmark().name}).",
+)
 
 
 def usual_number(of: str) -> str:
@@ -120,9 +113,8 @@ def data_option(*, required: bool, help: str = "Built dataset folder(s).") -> _D
     return click.option("--data", cls=SeveralValues, type=PATH, metavar="DIR...", required=required, help=help)
 
 
-def data_arguments(function: _Function) -> _Function:
-    """Add the argument ``DIR…``: one built dataset folder or more."""
-    return click.argument("data", type=PATH, nargs=-1, required=True, metavar="DIR...")(function)
+data_arguments = click.argument("data", type=PATH, nargs=-1, required=True, metavar="DIR...")
+"""One built dataset folder or more."""
 
 
 def out_folder_option(help: str, *, required: bool = False) -> _Decorator:
@@ -310,26 +302,16 @@ def method_settings(function: _Function) -> _Function:
     return function
 
 
-def weights_option(function: _Function) -> _Function:
-    """Add ``--weights NAME|FILE``."""
-    return click.option(
-        "--weights",
-        type=PATH,
-        metavar="NAME|FILE",
-        help="The method's weights: bundled ones by name, a file or a folder.",
-    )(function)
+weights_option = click.option(
+    "--weights",
+    type=PATH,
+    metavar="NAME|FILE",
+    help="The method's weights: bundled ones by name, a file or a folder.",
+)
 
+device_option = click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1 ….")
 
-def device_option(function: _Function) -> _Function:
-    """Add ``--device``."""
-    return click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1 ….")(function)
-
-
-def threads_option(function: _Function) -> _Function:
-    """Add ``--threads N``."""
-    return click.option("--threads", type=POSITIVE, default=1, metavar="N", help="Threads a process (default 1).")(
-        function
-    )
+threads_option = click.option("--threads", type=POSITIVE, default=1, metavar="N", help="Threads a process (default 1).")
 
 
 def seed_option(of: str, *, default: int | None = 0) -> _Decorator:
@@ -342,15 +324,14 @@ def control_option(help: str) -> _Decorator:
     return click.option("--control", type=click.Choice(["shuffled-goal"]), help=help)
 
 
-def permission_option(function: _Function) -> _Function:
-    """Add ``--permission DATASET``, repeatable: the user's word for data whose licence keeps recorded motion."""
-    return click.option(
-        "--permission",
-        multiple=True,
-        metavar="DATASET",
-        help="I have the licensor's permission to pass on recorded motion and goals of DATASET (only needed where its"
-        " licence forbids it; `prbench datasets` says which); repeatable.",
-    )(function)
+permission_option = click.option(
+    "--permission",
+    multiple=True,
+    metavar="DATASET",
+    help="I have the licensor's permission to pass on recorded motion and goals of DATASET (only needed where its"
+    " licence forbids it; `prbench datasets` says which); repeatable.",
+)
+"""The user's word for data whose licence keeps recorded motion."""
 
 
 def protocol_option(help: str) -> _Decorator:

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from prbench.checking.matching import Match, Verification, match_events, verification
-from prbench.checking.verify_synthetic import LEVELS, SensorLevel, limits, on_clock, verify_level, verify_tree
+from prbench.checking.verify_synthetic import LEVELS, SensorLevel, on_clock, verify_level, verify_tree
 from prbench.curation import build_dataset, curate_recording
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.sequences import SequenceTable
@@ -26,7 +26,7 @@ from prbench.synthetic.sensors.errors import Switches
 from prbench.synthetic.statistics import TARGETS
 from prbench.synthetic.synthetic_table import Staging, build_synthetic_table
 from prbench.synthetic.write_tree import synthesize_tree
-from tests.checking.levels import MOSTLY_SLOW
+from tests.checking.levels import MOSTLY_SLOW, limits
 
 RECORDINGS, EVENTS, SEED = 3, 6, 0
 OF_PRIMING = ("priming recall", "false primes", "median prime time error, s")

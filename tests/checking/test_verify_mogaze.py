@@ -11,7 +11,6 @@ from prbench.checking.verify_synthetic import (
     SensorLevel,
     StagedComparison,
     Staging,
-    limits,
     verify_level,
     verify_tree,
 )
@@ -21,7 +20,7 @@ from prbench.sequences import SequenceTable
 from prbench.synthetic.statistics import TARGETS, SequenceStatistics
 from prbench.synthetic.synthetic_table import build_synthetic_table
 from prbench.synthetic.write_tree import synthesize_tree
-from tests.checking.levels import MOSTLY_SLOW
+from tests.checking.levels import MOSTLY_SLOW, limits
 
 RECORDINGS, EVENTS, SEED = 2, 6, 301
 TABLE_SEED = 1

@@ -13,7 +13,6 @@ from prbench.checking.verify_synthetic import (
     SensorLevel,
     StagedComparison,
     Staging,
-    limits,
     verify_level,
     verify_tree,
 )
@@ -22,7 +21,7 @@ from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.synthetic.synthetic_table import build_synthetic_table
 from prbench.synthetic.write_tree import synthesize_tree
-from tests.checking.levels import MOSTLY_SLOW
+from tests.checking.levels import MOSTLY_SLOW, limits
 
 RECORDINGS, SEED = 3, 301
 
