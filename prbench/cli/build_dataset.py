@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -15,9 +14,7 @@ from prbench.cli.builds import (
     ProposedPick,
     built_table,
     made_shard,
-    note_cut_short,
-    note_fruitless,
-    note_unread,
+    note_recordings,
     planned,
     print_plan,
     print_stages,
@@ -45,7 +42,6 @@ if TYPE_CHECKING:
     from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
     from prbench.engine.shards import Shard
-    from prbench.sequences import Recording
 
 EVERYTHING = "all"
 """Stands in place of a dataset's name for whatever is found."""
@@ -252,7 +248,7 @@ def _build_shard(dataset: str, root: Path, out: Path, shard: Shard, options: Bui
             engine=engine,
             progress=lambda step: tell(step.done, step.total, step.record.recording_id),
         )
-    _note_recordings(report.records, reused=report.reused)
+    note_recordings(report.records, reused=report.reused)
     made = made_shard(report, made_of=len(report.records))
     complete = all(record.status != "failed" and not record.shortfalls for record in report.records)
     answer = BuildsReport(built=[], not_built=[], planned=[], shard=made)
@@ -287,9 +283,14 @@ def _build_all(root: Path, out: Path, options: BuildOptions, engine: Engine) -> 
     not_built = [
         BrokenDataset(outcome.dataset, outcome.root, outcome.message) for outcome in outcomes if outcome.report is None
     ]
-    rows = [
-        (each.dataset, *(_sizes(each.report) if each.report else ("–", "–", "–")), each.message) for each in outcomes
-    ]
+    rows = []
+    for each in outcomes:
+        sizes = ["–"] * 3
+        if each.report is not None:
+            counts = each.report.info.counts
+            not_read = counts.recordings_failed + counts.recordings_skipped
+            sizes = [str(count) for count in (counts.recordings_read, not_read, counts.sequences)]
+        rows.append((each.dataset, *sizes, each.message))
 
     def show() -> None:
         for table in built:
@@ -300,25 +301,12 @@ def _build_all(root: Path, out: Path, options: BuildOptions, engine: Engine) -> 
     return Answer(BuildsReport(built=built, not_built=not_built, planned=[]), show, 0 if complete else NOT_EVERYTHING)
 
 
-def _sizes(report: BuildReport) -> tuple[str, str, str]:
-    counts = report.info.counts
-    return str(counts.recordings_read), str(counts.recordings_failed + counts.recordings_skipped), str(counts.sequences)
-
-
 def _built(report: BuildReport) -> BuiltTable:
     """Report one table, and note what of its recordings is missing from it."""
     from prbench.curation.provenance import funnel_rows
 
-    _note_recordings(report.records, reused=report.reused)
+    note_recordings(report.records, reused=report.reused)
     return built_table(report, funnel_rows(report.info))
-
-
-def _note_recordings(records: Iterable[Recording], *, reused: int) -> None:
-    """Tell what of the recordings is missing from a table or shard."""
-    records = list(records)
-    note_unread(records, reused=reused)
-    note_cut_short(records)
-    note_fruitless(records)
 
 
 def _print_table(table: BuiltTable) -> None:

@@ -223,15 +223,16 @@ def note_unread(records: Iterable[Recording | CorpusRecord], *, reused: int) -> 
             note(f"{record.status}: {record.recording_id}: {record.message}")
 
 
-def note_cut_short(records: Iterable[Recording]) -> None:
-    """Name the recordings of which a stream ends early: events may be missing, and nothing else would tell."""
+def note_recordings(records: Iterable[Recording], *, reused: int) -> None:
+    """Name the recordings that are missing from a table, cut short, so that events may be missing, or without sequence.
+
+    What a reader remarks of a recording without sequences is seldom the cause, so the outcomes of its events are told.
+    """
+    records = list(records)
+    note_unread(records, reused=reused)
     for record in records:
         for shortfall in record.shortfalls:
             note(f"cut short: {record.recording_id}: {shortfall}")
-
-
-def note_fruitless(records: Iterable[Recording]) -> None:
-    """Name the recordings that were read and gave no sequence, and why; what a reader remarks is seldom the cause."""
     for record in records:
         if record.status == "read" and not record.outcomes.get("sequence"):
             note(f"no sequence: {record.recording_id}: {record.why_fruitless}")

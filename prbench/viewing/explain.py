@@ -55,7 +55,22 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
     record = event_of(events, row)
     recordings = table.recordings()
     index = pc.index(recordings["recording_id"], record.recording_id).as_py()
-    chunk = _sequence(table, record.sequence_id)
+    chunk = None
+    if record.sequence_id is not None:
+        chunk = next(iter(table.chunks(ids=frozenset({record.sequence_id}))), None)
+        if chunk is None:
+            named = f"the events name a sequence {record.sequence_id} that the sequences do not hold."
+            raise TableError(f"{table.folder}: {named}")
+    motion = None
+    if chunk is not None and may_pass_on(table.info, permitted):
+        motion = StoryMotion(
+            times=float(chunk.numbers("start_time")[0])
+            + np.arange(int(chunk.n_frames[0])) / float(chunk.numbers("fps")[0]),
+            joints=chunk.joints.astype(np.float64),
+            head_tilt_deg=float(chunk.numbers("head_tilt_deg")[0]),
+            goal=goal_of(chunk),
+            gaze=gaze_of(chunk),
+        )
     protocol = table.described_protocol.protocol() or load_protocol()
     return EventStory(
         event=record,
@@ -65,7 +80,7 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
         neighbours=_neighbours(events, row),
         priming_window=protocol.curation.priming_window,
         lead=protocol.curation.lead,
-        motion=_motion(chunk) if chunk is not None and may_pass_on(table.info, permitted) else None,
+        motion=motion,
         notice=notice(table.info, permitted),
     )
 
@@ -82,7 +97,9 @@ def _find_event(events: pa.Table, wanted: str) -> int:
     exact = [row for row, names in enumerate(zip(ids, sequences, strict=True)) if wanted in names]
     if exact:
         return exact[0]
-    names = [_readable(events, row) for row in range(len(ids))]
+    # ``recording/object name/action/time``: what a person would type.
+    columns = (events[name].to_pylist() for name in ("recording_id", "object_name", "action"))
+    names = ["/".join((*parts, event_id.rsplit("/", 1)[-1])) for *parts, event_id in zip(*columns, ids, strict=True)]
     fitting = [row for row in range(len(ids)) if wanted in ids[row] or wanted in names[row]]
     if len(fitting) == 1:
         return fitting[0]
@@ -94,14 +111,6 @@ def _find_event(events: pa.Table, wanted: str) -> int:
     hint = "\n".join(f"  {clean(name)}" for name in near)
     counted = f"no event '{wanted}' among the {len(ids)} of this dataset; events.parquet lists them."
     raise UsageError(f"{counted} Near it:\n{hint}" if near else counted)
-
-
-def _readable(events: pa.Table, row: int) -> str:
-    """``recording/object name/action/time``: what a person would type."""
-    recording, name, action, event_id = (
-        events[column][row].as_py() for column in ("recording_id", "object_name", "action", "event_id")
-    )
-    return f"{recording}/{name}/{action}/{event_id.rsplit('/', 1)[-1]}"
 
 
 def _neighbours(events: pa.Table, row: int) -> tuple[Event, ...]:
@@ -121,14 +130,6 @@ def _neighbours(events: pa.Table, row: int) -> tuple[Event, ...]:
     return tuple(event_of(events, other) for other in chosen)
 
 
-def _sequence(table: SequenceTable, sequence_id: str | None) -> SequenceChunk | None:
-    if sequence_id is None:
-        return None
-    for chunk in table.chunks(ids=frozenset({sequence_id})):
-        return chunk
-    raise TableError(f"{table.folder}: the events name a sequence {sequence_id} that the sequences do not hold.")
-
-
 def _stages(
     event: Event,
     chunk: SequenceChunk | None,
@@ -145,8 +146,11 @@ def _stages(
         "priming": _priming(event, protocol),
         "clipping": _clipping(event, chunk, protocol),
         "body": _body(event, protocol),
-        "filters": _filters(event, options),
+        "filters": "",
     }
+    if event.value is not None and event.threshold is not None:
+        measure = options.get("minimum_movement", "wrist_to_goal").replace("_", " ")
+        texts["filters"] = f"{measure}: {event.value:.3f} m (at least {event.threshold:.2f} m)"
     stages = []
     for number, name in enumerate(STAGES):
         verdict: Verdict = "passed" if number < decided else "not reached"
@@ -224,25 +228,6 @@ def _body(event: Event, protocol: BenchmarkProtocol) -> str:
     if event.outcome == "no_body":
         return "no body pose"
     return f"a gap of {event.value:.2f} s in the body (at most {longest:g} s is interpolated)"
-
-
-def _filters(event: Event, options: dict[str, str]) -> str:
-    if event.value is None or event.threshold is None:
-        return ""
-    measure = options.get("minimum_movement", "wrist_to_goal").replace("_", " ")
-    return f"{measure}: {event.value:.3f} m (at least {event.threshold:.2f} m)"
-
-
-def _motion(chunk: SequenceChunk) -> StoryMotion:
-    fps = float(chunk.numbers("fps")[0])
-    start = float(chunk.numbers("start_time")[0])
-    return StoryMotion(
-        times=start + np.arange(int(chunk.n_frames[0])) / fps,
-        joints=chunk.joints.astype(np.float64),
-        head_tilt_deg=float(chunk.numbers("head_tilt_deg")[0]),
-        goal=goal_of(chunk),
-        gaze=gaze_of(chunk),
-    )
 
 
 def _cm(metres: float | None) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -107,24 +107,25 @@ def scenes_of(request: ViewRequest) -> tuple[Scene, ...]:
         tables = tables_of_runs(runs, request.data)
     else:
         tables = [SequenceTable.open(path).with_sequences() for path in request.data]
+    # The scores stand beside the motions in the picture, so they have to be theirs.
     for table in tables:
-        # The scores stand beside the motions in the picture, so they have to be theirs.
-        _require_genuine_scores(runs, table)
-    shown = [Shown(table, _opened(runs, labels, table, request.sample)) for table in tables]
+        for run in runs:
+            record = next(record for record in run.record.tables if record.dataset == table.info.dataset)
+            if run.dataset(record.dataset).finished:
+                RunChecker(lambda _, table=table: table).check(run, record)
+    shown = []
+    for table in tables:
+        motions = [
+            RunMotions.open(run, table.info.dataset, label=label, sample=request.sample)
+            for run, label in zip(runs, labels, strict=True)
+        ]
+        shown.append(Shown(table, tuple(motions)))
     scenes: list[Scene] = []
     for part, ids in zip(shown, _chosen(request, shown), strict=True):
         if ids:
             around = None if request.scene is None else Surroundings(part.table.info.dataset, request.scene).around
             scenes += read_scenes(part.table, ids, part.generated, permitted=request.permitted, around=around)
     return tuple(scenes)
-
-
-def _require_genuine_scores(runs: Sequence[RunFolder], table: SequenceTable) -> None:
-    """Refuse runs whose scores, which stand beside the motions, are not those of the motions."""
-    for run in runs:
-        record = next(record for record in run.record.tables if record.dataset == table.info.dataset)
-        if run.dataset(record.dataset).finished:
-            RunChecker(lambda _: table).check(run, record)
 
 
 @dataclass(frozen=True)
@@ -145,61 +146,33 @@ class Shown:
         ]
 
 
-def _opened(
-    runs: Sequence[RunFolder], labels: Sequence[str], table: SequenceTable, sample: int
-) -> tuple[RunMotions, ...]:
-    return tuple(
-        RunMotions.open(run, table.info.dataset, label=label, sample=sample)
-        for run, label in zip(runs, labels, strict=True)
-    )
-
-
 def _chosen(request: ViewRequest, shown: Sequence[Shown]) -> list[list[str]]:
     """Ids of each table: those asked for, else a few that every run holds."""
     rows = [part.table.scalars(columns=["sequence_id", "recording_id"]) for part in shown]
     known = [table["sequence_id"].to_pylist() for table in rows]
+    chosen = []
     if not request.sequences:
-        held = [_held_by_all(part.runs, ids) for part, ids in zip(shown, known, strict=True)]
+        held = [[name for name in ids if all(name in run for run in part.runs)] for part, ids in zip(shown, known)]
         if not any(held):
             raise UsageError("these runs have no sequence in common; run them with the same --split and --limit.")
-        limit = request.limit or DEFAULT_LIMIT
-        recordings = [table["recording_id"].to_pylist() for table in rows]
-        return [
-            _limited(ids, dict(zip(names, recorded, strict=True)), limit)
-            for ids, names, recorded in zip(held, known, recordings, strict=True)
-        ]
+        for ids, names, table in zip(held, known, rows, strict=True):
+            recording_of = dict(zip(names, table["recording_id"].to_pylist(), strict=True))
+            taken = set(by_share(ids, [recording_of[name] for name in ids])[: request.limit or DEFAULT_LIMIT])
+            chosen.append([name for name in ids if name in taken])
+        return chosen
     # A part of an id has to fit one sequence of all tables together, so it is looked for among all of them.
     everything = list(itertools.chain.from_iterable(known))
     among = ", ".join(part.table.info.dataset for part in shown)
     wanted = list(dict.fromkeys(find_sequence_id(name, everything, among=among) for name in request.sequences))
-    chosen = []
     for part, ids in zip(shown, known, strict=True):
         own = [name for name in wanted if name in ids]
         for run in part.runs:
-            _require_in_run(run, part.table, own)
+            for name in own:
+                if name not in run:
+                    why = _why_left_out(run, part.table, name)
+                    raise UsageError(f"{run.run.path}: holds no motion of {name}: {why}")
         chosen.append(own)
     return chosen
-
-
-def _limited(ids: Sequence[str], recording_of: Mapping[str, str], limit: int) -> list[str]:
-    """Return those of the ids that the limit takes up, in the order given."""
-    chosen = set(by_share(ids, [recording_of[name] for name in ids])[:limit])
-    return [name for name in ids if name in chosen]
-
-
-def _held_by_all(runs: Sequence[RunMotions], ids: Sequence[str]) -> list[str]:
-    return [name for name in ids if all(name in run for run in runs)]
-
-
-def _require_in_run(run: RunMotions, table: SequenceTable, sequence_ids: Sequence[str]) -> None:
-    """Refuse sequences that a run has no motion of, and say why it has none.
-
-    Raises:
-        UsageError: naming the first one.
-    """
-    for name in sequence_ids:
-        if name not in run:
-            raise UsageError(f"{run.run.path}: holds no motion of {name}: {_why_left_out(run, table, name)}")
 
 
 def _why_left_out(run: RunMotions, table: SequenceTable, name: str) -> str:
