@@ -41,7 +41,9 @@ class AuditedControl:
     is_recorded: bool
     """The motions are the recorded ones, through another form at most."""
     summary: DatasetSummary
+    """Its scores, as in ``summary.json``."""
     agreement: DatasetAgreement
+    """Agreement with recorded people, and rates by the goal's place."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,7 @@ class TableAudit:
     """All controls on one table."""
 
     controls: tuple[AuditedControl, ...]
+    """The controls, recorded motion last."""
 
     @property
     def recorded(self) -> DatasetSummary:
@@ -66,7 +69,9 @@ class ControlMeans:
     """Means of one control, over one dataset or over several that count alike."""
 
     name: str
+    """Name of the control."""
     is_recorded: bool
+    """The motions are the recorded ones, through another form at most."""
     means: Mapping[str, MeanOverDatasets]
     """By metric id; without those that a dataset lacks."""
 

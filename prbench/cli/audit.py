@@ -24,8 +24,6 @@ from prbench.cli.terminal import print_table, shown_width
 
 if TYPE_CHECKING:
     from prbench.board.audit import ControlMeans, TableAudit
-    from prbench.harness.run_folder.agreement import DatasetAgreement
-    from prbench.harness.run_folder.summary import DatasetSummary
     from prbench.metrics import MetricInfo
 
 _COLUMNS = 8
@@ -36,67 +34,20 @@ _SEQUENCES = 48
 """Sequences of each dataset that is named with ``--data``, unless the user says how many."""
 
 
-class ControlScores(msgspec.Struct, frozen=True, kw_only=True):
-    """What one control earned.
-
-    Attributes:
-        name: Name of the control; ``ground-truth, shuffled-goal`` was scored against other sequences' goals.
-        use: What it does.
-        is_recorded: The motions are the recorded ones, through another form at most.
-        scores: Its scores, as in ``summary.json``.
-        agreement: Agreement with recorded people, and rates by the goal's place.
-    """
-
-    name: str
-    use: str
-    is_recorded: bool
-    scores: DatasetSummary
-    agreement: DatasetAgreement
-
-
-class AuditedTable(msgspec.Struct, frozen=True, kw_only=True):
-    """All controls on one table.
-
-    Attributes:
-        dataset: Name of the dataset.
-        controls: The controls, recorded motion last.
-        as_good_as_people: Maps each metric to the controls that score as well as recorded people or better, though
-            they are none; metrics that compare with the recorded motion, and those without a direction, are left out.
-    """
-
-    dataset: str
-    controls: list[ControlScores]
-    as_good_as_people: dict[str, list[str]]
-
-
-class ControlMeansReport(msgspec.Struct, frozen=True, kw_only=True):
-    """Means of one control over several datasets, each counting alike.
-
-    Attributes:
-        name: Name of the control.
-        is_recorded: The motions are the recorded ones, through another form at most.
-        means: Maps ids of metrics to means; without metrics that a dataset lacks.
-        intervals: The two bounds of each mean's 95 % interval, where every dataset has one.
-    """
-
-    name: str
-    is_recorded: bool
-    means: dict[str, float]
-    intervals: dict[str, list[float]]
-
-
 class AuditReport(msgspec.Struct, frozen=True, kw_only=True):
     """What each metric pays for.
 
     Attributes:
         tables: One entry a table.
-        means: One entry a control; empty for a single table.
-        as_good_as_people: As in a table, of the means over several tables; empty for a single table.
+        means: Means over all tables, one entry a control.
+        as_good_as_people: Maps each metric to the controls whose means are as good as those of recorded people or
+            better, though they are none; metrics that compare with the recorded motion, and those without a direction,
+            are left out.
         out: Folder of the run folders; null if they were not kept.
     """
 
-    tables: list[AuditedTable]
-    means: list[ControlMeansReport]
+    tables: tuple[TableAudit, ...]
+    means: tuple[ControlMeans, ...]
     as_good_as_people: dict[str, list[str]]
     out: Path | None
 
@@ -122,18 +73,13 @@ def audit(data: tuple[Path, ...], split: str, limit: int | None, out: Path | Non
     tables = data or embedded_tables(engine)
     with progress("running controls") as show:
         found = run_audit(tables, split=split, limit=limit or default, out=out, engine=engine, progress=show)
-    over = means_of_controls(found) if len(found) > 1 else ()
-    report = AuditReport(
-        tables=[_audited_table(each) for each in found],
-        means=[_means_report(each) for each in over],
-        as_good_as_people=_as_good_as_people(over),
-        out=out,
-    )
+    over = means_of_controls(found)
+    report = AuditReport(tables=found, means=over, as_good_as_people=_as_good_as_people(over), out=out)
 
     def show_all() -> None:
-        if over:
+        if len(found) > 1:
             _print_means(found, over)
-        if not over or session().verbose:
+        if len(found) == 1 or session().verbose:
             for each in found:
                 _print_dataset(each)
         if any(each.recorded.synthetic for each in found):
@@ -143,34 +89,6 @@ def audit(data: tuple[Path, ...], split: str, limit: int | None, out: Path | Non
             print(f"run folders: {out}")
 
     return Answer(report, show_all)
-
-
-def _audited_table(each: TableAudit) -> AuditedTable:
-    return AuditedTable(
-        dataset=each.recorded.dataset,
-        controls=[
-            ControlScores(
-                name=control.name,
-                use=control.use,
-                is_recorded=control.is_recorded,
-                scores=control.summary,
-                agreement=control.agreement,
-            )
-            for control in each.controls
-        ],
-        as_good_as_people=_as_good_as_people(each.means),
-    )
-
-
-def _means_report(control: ControlMeans) -> ControlMeansReport:
-    from prbench.harness.run_folder.means import intervals_of_means
-
-    return ControlMeansReport(
-        name=control.name,
-        is_recorded=control.is_recorded,
-        means={name: mean.mean for name, mean in control.means.items()},
-        intervals=intervals_of_means(control.means),
-    )
 
 
 def _as_good_as_people(controls: Sequence[ControlMeans]) -> dict[str, list[str]]:

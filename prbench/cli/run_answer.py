@@ -24,6 +24,7 @@ from prbench.cli.table_two import TableTwoAnswer
 if TYPE_CHECKING:
     from prbench.harness.run import RunReport
     from prbench.harness.run_folder.agreement import DatasetAgreement
+    from prbench.harness.run_folder.means import MeanOverDatasets
     from prbench.harness.run_folder.rates_of_people import CarriedOn
     from prbench.harness.run_folder.summary import DatasetSummary
 
@@ -42,9 +43,8 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
         datasets: Scores of each dataset, as in ``summary.json``.
         agreements: Agreement with recorded people on each dataset, and rates by the goal's place, as in
             ``agreement.json``; empty for merged folds and for benchmarks without recorded people.
-        means: Mean of each metric over the datasets, each counting alike; without metrics that a dataset lacks, and
-            empty for a single dataset.
-        intervals: The two bounds of each mean's 95 % interval, where every dataset has one.
+        means: Mean of each metric over the datasets; without metrics that a dataset lacks, and empty for a single
+            dataset.
         carried_on: Seams and halves of each dataset, where puts carry on from generated picks; empty for other runs.
     """
 
@@ -57,8 +57,7 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
     batches_found: int
     datasets: tuple[DatasetSummary, ...]
     agreements: list[DatasetAgreement]
-    means: dict[str, float]
-    intervals: dict[str, list[float]]
+    means: dict[str, MeanOverDatasets]
     carried_on: list[CarriedOn]
 
 
@@ -122,11 +121,10 @@ def shards_answer(made: list[MadeShard]) -> Answer:
 
 
 def _made(report: RunReport) -> MadeRun:
-    from prbench.harness.run_folder.means import intervals_of_means, means_over_datasets, share_a_mean
+    from prbench.harness.run_folder.means import means_over_datasets, share_a_mean
 
     record = report.folder.record
     several = len(report.summaries) > 1 and share_a_mean(record.tables)
-    means = means_over_datasets(report.summaries) if several else {}
     return MadeRun(
         folder=report.folder.path,
         method=record.method.name,
@@ -137,8 +135,7 @@ def _made(report: RunReport) -> MadeRun:
         batches_found=report.batches_found,
         datasets=report.summaries,
         agreements=[found for summary in report.summaries if (found := _agreement(report, summary.dataset))],
-        means={name: mean.mean for name, mean in means.items()},
-        intervals=intervals_of_means(means),
+        means=means_over_datasets(report.summaries) if several else {},
         carried_on=_carried_on(report),
     )
 

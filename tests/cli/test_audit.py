@@ -33,9 +33,9 @@ def test_of_several_tables_means_stand_first_and_each_table_follows_with_v(tmp_p
     assert [control.name for control in report.means] == [control.name for control in report.tables[0].controls]
     for control, *on_each in zip(report.means, *(table.controls for table in report.tables), strict=True):
         rates = [
-            next(metric.mean for metric in each.scores.metrics if metric.metric == "reach_success") for each in on_each
+            next(metric.mean for metric in each.summary.metrics if metric.metric == "reach_success") for each in on_each
         ]
-        assert control.means["reach_success"] == sum(rates) / 2
+        assert control.means["reach_success"].mean == sum(rates) / 2
     assert "teleport" in report.as_good_as_people["reach_success"]
     assert main(words) == 0
     short = capsys.readouterr().out
@@ -63,10 +63,10 @@ def test_the_report_holds_every_score_and_the_runs_are_kept_on_request(tmp_path,
     words = ["audit", "--data", str(table.folder), "--limit", "6", "--out", str(out)]
     report = reported(words, capsys)
     (audited,) = report.tables
-    assert set(audited.as_good_as_people) <= {info.id for info in METRICS if info.higher_is_better is not None}
+    assert set(report.as_good_as_people) <= {info.id for info in METRICS if info.higher_is_better is not None}
     for control in audited.controls:
         folder = out / control.name.replace(", ", "-")
         assert RunFolder.open(folder).record.method.kind == "control"
-        assert control.scores.sequences == 6
+        assert control.summary.sequences == 6
     recorded = [control.name for control in audited.controls if control.is_recorded]
     assert recorded == ["ground-truth, shuffled-goal", "ground-truth", "ground-truth-resampled", "ground-truth-30fps"]

@@ -20,9 +20,11 @@ class MeanOverDatasets:
     """The mean of one metric over datasets; rates from 0 to 1."""
 
     mean: float
+    """Mean over the datasets, each counting alike."""
     low: float | None
     """Lower bound of the 95 % interval; None where a dataset has no interval."""
     high: float | None
+    """Upper bound of the interval."""
 
 
 def share_a_mean(tables: Sequence[TableRecord]) -> bool:
