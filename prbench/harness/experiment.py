@@ -112,7 +112,10 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
                 for seed in self.seeds:
                     request = self._request(method, condition, seed)
                     if not single:
-                        name = _run_name(request, several_seeds=len(self.seeds) > 1)
+                        parts = [request.method_label, request.control, request.condition]
+                        if len(self.seeds) > 1:
+                            parts.append(f"seed{request.seed}")
+                        name = "-".join(str(part) for part in parts if part).replace(" ", "_")
                         if name in taken:
                             raise UsageError(
                                 f"two runs of the experiment are called '{name}': run methods that differ only in"
@@ -148,17 +151,6 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             protocol=Path(self.protocol) if self.protocol else None,
             out=Path(self.out) if self.out else None,
         )
-
-
-def _run_name(request: RunRequest, *, several_seeds: bool) -> str:
-    parts = [request.method_label]
-    if request.control:
-        parts.append(request.control)
-    if request.condition is not None:
-        parts.append(str(request.condition))
-    if several_seeds:
-        parts.append(f"seed{request.seed}")
-    return "-".join(parts).replace(" ", "_")
 
 
 @foreign_input()
@@ -230,6 +222,16 @@ def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path |
             f"{run.path}: {record.method.name} is {record.method.origin}, and a run folder does not record how to"
             " start it. Repeat the command with --method."
         )
+    find = table_finder(data)
+    folders = []
+    for table in record.tables:
+        found = find(table) or _fold_of(table, data)
+        if found is None:
+            raise RunError(
+                f"{run.path}: the run was made on a table of {table.dataset} with content digest"
+                f" {table.content_digest[:12]}…, which is neither named with --data nor embedded. Name its folder."
+            )
+        folders.append(str(found.folder))
     method = ExperimentMethod(
         name=record.method.name,
         conditions=(record.condition,),
@@ -240,7 +242,7 @@ def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path |
     return Experiment(
         methods=(method,),
         benchmark=record.benchmark,
-        data=_tables_of(run, data),
+        data=tuple(folders),
         split=record.split,
         limit=record.limit,
         sequences=record.sequences,
@@ -254,20 +256,6 @@ def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path |
         isolate=record.method.isolation is not None,
         protocol=str(run.path / PROTOCOL_FILE) if (run.path / PROTOCOL_FILE).is_file() else None,
     )
-
-
-def _tables_of(run: RunFolder, data: tuple[Path, ...]) -> tuple[str, ...]:
-    find = table_finder(data)
-    folders = []
-    for table in run.record.tables:
-        found = find(table) or _fold_of(table, data)
-        if found is None:
-            raise RunError(
-                f"{run.path}: the run was made on a table of {table.dataset} with content digest"
-                f" {table.content_digest[:12]}…, which is neither named with --data nor embedded. Name its folder."
-            )
-        folders.append(str(found.folder))
-    return tuple(folders)
 
 
 def _fold_of(record: TableRecord, data: tuple[Path, ...]) -> SequenceTable | None:

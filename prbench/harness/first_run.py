@@ -61,7 +61,7 @@ def default_tables(
         tell: Called with a line that names the process which is building them meanwhile, and is waited for.
     """
     if not default_tables_are_built():
-        _build_once(engine, progress, tell)
+        _build(engine, progress, tell)
     return tuple(SequenceTable.open(folder) for folder in default_table_folders())
 
 
@@ -96,7 +96,7 @@ def _is_built(folder: Path) -> bool:
     return (folder / FILE_NAME).is_file()
 
 
-def _build_once(engine: Engine, progress: Progress, tell: Callable[[str], None]) -> None:
+def _build(engine: Engine, progress: Progress, tell: Callable[[str], None]) -> None:
     # Every later run goes without it.
     from prbench.synthetic.synthetic_table import build_synthetic_table, recordings_of_people
 
@@ -160,7 +160,7 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
         RunError: if a named table is another one than a run's; names both digests.
         UsageError: if the runs have no dataset in common.
     """
-    shared = set.intersection(*(_datasets(run) for run in runs))
+    shared = set.intersection(*({table.dataset for table in run.record.tables} for run in runs))
     common = [record for record in runs[0].record.tables if record.dataset in shared]
     if not common:
         raise UsageError("these runs have no dataset in common, so that nothing can stand beside one another.")
@@ -176,12 +176,14 @@ def tables_of_runs(runs: Sequence[RunFolder], data: Sequence[Path]) -> list[Sequ
             )
     for run in runs:
         for table in tables:
-            _require_table_of(run, table)
+            record = next(record for record in run.record.tables if record.dataset == table.info.dataset)
+            if not _is_table_of(record, table):
+                raise RunError(
+                    f"{table.folder}: expected the table that {run.path} was made on (content digest"
+                    f" {record.content_digest[:_SHOWN]}…), found another one ({table.info.content_digest[:_SHOWN]}…)."
+                    " Name that table with --data DIR, or run the method again on this one."
+                )
     return tables
-
-
-def _datasets(run: RunFolder) -> set[str]:
-    return {table.dataset for table in run.record.tables}
 
 
 def _from_cache(run: RunFolder, record: TableRecord) -> SequenceTable:
@@ -194,16 +196,6 @@ def _from_cache(run: RunFolder, record: TableRecord) -> SequenceTable:
         f"{run.path}: was made on a table of {record.dataset} with content digest {record.content_digest[:_SHOWN]}…,"
         " which is not among the embedded ones. Name its folder with --data DIR."
     )
-
-
-def _require_table_of(run: RunFolder, table: SequenceTable) -> None:
-    record = next(record for record in run.record.tables if record.dataset == table.info.dataset)
-    if not _is_table_of(record, table):
-        raise RunError(
-            f"{table.folder}: expected the table that {run.path} was made on (content digest"
-            f" {record.content_digest[:_SHOWN]}…), found another one ({table.info.content_digest[:_SHOWN]}…)."
-            " Name that table with --data DIR, or run the method again on this one."
-        )
 
 
 def table_finder(data: Sequence[Path]) -> Callable[[TableRecord], Any]:

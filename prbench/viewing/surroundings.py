@@ -85,7 +85,13 @@ class Surroundings:
         if recording_id not in self._pieces:
             self._pieces[recording_id] = self._read(self._found[recording_id])
         time = chunk.numbers("event_time")[:1].astype(np.float64)
-        world = [_placed(piece, time) for piece in self._pieces[recording_id]]
+        world = []
+        for piece in self._pieces[recording_id]:
+            points = piece.points
+            if piece.track is not None:
+                position, rotation = piece.track.pose_at(time)
+                points = Rotation.from_quat(rotation[0], scalar_first=True).apply(points) + position
+            world.append(points)
         canonical_from_world = invert_rigid(chunk.vectors("world_from_canonical").reshape(4, 4))
         points = transform_points(canonical_from_world, np.concatenate([np.empty((0, 3)), *world]))
         seen = np.concatenate([chunk.joints[:, Joint.PELVIS], chunk.vectors("goal_location")])
@@ -112,15 +118,12 @@ def _surfaces(recording: Recording) -> tuple[_Piece, ...]:
         for each in recording.occluders
     ]
     boxes = [track for track in recording.objects if track.object_id not in carried]
-    return (
-        *pieces,
-        *(_Piece(_points_on_box(track), track) for track in boxes if (track.box_max > track.box_min).all()),
-    )
-
-
-def _points_on_box(track: ObjectTrack) -> Float[np.ndarray, "k 3"]:
-    box = import_open3d("--scene").geometry.TriangleMesh.create_box(*(track.box_max - track.box_min))
-    return _points_on(np.asarray(box.vertices) + track.box_min, np.asarray(box.triangles, dtype=np.int64))
+    for track in boxes:
+        if (track.box_max > track.box_min).all():
+            box = import_open3d("--scene").geometry.TriangleMesh.create_box(*(track.box_max - track.box_min))
+            corners = np.asarray(box.vertices) + track.box_min
+            pieces.append(_Piece(_points_on(corners, np.asarray(box.triangles, dtype=np.int64)), track))
+    return tuple(pieces)
 
 
 def _points_on(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "k 3"]:
@@ -140,14 +143,6 @@ def _thinned(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 3"]:
     open3d = import_open3d("--scene")
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     return np.array(cloud.voxel_down_sample(_BETWEEN_POINTS).points).reshape(-1, 3)
-
-
-def _placed(piece: _Piece, time: Float[np.ndarray, "1"]) -> Float[np.ndarray, "k 3"]:
-    """Place the points of a piece in the world."""
-    if piece.track is None:
-        return piece.points
-    position, rotation = piece.track.pose_at(time)
-    return Rotation.from_quat(rotation[0], scalar_first=True).apply(piece.points) + position
 
 
 @foreign_input()

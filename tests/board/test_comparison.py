@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 
-import msgspec
 import pyarrow.compute as pc
 import pytest
 
@@ -20,7 +19,7 @@ from prbench.harness.run_folder import DatasetSummary, read_scores
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.metrics import METRICS
 from prbench.sequences.ids import recording_key
-from tests.cli.reports import refused, reported
+from tests.cli.reports import plain, refused, reported
 from tests.fakes import fake_dataset
 
 
@@ -129,7 +128,7 @@ def test_the_board_is_reported_as_json_in_every_format(folder, tmp_path, capsys)
     assert (written.format, written.out, written.board) == ("csv", out, report.board)
     assert out.read_text().startswith("table,dataset,condition,method")
     assert main(["leaderboard", "export", *runs, "--format", "json"]) == 0
-    assert json.loads(capsys.readouterr().out) == msgspec.to_builtins(report.board)
+    assert json.loads(capsys.readouterr().out) == plain(report.board)
     refused(["leaderboard", "export", str(tmp_path)], capsys, code=RunError.exit_code, message="found none")
 
 

@@ -33,14 +33,17 @@ def documented(value: Any, kind: Any) -> Any:
     if kind is Path:
         return Path(value)
     if typing.get_origin(kind) in (types.UnionType, typing.Union):
-        fitting = [
-            each for each in inner if isinstance(value, dict) == (has_fields(each) or not isinstance(each, type))
-        ]
+        if isinstance(value, str):
+            return Path(value) if Path in inner else value
+        objects = [each for each in inner if has_fields(each) and isinstance(value, dict)]
+        plain = [each for each in inner if not has_fields(each) and typing.get_args(each)]
+        fitting = [each for each in objects if set(value) == set(fields_of(each))] + objects + plain
         return documented(value, fitting[0]) if fitting else value
     if has_fields(kind):
         kinds = fields_of(kind)
-        assert set(value) == set(kinds), kind.__name__
-        return SimpleNamespace(**{name: documented(value[name], kinds[name]) for name in kinds})
+        may_lack = getattr(getattr(kind, "__struct_config__", None), "omit_defaults", False)
+        assert set(value) <= set(kinds) if may_lack else set(value) == set(kinds), kind.__name__
+        return SimpleNamespace(**{name: documented(value[name], kinds[name]) for name in value})
     if isinstance(value, list) and inner:
         return [
             documented(each, inner[min(place, len(inner) - 1) if Ellipsis not in inner else 0])
@@ -49,6 +52,11 @@ def documented(value: Any, kind: Any) -> Any:
     if isinstance(value, dict) and inner:
         return {name: documented(each, inner[1]) for name, each in value.items()}
     return value
+
+
+def plain(value: Any) -> Any:
+    """Return what :func:`documented` has read as the JSON that it was."""
+    return json.loads(json.dumps(value, default=lambda each: str(each) if isinstance(each, Path) else vars(each)))
 
 
 def refused(words: Sequence[str], capsys: pytest.CaptureFixture, *, code: int, message: str) -> None:

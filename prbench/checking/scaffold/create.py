@@ -85,87 +85,66 @@ def new_adapter(request: ScaffoldRequest) -> ScaffoldReport:
     folder = request.out or Path(names.method if request.program else names.distribution)
     # Whole or not at all: a half-written package would install and fail later.
     with sole_writer(folder):
-        _require_new(folder)
-        contents = _program(names, request) if request.program else _package(names, request)
+        # An empty folder may be replaced, for example a fresh clone, but not the current one; a link may lead anywhere.
+        empty = folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir())
+        if os.path.lexists(folder) and (not empty or folder.resolve() == Path.cwd()):
+            raise StorageError(f"{folder}: exists already; nothing was written. Name a new folder with --out DIR.")
+        contents = _contents(names, request)
         with atomic_folder(folder) as temporary:
             for path, text in contents.items():
                 target = temporary / path
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_text(text, encoding="utf-8", newline="\n")
     warning = None if request.program else taken_by(names, request.benchmark)
+    lines = predictors.commands if request.benchmark == predictors.BENCHMARK else command_lines
+    commands = [command for command, _ in lines(names, request.conditions[0], program=request.program)]
     return ScaffoldReport(
         folder,
         files=tuple(sorted(map(Path, contents))),
-        next_steps=_next_steps(names, request, folder),
+        next_steps=(f"cd {shlex.quote(str(folder))}", *commands),
         warnings=() if warning is None else (warning,),
     )
 
 
-def _require_new(folder: Path) -> None:
-    """Refuse a folder that holds something, and the current one, which cannot be replaced by a finished one.
+def _contents(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
+    """Return path and text of every file of an installable package, or of a program of its own.
 
     Raises:
-        StorageError: if it is there.
+        UsageError: if a program should also be trainable.
     """
-    # An empty folder may be replaced, for example a fresh clone; a link may lead anywhere.
-    empty = folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir())
-    if os.path.lexists(folder) and (not empty or folder.resolve() == Path.cwd()):
-        raise StorageError(f"{folder}: exists already; nothing was written. Name a new folder with --out DIR.")
-
-
-def _next_steps(names: MethodNames, request: ScaffoldRequest, folder: Path) -> tuple[str, ...]:
-    lines = predictors.commands if request.benchmark == predictors.BENCHMARK else command_lines
-    commands = lines(names, request.conditions[0], program=request.program)
-    return (f"cd {shlex.quote(str(folder))}", *(command for command, _ in commands))
-
-
-def _package(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
-    """Path and text of every file of an installable package."""
-    if request.benchmark == predictors.BENCHMARK:
-        return _filled(predictors.package_templates(names), names, request) | {f"src/{names.module}/py.typed": ""}
-    source = f"src/{names.module}"
-    templates = {
-        "pyproject.toml": "pyproject.toml",
-        "README.md": "README.md",
-        ".gitignore": "gitignore",
-        ".github/workflows/test.yml": "workflow.yml",
-        f"{source}/__init__.py": "init.py",
-        f"{source}/adapter.py": "adapter.py",
-        "tests/test_conformance.py": "test_conformance.py",
-        "tests/test_method.py": "test_method.py",
-    }
-    if "free" in template_flags(request.conditions, trainable=request.trainable):
-        templates[f"{source}/standing.py"] = "standing.py"
-    return _filled(templates, names, request) | {f"{source}/py.typed": ""}
-
-
-def _program(names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
-    """Path and text of every file of a program of its own.
-
-    Raises:
-        UsageError: if it should also be trainable.
-    """
-    if request.trainable:
-        raise UsageError(
-            "--trainable --program: a program is not fitted by a run. Train it yourself and give it the result with"
-            " --weights, or write a package."
-        )
-    if request.benchmark == predictors.BENCHMARK:
-        return _filled(predictors.program_templates(names), names, request)
-    templates = {
-        "README.md": "program_README.md",
-        f"{names.program}.py": "program.py",
-        f"{names.program}.toml": "method.toml",
-    }
-    return _filled(templates, names, request) | {ONE_FILE: converters_file()}
-
-
-def _filled(templates: dict[str, str], names: MethodNames, request: ScaffoldRequest) -> dict[str, str]:
     chosen = {"trainable": request.trainable}
     if request.benchmark == predictors.BENCHMARK:
+        own, method = "predictor_", "predictor.py"
         values = predictors.values(names, request.conditions, **chosen, program=request.program)
         flags = predictors.flags(request.conditions, **chosen)
     else:
+        own, method = "", "adapter.py"
         values = template_values(names, request.conditions, **chosen, program=request.program)
         flags = template_flags(request.conditions, **chosen)
-    return {path: filled(read_template(name), values, flags) for path, name in templates.items()}
+    source = f"src/{names.module}"
+    more = {f"{source}/py.typed": ""}
+    templates = {
+        "pyproject.toml": "pyproject.toml",
+        "README.md": f"{own}README.md",
+        ".gitignore": "gitignore",
+        ".github/workflows/test.yml": "workflow.yml",
+        f"{source}/__init__.py": f"{own}init.py",
+        f"{source}/{method}": method,
+        "tests/test_conformance.py": f"{own}test_conformance.py",
+        "tests/test_method.py": f"{own}test_method.py",
+    }
+    if request.program:
+        if request.trainable:
+            raise UsageError(
+                "--trainable --program: a program is not fitted by a run. Train it yourself and give it the result with"
+                " --weights, or write a package."
+            )
+        more = {} if own else {ONE_FILE: converters_file()}
+        templates = {
+            "README.md": f"{own}program_README.md",
+            f"{names.program}.py": f"{own}program.py",
+            f"{names.program}.toml": "method.toml",
+        }
+    elif "free" in flags:
+        templates[f"{source}/standing.py"] = "standing.py"
+    return {path: filled(read_template(name), values, flags) for path, name in templates.items()} | more

@@ -13,30 +13,6 @@ _DOES = "lets the last pose go on, at a speed that differs from sample to sample
 _LEARNS = "It learns one number, how much of their speed people keep: a run fits it to the training windows by itself."
 
 
-def package_templates(names: MethodNames) -> dict[str, str]:
-    """Map the path of every file of a package to its template."""
-    source = f"src/{names.module}"
-    return {
-        "pyproject.toml": "pyproject.toml",
-        "README.md": "predictor_README.md",
-        ".gitignore": "gitignore",
-        ".github/workflows/test.yml": "workflow.yml",
-        f"{source}/__init__.py": "predictor_init.py",
-        f"{source}/predictor.py": "predictor.py",
-        "tests/test_conformance.py": "predictor_test_conformance.py",
-        "tests/test_method.py": "predictor_test_method.py",
-    }
-
-
-def program_templates(names: MethodNames) -> dict[str, str]:
-    """Map the path of every file of a program to its template."""
-    return {
-        "README.md": "predictor_program_README.md",
-        f"{names.program}.py": "predictor_program.py",
-        f"{names.program}.toml": "method.toml",
-    }
-
-
 def flags(conditions: Sequence[str], *, trainable: bool) -> frozenset[str]:
     """Return the names of the optional parts that are kept."""
     given = {"gaze"} if set(conditions) - {Condition.POSE.value} else set()

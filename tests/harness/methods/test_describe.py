@@ -202,8 +202,8 @@ def test_the_list_shows_good_and_bad_methods_and_controls(install, capsys):
     assert "! bad (prbench_bad 1.2): left the process while it was imported, with exit status 1" in text
     assert "controls" not in text, "only what was asked for"
     assert main(["adapters", "list", "--details", "--json", "good", "bad"]) == 0
-    bad, good = (method["details"] for method in json.loads(capsys.readouterr().out)["report"]["methods"])
-    assert (good["conditions"], good["trains"], good["error"]) == (["none"], "no", "")
+    bad, good = json.loads(capsys.readouterr().out)["report"]["details"]
+    assert (good["conditions"], good["fitted"], good["error"]) == (["none"], False, "")
     assert bad["error"].startswith("left the process")
 
 

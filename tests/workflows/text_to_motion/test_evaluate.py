@@ -4,7 +4,6 @@ import dataclasses
 import json
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -19,7 +18,7 @@ from prbench.workflows.text_to_motion.evaluate import MISMATCHED, REAL, TextEval
 from prbench.workflows.text_to_motion.generated import MethodRequest, generated_features
 from prbench.workflows.text_to_motion.report import TextEvaluation
 from prbench.workflows.text_to_motion.task import load_evaluator
-from tests.cli.reports import refused, reported
+from tests.cli.reports import plain, refused, reported
 from tests.fakes import smooth_motion
 from tests.workflows.text_to_motion.corpora import TINY
 from tests.workflows.text_to_motion.test_training import trained
@@ -194,7 +193,7 @@ def test_the_command_writes_prints_and_refuses(build, saved, corpus, tmp_path, c
     words = [*command, "--repetitions", "1", "--diversity-pairs", "20"]
     report = reported(words, capsys)
     written = json.loads(out.read_text())
-    assert msgspec.to_builtins(report.rows) == written["rows"]
+    assert plain(report.rows) == written["rows"]
     assert (report.clips, report.remarks) == (written["clips"], written["notes"])
     refused([*words, "--corpus", str(tmp_path / "gone")], capsys, code=4, message="gone")
     assert main([*command, "--multimodality"]) == 2
