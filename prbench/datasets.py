@@ -12,7 +12,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -31,49 +31,34 @@ _RESERVED = ("all", "synthetic")
 """Words with another meaning in commands."""
 
 
-@dataclass(frozen=True)
-class InstalledReader:
-    """Entry of a reader in package metadata."""
-
-    dataset: str
-    package: str
-    version: str
-    target: str
-    """``module:object``."""
-    built_in: bool
-    """It comes with prbench itself."""
-    problem: str = ""
-    """Reason why the reader cannot be used; empty if it can."""
-
-    @property
-    def origin(self) -> str:
-        """The reader as messages name it."""
-        return f"reader of '{self.dataset}' (package {self.package} {self.version}, {quoted(self.target)})"
+def origin_of(reader: InstalledEntry) -> str:
+    """Return a reader as messages name it."""
+    return f"reader of '{reader.name}' (package {reader.package} {reader.version}, {quoted(reader.target)})"
 
 
-def installed_readers() -> tuple[InstalledReader, ...]:
+def installed_readers() -> tuple[InstalledEntry, ...]:
     """List every reader by its dataset's name; those that cannot be used say why."""
     return _readers_on(tuple(sys.path))
 
 
 def readable_datasets() -> tuple[str, ...]:
     """Names of the datasets that have a reader, sorted."""
-    return tuple(reader.dataset for reader in installed_readers() if not reader.problem)
+    return tuple(reader.name for reader in installed_readers() if not reader.problem)
 
 
-def find_reader(dataset: str) -> InstalledReader:
+def find_reader(dataset: str) -> InstalledEntry:
     """Find the reader of a dataset; ``synthetic-`` before the name is ignored.
 
     Raises:
         UsageError: for a dataset without reader, with the nearest known name, or one whose reader cannot be used.
     """
     name = dataset.removeprefix(SYNTHETIC_PREFIX)
-    claims = [reader for reader in installed_readers() if reader.dataset == name]
+    claims = [reader for reader in installed_readers() if reader.name == name]
     usable = next((reader for reader in claims if not reader.problem), None)
     if usable is not None:
         return usable
     if claims:
-        raise UsageError(f"{claims[0].origin}: {claims[0].problem}. Repair or uninstall the package.")
+        raise UsageError(f"{origin_of(claims[0])}: {claims[0].problem}. Repair or uninstall the package.")
     known = readable_datasets()
     raise UsageError(
         f"no reader for '{dataset}'.{did_you_mean(name, known)} There are readers for: {', '.join(known)}."
@@ -86,7 +71,7 @@ def own_datasets() -> tuple[str, ...]:
     return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
 
 
-def folder_of(reader: InstalledReader) -> Path:
+def folder_of(reader: InstalledEntry) -> Path:
     """Return the folder of the module that an entry point names, without importing that module.
 
     The packages around it are imported.
@@ -99,29 +84,33 @@ def folder_of(reader: InstalledReader) -> Path:
         found = importlib.util.find_spec(module)
     except (Exception, SystemExit) as error:
         cause = f"{type(error).__name__}: {error}".rstrip(".")
-        raise UsageError(f"{reader.origin}: cannot be imported: {cause}. Repair or reinstall the package.") from error
+        raise UsageError(
+            f"{origin_of(reader)}: cannot be imported: {cause}. Repair or reinstall the package."
+        ) from error
     if found is None or found.origin is None:
-        raise UsageError(f"{reader.origin}: there is no module '{module}'. Repair or reinstall the package.")
+        raise UsageError(f"{origin_of(reader)}: there is no module '{module}'. Repair or reinstall the package.")
     return Path(found.origin).parent
 
 
 @cache
-def _readers_on(path: tuple[str, ...]) -> tuple[InstalledReader, ...]:  # noqa: ARG001
+def _readers_on(path: tuple[str, ...]) -> tuple[InstalledEntry, ...]:  # noqa: ARG001
     """See :func:`installed_readers`; readers are asked for often, and the metadata change with the path alone."""
     entries = list(installed_entries(ENTRY_POINT_GROUP, kind="READER"))
-    own = {entry.name for entry in entries if entry.ours} | set(own_datasets())
-    readers = [_reader(entry, own) for entry in entries]
-    claims = Counter(reader.dataset for reader in readers if not reader.problem)
-    readers = [_offered_once(reader, claims, readers) for reader in readers]
-    return tuple(sorted(readers, key=lambda reader: (reader.dataset, reader.package)))
-
-
-def _reader(entry: InstalledEntry, own: Iterable[str]) -> InstalledReader:
-    problem = entry.problem
-    if not problem and not entry.ours:
-        problem = _name_problem(entry.name, own)
-    name = entry.name if _NAME.fullmatch(entry.name) else quoted(entry.name or "unknown")
-    return InstalledReader(name, entry.package, entry.version, entry.target, entry.ours, problem)
+    own = {entry.name for entry in entries if entry.built_in} | set(own_datasets())
+    readers = []
+    for entry in entries:
+        problem = entry.problem
+        if not problem and not entry.built_in:
+            problem = _name_problem(entry.name, own)
+        name = entry.name if _NAME.fullmatch(entry.name) else quoted(entry.name or "unknown")
+        readers.append(replace(entry, name=name, problem=problem))
+    # One that another package offers, too, is refused.
+    claims = Counter(reader.name for reader in readers if not reader.problem)
+    for place, reader in enumerate(readers):
+        if not reader.problem and claims[reader.name] > 1:
+            packages = sorted({other.package for other in readers if other.name == reader.name})
+            readers[place] = replace(reader, problem=f"it is offered more than once, by {' and '.join(packages)}")
+    return tuple(sorted(readers))
 
 
 def _name_problem(name: str, own: Iterable[str]) -> str:
@@ -133,11 +122,3 @@ def _name_problem(name: str, own: Iterable[str]) -> str:
         return f"'{name}' is a reserved word of prbench"
     taken = next((other for other in sorted(own) if other.replace("-", "") == name.replace("-", "")), None)
     return "" if taken is None else f"'{taken}' is a dataset of prbench itself; choose another name"
-
-
-def _offered_once(reader: InstalledReader, claims: Counter[str], readers: Iterable[InstalledReader]) -> InstalledReader:
-    """The reader, refused where another package offers the same dataset."""
-    if reader.problem or claims[reader.dataset] == 1:
-        return reader
-    packages = sorted({other.package for other in readers if other.dataset == reader.dataset})
-    return replace(reader, problem=f"it is offered more than once, by {' and '.join(packages)}")

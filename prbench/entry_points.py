@@ -25,20 +25,22 @@ _UNKNOWN = "unknown"
 _TARGET = re.compile(r"[A-Za-z_][\w.]*\s*:\s*[A-Za-z_][\w.]*\s*(\[.*\])?")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, order=True)
 class InstalledEntry:
-    """One line ``name = module:object`` of an installed package."""
+    """One plug-in as the metadata of its package name it; nothing of it was imported."""
 
     name: str
-    """Empty where the line has none."""
-    target: str
-    """``module:object``; empty where the line has none."""
+    """What it is called by; empty where its line has no name."""
     package: str
+    """Package that offers it."""
     version: str
-    ours: bool
-    """The package is prbench itself."""
+    """Version of the package."""
+    target: str
+    """Where it stands: ``module:object``; empty where its line does not say."""
     problem: str = ""
-    """Reason why the line cannot be used; empty if it can."""
+    """Reason why it cannot be used: damaged metadata, or a name that is not its own; empty if it can."""
+    built_in: bool = False
+    """It comes with prbench itself."""
 
 
 def installed_entries(group: str, *, kind: str = "callable") -> Iterator[InstalledEntry]:
@@ -62,7 +64,7 @@ def installed_entries(group: str, *, kind: str = "callable") -> Iterator[Install
                 problem = f"entry_points.txt: expected 'name = module:{kind}', found '{quoted(line, longest=60)}'"
             elif not _TARGET.fullmatch(target):
                 problem = f"entry point: expected 'module:{kind}', found '{quoted(target, longest=60)}'"
-            yield InstalledEntry(name, target, package, version, ours, problem)
+            yield InstalledEntry(name, package, version, target, problem, ours)
 
 
 def _distributions() -> Iterator[Distribution]:

@@ -12,7 +12,7 @@ import msgspec
 from prbench.cli.commands import Answer, Group, command, note
 from prbench.cli.options import ALL_CONDITIONS, OUT_FILE, SECONDS, benchmark_option, out_folder_option
 from prbench.cli.terminal import print_columns
-from prbench.harness.methods.installed import InstalledAdapter
+from prbench.entry_points import InstalledEntry
 
 if TYPE_CHECKING:
     from prbench.harness.controls import ControlInfo
@@ -42,7 +42,7 @@ class MethodsReport(msgspec.Struct, frozen=True, kw_only=True):
         converters: The file of converters, with ``--converters``; else null.
     """
 
-    methods: list[InstalledAdapter]
+    methods: list[InstalledEntry]
     details: list[Description] = []
     controls: list[ControlInfo] = []
     converters: Path | None = None
@@ -106,7 +106,7 @@ def list_methods(
     return Answer(report, lambda: _print_details(report))
 
 
-def _print_methods(methods: list[InstalledAdapter]) -> None:
+def _print_methods(methods: list[InstalledEntry]) -> None:
     rows = []
     for method in methods:
         remark = f"! {method.problem}" if method.problem else ""

@@ -224,7 +224,7 @@ class Group(click.Group):
         """The commands that packages register, by name; those of prbench's own packages come first."""
         found: dict[str, InstalledEntry] = {}
         if self.plugins:
-            for entry in sorted(installed_entries(self.plugins, kind="command"), key=lambda each: not each.ours):
+            for entry in sorted(installed_entries(self.plugins, kind="command"), key=lambda each: not each.built_in):
                 found.setdefault(entry.name, entry)
         return found
 

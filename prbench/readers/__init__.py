@@ -25,7 +25,8 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from prbench.datasets import ENTRY_POINT_GROUP, SYNTHETIC_PREFIX, InstalledReader, find_reader
+from prbench.datasets import ENTRY_POINT_GROUP, SYNTHETIC_PREFIX, find_reader, origin_of
+from prbench.entry_points import InstalledEntry
 from prbench.errors import UsageError
 from prbench.readers.found import InputFile, RecordingFiles
 from prbench.readers.options import ReaderOptions, described_options, parse_options
@@ -211,23 +212,23 @@ def reader_for(dataset: str, options: Mapping[str, str] | None = None) -> Reader
     reader = _imported(installed)
     if not options:
         return reader
-    chosen = parse_options(type(reader.options), options, dataset=installed.dataset)
+    chosen = parse_options(type(reader.options), options, dataset=installed.name)
     return dataclasses.replace(reader, options=chosen)  # type: ignore[type-var]
 
 
-def _imported(installed: InstalledReader) -> Reader:
+def _imported(installed: InstalledEntry) -> Reader:
     try:
-        reader = EntryPoint(installed.dataset, installed.target, ENTRY_POINT_GROUP).load()
+        reader = EntryPoint(installed.name, installed.target, ENTRY_POINT_GROUP).load()
     except (Exception, SystemExit) as error:
         cause = f"{type(error).__name__}: {error}".rstrip(".")
         raise UsageError(
-            f"{installed.origin}: cannot be imported: {cause}. Repair or reinstall the package."
+            f"{origin_of(installed)}: cannot be imported: {cause}. Repair or reinstall the package."
         ) from error
     if not isinstance(reader, Reader) or not dataclasses.is_dataclass(reader):
         raise UsageError(
-            f"{installed.origin}: expected an instance of a frozen data class with dataset, options, find() and read(),"
-            f" found {type(reader).__name__}."
+            f"{origin_of(installed)}: expected an instance of a frozen data class with dataset, options, find() and"
+            f" read(), found {type(reader).__name__}."
         )
-    if reader.dataset != installed.dataset:
-        raise UsageError(f"{installed.origin}: it reads '{quoted(reader.dataset)}'; both names must be the same.")
+    if reader.dataset != installed.name:
+        raise UsageError(f"{origin_of(installed)}: it reads '{quoted(reader.dataset)}'; both names must be the same.")
     return reader

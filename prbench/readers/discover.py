@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.datasets import installed_readers, readable_datasets
+from prbench.datasets import installed_readers, origin_of, readable_datasets
 from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
 from prbench.files.boundary import foreign_input
 from prbench.protocol.manifests import load_manifest
@@ -92,7 +92,7 @@ def usable_readers() -> tuple[tuple[Reader, ...], tuple[str, ...]]:
         The readers by name, and one message for each that a package offers and that cannot be used.
     """
     readers = []
-    unusable = [f"{reader.origin}: {reader.problem}." for reader in installed_readers() if reader.problem]
+    unusable = [f"{origin_of(reader)}: {reader.problem}." for reader in installed_readers() if reader.problem]
     for dataset in readable_datasets():
         try:
             load_manifest(dataset)

@@ -14,12 +14,12 @@ from prbench.errors import AdapterError, PrbenchError, UsageError
 from prbench.files.storage import file_digest
 from prbench.harness.methods.declared import Declared
 from prbench.harness.methods.groups import MOTIONS, MethodGroup
-from prbench.harness.methods.installed import InstalledAdapter, list_adapters, no_such_method
+from prbench.harness.methods.installed import InstalledEntry, list_adapters, no_such_method
 from prbench.harness.methods.python_files import find_python_method, is_python_method, python_loader
 from prbench.protocol.benchmarks import benchmarks
 
 
-def find_adapter(name: str, *, also_known: Iterable[str] = (), entry_points: str = ADAPTERS) -> InstalledAdapter:
+def find_adapter(name: str, *, also_known: Iterable[str] = (), entry_points: str = ADAPTERS) -> InstalledEntry:
     """Find the installed method of this name: prbench's own, or the one that a single package offers.
 
     A Python file and ``module:function`` are found without being installed

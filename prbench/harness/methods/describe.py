@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from prbench.harness.methods.installed import InstalledAdapter, list_adapters, offered_twice
+from prbench.harness.methods.installed import InstalledEntry, list_adapters, offered_twice
 from prbench.harness.methods.users_environment import python_words, users_environment
 from prbench.protocol.benchmarks import find_benchmark
 from prbench.protocol.manifests import PROTOCOL_NAME
@@ -36,7 +36,7 @@ _CHILD = "prbench.harness.methods.describe_child"
 class Description:
     """One installed method, imported and asked, or the reason why it could not be."""
 
-    method: InstalledAdapter
+    method: InstalledEntry
     """Its package metadata."""
     conditions: tuple[str, ...] = ()
     """Conditions that it can be given, of those of its benchmark."""
@@ -84,7 +84,7 @@ def describe_adapters(
     twice = offered_twice(installed)
     stop = threading.Event()
 
-    def describe(method: InstalledAdapter) -> Description:
+    def describe(method: InstalledEntry) -> Description:
         if method.name in twice:
             return Description(method, error="another package offers the same name; uninstall one of them")
         return describe_adapter(method, benchmark=benchmark, time_limit=time_limit, stop=stop)
@@ -97,7 +97,7 @@ def describe_adapters(
 
 
 def describe_adapter(
-    method: InstalledAdapter,
+    method: InstalledEntry,
     *,
     benchmark: str = PROTOCOL_NAME,
     time_limit: float = TIME_LIMIT,
@@ -174,7 +174,7 @@ class _Child:
     tail: str = ""
 
     @classmethod
-    def start(cls, method: InstalledAdapter, benchmark: str, report: Path) -> _Child:
+    def start(cls, method: InstalledEntry, benchmark: str, report: Path) -> _Child:
         """Start importing a method, from where this process would import it."""
         process = subprocess.Popen(
             python_words(_CHILD, method.name, benchmark, str(report)),

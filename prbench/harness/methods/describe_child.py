@@ -20,7 +20,7 @@ from prbench.errors import PrbenchError
 from prbench.harness.methods.adapters import find_adapter, load_adapter
 from prbench.harness.methods.declared import Declared
 from prbench.harness.methods.groups import MethodGroup, group_of
-from prbench.harness.methods.installed import InstalledAdapter
+from prbench.harness.methods.installed import InstalledEntry
 
 
 def main(name: str, benchmark: str, report: Path) -> None:
@@ -66,11 +66,11 @@ def _weights(adapter: Any, conditions: frozenset[StrEnum]) -> list[str]:
     return sorted({Path(path).name for path in paths if path is not None})
 
 
-def _origin(method: InstalledAdapter) -> str:
+def _origin(method: InstalledEntry) -> str:
     return f"adapter '{method.name}' (package {method.package} {method.version}, {method.target}): "
 
 
-def _remedy(error: BaseException | None, method: InstalledAdapter) -> str:
+def _remedy(error: BaseException | None, method: InstalledEntry) -> str:
     """Say how to install a module that is missing, if the package's own metadata tell."""
     if not isinstance(error, ModuleNotFoundError) or not error.name:
         return ""

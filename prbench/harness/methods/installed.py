@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 
-from prbench.entry_points import ADAPTERS, installed_entries
+from prbench.entry_points import ADAPTERS, InstalledEntry, installed_entries
 from prbench.errors import AdapterError, did_you_mean
 from prbench.harness.methods.names import has_form, name_problem
 from prbench.protocol.benchmarks import benchmark_of_group
@@ -16,25 +16,7 @@ _UNKNOWN = "unknown"
 _PROGRAM_SUFFIXES = (".py", ".js", ".mjs", ".sh", ".exe", ".jl", ".rb", ".r", ".m")
 
 
-@dataclass(frozen=True, order=True)
-class InstalledAdapter:
-    """The package metadata of a method; nothing of it was imported."""
-
-    name: str
-    """What ``--method`` is given."""
-    package: str
-    """Package that offers it."""
-    version: str
-    """Version of the package."""
-    target: str
-    """Where its ``load`` stands: ``module:callable``."""
-    problem: str = ""
-    """Reason why the method cannot be used: damaged metadata, or a name that is not its own; empty if it can."""
-    built_in: bool = False
-    """True if it comes with prbench itself."""
-
-
-def list_adapters(entry_points: str = ADAPTERS) -> list[InstalledAdapter]:
+def list_adapters(entry_points: str = ADAPTERS) -> list[InstalledEntry]:
     """Return all installed methods by name, without importing any; those that cannot be used say why.
 
     Args:
@@ -43,7 +25,7 @@ def list_adapters(entry_points: str = ADAPTERS) -> list[InstalledAdapter]:
     return sorted(set(_adapters(entry_points)))
 
 
-def offered_twice(adapters: Iterable[InstalledAdapter]) -> frozenset[str]:
+def offered_twice(adapters: Iterable[InstalledEntry]) -> frozenset[str]:
     """Return names that several packages offer; such a name cannot be used until all but one are uninstalled."""
     names = [adapter.name for adapter in adapters if not adapter.problem]
     return frozenset(name for name in names if names.count(name) > 1)
@@ -63,7 +45,7 @@ def packages_of(names: Collection[str], entry_points: str = ADAPTERS) -> tuple[s
 def entry_points_of(group: str) -> Iterator[EntryPoint]:
     """Yield the readable entry points of a group, but none whose name belongs to prbench."""
     for entry in installed_entries(group):
-        if entry.name and entry.target and (entry.ours or name_problem(entry.name) is None):
+        if entry.name and entry.target and (entry.built_in or name_problem(entry.name) is None):
             yield EntryPoint(entry.name, entry.target, group)
 
 
@@ -88,19 +70,13 @@ def _as_program(name: str) -> str:
     return ""
 
 
-def _adapters(entry_points: str) -> Iterator[InstalledAdapter]:
+def _adapters(entry_points: str) -> Iterator[InstalledEntry]:
     own = benchmark_of_group(entry_points).methods
     for entry in installed_entries(entry_points):
         name = entry.name or _UNKNOWN
-        adapter = InstalledAdapter(name, entry.package, entry.version, entry.target, entry.problem)
-        yield _with_right_to_its_name(adapter, ours=entry.ours, own=own)
-
-
-def _with_right_to_its_name(adapter: InstalledAdapter, *, ours: bool, own: Collection[str]) -> InstalledAdapter:
-    """Mark the method as built in, or as refused where its name belongs to prbench or cannot be shown."""
-    if ours and adapter.name in own:
-        return replace(adapter, built_in=True)
-    problem = adapter.problem or name_problem(adapter.name, own=own) or ""
-    # A name that cannot be shown safely is quoted, so that a list stays readable.
-    name = adapter.name if has_form(adapter.name) else quoted(adapter.name)
-    return replace(adapter, name=name, problem=problem)
+        if entry.built_in and name in own:
+            yield entry
+            continue
+        problem = entry.problem or name_problem(name, own=own) or ""
+        # A name that cannot be shown safely is quoted, so that a list stays readable.
+        yield replace(entry, name=name if has_form(name) else quoted(name), problem=problem, built_in=False)

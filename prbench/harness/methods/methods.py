@@ -9,7 +9,7 @@ from pathlib import Path
 from prbench.contract import Trainable, TrainingRun
 from prbench.errors import UsageError
 from prbench.files.storage import cache_folder, text_digest
-from prbench.harness.methods.adapters import InstalledAdapter, find_adapter
+from prbench.harness.methods.adapters import InstalledEntry, find_adapter
 from prbench.harness.methods.groups import MOTIONS, MethodGroup
 from prbench.harness.methods.isolation import fenced, isolated_environment, worker_program
 from prbench.harness.methods.isolation.isolated import Fit
@@ -120,7 +120,7 @@ def fit_to_training_rows(adapter: object, spec: MethodSpec) -> None:
         adapter.fit(TrainingSplit.open(spec.table_folder), validation=None, run=run)
 
 
-def _worker(spec: MethodSpec, installed: InstalledAdapter, fit: Fit | None) -> Program:
+def _worker(spec: MethodSpec, installed: InstalledEntry, fit: Fit | None) -> Program:
     """Return the worker process that keeps an installed method at a distance."""
     return worker_program(
         spec.name,

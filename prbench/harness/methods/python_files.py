@@ -14,7 +14,7 @@ from typing import Any
 
 from prbench.errors import AdapterError
 from prbench.files.storage import file_digest
-from prbench.harness.methods.installed import InstalledAdapter
+from prbench.harness.methods.installed import InstalledEntry
 
 _LOAD = "load"
 _FILE = re.compile(r"(?P<path>.+\.py)(?::(?P<name>[A-Za-z_]\w*))?", re.IGNORECASE)
@@ -30,7 +30,7 @@ def is_python_method(method: str) -> bool:
     return _MODULE.fullmatch(method) is not None
 
 
-def find_python_method(method: str) -> InstalledAdapter:
+def find_python_method(method: str) -> InstalledEntry:
     """Return what is known of such a method without importing it.
 
     Args:
@@ -45,7 +45,7 @@ def find_python_method(method: str) -> InstalledAdapter:
             f"{path}: expected a function '{name}(weights, *, options, device)' that makes the method, found none in"
             f" this file. A program is given by its command, as 'cmd:python {path.name}'."
         )
-    return InstalledAdapter(method, path.name, file_digest(path)[:_SHOWN_DIGEST], f"{path}:{name}")
+    return InstalledEntry(method, path.name, file_digest(path)[:_SHOWN_DIGEST], f"{path}:{name}")
 
 
 def import_python_method(method: str) -> ModuleType:

@@ -12,7 +12,7 @@ from prbench.contract import Condition
 from prbench.errors import AdapterError, MissingExtraError, RunError, UsageError
 from prbench.files.storage import file_digest
 from prbench.harness.methods.adapters import (
-    InstalledAdapter,
+    InstalledEntry,
     chosen_condition,
     find_adapter,
     list_adapters,
@@ -42,7 +42,7 @@ def test_listing_imports_no_adapter_and_no_torch(install):
 
 def test_a_third_party_package_adds_a_method(install):
     install("made", adapter_source())
-    assert find_adapter("made") == InstalledAdapter("made", "prbench_made", "1.2", "prbench_made:load")
+    assert find_adapter("made") == InstalledEntry("made", "prbench_made", "1.2", "prbench_made:load")
     assert load_adapter("made", None, {}, "cpu").name == "made"
 
 

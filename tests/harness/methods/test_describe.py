@@ -13,7 +13,7 @@ import pytest
 
 from prbench.cli import main
 from prbench.harness.methods.describe import Description, describe_adapter, describe_adapters
-from prbench.harness.methods.installed import InstalledAdapter, list_adapters
+from prbench.harness.methods.installed import InstalledEntry, list_adapters
 from tests.method_fixtures import adapter_source
 
 _LIMIT = 100.0  # seconds; these take well under one on an idle core
@@ -170,7 +170,7 @@ def test_many_are_described_at_a_time_in_the_order_of_their_names(install):
 
 
 def test_unusable_metadata_are_said_without_importing_anything():
-    broken = InstalledAdapter("x", "p", "1", "module", "entry point: expected 'module:callable', found 'module'")
+    broken = InstalledEntry("x", "p", "1", "module", "entry point: expected 'module:callable', found 'module'")
     assert describe_adapter(broken).error == broken.problem
 
 

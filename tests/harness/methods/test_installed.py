@@ -13,7 +13,7 @@ from prbench.cli import main
 from prbench.errors import AdapterError
 from prbench.harness.methods.adapters import find_adapter
 from prbench.harness.methods.installed import (
-    InstalledAdapter,
+    InstalledEntry,
     entry_points_of,
     list_adapters,
     no_such_method,
@@ -53,7 +53,7 @@ def test_a_source_checkout_on_the_path_is_prbench_itself(tmp_path, monkeypatch):
     assert (static.built_in, static.version, static.problem) == (True, "0.1", "")
 
 
-def _mine() -> list[InstalledAdapter]:
+def _mine() -> list[InstalledEntry]:
     return [adapter for adapter in list_adapters() if adapter.package != "prbench"]
 
 
@@ -99,7 +99,7 @@ def test_the_copy_that_stands_first_on_the_path_is_the_installed_one(package, tm
     (info / "entry_points.txt").write_text("[prbench.adapters]\nmine = new:load\n")
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: Mine\nVersion: 2.0\n")
     monkeypatch.syspath_prepend(str(first))
-    assert _mine() == [InstalledAdapter("mine", "Mine", "2.0", "new:load")]
+    assert _mine() == [InstalledEntry("mine", "Mine", "2.0", "new:load")]
 
 
 def test_names_that_two_packages_offer_are_known(package):
