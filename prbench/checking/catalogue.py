@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
 
 import prbench
-from prbench.checking.inspection import FoundCorpus, find_corpora, missing_files
+from prbench.checking.inspection import look, missing_files
 from prbench.datasets import own_datasets, readable_datasets
-from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.protocol.manifests import Manifest, dataset_names, load_citations, load_manifest
+from prbench.errors import UsageError, did_you_mean
+from prbench.protocol.manifests import dataset_names, load_citations, load_manifest
 from prbench.readers import reader_for
-from prbench.readers.discover import Discovery, FoundDataset, discover, usable_readers
+from prbench.readers.discover import Discovery, usable_readers
 from prbench.sequences import CorpusTable, DatasetInfo, SequenceTable
 from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
 from prbench.shown import clean
@@ -105,56 +105,35 @@ def catalogue(root: Path | None = None, name: str | None = None) -> tuple[Catalo
             hint = did_you_mean(name, names)
             raise UsageError(f"unknown dataset '{name}'.{hint} Known ones are: {', '.join(names)}.")
         names = (name,)
-    discovery, corpora = (None, ()) if root is None else _look(root)
+    discovery, corpora = (Discovery((), ()), ()) if root is None else look(root)
+    readable = readable_datasets()
     entries = []
     for dataset in names:
-        here = [] if discovery is None else [each for each in discovery.found if each.dataset == dataset]
-        broken = [] if discovery is None else [each for each in discovery.broken if each.dataset == dataset]
+        here = [each for each in discovery.found if each.dataset == dataset]
         places = [*here, *(corpus for corpus in corpora if corpus.corpus == dataset)]
         manifest = load_manifest(dataset)
+        missing = [each.message for each in discovery.broken if each.dataset == dataset]
+        recordings = [recording for each in here for recording in each.recordings]
+        lacking = Counter(file for each in recordings for file in missing_files(each, manifest.required_roles))
+        for file, count in sorted(lacking.items()):
+            missing.append(
+                f"{file} is missing in {count} of {len(recordings)} recordings (`prbench inspect` names them)"
+            )
+        options = reader_for(dataset).options if dataset in readable else None
+        defaults = {} if options is None else {option: getattr(options, option) for option in options.names()}
         entries.append(
             CatalogueEntry(
                 **{name: getattr(manifest, name) for name in _OF_THE_MANIFEST},
                 citation=manifest.citation.strip(),
                 body_poses=tuple(body.pose_source for body in (manifest.body, *manifest.other_bodies.values())),
-                reader_options=_reader_options(dataset),
+                reader_options=tuple(
+                    f"{option} (default {'none' if value is None else value})" for option, value in defaults.items()
+                ),
                 found="; ".join(f"{len(each.recordings)} recordings in {each.root}" for each in places),
-                missing=(*(each.message for each in broken), *_missing(here, manifest)),
+                missing=tuple(missing),
             )
         )
     return tuple(entries)
-
-
-def _look(root: Path) -> tuple[Discovery | None, tuple[FoundCorpus, ...]]:
-    """Datasets and corpora below a folder.
-
-    Raises:
-        InputFileError: if there is neither.
-    """
-    corpora = find_corpora(root) if root.is_dir() else ()
-    try:
-        return discover(root), corpora
-    # A folder of corpora alone is no folder of datasets, and still worth a list.
-    except InputFileError:
-        if not corpora:
-            raise
-        return None, corpora
-
-
-def _missing(found: Sequence[FoundDataset], manifest: Manifest) -> Iterator[str]:
-    recordings = [recording for each in found for recording in each.recordings]
-    lacking = Counter(name for recording in recordings for name in missing_files(recording, manifest.required_roles))
-    for name, count in sorted(lacking.items()):
-        yield f"{name} is missing in {count} of {len(recordings)} recordings (`prbench inspect` names them)"
-
-
-def _reader_options(dataset: str) -> tuple[str, ...]:
-    if dataset not in readable_datasets():
-        return ()
-    options = reader_for(dataset).options
-    return tuple(
-        f"{name} (default {'none' if (value := getattr(options, name)) is None else value})" for name in options.names()
-    )
 
 
 def citation_text(folders: Sequence[Path]) -> str:
@@ -178,13 +157,9 @@ def citation_text(folders: Sequence[Path]) -> str:
         terms.append(f"%   it {clean(_TERMS.get(info.redistribution, info.redistribution))}.")
         if info.homepage:
             terms.append(f"%   {clean(info.homepage)}")
-        entries += [entry for entry in _bibtex_entries(info.citation) if entry not in entries]
+        # Each entry starts with ``@`` at the beginning of a line.
+        entries += [entry.strip() for entry in re.split(r"^(?=@)", info.citation, flags=re.MULTILINE) if entry.strip()]
     common = load_citations()
     toolkit = common.toolkit.replace("VERSION", prbench.__version__)
     everything = dict.fromkeys([*entries, common.study.strip(), toolkit.strip()])  # imports cite the study, too
     return "\n\n".join(["\n".join(terms), *everything])
-
-
-def _bibtex_entries(text: str) -> list[str]:
-    """The entries of a BibTeX text, each starting with ``@`` at the beginning of a line."""
-    return [entry.strip() for entry in re.split(r"^(?=@)", text, flags=re.MULTILINE) if entry.strip()]

@@ -62,6 +62,21 @@ def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:
     return tuple(found)
 
 
+def look(root: Path) -> tuple[Discovery, tuple[FoundCorpus, ...]]:
+    """Look for datasets and corpora below a folder.
+
+    Raises:
+        InputFileError: if there is neither.
+    """
+    corpora = find_corpora(root) if root.is_dir() else ()
+    try:
+        return discover(root), corpora
+    except InputFileError:
+        if not corpora:  # a folder of corpora alone is no folder of datasets, and still worth a list
+            raise
+        return Discovery((), ()), corpora
+
+
 @dataclass(frozen=True)
 class InspectedRecording:
     """One recording and what is wrong with it."""
@@ -200,13 +215,7 @@ def inspect_folder(
         InputFileError: if nothing is recognised.
     """
     root = Path(root)
-    corpora = find_corpora(root) if root.is_dir() else ()
-    try:
-        discovery = discover(root)
-    except InputFileError:
-        if not corpora:
-            raise
-        discovery = Discovery((), ())
+    discovery, corpora = look(root)
     # Counted before the first recording is read: with --thorough each is read in full, and progress needs a total.
     total = sum(len(found.recordings) for found in discovery.found)
     datasets = []

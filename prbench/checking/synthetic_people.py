@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 
 import numpy as np
 
@@ -12,8 +12,8 @@ from prbench.engine import Engine, InProcess
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.metrics.batch import MotionBatch
-from prbench.metrics.plausible import BodyNumbers, body_numbers, plausible
-from prbench.protocol.manifests import MetricConstants, load_manifest, load_protocol
+from prbench.metrics.plausible import body_numbers, plausible
+from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.synthetic.behaviour import Range, measure_behaviour, ranges
 from prbench.synthetic.people import PRESETS, perform
 from prbench.synthetic.performance import Performance
@@ -71,65 +71,24 @@ def people_numbers(
     """
     if preset not in PRESETS:
         raise UsageError(f"expected one of {', '.join(PRESETS)}, found {preset!r}: only these have people that act.")
-    performances = list(engine.map(_Acting(preset, seed), range(recordings)))
-    recorded = [joints for some in engine.map(_Recording(preset, seed), range(recordings)) for joints in some]
-    acted = [_canonical(clip.joints) for clip in clips_of(performances)]
+    performances = list(engine.map(partial(_act, preset, seed), range(recordings)))
+    recorded = [joints for some in engine.map(partial(_record, preset, seed), range(recordings)) for joints in some]
+    acted = [
+        transform_points(invert_rigid(canonical_frame(clip.joints)), clip.joints) for clip in clips_of(performances)
+    ]
     if not acted or not recorded:
         raise UsageError(f"{recordings} recordings of seed {seed} hold no sequence; ask for more with --count.")
-    return (
-        *_behaviour_numbers(preset, performances),
-        *_body_numbers(preset, MotionBatch.from_motions(acted), MotionBatch.from_motions(recorded)),
-    )
-
-
-@dataclass(frozen=True)
-class _Acting:
-    preset: str
-    seed: int
-
-    def __call__(self, index: int) -> Performance:
-        return perform(self.preset, seed=self.seed, index=index, n_events=EVENTS, rate=_RATE, provocations={})
-
-
-@dataclass(frozen=True)
-class _Recording:
-    preset: str
-    seed: int
-
-    def __call__(self, index: int) -> list[np.ndarray]:
-        staging = Staging(self.preset, self.seed, n_events=EVENTS)
-        recording = staging.sense(staging.perform(index))
-        curated = curate_recording(recording, load_manifest(self.preset), load_protocol())
-        return [np.asarray(sequence.joints) for sequence in curated.sequences]
-
-
-def _canonical(joints: np.ndarray) -> np.ndarray:
-    return transform_points(invert_rigid(canonical_frame(joints)), joints)
-
-
-def _behaviour_numbers(preset: str, performances: list[Performance]) -> Iterator[PeopleNumber]:
-    values = asdict(measure_behaviour(performances))
-    for name, asked in ranges(preset).items():
-        yield PeopleNumber(preset, name, values[name], None, asked)
-
-
-def _body_numbers(preset: str, acted: MotionBatch, recorded: MotionBatch) -> Iterator[PeopleNumber]:
-    constants = load_protocol().metrics
-    shares = [float(plausible(motions, FPS, constants).mean()) for motions in (acted, recorded)]
-    yield PeopleNumber(preset, "plausible", shares[0], shares[1], _PLAUSIBLE)
-    worst = [_worst(body_numbers(motions, FPS, constants)) for motions in (acted, recorded)]
-    for name, asked in _body_ranges(constants).items():
-        yield PeopleNumber(preset, name, worst[0][name], worst[1][name], asked)
-
-
-def _worst(numbers: BodyNumbers) -> dict[str, float]:
-    """Return the smallest pelvis height and the largest of the other numbers, by name."""
-    extremes = {name: float(values.max()) for name, values in vars(numbers).items()}
-    return extremes | {"lowest_pelvis": float(numbers.lowest_pelvis.min())}
-
-
-def _body_ranges(limits: MetricConstants) -> dict[str, Range]:
-    """Return the protocol's limits by the fields of :class:`~prbench.metrics.plausible.BodyNumbers`."""
+    behaviour = asdict(measure_behaviour(performances))
+    numbers = [PeopleNumber(preset, name, behaviour[name], None, asked) for name, asked in ranges(preset).items()]
+    limits = load_protocol().metrics
+    shares = []
+    extremes = []
+    for motions in (MotionBatch.from_motions(acted), MotionBatch.from_motions(recorded)):
+        shares.append(float(plausible(motions, FPS, limits).mean()))
+        found = body_numbers(motions, FPS, limits)
+        worst = {name: float(values.max()) for name, values in vars(found).items()}
+        extremes.append(worst | {"lowest_pelvis": float(found.lowest_pelvis.min())})
+    numbers.append(PeopleNumber(preset, "plausible", shares[0], shares[1], _PLAUSIBLE))
     highest = {
         "trunk_tilt": limits.largest_trunk_tilt_deg,
         "floating": limits.largest_floating,
@@ -142,4 +101,18 @@ def _body_ranges(limits: MetricConstants) -> dict[str, Range]:
     source = "the protocol's limit"
     bounds = {"lowest_pelvis": Range(limits.lowest_pelvis, np.inf, source)}
     bounds |= {name: Range(-np.inf, high, source) for name, high in highest.items()}
-    return bounds
+    numbers += [
+        PeopleNumber(preset, name, extremes[0][name], extremes[1][name], asked) for name, asked in bounds.items()
+    ]
+    return tuple(numbers)
+
+
+def _act(preset: str, seed: int, index: int) -> Performance:
+    return perform(preset, seed=seed, index=index, n_events=EVENTS, rate=_RATE, provocations={})
+
+
+def _record(preset: str, seed: int, index: int) -> list[np.ndarray]:
+    staging = Staging(preset, seed, n_events=EVENTS)
+    recording = staging.sense(staging.perform(index))
+    curated = curate_recording(recording, load_manifest(preset), load_protocol())
+    return [np.asarray(sequence.joints) for sequence in curated.sequences]
