@@ -167,7 +167,10 @@ def _print_run(report: RunReport, *, single: bool) -> None:
         return
     method = record.method
     agreements = [_agreement(report, summary.dataset) for summary in report.summaries]
-    if len(report.summaries) > 1:
+    if len(report.summaries) == 1:
+        print_summary(report.summaries[0], origin=method.origin, motionless=method.motionless, metrics=metrics)
+        print_agreement(agreements[0])
+    else:
         print_datasets(
             report.summaries,
             agreements,
@@ -176,9 +179,6 @@ def _print_run(report: RunReport, *, single: bool) -> None:
             metrics=metrics,
             one_mean=share_a_mean(record.tables),
         )
-    else:
-        print_summary(report.summaries[0], origin=method.origin, motionless=method.motionless, metrics=metrics)
-        print_agreement(agreements[0])
     print_scene(report.summaries, agreements)
     print_carried_on(_carried_on(report))
 
