@@ -406,78 +406,45 @@ def _funnel(validation: Validation) -> list[FunnelLine]:
 
 def _remarks(validation: Validation) -> list[Remark]:
     """Explain why our count is not the study's; for synthetic videos only what was measured is said."""
-    measured = _measured(validation)
-    return measured if validation.synthetic else [*_known(), *measured, *_guesses()]
-
-
-def _known() -> list[Remark]:
     known = published_counts()
-    # 18,134 sequences in the study against the dataset's own annotations of primed events.
-    fewer = known.priming_annotations - known.study.sequences
-    return [
-        Remark(
-            "known",
-            f"The published shares give {known.primed_a_track:.3f} primed starts and ends a track; the"
-            f" {known.priming_annotations:,} annotations are those of {known.implied_tracks:,} of the {known.tracks:,}"
-            " tracks.",
-        ),
-        Remark(
-            "known",
-            f"The study has {fewer} fewer ({fewer / known.priming_annotations:.1%}), with a mean gap of"
-            f" {known.study.gap_mean} s; the published picks and puts together have {known.implied_gap:.2f} s.",
-        ),
-    ]
-
-
-def _measured(validation: Validation) -> list[Remark]:
     both = validation.agreements[-1]
-    found: list[Remark] = []
+    measured = ["No published priming belongs to these events: only the rule's numbers."]
     if both.count("primed", "not_primed", "excluded"):
         extra = {name: both.count(name, rule=("primed",)) for name in ("excluded", "not_primed", "not in the file")}
-        missed = both.count("primed", rule=("not_primed",))
-        found.append(
-            Remark(
-                "measured here",
-                f"The rule primes {sum(extra.values())} events more than the file: {extra['excluded']} that the dataset"
-                f" excluded, {extra['not_primed']} that it tested in vain, {extra['not in the file']} that it does not"
-                f" mention; it misses {missed} that the dataset primed.",
-            )
-        )
-    else:
-        found.append(Remark("measured here", "No published priming belongs to these events: only the rule's numbers."))
+        measured = [
+            f"The rule primes {sum(extra.values())} events more than the file: {extra['excluded']} that the dataset"
+            f" excluded, {extra['not_primed']} that it tested in vain, {extra['not in the file']} that it does not"
+            f" mention; it misses {both.count('primed', rule=('not_primed',))} that the dataset primed."
+        ]
     lost = {name: validation.outcomes.get(name, 0) for name in ("no_body", "too_short", "minimum_movement")}
-    found.append(
-        Remark(
-            "measured here",
-            f"Of the events that the rule primes, {lost['no_body']} have no body, {lost['too_short']} no 2 s of body"
-            f" before the prime, and {lost['minimum_movement']} start within 20 cm of the goal.",
-        )
+    measured.append(
+        f"Of the events that the rule primes, {lost['no_body']} have no body, {lost['too_short']} no 2 s of body"
+        f" before the prime, and {lost['minimum_movement']} start within 20 cm of the goal."
     )
     if validation.failed:
-        found.append(Remark("measured here", f"{len(validation.failed)} videos could not be read and add nothing."))
-    return found
-
-
-def _guesses() -> list[Remark]:
-    fewer = published_counts().priming_annotations - published_counts().study.sequences
-    return [
-        Remark(
-            "guess",
-            "The annotations count primed events only, after the dataset's own exclusions, and the study starts from"
-            " them: no paper says so, the counts and the mean gap do. --priming published starts there, too.",
-        ),
-        Remark(
-            "guess",
-            f"Its {fewer} missing events fell to the 20 cm filter, to missing bodies, or to a body that does not reach"
-            " 2 s back: which of them is not published. Our filter compares the nearer wrist with the goal; what the"
-            " study compares is not said.",
-        ),
-        Remark(
-            "guess",
-            "The pipeline behind the published results is not released (annotations, issue 18): its distance, its"
-            " view test and its boxes may differ from the rule's point with 5 cm.",
-        ),
-    ]
+        measured.append(f"{len(validation.failed)} videos could not be read and add nothing.")
+    remarks = [Remark("measured here", text) for text in measured]
+    if validation.synthetic:
+        return remarks
+    # 18,134 sequences in the study against the dataset's own annotations of primed events.
+    fewer = known.priming_annotations - known.study.sequences
+    published = (
+        f"The published shares give {known.primed_a_track:.3f} primed starts and ends a track; the"
+        f" {known.priming_annotations:,} annotations are those of {known.implied_tracks:,} of the {known.tracks:,}"
+        " tracks.",
+        f"The study has {fewer} fewer ({fewer / known.priming_annotations:.1%}), with a mean gap of"
+        f" {known.study.gap_mean} s; the published picks and puts together have {known.implied_gap:.2f} s.",
+    )
+    guesses = (
+        "The annotations count primed events only, after the dataset's own exclusions, and the study starts from"
+        " them: no paper says so, the counts and the mean gap do. --priming published starts there, too.",
+        f"Its {fewer} missing events fell to the 20 cm filter, to missing bodies, or to a body that does not reach"
+        " 2 s back: which of them is not published. Our filter compares the nearer wrist with the goal; what the"
+        " study compares is not said.",
+        "The pipeline behind the published results is not released (annotations, issue 18): its distance, its"
+        " view test and its boxes may differ from the rule's point with 5 cm.",
+    )
+    return [*(Remark("known", text) for text in published), *remarks, *(Remark("guess", text) for text in guesses)]
 
 
 def shares_of(agreement: Agreement, validation: Validation) -> tuple[str, str]:
