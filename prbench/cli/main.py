@@ -148,7 +148,10 @@ def _execute(words: list[str], now: Session) -> int:
         print(missing.format_message())
         return UsageError.exit_code
     except click.ClickException as error:
-        code = _refuse(UsageError(_usage_problem(error)), now, words)
+        # What the parser refused, and where the options are explained.
+        context = getattr(error, "ctx", None)
+        where = f" `{context.command_path} --help` lists what there is." if context is not None else ""
+        code = _refuse(UsageError(f"{error.format_message()}{where}"), now, words)
     except PrbenchError as error:
         code = _refuse(error, now, words)
     except (KeyboardInterrupt, click.Abort):
@@ -192,14 +195,6 @@ def _refuse(error: PrbenchError, now: Session, words: list[str]) -> int:
 
         print_document(error_document(error, now))
     return error.exit_code
-
-
-def _usage_problem(error: click.ClickException) -> str:
-    """Say what the parser refused, and where the options are explained."""
-    context = getattr(error, "ctx", None)
-    message = error.format_message()
-    where = f" `{context.command_path} --help` lists what there is." if context is not None else ""
-    return f"{message}{where}"
 
 
 def _tell_cost(seconds: float) -> None:

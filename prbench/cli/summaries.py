@@ -117,6 +117,9 @@ def print_summary(
         motionless: Its motions stand still, so that some metrics, such as Foot Skating, say nothing.
         metrics: All metrics of the benchmark; those of prime-and-reach by default.
     """
+    from prbench.board.decidable import undecided
+    from prbench.metrics import RANKED_METRICS, printed_scale, printed_unit
+
     irrelevant = _irrelevant(motionless)
     details = {info.id for info in metrics if info.is_detail}
     control = f", {summary.control}" if summary.control else ""
@@ -125,41 +128,38 @@ def print_summary(
         f" {summary.sequences} sequences of {summary.recordings} recording{'' if summary.recordings == 1 else 's'},"
         f" split {summary.split}"
     )
-    rows = [
-        (metric.title, "–", "", "stands still")
-        if metric.metric in irrelevant
-        else (metric.title, *_cells(metric), _remarks(metric))
-        for metric in summary.metrics
-        if metric.metric not in details
-    ]
+    rows = []
+    for metric in summary.metrics:
+        if metric.metric in details:
+            continue
+        if metric.metric in irrelevant:
+            rows.append((metric.title, "–", "", "stands still"))
+            continue
+        scale = printed_scale(metric.unit)
+        bounds = "–"
+        if metric.low is not None and metric.high is not None:
+            bounds = f"[{metric.low * scale:.2f}, {metric.high * scale:.2f}]"
+        flags = [f"{count} × {name.replace('_', ' ')}" for name, count in sorted(metric.flags.items())]
+        remarks = "; ".join([_MARKS.get(mark, mark) for mark in metric.marks] + flags)
+        rows.append((metric.title, f"{metric.mean * scale:.2f}{printed_unit(metric.unit)}", bounds, remarks))
     print_table(title, ("metric", "mean", "95 % interval", ""), rows, numbers=(1, 2))
-    for line in _design_lines(summary, [info for info in metrics if info.main and info.ranked]):
+    # What the data cannot decide, and what makes the first metric uncertain.
+    ranked = [info for info in metrics if info.main and info.ranked] or RANKED_METRICS
+    for line in undecided(summary.dataset, summary.sequences, summary.recordings, [summary.metrics], ranked=ranked):
         print(line)
+    uncertain = next((metric for metric in summary.metrics if any(metric.uncertainty.values())), None)
+    if uncertain is not None:
+        source, share = max(uncertain.uncertainty.items(), key=lambda item: item[1])
+        print(
+            f"{uncertain.title}: {100 * share:.0f} % of the uncertainty comes from the choice of {source};"
+            f" more {source} reduce it."
+        )
     if summary.unsupported:
         print(f"{summary.unsupported} sequences are longer than the method can generate and were not scored.")
     if summary.mark:
         print(f"{summary.mark}.")
     if summary.synthetic:
         print("These are scores on synthetic data: never compare them with published ones.")
-
-
-def _design_lines(summary: DatasetSummary, ranked: Sequence[MetricInfo]) -> list[str]:
-    """Say what the data cannot decide, and what makes the first metric uncertain."""
-    from prbench.board.decidable import undecided
-    from prbench.metrics import RANKED_METRICS
-
-    found = undecided(
-        summary.dataset, summary.sequences, summary.recordings, [summary.metrics], ranked=ranked or RANKED_METRICS
-    )
-    lines = list(found)
-    metric = next((metric for metric in summary.metrics if any(metric.uncertainty.values())), None)
-    if metric is not None:
-        source, share = max(metric.uncertainty.items(), key=lambda item: item[1])
-        lines.append(
-            f"{metric.title}: {100 * share:.0f} % of the uncertainty comes from the choice of {source};"
-            f" more {source} reduce it."
-        )
-    return lines
 
 
 def print_datasets(
@@ -345,21 +345,6 @@ def _detectable_cell(metric: MetricSummary | None, info: MetricInfo) -> str:
     if info.unit == "rate" and metric.detectable > 1:
         return _NOT_EVEN
     return f"{metric.detectable * printed_scale(info.unit):.2f}"
-
-
-def _cells(metric: MetricSummary) -> tuple[str, str]:
-    from prbench.metrics import printed_scale, printed_unit
-
-    scale = printed_scale(metric.unit)
-    mean = f"{metric.mean * scale:.2f}{printed_unit(metric.unit)}"
-    if metric.low is None or metric.high is None:
-        return mean, "–"
-    return mean, f"[{metric.low * scale:.2f}, {metric.high * scale:.2f}]"
-
-
-def _remarks(metric: MetricSummary) -> str:
-    flags = [f"{count} × {name.replace('_', ' ')}" for name, count in sorted(metric.flags.items())]
-    return "; ".join([_MARKS.get(mark, mark) for mark in metric.marks] + flags)
 
 
 def print_sequence_scores(run: RunFolder, metrics: Sequence[MetricInfo]) -> None:
