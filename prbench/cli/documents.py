@@ -46,27 +46,16 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     error: Failure | None
 
 
-def answer_document(answer: Answer, now: Session) -> Document:
-    """Put a command's answer into the envelope."""
+def document_of(result: Answer | PrbenchError, now: Session) -> Document:
+    """Put a command's answer, or the error for which there is none, into the envelope."""
+    failed = isinstance(result, PrbenchError)
     return Document(
         prbench=prbench.__version__,
         command=now.command,
-        exit_code=answer.exit_code,
+        exit_code=result.exit_code,
         notes=now.notes,
-        report=answer.report,
-        error=None,
-    )
-
-
-def error_document(error: PrbenchError, now: Session) -> Document:
-    """Put an error into the envelope."""
-    return Document(
-        prbench=prbench.__version__,
-        command=now.command,
-        exit_code=error.exit_code,
-        notes=now.notes,
-        report=None,
-        error=Failure(kind=type(error).__name__, message=str(error)),
+        report=None if failed else result.report,
+        error=Failure(kind=type(result).__name__, message=str(result)) if failed else None,
     )
 
 

@@ -171,9 +171,9 @@ def _present(answer: Any, now: Session) -> int:
     if not isinstance(answer, Answer):
         return int(answer or 0)
     if now.as_json or now.report_file is not None:
-        from prbench.cli.documents import answer_document, print_document, write_document
+        from prbench.cli.documents import document_of, print_document, write_document
 
-        document = answer_document(answer, now)
+        document = document_of(answer, now)
         if now.report_file is not None:  # saved first, then printed: a report that could not be written is a failure
             write_document(document, now.report_file)
         if now.as_json:
@@ -191,9 +191,9 @@ def _refuse(error: PrbenchError, now: Session, words: list[str]) -> int:
         traceback.print_exception(error)
     print(f"prbench: {error}", file=sys.stderr)
     if now.as_json or "--json" in words:  # the option itself may stand behind the word that was refused
-        from prbench.cli.documents import error_document, print_document
+        from prbench.cli.documents import document_of, print_document
 
-        print_document(error_document(error, now))
+        print_document(document_of(error, now))
     return error.exit_code
 
 

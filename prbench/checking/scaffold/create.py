@@ -15,7 +15,6 @@ from prbench.checking.scaffold.values import (
     filled,
     method_names,
     read_template,
-    taken_by,
     template_flags,
     template_values,
 )
@@ -23,6 +22,7 @@ from prbench.contract import Condition
 from prbench.errors import StorageError, UsageError
 from prbench.files.locks import sole_writer
 from prbench.files.storage import atomic_folder
+from prbench.harness.methods.installed import list_adapters
 from prbench.protocol.benchmarks import default_benchmark, find_benchmark
 
 _USUAL = {default_benchmark().name: Condition.GOAL_LOCATION.value, predictors.BENCHMARK: "pose"}
@@ -95,14 +95,19 @@ def new_adapter(request: ScaffoldRequest) -> ScaffoldReport:
                 target = temporary / path
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_text(text, encoding="utf-8", newline="\n")
-    warning = None if request.program else taken_by(names, request.benchmark)
+    warnings = [
+        f"the installed package {adapter.package} {adapter.version} offers a method '{names.method}' already; uninstall"
+        " it before you install yours, or neither can be used."
+        for adapter in list_adapters(find_benchmark(request.benchmark).entry_points)
+        if adapter.name == names.method and not request.program
+    ]
     lines = predictors.commands if request.benchmark == predictors.BENCHMARK else command_lines
     commands = [command for command, _ in lines(names, request.conditions[0], program=request.program)]
     return ScaffoldReport(
         folder,
         files=tuple(sorted(map(Path, contents))),
         next_steps=(f"cd {shlex.quote(str(folder))}", *commands),
-        warnings=() if warning is None else (warning,),
+        warnings=tuple(warnings[:1]),
     )
 
 

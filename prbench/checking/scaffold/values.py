@@ -17,9 +17,8 @@ from importlib.resources import files
 import prbench
 from prbench.contract import GIVEN, Condition
 from prbench.errors import UsageError
-from prbench.harness.methods.installed import list_adapters
 from prbench.harness.methods.names import name_problem
-from prbench.protocol.benchmarks import benchmarks, default_benchmark, find_benchmark
+from prbench.protocol.benchmarks import benchmarks, default_benchmark
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _LONGEST = 40
@@ -106,33 +105,13 @@ def method_names(name: str) -> MethodNames:
         )
     if len(name) > _LONGEST:
         raise UsageError(f"{name!r}: expected at most {_LONGEST} characters, found {len(name)}.")
-    _refuse_reserved(name)
-    return MethodNames(name)
-
-
-def _refuse_reserved(name: str) -> None:
-    """Refuse names that could never be used.
-
-    Raises:
-        UsageError: naming who has it.
-    """
     if name in _OURS | _WORDS | _WINDOWS:
         raise UsageError(f"{name!r} is a reserved name. Choose another.")
     own = {method for about in benchmarks().values() for method in about.methods}
     if problem := name_problem(name, own=own):
         hint = f", such as 'my-{name}'" if name in own else ""
         raise UsageError(f"{problem}. Choose another{hint}.")
-
-
-def taken_by(names: MethodNames, benchmark: str) -> str | None:
-    """A warning if an installed package offers a method of this name already, else None."""
-    for adapter in list_adapters(find_benchmark(benchmark).entry_points):
-        if adapter.name == names.method:
-            return (
-                f"the installed package {adapter.package} {adapter.version} offers a method '{names.method}' already;"
-                f" uninstall it before you install yours, or neither can be used."
-            )
-    return None
+    return MethodNames(name)
 
 
 def read_template(name: str) -> str:

@@ -8,9 +8,10 @@ import re
 
 import pytest
 
-from prbench.checking.scaffold import values as names_module
-from prbench.checking.scaffold.values import filled, method_names, taken_by, template_flags, template_values
+from prbench.checking.scaffold import create
+from prbench.checking.scaffold.values import filled, method_names, template_flags, template_values
 from prbench.contract import Condition
+from prbench.entry_points import InstalledEntry
 from prbench.errors import UsageError
 
 
@@ -69,13 +70,12 @@ def test_a_program_never_hides_a_module_that_it_imports(name, program):
     assert method_names(name).program == program
 
 
-def test_a_name_that_another_package_offers_is_warned_about(monkeypatch):
-    other = names_module.list_adapters()[0].__class__("glide", "other-package", "2.1", "other:load")
-    monkeypatch.setattr(names_module, "list_adapters", lambda _group: [other])
-    warning = taken_by(method_names("glide"), "prime-and-reach")
-    assert warning is not None
+def test_a_name_that_another_package_offers_is_warned_about(monkeypatch, tmp_path):
+    other = InstalledEntry("glide", "other-package", "2.1", "other:load")
+    monkeypatch.setattr(create, "list_adapters", lambda _group: [other])
+    (warning,) = create.new_adapter(create.ScaffoldRequest("glide", out=tmp_path / "glide")).warnings
     assert "the installed package other-package 2.1 offers a method 'glide' already" in warning
-    assert taken_by(method_names("slide"), "prime-and-reach") is None
+    assert create.new_adapter(create.ScaffoldRequest("slide", out=tmp_path / "slide")).warnings == ()
 
 
 @pytest.mark.parametrize(
