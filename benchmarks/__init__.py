@@ -1,1 +1,1 @@
-"""Protocols and published numbers of the benchmarks. Data only."""
+"""The benchmarks: protocols, published numbers, and what belongs to one of them alone."""

@@ -20,6 +20,8 @@ PREDICTORS = "prbench.predictors"
 """The group of methods of motion prediction: ``load(weights, *, options, device) -> Predictor``."""
 COMMANDS = "prbench.commands"
 """The group of commands: a word, and the :class:`prbench.cli.commands.Command` or ``Group`` that it runs."""
+STUDY_ITEMS = "prbench.study_items"
+"""The group of tables of the study that stand with their benchmark: a name, and the function that makes the table."""
 _OURS = "prbench"  # the distribution whose plug-ins are built in
 _UNKNOWN = "unknown"
 _TARGET = re.compile(r"[A-Za-z_][\w.]*\s*:\s*[A-Za-z_][\w.]*\s*(\[.*\])?")

@@ -18,10 +18,10 @@ from prbench.cli.builds import NOT_EVERYTHING
 from prbench.cli.main import main
 from prbench.errors import StorageError
 from prbench.synthetic.egoallo import write_smplh_model
+from tests.adapters.training.toy import entry_points_of
 from tests.fakes import fake_dataset
 from tests.prediction.windows import write as write_windows
 from tests.readers import gimo_sample
-from tests.training.toy import entry_points_of
 
 FAKE_EGOALLO = Path(__file__).parent / "workflows" / "fake_egoallo.py"
 TABLE_OF = "synthetic-adt"
@@ -150,7 +150,7 @@ def run(folder: Path, *arguments: object, expected: int | None = 0, said: io.Str
     said = said or io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), pytest.MonkeyPatch.context() as patch:
         if "toy" in arguments:
-            patch.setattr("prbench.training.installed.entry_points_of", entry_points_of)
+            patch.setattr("prbench.harness.methods.training_tasks.entry_points_of", entry_points_of)
         code = main([str(argument) for argument in arguments])
     if code not in (0, 3, 8) or (expected is not None and code != expected):
         sys.stderr.write(said.getvalue())

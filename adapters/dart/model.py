@@ -10,13 +10,13 @@ from torch import Tensor
 
 from prbench.errors import InputFileError
 from prbench.text import text_encoder
-from prbench.training.weights import Weights, read_weights
 from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.frames import N_FEATURES, Frames
 from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
 from prbench_adapters.diffusion.denoiser import pooled
 from prbench_adapters.diffusion.model import TextVectors, torch_device
 from prbench_adapters.diffusion.sampling import CosineSchedule
+from prbench_adapters.training.weights import Weights, read_weights
 
 KIND = "dart"
 REPRESENTATION = f"dart-{N_FEATURES}/fitted"
@@ -78,7 +78,7 @@ class DartModel:
 
     @classmethod
     def load(cls, path: Path, device: str = "cpu", *, text_path: str | None = None) -> DartModel:
-        """Read a weights file (``prbench.training.weights``).
+        """Read a weights file (``prbench_adapters.training.weights``).
 
         Args:
             path: ``<name>.safetensors``.

@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from prbench.errors import UsageError
-from prbench.training.task import TrainingData, split_model_table
-from prbench.training.weights import origin_of, read_weights
 from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.losses import Objective
 from prbench_adapters.dart.model import KIND, scaling_of
@@ -16,13 +14,15 @@ from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
 from prbench_adapters.dart.training import DartTraining
 from prbench_adapters.dart.windows import feature_scaling
 from prbench_adapters.diffusion.model import TextVectors
+from prbench_adapters.training.task import TrainingData, split_model_table
+from prbench_adapters.training.weights import origin_of, read_weights
 
 FREE_TO_CHANGE = frozenset({"dropout", "uniform_skeleton"})
 """Keys that fine-tuning may set otherwise than the weights that it starts from."""
 
 
 class DartTask:
-    """A training task (:class:`prbench.training.task.TrainingTask`)."""
+    """A training task (:class:`prbench_adapters.training.task.TrainingTask`)."""
 
     name = "dart"
     configurations = "prbench_adapters.dart"

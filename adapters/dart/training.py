@@ -14,9 +14,6 @@ from torch import Tensor, nn
 
 from prbench.contract import Adapter
 from prbench.errors import UsageError
-from prbench.training import MotionBatch, SequenceDataset
-from prbench.training.task import TrainingModule
-from prbench.training.weights import weights_header
 from prbench_adapters.dart.adapter import DartControl
 from prbench_adapters.dart.configuration import HISTORY_FRAMES, DartSettings
 from prbench_adapters.dart.frames import Frames
@@ -38,6 +35,9 @@ from prbench_adapters.diffusion.layers import TransformerLayer
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddpm
 from prbench_adapters.kinematics import rest_offsets
+from prbench_adapters.training import MotionBatch, SequenceDataset
+from prbench_adapters.training.task import TrainingModule
+from prbench_adapters.training.weights import weights_header
 
 _MEASURED_MOTIONS = 512
 

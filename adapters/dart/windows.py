@@ -10,11 +10,11 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from prbench.errors import UsageError
-from prbench.training import MotionBatch, SequenceDataset, collate
 from prbench_adapters.dart.configuration import HISTORY_FRAMES, DartConfiguration
 from prbench_adapters.dart.frames import N_FEATURES, Frames
 from prbench_adapters.dart.model import FeatureScaling
 from prbench_adapters.kinematics import DART
+from prbench_adapters.training import MotionBatch, SequenceDataset, collate
 
 _STD_FLOORS = ((135, 0.01), (9, 0.001), (66, 0.01), (66, 0.001))
 """Floors of positions and rotations, their deltas, joints, theirs: bones that never turn keep their scale (the original

@@ -16,9 +16,9 @@ import torch
 from jaxtyping import Bool, Float
 
 from prbench.contract import ConditionBatch
-from prbench.training.items import Goal, MotionBatch
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.goal_frame import seen_condition
+from prbench_adapters.training.items import Goal, MotionBatch
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,6 @@ from torch import Tensor
 
 from prbench.contract import Adapter
 from prbench.errors import UsageError
-from prbench.training import MotionBatch
-from prbench.training.weights import Weights
 from prbench_adapters.diffusion.condition import ConditionScaling, EncodedCondition
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
@@ -31,6 +29,8 @@ from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
 from prbench_adapters.diffusion.model import MotionModel, TextVectors
 from prbench_adapters.diffusion.sampling import MOST_PASSES, CosineSchedule, ddim_factors
 from prbench_adapters.diffusion.training import DiffusionTraining, Objective
+from prbench_adapters.training import MotionBatch
+from prbench_adapters.training.weights import Weights
 
 _FREE = frozenset({"diffusion_steps", "dropout"})
 """Keys in which a student may differ from its teacher."""

@@ -14,13 +14,13 @@ from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError, UsageError
 from prbench.representation.tensors import decode
 from prbench.text import TextEncoder, text_encoder
-from prbench.training.weights import Weights, read_weights
 from prbench_adapters.diffusion.condition import ConditionScaling, EncodedCondition, raw_condition_of
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
 from prbench_adapters.diffusion.goal_frame import GoalFrame, smoothed
 from prbench_adapters.diffusion.sampling import CosineSchedule
+from prbench_adapters.training.weights import Weights, read_weights
 
 _MOST_TEXTS = 65_536
 """Kept at once; of Nymeria's narrations in DistilBERT's vectors these are about 3 GB."""
@@ -120,7 +120,7 @@ class MotionModel:
 
     @classmethod
     def load(cls, path: Path, device: str = "cpu", *, text_path: str | None = None) -> MotionModel:
-        """Read a weights file (``prbench.training.weights``).
+        """Read a weights file (``prbench_adapters.training.weights``).
 
         Args:
             path: ``<name>.safetensors``.

@@ -11,10 +11,6 @@ import torch
 
 from prbench.contract import Adapter
 from prbench.errors import UsageError
-from prbench.training.configuration import DEFAULT_STAGES
-from prbench.training.items import Goal, collate
-from prbench.training.task import TrainingData, TrainingModule, split_model_table
-from prbench.training.weights import Weights, origin_of, read_weights
 from prbench_adapters.diffusion.condition import ConditionScaling, raw_condition_of_items
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
@@ -30,6 +26,10 @@ from prbench_adapters.diffusion.model import (
     stored_statistics,
 )
 from prbench_adapters.diffusion.training import DiffusionTraining, Objective
+from prbench_adapters.training.configuration import DEFAULT_STAGES
+from prbench_adapters.training.items import Goal, collate
+from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
+from prbench_adapters.training.weights import Weights, origin_of, read_weights
 
 FREE_TO_CHANGE = frozenset(
     {"goal", "injection", "dropped", "condition_scaling", "dropout", "max_frames", "smoothed", "uniform_skeleton"}
@@ -45,7 +45,7 @@ _LEAST_CONDITION_STD = 0.01
 
 @dataclass(frozen=True)
 class DiffusionTask:
-    """A training task (:class:`prbench.training.task.TrainingTask`)."""
+    """A training task (:class:`prbench_adapters.training.task.TrainingTask`)."""
 
     name: str
     goals: tuple[str, ...]

@@ -22,9 +22,6 @@ from prbench.contract import Adapter
 from prbench.geometry.skeleton import BONES
 from prbench.protocol.manifests import load_protocol
 from prbench.representation.tensors import decode
-from prbench.training import MotionBatch
-from prbench.training.task import TrainingModule
-from prbench.training.weights import representation_entry, weights_header
 from prbench_adapters.diffusion.condition import ConditionScaling, EncodedCondition, raw_condition_of_items
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
@@ -32,6 +29,9 @@ from prbench_adapters.diffusion.goal_frame import smoothed
 from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors, goal_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.diffusion.scored_losses import foot_loss, ray_loss, wrist_loss
+from prbench_adapters.training import MotionBatch
+from prbench_adapters.training.task import TrainingModule
+from prbench_adapters.training.weights import representation_entry, weights_header
 
 _PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
 
@@ -297,7 +297,7 @@ class DiffusionTraining(TrainingModule):
         return tuple(matrix for name, matrix in named if matrix.ndim == 2 and not name.endswith("neighbours"))
 
     def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-        """The denoiser with its statistics, and the header of its file (``prbench.training.weights``)."""
+        """The denoiser with its statistics, and the header of its file (``prbench_adapters.training.weights``)."""
         configuration = self.denoiser.configuration
         tensors = {f"denoiser.{name}": tensor for name, tensor in self.denoiser.state_dict().items()}
         tensors |= {"statistics.mean": self.mean, "statistics.std": self.std}

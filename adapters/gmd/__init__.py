@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from prbench.training.task import TrainingTask
     from prbench_adapters.gmd.adapter import GMD
+    from prbench_adapters.training.task import TrainingTask
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> GMD:

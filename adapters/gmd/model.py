@@ -9,12 +9,12 @@ from jaxtyping import Float
 
 from prbench.representation.features import N_FEATURES
 from prbench.text import text_encoder
-from prbench.training.weights import Weights, read_weights
 from prbench_adapters.diffusion.denoiser import pooled
 from prbench_adapters.diffusion.model import TextVectors, torch_device
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.gmd.features import N_ROOT, FeatureSpace
 from prbench_adapters.gmd.unet import GMDConfiguration, TemporalUNet
+from prbench_adapters.training.weights import Weights, read_weights
 
 KIND = "gmd"
 
@@ -47,7 +47,7 @@ class GMDModel:
 
     @classmethod
     def load(cls, path: Path, device: str = "cpu", *, text_path: str | None = None) -> GMDModel:
-        """Read a weights file (``prbench.training.weights``).
+        """Read a weights file (``prbench_adapters.training.weights``).
 
         Args:
             path: ``<name>.safetensors``.

@@ -20,7 +20,6 @@ from prbench.errors import InputFileError, UsageError
 from prbench.files.storage import file_digest
 from prbench.representation.features import N_FEATURES
 from prbench.text.pretrained import CLIP
-from prbench.training.weights import representation_entry, weights_header, write_weights
 from prbench_adapters.gmd.features import N_ROOT
 from prbench_adapters.gmd.model import KIND
 from prbench_adapters.gmd.public_files import (
@@ -32,6 +31,7 @@ from prbench_adapters.gmd.public_files import (
     read_space,
 )
 from prbench_adapters.gmd.unet import GMDConfiguration, TemporalUNet
+from prbench_adapters.training.weights import representation_entry, weights_header, write_weights
 
 _RENAMED = (
     (r"^time_embedding", "embed_timestep.time_embed"),

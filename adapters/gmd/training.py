@@ -14,9 +14,6 @@ from torch import nn
 
 from prbench.contract import Adapter
 from prbench.representation.statistics import StatisticsAccumulator
-from prbench.training import MotionBatch
-from prbench.training.task import TrainingData, TrainingModule, split_model_table
-from prbench.training.weights import origin_of, read_weights, representation_entry, weights_header
 from prbench_adapters.diffusion.goal_frame import smoothed
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.diffusion.sampling import CosineSchedule
@@ -33,6 +30,9 @@ from prbench_adapters.gmd.features import (
 from prbench_adapters.gmd.model import KIND, GMDModel, GMDNetworks, caption_vectors, stored_space
 from prbench_adapters.gmd.stages import GMDSettings
 from prbench_adapters.gmd.unet import GMDConfiguration, TemporalUNet
+from prbench_adapters.training import MotionBatch
+from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
+from prbench_adapters.training.weights import origin_of, read_weights, representation_entry, weights_header
 
 FREE_TO_CHANGE = frozenset({"max_frames", "smoothed", "uniform_skeleton"})
 """Keys that fine-tuning may set otherwise than the weights that it starts from."""
@@ -189,7 +189,7 @@ def _mean_squared(
 
 
 class GMDTask:
-    """A training task (:class:`prbench.training.task.TrainingTask`); both stages of training learn from text alone."""
+    """A training task (:class:`~prbench_adapters.training.task.TrainingTask`). Both stages learn from text alone."""
 
     name = "gmd"
     configurations = "prbench_adapters.gmd"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 
-from prbench.training.ablations import Ablation, load_ablations, main
+from prbench_adapters.training.ablations import Ablation, load_ablations, main
 
 __all__ = ["Ablation", "load_ablations", "main"]
 

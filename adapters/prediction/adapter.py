@@ -18,7 +18,6 @@ from jaxtyping import Float
 from prbench.errors import AdapterError, UsageError
 from prbench.prediction.batch import Condition, Futures, ObservedBatch, sample_generator
 from prbench.prediction.joint_sets import invert_each, rotations_alone, transform_each
-from prbench.training.weights import read_weights
 from prbench_adapters.diffusion.bundled import bundled_names, bundled_weights, resolve
 from prbench_adapters.diffusion.model import torch_device
 from prbench_adapters.diffusion.options import choice, number, require_known, whole_number
@@ -33,6 +32,7 @@ from prbench_adapters.prediction.records import (
     network_of,
 )
 from prbench_adapters.prediction.window_dct import held
+from prbench_adapters.training.weights import read_weights
 
 _MOST_TOGETHER = 512
 """Samples that go through a network together: more take more memory and hardly less time."""

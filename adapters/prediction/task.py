@@ -12,9 +12,6 @@ import torch
 
 from prbench.errors import UsageError
 from prbench.prediction.batch import Condition
-from prbench.training.task import TrainingModule, split_model_table
-from prbench.training.weights import Weights, origin_of, read_weights
-from prbench.training.windows import WindowChoice, WindowsDataset
 from prbench_adapters.prediction.behaviour import BehaviourConfiguration
 from prbench_adapters.prediction.configuration import PRESETS, DiffusionConfiguration, preset
 from prbench_adapters.prediction.cvae import CVAE, CVAEConfiguration
@@ -39,6 +36,9 @@ from prbench_adapters.prediction.training import (
     DLowTraining,
     RateCourse,
 )
+from prbench_adapters.training.task import TrainingModule, split_model_table
+from prbench_adapters.training.weights import Weights, origin_of, read_weights
+from prbench_adapters.training.windows import WindowChoice, WindowsDataset
 
 TRAIN = "train"
 STAGES_OF_BELFUSION = ("autoencoders", "diffusion")
@@ -80,7 +80,7 @@ class Request:
 
 @dataclass(frozen=True)
 class PredictorTask:
-    """A training task that is fed windows (:class:`prbench.training.task.WindowsTask`)."""
+    """A training task that is fed windows (:class:`prbench_adapters.training.task.WindowsTask`)."""
 
     name: str
     builder: Callable[[Request], TrainingModule]

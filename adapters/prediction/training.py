@@ -17,8 +17,6 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from prbench.randomness import named_generator
-from prbench.training.task import TrainingModule
-from prbench.training.windows import WindowBatch
 from prbench_adapters.prediction.augmentation import augmented, mirror_partners
 from prbench_adapters.prediction.belfusion import BeLFusion
 from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion
@@ -38,6 +36,8 @@ from prbench_adapters.prediction.records import (
 )
 from prbench_adapters.prediction.recurrent import gaussian_kl
 from prbench_adapters.prediction.window_dct import held
+from prbench_adapters.training.task import TrainingModule
+from prbench_adapters.training.windows import WindowBatch
 
 Losses = dict[str, Tensor]
 """Scalars by name; ``loss`` is minimised."""

@@ -11,8 +11,8 @@ import torch
 from jaxtyping import Float
 from torch import nn
 
-from prbench.training.weights import Weights, read_weights, weights_header
 from prbench_adapters.diffusion.model import torch_device
+from prbench_adapters.training.weights import Weights, read_weights, weights_header
 from prbench_adapters.wandr.state import DELTA_SIZE, INTENTION_SIZE, SEEN_SIZE
 
 CONDITION_SIZE = SEEN_SIZE + DELTA_SIZE + INTENTION_SIZE

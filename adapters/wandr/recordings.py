@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.geometry.skeleton import Joint
 from prbench.representation.clips import MIRRORED_JOINTS
-from prbench.training import MotionBatch
 from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.kinematics import rest_offsets, root_orientation
+from prbench_adapters.training import MotionBatch
 from prbench_adapters.wandr.state import BodyState, heading_of, yaw_rotation
 
 _FAR = 1.5  # metres that the pelvis has to walk to a pseudo goal

@@ -11,9 +11,9 @@ import torch
 from jaxtyping import Float
 
 from prbench.errors import UsageError
-from prbench.training import MotionBatch, collate
-from prbench.training.task import TrainingData, split_model_table
-from prbench.training.weights import Weights, origin_of, read_weights
+from prbench_adapters.training import MotionBatch, collate
+from prbench_adapters.training.task import TrainingData, split_model_table
+from prbench_adapters.training.weights import Weights, origin_of, read_weights
 from prbench_adapters.wandr.network import KIND, Standardisation, WandrConfiguration, WandrNetwork, network_of
 from prbench_adapters.wandr.recordings import Recordings, starts
 from prbench_adapters.wandr.training import Objective, WandrTraining
@@ -32,7 +32,7 @@ hip's rotation in recordings of one person; whatever is a little different later
 
 @dataclass(frozen=True)
 class WandrTask:
-    """A training task (:class:`prbench.training.task.TrainingTask`)."""
+    """A training task (:class:`prbench_adapters.training.task.TrainingTask`)."""
 
     name: str = "wandr"
     configurations: str = "prbench_adapters.wandr"

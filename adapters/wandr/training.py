@@ -12,8 +12,8 @@ from jaxtyping import Float, Int
 
 from prbench.contract import Adapter
 from prbench.geometry.skeleton import Joint
-from prbench.training import MotionBatch
-from prbench.training.task import TrainingModule
+from prbench_adapters.training import MotionBatch
+from prbench_adapters.training.task import TrainingModule
 from prbench_adapters.wandr.adapter import WANDR
 from prbench_adapters.wandr.network import WandrNetwork, contents
 from prbench_adapters.wandr.recordings import Places, Recordings, goal_frames, starts

@@ -1,1 +1,1 @@
-"""The prime-and-reach benchmark: its protocol. Data only."""
+"""The prime-and-reach benchmark: its protocol, published numbers and ablations."""

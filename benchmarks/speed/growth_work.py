@@ -140,7 +140,7 @@ def rewrite(folder: str, out: str) -> None:
 
 def store(folder: str, cache: str) -> None:
     """Make the feature store of a table and read every item once."""
-    from prbench.training import SequenceDataset
+    from prbench_adapters.training import SequenceDataset
 
     data = SequenceDataset(folder, split="test", max_frames=60, cache=Path(cache))
     frames = 0

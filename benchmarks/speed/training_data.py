@@ -12,11 +12,11 @@ import torch
 
 from benchmarks.speed.timing import Row, print_rows
 from prbench.synthetic.synthetic_table import build_synthetic_table
-from prbench.training import LengthBatches, MotionBatch, SequenceDataset
-from prbench.training.batches import WaitingClock, load_batches
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
+from prbench_adapters.training import LengthBatches, MotionBatch, SequenceDataset
+from prbench_adapters.training.batches import WaitingClock, load_batches
 
 BATCHES = 100
 STEPS = 4

@@ -47,12 +47,9 @@ _COMMANDS = {
         "run": "prbench.cli.run:run",
         "export-conditions": "prbench.cli.export_conditions:export_conditions",
         "score": "prbench.cli.score:score",
-        "evaluate-text": "prbench.cli.evaluate_text:evaluate_text",
         "merge": "prbench.cli.merge:merge",
     },
-    "train: networks": {
-        "train": "prbench.cli.train:train",
-    },
+    "train: networks": {},
     "board: runs side by side": {
         "leaderboard": "prbench.cli.leaderboard:leaderboard",
         "agreement": "prbench.cli.agreement:agreement",
@@ -61,7 +58,6 @@ _COMMANDS = {
         "error-budget": "prbench.cli.error_budget:error_budget",
         "study": "prbench.cli.study:study",
         "prediction": "prbench.cli.prediction:prediction",
-        "ablation": "prbench.cli.ablation:ablation",
     },
     "look: at tables, events and motions": {
         "explain": "prbench.cli.explain:explain",

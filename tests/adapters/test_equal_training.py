@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from prbench.training.configuration import TrainingConfiguration, load_configuration
 from prbench_adapters.diffusion.bundled import bundled_weights
+from prbench_adapters.training.configuration import TrainingConfiguration, load_configuration
 
 COMPARED = ("mdm", "gmd", "dart", "wandr")
 

@@ -24,8 +24,8 @@ from prbench.harness.methods.programs.description import read_description
 from prbench.harness.offline import ConditionsFile, read_conditions, read_conditions_file
 from prbench.synthetic.corpus import synthesize_corpus_tree
 from prbench.synthetic.write_tree import synthesize_tree
-from prbench.training.configuration import load_configuration
-from prbench.training.weights import read_weights
+from prbench_adapters.training.configuration import load_configuration
+from prbench_adapters.training.weights import read_weights
 from tests.fakes import fake_dataset
 from tests.fuzz.judging import Seen
 from tests.harness.offline import method

@@ -15,8 +15,8 @@ from prbench.cli.main import main
 from prbench.errors import TableError
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.sequences.digests import UnverifiedTableWarning
+from tests.adapters.training.tables import corpus_table
 from tests.fakes import fake_dataset
-from tests.training.tables import corpus_table
 
 
 def edit(path: Path, column: str) -> None:

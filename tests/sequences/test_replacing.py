@@ -16,9 +16,9 @@ from prbench.sequences.dataset_info import CORPUS_FILE, FILE_NAME
 from prbench.sequences.parts import plain
 from prbench.sequences.replacing import Holdings, require_no_loss
 from prbench.sequences.sequence import recording_batch
+from tests.adapters.training.tables import corpus_table
 from tests.curation.sources import folder_bytes
 from tests.fakes import fake_dataset
-from tests.training.tables import corpus_table
 
 
 def holdings(**yields: int) -> Holdings:

@@ -12,8 +12,8 @@ from prbench.curation import build_from_sources
 from prbench.errors import TableError
 from prbench.recording import Recording
 from prbench.sequences import SequenceTable
-from prbench.training import SequenceDataset
 from prbench.viewing.explain import explain_event
+from prbench_adapters.training import SequenceDataset
 from tests.curation.sources import SceneSource
 
 

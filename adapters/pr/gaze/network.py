@@ -19,9 +19,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from prbench.geometry.skeleton import BONES, WRISTS, Joint
-from prbench.training.weights import read_weights, weights_header
 from prbench_adapters.diffusion.goal_frame import head_axes
 from prbench_adapters.diffusion.model import torch_device
+from prbench_adapters.training.weights import read_weights, weights_header
 
 KIND = "gaze"
 _REPRESENTATION = "head-frame"

@@ -17,9 +17,6 @@ from torch import Tensor
 from prbench.errors import TableError, UsageError
 from prbench.geometry.skeleton import Joint, head_forward
 from prbench.sequences import SequenceChunk, SequenceTable
-from prbench.training import MotionBatch
-from prbench.training.task import TrainingData, TrainingModule
-from prbench.training.weights import origin_of, read_weights
 from prbench_adapters.pr.gaze.network import (
     KIND,
     GazeConfiguration,
@@ -31,6 +28,9 @@ from prbench_adapters.pr.gaze.network import (
     turned,
     turned_back,
 )
+from prbench_adapters.training import MotionBatch
+from prbench_adapters.training.task import TrainingData, TrainingModule
+from prbench_adapters.training.weights import origin_of, read_weights
 
 STAGE = "gaze"
 _COLUMNS = ("joints", "gaze_origin", "gaze_direction", "gaze_valid", "head_tilt_deg")

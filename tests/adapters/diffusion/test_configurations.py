@@ -9,12 +9,12 @@ import msgspec
 import pytest
 
 from prbench.protocol.manifests import load_protocol
-from prbench.training.configuration import TrainingConfiguration, list_configurations, load_configuration
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.model import network
 from prbench_adapters.diffusion.sampling import MOST_PASSES
 from prbench_adapters.diffusion.tasks import FREE_TO_CHANGE, read_model_table
 from prbench_adapters.diffusion.training import Objective
+from prbench_adapters.training.configuration import TrainingConfiguration, list_configurations, load_configuration
 
 PACKAGES = {"mdm": "prbench_adapters.mdm", "pr": "prbench_adapters.pr"}
 NAMES = ("paper", "small", "smoke")

@@ -10,10 +10,6 @@ import pytest
 import torch
 
 from prbench.errors import InputFileError, UsageError
-from prbench.training import SequenceDataset, collate
-from prbench.training.items import MotionBatch
-from prbench.training.task import TrainingData
-from prbench.training.weights import write_weights
 from prbench_adapters import pr
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
@@ -23,6 +19,10 @@ from prbench_adapters.diffusion.generation import SamplingSettings
 from prbench_adapters.diffusion.model import network
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim
 from prbench_adapters.diffusion.training import DiffusionTraining
+from prbench_adapters.training import SequenceDataset, collate
+from prbench_adapters.training.items import MotionBatch
+from prbench_adapters.training.task import TrainingData
+from prbench_adapters.training.weights import write_weights
 from tests.fakes import fake_dataset
 
 STUDY = {

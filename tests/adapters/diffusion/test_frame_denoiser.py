@@ -10,9 +10,6 @@ import torch
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.geometry.skeleton import BONES, Joint
-from prbench.training import SequenceDataset, collate
-from prbench.training.task import TrainingData
-from prbench.training.weights import write_weights
 from prbench_adapters import pr
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.generation import SamplingSettings, generate
@@ -20,6 +17,9 @@ from prbench_adapters.diffusion.model import MotionModel
 from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised
 from prbench_adapters.diffusion.noise_optimisation.settings import finishing
 from prbench_adapters.diffusion.training import DiffusionTraining
+from prbench_adapters.training import SequenceDataset, collate
+from prbench_adapters.training.task import TrainingData
+from prbench_adapters.training.weights import write_weights
 from tests.fakes import STANDING, fake_dataset
 
 MODEL = {

@@ -14,13 +14,13 @@ from prbench.errors import InputFileError, TableError, UsageError
 from prbench.geometry.skeleton import Joint
 from prbench.representation.statistics import Statistics
 from prbench.representation.tensors import decode
-from prbench.training import SequenceDataset, collate
-from prbench.training.items import MotionBatch
-from prbench.training.task import TrainingData
-from prbench.training.weights import write_weights
 from prbench_adapters import mdm, pr
 from prbench_adapters.diffusion.tasks import DiffusionTask
 from prbench_adapters.diffusion.training import DiffusionTraining, Objective, losses
+from prbench_adapters.training import SequenceDataset, collate
+from prbench_adapters.training.items import MotionBatch
+from prbench_adapters.training.task import TrainingData
+from prbench_adapters.training.weights import write_weights
 from tests.fakes import fake_dataset
 
 TINY = {

@@ -10,12 +10,12 @@ import torch
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.text import text_encoder
-from prbench.training.weights import write_weights
 from prbench_adapters.diffusion.condition import ConditionScaling
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
 from prbench_adapters.diffusion.model import MotionModel, TextVectors, network
+from prbench_adapters.training.weights import write_weights
 
 TEXTS = ("The person moves across and picks an object.", "The person moves across and puts an object down there.")
 

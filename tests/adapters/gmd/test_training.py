@@ -12,15 +12,15 @@ import torch
 from prbench.cli import main
 from prbench.errors import InputFileError, UsageError
 from prbench.files.storage import file_digest, read_json
-from prbench.training import SequenceDataset, collate
-from prbench.training.configuration import TrainingConfiguration, list_configurations, load_configuration
-from prbench.training.installed import load_task
-from prbench.training.items import MotionBatch
-from prbench.training.task import TrainingData, TrainingTask
-from prbench.training.weights import write_weights
+from prbench.harness.methods.training_tasks import load_task
 from prbench_adapters.gmd.features import with_absolute_root
 from prbench_adapters.gmd.model import GMDModel, GMDNetworks
 from prbench_adapters.gmd.training import GMDTask, GMDTraining, read_model_table
+from prbench_adapters.training import SequenceDataset, collate
+from prbench_adapters.training.configuration import TrainingConfiguration, list_configurations, load_configuration
+from prbench_adapters.training.items import MotionBatch
+from prbench_adapters.training.task import TrainingData, TrainingTask
+from prbench_adapters.training.weights import write_weights
 from tests.fakes import fake_dataset
 
 PACKAGE = "prbench_adapters.gmd"
@@ -182,7 +182,7 @@ def _train(table: Path, out: Path, *more: str) -> int:
 
 def test_smoke_training_makes_weights_that_generate_and_resumes_to_the_same_bytes(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("prbench.training.outputs.draw_curves", lambda *arguments: None)
+    monkeypatch.setattr("prbench_adapters.training.outputs.draw_curves", lambda *arguments: None)
     table = fake_dataset(tmp_path / "table", 24).folder
     validated = ("--set", "validation.every=4", "--set", "validation.sequences=1")
     validated += ("--set", "validation.condition=goal-pose")

@@ -10,11 +10,11 @@ import torch
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.text import text_encoder
-from prbench.training.weights import write_weights
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.gmd.features import FeatureSpace, emphasis_projection
 from prbench_adapters.gmd.model import GMDModel, GMDNetworks
 from prbench_adapters.gmd.unet import GMDConfiguration
+from prbench_adapters.training.weights import write_weights
 from tests.fakes import STANDING
 
 

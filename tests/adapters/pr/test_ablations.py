@@ -13,14 +13,14 @@ import torch
 
 from prbench.cli.main import main
 from prbench.contract import Condition
-from prbench.training import SequenceDataset, collate
-from prbench.training.configuration import load_configuration
-from prbench.training.task import TrainingData
-from prbench.training.weights import write_weights
 from prbench_adapters.diffusion.generation import SamplingSettings
 from prbench_adapters.diffusion.tasks import read_model_table
 from prbench_adapters.pr import Generation, ablations, load, training_task
 from prbench_adapters.pr.ablations import Ablation, load_ablations
+from prbench_adapters.training import SequenceDataset, collate
+from prbench_adapters.training.configuration import load_configuration
+from prbench_adapters.training.task import TrainingData
+from prbench_adapters.training.weights import write_weights
 from tests.adapters.diffusion import tiny
 from tests.adapters.diffusion.goal_batches import conditions
 from tests.fakes import fake_dataset

@@ -13,10 +13,7 @@ from prbench.contract import Condition
 from prbench.errors import AdapterError, TableError, UsageError
 from prbench.geometry.boxes import Boxes
 from prbench.geometry.skeleton import Joint
-from prbench.training import SequenceDataset, TrainingData, collate
-from prbench.training.installed import load_task
-from prbench.training.run import resolved
-from prbench.training.weights import write_weights
+from prbench.harness.methods.training_tasks import load_task
 from prbench_adapters.pr import load
 from prbench_adapters.pr.gaze.generation import with_gaze
 from prbench_adapters.pr.gaze.network import (
@@ -32,6 +29,9 @@ from prbench_adapters.pr.gaze.network import (
     turned_back,
 )
 from prbench_adapters.pr.gaze.training import build
+from prbench_adapters.training import SequenceDataset, TrainingData, collate
+from prbench_adapters.training.run import resolved
+from prbench_adapters.training.weights import write_weights
 from tests.adapters.diffusion import tiny
 from tests.adapters.diffusion.goal_batches import conditions
 from tests.fakes import STANDING, fake_dataset, smooth_motion

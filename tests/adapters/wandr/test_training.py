@@ -14,22 +14,22 @@ from prbench.cli import main
 from prbench.errors import InputFileError, UsageError
 from prbench.geometry.skeleton import Joint
 from prbench.harness.methods.adapters import load_adapter
+from prbench.harness.methods.training_tasks import list_tasks, load_task
 from prbench.representation import mirror
-from prbench.training import SequenceDataset, collate
-from prbench.training.configuration import load_configuration
-from prbench.training.installed import list_tasks, load_task
-from prbench.training.items import MotionBatch
-from prbench.training.task import TrainingData
-from prbench.training.weights import write_weights
 from prbench_adapters.kinematics import WANDR as WORLD
+from prbench_adapters.training import SequenceDataset, collate
+from prbench_adapters.training.configuration import load_configuration
+from prbench_adapters.training.items import MotionBatch
+from prbench_adapters.training.task import TrainingData
+from prbench_adapters.training.weights import write_weights
 from prbench_adapters.wandr.network import WandrNetwork
 from prbench_adapters.wandr.recordings import Places, Recordings, goal_frames, starts
 from prbench_adapters.wandr.task import WandrTask, read_model_table
 from prbench_adapters.wandr.training import WandrTraining, delta_loss, divergence, joint_loss
+from tests.adapters.training.tables import corpus_table
 from tests.adapters.wandr import tiny
 from tests.adapters.wandr.tiny import TINY
 from tests.fakes import STANDING, fake_dataset
-from tests.training.tables import corpus_table
 
 TRAINED_FOR = {"frames_per_step": 200, "steps_per_chunk_frame": 1, "dropout": 0.0}
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from prbench.contract import Condition, ConditionBatch
-from prbench.training.weights import write_weights
+from prbench_adapters.training.weights import write_weights
 from prbench_adapters.wandr.network import WandrConfiguration, WandrNetwork, contents
 from tests.adapters.diffusion.goal_batches import conditions
 

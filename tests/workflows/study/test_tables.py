@@ -15,8 +15,8 @@ from prbench.sequences.dataset_info import FILE_NAME
 from prbench.workflows.study.formats import FORMATS
 from prbench.workflows.study.methods import methods_table, poses_table
 from prbench.workflows.study.sizes import table_one, table_s2
-from prbench.workflows.study.text import table_s8
-from prbench.workflows.text_to_motion.report import Interval, ResultRow, TextEvaluation
+from prbench_benchmarks.text_to_motion.report import Interval, ResultRow, TextEvaluation
+from prbench_benchmarks.text_to_motion.table_s8 import table_s8
 from tests.board.test_tables import metrics, write_run
 from tests.fakes import fake_dataset
 from tests.workflows.study.test_beside import board_of, write_real

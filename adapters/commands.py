@@ -1,0 +1,231 @@
+"""``prbench train``: train a method's network on tables."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import msgspec
+
+from prbench.cli.commands import Answer, command, note, session
+from prbench.cli.engines import opened
+from prbench.cli.options import (
+    PATH,
+    POSITIVE,
+    KeyValue,
+    data_option,
+    engine_options,
+    fold_options,
+    out_folder_option,
+    threads_option,
+)
+from prbench.errors import UsageError
+from prbench.shown import clean
+
+if TYPE_CHECKING:
+    from prbench.engine.choice import EngineChoice
+    from prbench_adapters.training.loop import Progress
+
+
+class TrainedNetwork(msgspec.Struct, frozen=True, kw_only=True):
+    """A finished training.
+
+    Attributes:
+        weights: The trained weights.
+        steps: Number of steps that the training has, those of interrupted runs with it.
+        seconds: Seconds that this run of the command has trained.
+        waiting: Fraction of those seconds in which the network waited for data.
+    """
+
+    weights: Path
+    steps: int
+    seconds: float
+    waiting: float
+
+
+class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
+    """A training, or the configuration that it would have.
+
+    Attributes:
+        method: What was trained.
+        configuration: Every key of the resolved configuration, by table, with ``--show-config``; else null.
+        trained: The result; null with ``--show-config``.
+    """
+
+    method: str
+    configuration: dict[str, dict[str, Any]] | None
+    trained: TrainedNetwork | None
+
+
+@command(
+    "train",
+    section="train",
+    example="prbench train --method pr --stage distil --data tables/adt --init trained/pr/weights.safetensors"
+    " --out trained/pr-one-pass",
+    resumes=True,
+    report=TrainReport,
+)
+@click.option("--method", required=True, metavar="NAME", help="What to train: mdm, pr, t2m-evaluator …")
+@click.option(
+    "--stage",
+    metavar="STAGE",
+    help="pretrain, finetune or, for pr, distil (fewer passes) and gaze (default: the method's first).",
+)
+@data_option(required=False, help="Built dataset or corpus folder(s), whose split 'train' is learnt from.")
+@out_folder_option("Training folder: checkpoints, logs, weights; an interrupted training goes on in it.")
+@click.option(
+    "--config",
+    type=PATH,
+    metavar="NAME|FILE",
+    help="A configuration of the method, or a .toml file (default: the stage's own, else small).",
+)
+@click.option(
+    "--set",
+    "overrides",
+    type=KeyValue(),
+    multiple=True,
+    metavar="TABLE.KEY=VALUE",
+    help="Override a key, such as training.steps=1000 or model.width=256; repeatable.",
+)
+@click.option(
+    "--refit",
+    is_flag=True,
+    help="Learn from the split 'validation' as well, once nothing is chosen by it; needs validation.every=0.",
+)
+@fold_options(None)
+@click.option("--init", type=PATH, metavar="FILE", help="Weights to start from.")
+@click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1, mps.")
+@click.option("--devices", type=POSITIVE, default=1, metavar="N", help="Processes to train in (default 1).")
+@click.option(
+    "--nodes", type=POSITIVE, default=1, metavar="N", help="Machines with as many each; run the command on every one."
+)
+@threads_option
+@click.option("--loaders", type=int, default=0, metavar="N", help="Processes that load data (default 0).")
+@engine_options(help="Processes that prepare the data (default 1; with --engine ray all processors).")
+@click.option("--show-config", is_flag=True, help="Print the resolved configuration and stop.")
+def train(
+    method: str,
+    stage: str | None,
+    data: tuple[Path, ...],
+    out: Path | None,
+    config: Path | None,
+    overrides: tuple[tuple[str, str], ...],
+    refit: bool,
+    split: str | None,
+    fold: str | None,
+    init: Path | None,
+    device: str,
+    devices: int,
+    nodes: int,
+    threads: int,
+    loaders: int,
+    engine: EngineChoice,
+    show_config: bool,
+) -> Answer | int:
+    """Train a method's network on tables; the same command goes on with an interrupted training."""
+    from prbench_adapters.training.run import TrainRequest
+    from prbench_adapters.training.run import train as run_training
+
+    configuration = None if config is None else str(config)
+    if show_config:
+        return _configuration(method, configuration, stage=stage, overrides=overrides)
+    if not data:
+        raise UsageError("--data DIR is needed.")
+    if out is None:
+        raise UsageError("--out DIR is needed.")
+    if (split is None) != (fold is None):
+        raise UsageError("--split participants and --fold K/N belong together.")
+    request = TrainRequest(
+        method=method,
+        data=data,
+        out=out,
+        refit=refit,
+        fold=fold,
+        stage=stage,
+        configuration=configuration,
+        overrides=overrides,
+        initial=init,
+        device=device,
+        devices=devices,
+        nodes=nodes,
+        threads=threads,
+        workers=loaders,
+    )
+    with show_training(f"training {method}") as show:
+        result = run_training(request, report=show, engine=opened(engine, reads=data))
+    if not result.first_process:  # one of several processes that train together; the first one speaks for all
+        return 0
+    note(f"waited for data {result.waiting:.1%} of {result.seconds:.0f} s")
+    trained = TrainedNetwork(weights=result.weights, steps=result.steps, seconds=result.seconds, waiting=result.waiting)
+    report = TrainReport(method=method, configuration=None, trained=trained)
+    return Answer(report, lambda: print(f"weights: {result.weights}"))
+
+
+def _configuration(
+    method: str, config: str | None, *, stage: str | None, overrides: Sequence[tuple[str, str]]
+) -> Answer:
+    """Answer with the configuration that a training would have."""
+    from prbench.harness.methods.training_tasks import load_task
+    from prbench_adapters.training.configuration import as_toml
+    from prbench_adapters.training.run import resolved
+
+    _, configuration = resolved(load_task(method), config, stage=stage, overrides=overrides)
+    report = TrainReport(method=method, configuration=msgspec.to_builtins(configuration), trained=None)
+    return Answer(report, lambda: print(as_toml(configuration), end=""))
+
+
+@contextlib.contextmanager
+def show_training(description: str) -> Iterator[Callable[[Progress], None]]:
+    """Show a training on standard error while the block runs."""
+    now = session()
+    if now.quiet:
+        yield lambda _: None
+    elif sys.stderr.isatty() and not now.verbose:
+        with _training_bar(description) as callback:
+            yield callback
+    else:
+        yield _training_lines
+
+
+def _training_lines(progress: Progress) -> None:
+    if progress.row is not None:
+        print(f"step {progress.step}/{progress.steps}: {_in_words(progress.row)}", file=sys.stderr, flush=True)
+    if progress.validation is not None:
+        print(f"validation at {progress.step}: {_in_words(progress.validation)}", file=sys.stderr, flush=True)
+
+
+def _in_words(row: Mapping[str, float | int]) -> str:
+    """Write ``loss 0.123, joints 0.01, …``, without the step."""
+    return ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in row.items() if name != "step")
+
+
+@contextlib.contextmanager
+def _training_bar(description: str) -> Iterator[Callable[[Progress], None]]:
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    from prbench.cli.terminal import console
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[last]}", style="dim", markup=False),
+    )
+    with Bar(*columns, console=console(stderr=True)) as bar:
+        task = bar.add_task(clean(description), total=None, last="")
+
+        def update(progress: Progress) -> None:
+            bar.update(task, completed=progress.step, total=progress.steps)
+            if progress.row is not None:
+                shown = f"loss {progress.row['loss']:.4g}, waiting {progress.row['waiting']:.1%}"
+                bar.update(task, last=shown)
+            if progress.validation is not None:
+                bar.console.print(f"validation at {progress.step}: {_in_words(progress.validation)}")
+
+        yield update

@@ -1,0 +1,241 @@
+"""Motions with their conditions as a dataset for PyTorch: public, for whoever trains on prbench's tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+from torch.utils.data import Dataset
+
+from prbench.engine import Engine, InProcess
+from prbench.errors import TableError, UsageError
+from prbench.files.storage import cache_folder
+from prbench.randomness import named_generator
+from prbench.representation import Mode, Statistics, StatisticsAccumulator
+from prbench.sequences import CorpusTable, SequenceTable
+from prbench.sequences.table import SPLITS
+from prbench_adapters.training.configuration import TrainingConfiguration
+from prbench_adapters.training.feature_store import FeatureStore
+from prbench_adapters.training.items import ConditionStatistics, Goal, MotionItem, collate, condition_statistics
+from prbench_adapters.training.motions import (
+    REFIT,
+    Motion,
+    Table,
+    cut,
+    encoded,
+    frame_rate,
+    holds_mirrored,
+    open_table,
+    parts_of,
+)
+from prbench_adapters.training.store_building import Crop, Encoding, LeftOut, table_store
+
+_IN_PROCESS = InProcess()
+
+
+class SequenceDataset(Dataset[MotionItem]):
+    """Rows of sequence tables and text-motion corpora as features, joints and conditions.
+
+    Features of whole rows are computed once, kept in a memory-mapped file in prbench's cache folder and shared by all
+    processes; an item is a few views of it. An item depends on ``(seed, epoch, index)`` alone: never on who asked for
+    it before, or in which process. ``dataset[index]`` draws as in epoch 0, ``dataset[index, epoch]`` as in any other.
+
+    Example:
+        Batches of similar length for a model of one's own (``docs/training-data.md`` trains one)::
+
+            from torch.utils.data import DataLoader
+            from prbench_adapters.training import LengthBatches, SequenceDataset, collate
+
+            data = SequenceDataset(["tables/hot3d", "tables/adt"], max_frames=150)
+            order = LengthBatches(data, batch_size=64, seed=0)
+            for step, batch in enumerate(DataLoader(data, batch_sampler=order, collate_fn=collate)):
+                ...  # batch.features (64, N, 263), batch.padding, batch.initial_joints, batch.goal_location, batch.text
+
+    Args:
+        tables: Folders of built datasets or corpora, or opened tables; one or several, of one frame rate.
+        split: ``train``, ``validation``, ``test``, or ``train+validation`` for both.
+        max_frames: The longest item; longer rows are cut.
+        crop: What is kept of a longer row: its ``end`` with the goal, or a part at a ``random`` start. Either way it is
+            encoded anew in the canonical frame of its first kept frame, and the frame before that is its predecessor
+            (docs/specification/pr-model.md#training).
+        mode: Of the representation: ``continuous``, or ``reference`` with the original's quirks.
+        mirrored: Whether each row comes a second time as a mirror shows it. Corpora that bring mirrored copies of their
+            own are not mirrored again.
+        seed: Of captions and random crops.
+        cache: Folder of the feature stores; prbench's cache folder by default.
+        engine: Where rows are encoded for a store that is not there yet; changes no byte of it.
+
+    Raises:
+        UsageError: if a value is not one of those above, or a table is given twice.
+        TableError: if a table cannot be read, has no usable row of this split, or the tables differ in frame rate.
+    """
+
+    collate = staticmethod(collate)
+
+    def __init__(
+        self,
+        tables: Table | Path | str | Iterable[Table | Path | str],
+        *,
+        split: str = "train",
+        max_frames: int = 241,
+        crop: Crop = "end",
+        mode: Mode = "continuous",
+        mirrored: bool = False,
+        seed: int = 0,
+        cache: Path | None = None,
+        engine: Engine = _IN_PROCESS,
+    ) -> None:
+        _require(split, (*SPLITS, REFIT), "split")
+        _require(crop, ("end", "random"), "crop")
+        _require(mode, ("continuous", "reference"), "mode")
+        if max_frames < 2:
+            raise UsageError(f"max_frames is {max_frames}; an item needs at least 2 frames.")
+        given = [tables] if isinstance(tables, SequenceTable | CorpusTable | Path | str) else list(tables)
+        opened = [open_table(table) for table in given]
+        self.fps = _common_frame_rate(opened, split)
+        self.tables: tuple[Table, ...] = tuple(opened)
+        self.max_frames, self.seed = max_frames, seed
+        self.mode: Mode = mode
+        self._stores: list[FeatureStore] = []
+        left_out: list[LeftOut] = []
+        for table in opened:
+            for part in _filled_parts(table, split):
+                encoding = Encoding(part, mode, max_frames, crop, mirrored and not holds_mirrored(table))
+                store, unusable = table_store(table, encoding, cache or cache_folder() / "training", engine=engine)
+                self._stores.append(store)
+                left_out += unusable
+        self.left_out: tuple[LeftOut, ...] = tuple(left_out)
+        """Rows that cannot be encoded, with the reason of each."""
+        self._starts = np.concatenate(([0], np.cumsum([len(store) for store in self._stores])))
+
+    def __len__(self) -> int:
+        return int(self._starts[-1])
+
+    def __getitem__(self, index: int | tuple[int, int]) -> MotionItem:
+        """The item of a row, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""
+        row, epoch = index if isinstance(index, tuple) else (index, 0)
+        store, place = self._at(row)
+        name = store.sequence_id(place)
+        motion = store.motion(place)
+        features = store.features(place)
+        text, *others = store.texts(place)
+        if features is not None and not others:
+            return _item(motion, features, text, self.fps, name)
+        # A function of seed, epoch and row alone: workers and resumption change no draw.
+        generator = named_generator("prbench-training-item", self.seed, epoch, row)
+        text = (text, *others)[int(generator.integers(1 + len(others)))]
+        if features is None:
+            start = int(generator.integers(motion.n_frames - self.max_frames + 1))
+            motion = cut(motion, start, self.max_frames, name=name)
+            features = encoded(motion, self.mode, name=name)
+        return _item(motion, features, text, self.fps, name)
+
+    @cached_property
+    def lengths(self) -> Int[np.ndarray, " rows"]:
+        """Frames of every item."""
+        return np.minimum(np.concatenate([store.n_frames for store in self._stores]), self.max_frames)
+
+    @cached_property
+    def sequence_ids(self) -> tuple[str, ...]:
+        """Ids of all rows; that of a mirrored copy ends with ``#mirrored``."""
+        return tuple(store.sequence_id(row) for store in self._stores for row in range(len(store)))
+
+    @cached_property
+    def texts(self) -> tuple[str, ...]:
+        """All distinct captions, sorted, so that each is encoded once."""
+        return tuple(sorted({text for store in self._stores for row in range(len(store)) for text in store.texts(row)}))
+
+    def statistics(self) -> Statistics:
+        """Mean and block-wise standard deviation of the raw features (docs/specification/humanml3d.md#normalisation).
+
+        Over every frame of every row; of a row that is cut at random, over the part that epoch 0 shows.
+        """
+        accumulator = StatisticsAccumulator()
+        for index in range(len(self)):
+            accumulator.add(self[index].features)
+        return accumulator.result()
+
+    def condition_statistics(self, goal: Goal) -> ConditionStatistics:
+        """Mean and standard deviation of the condition vector (docs/specification/pr-model.md#network).
+
+        Raises:
+            TableError: if goal locations are asked for and a row has none.
+        """
+        return condition_statistics((self[index] for index in range(len(self))), goal)
+
+    def _at(self, row: int) -> tuple[FeatureStore, int]:
+        if not -len(self) <= row < len(self):
+            raise IndexError(f"item {row} of {len(self)}")
+        row %= len(self)
+        index = int(np.searchsorted(self._starts, row, side="right")) - 1
+        return self._stores[index], int(row - self._starts[index])
+
+
+def configured_dataset(
+    tables: Iterable[Table | Path],
+    configuration: TrainingConfiguration,
+    *,
+    split: str,
+    engine: Engine = _IN_PROCESS,
+) -> SequenceDataset:
+    """The sequences of a split, as a configuration wants them; only training shows mirrored copies."""
+    wanted = configuration.data
+    return SequenceDataset(
+        list(tables),
+        split=split,
+        max_frames=wanted.max_frames,
+        crop=wanted.crop,
+        mode=wanted.mode,
+        mirrored=wanted.mirrored and split in ("train", REFIT),
+        seed=configuration.training.seed,
+        engine=engine,
+    )
+
+
+def _item(motion: Motion, features: np.ndarray, text: str, fps: float, sequence_id: str) -> MotionItem:
+    return MotionItem(
+        features=features,
+        joints=motion.joints,
+        n_frames=motion.n_frames,
+        text=text,
+        initial_joints=motion.joints[0],
+        previous_joints=motion.previous_joints,
+        goal_joints=motion.joints[-1],
+        goal_location=motion.goal_location,
+        fps=fps,
+        sequence_id=sequence_id,
+    )
+
+
+def _require(value: str, known: tuple[str, ...], what: str) -> None:
+    if value not in known:
+        raise UsageError(f"{what} '{value}' is not known; it is one of {', '.join(known)}.")
+
+
+def _filled_parts(table: Table, split: str) -> list[str]:
+    """The splits to read; of several, an empty one is left out (MoGaze has no validation sequences)."""
+    parts = parts_of(split)
+    if len(parts) == 1:
+        return list(parts)
+    present = set(table.scalars(columns=["split"])["split"].to_pylist())
+    return [part for part in parts if part in present]
+
+
+def _common_frame_rate(tables: list[Table], split: str) -> float:
+    """The frame rate of all tables, which have to be different ones."""
+    if not tables:
+        raise UsageError("no table was given; name at least one built dataset or corpus.")
+    digests = [table.info.content_digest for table in tables]
+    if len(set(digests)) < len(digests):
+        twice = next(table for table in tables if digests.count(table.info.content_digest) > 1)
+        raise UsageError(f"{twice.folder}: this table was given twice.")
+    rates = {table.folder: frame_rate(table, split) for table in tables}
+    if len(set(rates.values())) > 1:
+        found = ", ".join(f"{folder}: {rate:g}" for folder, rate in rates.items())
+        raise TableError(
+            f"expected tables of one frame rate, found frames per second of {found}. Build them again with one --fps."
+        )
+    return next(iter(rates.values()))

@@ -1,0 +1,326 @@
+"""A whole training, from a user's request to trained weights: task, configuration, data, loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import msgspec
+import torch
+
+from prbench.engine import Engine, InProcess, close_engine
+from prbench.errors import TrainingStopped, UsageError
+from prbench.files.locks import sole_writer
+from prbench.harness.methods.training_tasks import load_task
+from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
+from prbench.sequences.folds import fold_table, parse_fold
+from prbench_adapters.training.batches import LengthBatches, load_batches
+from prbench_adapters.training.configuration import (
+    DEFAULT_STAGES,
+    TrainingConfiguration,
+    list_configurations,
+    load_configuration,
+)
+from prbench_adapters.training.dataset import SequenceDataset, configured_dataset
+from prbench_adapters.training.loop import Progress, fit, silent
+from prbench_adapters.training.motions import REFIT
+from prbench_adapters.training.outputs import WEIGHTS
+from prbench_adapters.training.precision import chosen_precision
+from prbench_adapters.training.processes import make_fabric
+from prbench_adapters.training.record import (
+    TrainingRecord,
+    require_same_training,
+    table_records,
+    training_card,
+    window_records,
+    write_record,
+)
+from prbench_adapters.training.state import Row, TrainingState
+from prbench_adapters.training.task import TrainingData, TrainingModule, TrainingTask, WindowsTask
+from prbench_adapters.training.validation import Validation
+from prbench_adapters.training.weights import read_weights
+from prbench_adapters.training.windows import WindowsDataset
+
+if TYPE_CHECKING:
+    from lightning_fabric import Fabric
+
+_DEFAULT_CONFIGURATION = "small"
+_IN_PROCESS = InProcess()
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainRequest:
+    """One training."""
+
+    method: str
+    """Name of an installed training task."""
+    data: tuple[Path, ...]
+    """Folders of built datasets or corpora; their split ``train`` is learnt from."""
+    out: Path
+    """The training folder; goes on with the same training, refuses another."""
+    refit: bool = False
+    """Learn from the split ``validation`` as well, once nothing is chosen by it any more."""
+    fold: str | None = None
+    """A fold of the tables' participants, such as ``2/6``, who are not learnt from; None for the tables' own split."""
+    stage: str | None = None
+    """Stage of the training; by default the task's first."""
+    configuration: str | None = None
+    """Name of one that comes with the task, or the path of a TOML file; by default the one named like the stage where
+    there is one, else ``small``."""
+    overrides: tuple[tuple[str, str], ...] = ()
+    """``("training.steps", "100")`` …"""
+    initial: Path | None = None
+    """Weights to start from."""
+    device: str = "cpu"
+    devices: int = 1
+    """Processes that train together on each machine."""
+    nodes: int = 1
+    """Machines that train together; the same command runs on each, and ``out`` lies where all of them see it."""
+    threads: int = 1
+    """Torch's threads in each process; on a CPU the last bits of the weights depend on it."""
+    workers: int = 0
+    """Processes that load data for each training process; they change no result."""
+
+
+@dataclass(frozen=True)
+class TrainReport:
+    """Summary of a finished training."""
+
+    weights: Path
+    steps: int
+    seconds: float
+    waiting: float
+    """Fraction of the time spent waiting for data."""
+    first_process: bool
+    """False in all but one of several processes; these have nothing to tell."""
+
+
+def train(
+    request: TrainRequest, *, report: Callable[[Progress], None] = silent, engine: Engine = _IN_PROCESS
+) -> TrainReport:
+    """Train, or go on training, to the last step.
+
+    Args:
+        request: What to train on what.
+        report: Called as the training goes on.
+        engine: Where the data is prepared; changes no byte of it.
+
+    Raises:
+        AdapterError: if there is no such task.
+        UsageError: if the request does not fit together, or there is no such device.
+        TrainingStopped: after SIGTERM or Ctrl-C; everything was saved.
+        TrainingError: if the folder belongs to another training, or a loss is not finite.
+        MissingExtraError: if the extra ``train`` is not installed.
+        PrbenchError: if data, configuration or initial weights are not what they should be.
+    """
+    task = load_task(request.method)
+    stage, configuration = resolved(task, request.configuration, stage=request.stage, overrides=request.overrides)
+    if request.refit and configuration.validation.every:
+        raise UsageError(
+            "--refit: the validation split is learnt from, so measuring on it would say nothing; add"
+            " --set validation.every=0."
+        )
+    torch.set_num_threads(request.threads)
+    precision = chosen_precision(configuration.training.precision, device=request.device, out=request.out)
+    training = msgspec.structs.replace(configuration.training, precision=precision)
+    configuration = msgspec.structs.replace(configuration, training=training)
+    fabric = make_fabric(request.device, devices=request.devices, nodes=request.nodes, precision=precision)
+    fabric.launch()
+    torch.set_num_threads(request.threads)  # launching several processes sets one of its own
+    return run(request, task, stage, configuration, fabric, report, engine=engine)
+
+
+def resolved(
+    task: TrainingTask,
+    configuration: str | None = None,
+    *,
+    stage: str | None = None,
+    overrides: Sequence[tuple[str, str]] = (),
+) -> tuple[str, TrainingConfiguration]:
+    """The stage and the configuration of a training.
+
+    Args:
+        task: What is trained.
+        configuration: Name of one that comes with the task, or the path of a TOML file; None for the one named like the
+            stage, or ``small`` where there is none.
+        stage: By default the task's first.
+        overrides: ``("training.steps", "100")`` …
+
+    Raises:
+        UsageError: for an unknown stage, configuration or key.
+        InputFileError: if the file is no configuration.
+    """
+    stages: tuple[str, ...] = getattr(task, "stages", DEFAULT_STAGES)
+    chosen = stage or stages[0]
+    if chosen not in stages:
+        raise UsageError(f"--stage: '{task.name}' has no stage '{chosen}'; its stages are: {', '.join(stages)}.")
+    package = task.configurations
+    name = task.name
+    if configuration is None:
+        configuration = chosen if chosen in list_configurations(package, name) else _DEFAULT_CONFIGURATION
+    return chosen, load_configuration(configuration, package=package, task=name, stage=chosen, overrides=overrides)
+
+
+def run(
+    request: TrainRequest,
+    task: TrainingTask,
+    stage: str,
+    configuration: TrainingConfiguration,
+    fabric: Fabric,
+    report: Callable[[Progress], None] = silent,
+    *,
+    engine: Engine = _IN_PROCESS,
+) -> TrainReport:
+    """Train in this process, which is one of those that Fabric has launched; the first one holds the folder."""
+    with sole_writer(request.out) if fabric.is_global_zero else nullcontext():
+        return _run(request, task, stage, configuration, fabric, report, engine)
+
+
+def _run(
+    request: TrainRequest,
+    task: TrainingTask,
+    stage: str,
+    configuration: TrainingConfiguration,
+    fabric: Fabric,
+    report: Callable[[Progress], None],
+    engine: Engine,
+) -> TrainReport:
+    with fabric.rank_zero_first():  # the first makes what is cached, the others find it
+        data = _data(request, task, configuration, engine)
+        record = _record(request, stage, configuration, data)
+        require_same_training(request.out, record)
+        module = _module(request, task, stage, configuration, data)
+        validation = _validation(data, configuration, engine) if fabric.is_global_zero else None
+    close_engine(engine)  # its workers have nothing more to do
+    fabric.barrier()  # nobody may find the folder half made
+    if fabric.is_global_zero:
+        write_record(request.out, record)  # now that everything fits together
+
+    def describe(state: TrainingState) -> dict[str, Any]:
+        return training_card(record, state, fabric.device, request.threads)
+
+    def batches(start: int) -> Iterable[Any]:
+        return _batches(data, configuration, fabric, start, request.workers)
+
+    def validate(module: TrainingModule) -> Row:
+        return validation.measure(module, fabric.device, fabric.autocast()) if validation is not None else {}
+
+    try:
+        state = fit(
+            module,
+            batches,
+            configuration,
+            request.out,
+            fabric=fabric,
+            describe=describe,
+            validate=validate,
+            report=report,
+        )
+    except TrainingStopped as stopped:
+        if fabric.is_global_zero:
+            raise  # one process speaks for all; Fabric would kill it if another left with a code that is not 0
+        raise SystemExit(0) from stopped
+    return TrainReport(request.out / WEIGHTS, state.step, state.seconds, state.waiting, fabric.is_global_zero)
+
+
+def _data(
+    request: TrainRequest, task: TrainingTask, configuration: TrainingConfiguration, engine: Engine
+) -> SequenceDataset | WindowsDataset:
+    """The split that is learnt from: sequences, or windows for a task that chooses some."""
+    if not hasattr(task, "window_choice"):
+        return configured_dataset(_folders(request), configuration, split=_split(request), engine=engine)
+    if request.fold is not None:
+        raise UsageError(
+            "--fold: windows have no folds of participants; leave participants out with"
+            " --set 'model.windows.left_out=[\"P1\"]'."
+        )
+    choice = cast(WindowsTask, task).window_choice(configuration.model)
+    return WindowsDataset(request.data, split=_split(request), choice=choice, seed=configuration.training.seed)
+
+
+def _validation(
+    data: SequenceDataset | WindowsDataset, configuration: TrainingConfiguration, engine: Engine
+) -> Validation | None:
+    if isinstance(data, WindowsDataset):
+        return Validation.of_windows(data, configuration)
+    return Validation.prepare(data.tables, configuration, engine=engine)
+
+
+def _folders(request: TrainRequest) -> tuple[Path, ...]:
+    """The tables to learn from: those that were named, or a fold of each."""
+    if request.fold is None:
+        return request.data
+    parse_fold(request.fold)
+    for folder in request.data:
+        if not (folder / DATASET_FILE).is_file():
+            raise UsageError(
+                f"--fold: {folder} holds no {DATASET_FILE}; only built datasets have folds of participants."
+            )
+    return tuple(fold_table(folder, request.fold).folder for folder in request.data)
+
+
+def _split(request: TrainRequest) -> str:
+    return REFIT if request.refit else "train"
+
+
+def _record(
+    request: TrainRequest,
+    stage: str,
+    configuration: TrainingConfiguration,
+    data: SequenceDataset | WindowsDataset,
+) -> TrainingRecord:
+    if isinstance(data, WindowsDataset):
+        records = window_records(data)
+    else:
+        records = table_records(data.tables, split=_split(request))
+    return TrainingRecord(
+        method=request.method,
+        stage=stage,
+        configuration=configuration,
+        data=records,
+        initial_weights_sha256=read_weights(request.initial).digest if request.initial else None,
+        devices=request.devices * request.nodes,
+        refit=request.refit,
+    )
+
+
+def _module(
+    request: TrainRequest,
+    task: TrainingTask,
+    stage: str,
+    configuration: TrainingConfiguration,
+    data: SequenceDataset | WindowsDataset,
+) -> TrainingModule:
+    """The task's module, initialised from the seed alone."""
+    initial = request.initial
+    model = configuration.model
+    # What a process drew before must not decide the initial weights.
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(configuration.training.seed)
+        if isinstance(data, WindowsDataset):
+            return cast(WindowsTask, task).build(model, data=data, initial=initial, stage=stage)
+        given = TrainingData(data, mode=configuration.data.mode, max_frames=configuration.data.max_frames, fps=data.fps)
+        return task.build(model, data=given, initial=initial, stage=stage)
+
+
+def _batches(
+    data: SequenceDataset | WindowsDataset,
+    configuration: TrainingConfiguration,
+    fabric: Fabric,
+    start: int,
+    workers: int,
+) -> Iterable[Any]:
+    settings = configuration.training
+    order = LengthBatches(
+        data,
+        settings.batch_size,
+        settings.seed,
+        fabric.global_rank,
+        fabric.world_size,
+        start,
+        unit=settings.batch_unit,
+    )
+    return load_batches(data, order, workers=workers, pinned=fabric.device.type == "cuda")

@@ -1,0 +1,209 @@
+"""Everything that changes while training goes on, and all that a checkpoint has to hold.
+
+The exponential moving average of the weights is what is validated and saved (docs/specification/mdm.md#training). The
+learning rate is a pure function of the step.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import torch
+from torch import nn
+
+from prbench.errors import TrainingError, UsageError
+from prbench_adapters.training.configuration import OptimisationConfiguration
+from prbench_adapters.training.task import TrainingModule
+
+_MUON_SCALE = 2.0
+"""Length of Muon's steps against AdamW's; tried with small P&R models (docs/methods/pr.md#training)."""
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq", "momentum_buffer")
+Row = dict[str, float | int]
+"""One line of the log: ``step`` and what was measured there, by name."""
+
+
+class WeightAverage:
+    """Averages of the trained parameters, kept in float32 on their device.
+
+    Args:
+        module: Whose parameters; only those that require gradients.
+        decay: At most; 0 follows the weights themselves.
+        warmup: Average over fewer steps at first: the decay at step n is at most (1 + n) / (10 + n).
+    """
+
+    def __init__(self, module: nn.Module, decay: float, *, warmup: bool = True) -> None:
+        self.decay, self.warmup = decay, warmup
+        self.parameters = _trained_parameters(module)
+        self.averages = {name: parameter.detach().clone() for name, parameter in self.parameters.items()}
+
+    @torch.no_grad()
+    def update(self, steps_done: int) -> None:
+        """Take in the weights as they are after ``steps_done`` steps (1 after the first)."""
+        # At first the average would be dominated by random initial weights.
+        decay = min(self.decay, (1 + steps_done) / (10 + steps_done)) if self.warmup else self.decay
+        averages = list(self.averages.values())
+        parameters: list[torch.Tensor] = list(self.parameters.values())
+        torch._foreach_lerp_(averages, parameters, 1 - decay)  # pyright: ignore[reportPrivateImportUsage]
+
+    @contextlib.contextmanager
+    def applied(self) -> Iterator[None]:
+        """Put the averages in the module's place while the block runs, and the weights back afterwards, to the bit."""
+        self._exchange()
+        try:
+            yield
+        finally:
+            self._exchange()
+
+    @torch.no_grad()
+    def _exchange(self) -> None:
+        for name, parameter in self.parameters.items():
+            held = parameter.detach().clone()
+            parameter.copy_(self.averages[name])
+            self.averages[name].copy_(held)
+
+
+def _trained_parameters(module: nn.Module) -> dict[str, nn.Parameter]:
+    """The parameters that require gradients, by name."""
+    return {name: parameter for name, parameter in module.named_parameters() if parameter.requires_grad}
+
+
+@dataclass
+class Tally:
+    """Sums since the last line of the log, so that a line means the same in a resumed run."""
+
+    losses: dict[str, torch.Tensor | float] = field(default_factory=dict)
+    """Kept on their device: reading them would make a GPU wait."""
+    batches: int = 0
+
+    def add(self, losses: dict[str, torch.Tensor]) -> None:
+        """Count the losses of one batch."""
+        for name, loss in losses.items():
+            self.losses[name] = self.losses.get(name, 0.0) + loss.detach()
+        self.batches += 1
+
+    def means(self) -> dict[str, float]:
+        """Mean of every loss."""
+        return {name: float(total) / self.batches for name, total in self.losses.items()}
+
+
+@dataclass
+class TrainingState:
+    """A training between two steps."""
+
+    module: TrainingModule
+    optimisers: tuple[torch.optim.Optimizer, ...]
+    """Each with parameters of its own; a group's ``scale`` is its factor on the learning rate."""
+    average: WeightAverage
+    step: int = 0
+    """Steps done."""
+    seconds: float = 0.0
+    """Spent in training, all sessions together; validation and saving apart."""
+    waited: float = 0.0
+    """Seconds of these without a batch to work on."""
+    tally: Tally = field(default_factory=Tally)
+    rows: list[Row] = field(default_factory=list)
+    """The log so far; holds no times, so that two undisturbed trainings have the same."""
+    timings: list[Row] = field(default_factory=list)
+    """Seconds and waiting at each line of the log."""
+    validations: list[Row] = field(default_factory=list)
+
+    @classmethod
+    def start(cls, module: TrainingModule, settings: OptimisationConfiguration) -> TrainingState:
+        """The state before the first step; the module is where it will be trained."""
+        average = WeightAverage(module, settings.ema, warmup=settings.ema_warmup)
+        matrices = list(module.hidden_matrices()) if settings.optimiser == "muon" else []
+        if settings.optimiser == "muon" and not matrices:
+            raise UsageError("training.optimiser: this task names no matrices for muon. Use adamw.")
+        apart = {id(matrix) for matrix in matrices}
+        others = [parameter for parameter in average.parameters.values() if id(parameter) not in apart]
+        optimisers: list[torch.optim.Optimizer] = [
+            torch.optim.AdamW(
+                others,
+                lr=settings.learning_rate,
+                betas=settings.betas,
+                weight_decay=settings.weight_decay,
+                fused=all(parameter.device.type in ("cpu", "cuda") for parameter in others),
+            )
+        ]
+        if matrices:
+            group = {"params": matrices, "scale": _MUON_SCALE}
+            # Scaled so that a step changes an entry as much as one of AdamW at the same rate would.
+            muon = torch.optim.Muon(
+                [group],
+                lr=settings.learning_rate,
+                weight_decay=settings.weight_decay,
+                adjust_lr_fn="match_rms_adamw",
+            )
+            optimisers.append(muon)
+        return cls(module, tuple(optimisers), average)
+
+    @property
+    def waiting(self) -> float:
+        """Fraction of the time that was spent waiting for data."""
+        return self.waited / self.seconds if self.seconds > 0 else 0.0
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Trained parameters and buffers, their averages and their moments, by name; frozen parameters stay out."""
+        module = self.module
+        tensors = {}
+        frozen = {name for name, parameter in module.named_parameters() if not parameter.requires_grad}
+        for name, tensor in module.state_dict().items():
+            if name not in frozen:
+                tensors[f"module.{name}"] = tensor
+        for name, parameter in self.average.parameters.items():
+            tensors[f"average.{name}"] = self.average.averages[name]
+            for optimiser in self.optimisers:
+                for moment, tensor in optimiser.state.get(parameter, {}).items():
+                    tensors[f"optimiser.{moment}.{name}"] = tensor
+        return tensors
+
+    @torch.no_grad()
+    def load_tensors(self, tensors: dict[str, torch.Tensor]) -> None:
+        """Put the tensors of a checkpoint in place.
+
+        Raises:
+            TrainingError: if they are those of another network.
+        """
+        own = self.tensors()
+        wanted = {name for name in own if not name.startswith("optimiser.")}
+        found = {name for name in tensors if not name.startswith("optimiser.")}
+        odd = sorted(wanted ^ found) or sorted(name for name in wanted if own[name].shape != tensors[name].shape)
+        if odd:
+            raise TrainingError(
+                f"the checkpoint does not fit the network: '{odd[0]}' is missing, unknown or of another shape."
+                " The code of the task has changed since; start again in another folder."
+            )
+        for name in wanted:
+            own[name].copy_(tensors[name])
+        for name, parameter in self.average.parameters.items():
+            moments = {
+                key: tensors[f"optimiser.{key}.{name}"].to(parameter.device, copy=True)
+                for key in _MOMENTS
+                if f"optimiser.{key}.{name}" in tensors
+            }
+            if moments:
+                self._optimiser_of(parameter).state[parameter] = moments
+
+    def _optimiser_of(self, parameter: nn.Parameter) -> torch.optim.Optimizer:
+        for optimiser in self.optimisers:
+            if any(parameter is own for group in optimiser.param_groups for own in group["params"]):
+                return optimiser
+        raise AssertionError("every trained parameter has an optimiser")
+
+
+def learning_rate(step: int, settings: OptimisationConfiguration) -> float:
+    """Linear warm-up, then constant or a half cosine that would reach 0 one step after the last.
+
+    Args:
+        step: From 0 on.
+        settings: Peak rate, schedule, warm-up and number of steps.
+    """
+    if step < settings.warmup_steps:
+        return settings.learning_rate * (step + 1) / settings.warmup_steps
+    if settings.schedule == "constant":
+        return settings.learning_rate
+    progress = (step - settings.warmup_steps) / (settings.steps - settings.warmup_steps)
+    return settings.learning_rate * 0.5 * (1 + math.cos(math.pi * progress))

@@ -1,0 +1,212 @@
+"""Training tasks: the interface between the loop, which knows no network, and a network, which knows no loop.
+
+An installed package offers a task by an entry point in the group ``prbench.training_tasks`` that names a callable
+without arguments which returns a :class:`TrainingTask`; so does a method, by a callable ``training_task`` in the module
+that its own entry point names. A task builds a :class:`TrainingModule`; the loop of
+:mod:`prbench_adapters.training.loop` feeds it batches, minimises its ``loss`` and saves its weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
+
+import msgspec
+import torch
+from torch import nn
+
+from prbench.errors import UsageError
+from prbench.randomness import named_generator
+
+if TYPE_CHECKING:
+    from prbench.contract import Adapter
+    from prbench_adapters.training.dataset import SequenceDataset
+    from prbench_adapters.training.items import MotionBatch
+    from prbench_adapters.training.windows import WindowChoice, WindowsDataset
+
+Networks = TypeVar("Networks", bound=msgspec.Struct)
+Objective = TypeVar("Objective", bound=msgspec.Struct)
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """The training split as it will be fed, at which a task may look before the first step.
+
+    A task takes normalisation statistics from ``train.statistics()`` and ``train.condition_statistics(goal)``, both
+    made once and kept; a fine-tuned model keeps those of its initial weights instead
+    (docs/specification/pr-model.md#training).
+    """
+
+    train: SequenceDataset
+    mode: str
+    """Representation of the features: ``continuous`` or ``reference``."""
+    max_frames: int
+    """The longest item that will be fed; crops are never longer."""
+    fps: float = 20.0
+
+    def require_fit(self, model: str, *, representation: str, fps: float, max_frames: int) -> None:
+        """Refuse data that a model cannot learn from.
+
+        Args:
+            model: What a message calls it, such as ``the model``.
+            representation: Its features: ``continuous`` or ``reference``.
+            fps: Its frame rate.
+            max_frames: The longest motion that it takes.
+
+        Raises:
+            UsageError: naming the setting, and what was expected and found.
+        """
+        for key, wanted, found in (
+            ("data.mode", representation, self.mode),
+            ("frames per second of the tables", fps, self.fps),
+        ):
+            if wanted != found:
+                raise UsageError(f"{key}: {model} expects {wanted}, found {found}. Change one of the two.")
+        if self.max_frames > max_frames:
+            raise UsageError(
+                f"data.max_frames: expected at most {model}'s {max_frames}, found {self.max_frames}."
+                " Lower it, or raise model.max_frames."
+            )
+
+
+class TrainingModule(nn.Module):
+    """A network with its losses. Subclasses implement :meth:`forward` and :meth:`weights`.
+
+    The loop sets :attr:`seed`, :attr:`rank` and :attr:`calls` before the first step, seeds torch's global generator
+    before every call of :meth:`forward` (dropout draws from that), and calls everything else outside of gradients.
+    """
+
+    seed: int = 0
+    """Seed of the configuration."""
+    rank: int = 0
+    """Number of this process among those that train together; each draws other noise."""
+    origin: tuple[str, ...] = ()
+    """Lines for the card: initial weights, text encoder, whatever else the weights build upon."""
+    calls: int = 1
+    """Number of calls of :meth:`forward` in the whole training, validation apart: modules that train one network after
+    the other take the time of their phases from."""
+
+    def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
+        """Losses of one batch: scalars by name.
+
+        Args:
+            batch: Padded features and conditions, on the module's device.
+            step: Counts the calls of the whole training from 0, not those since the last resumption. Validation calls
+                with negative numbers. All draws of the call come from :meth:`generator` of it.
+
+        Returns:
+            ``loss``, which is minimised, and any others, which are logged beside it.
+        """
+        raise NotImplementedError
+
+    def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+        """Return what is saved: tensors by name, and the entries of the file's header.
+
+        The header needs ``kind`` (such as ``denoiser``), ``configuration`` (JSON) and, for networks of motion,
+        ``representation`` (such as ``humanml3d-263/continuous``); the writer adds format and version
+        (:mod:`prbench_adapters.training.weights`). Frozen parts that have weights of their own stay out.
+        """
+        raise NotImplementedError
+
+    def adapter(self, device: str) -> Adapter | None:  # noqa: ARG002 - for those that have one
+        """The method that generates with the weights as they are now, for validation; None if there is none."""
+        return None
+
+    def learned_from(self) -> tuple[str, ...]:
+        """Lines for the card about what the weights build upon."""
+        return self.origin
+
+    def learning_rate_factor(self, step: int) -> float:  # noqa: ARG002 - for those that have phases of their own
+        """Factor on the learning rate of the configuration, for the optimiser's step that begins with this call."""
+        return 1.0
+
+    def gradient_groups(self) -> Sequence[Sequence[nn.Parameter]]:
+        """The parameters whose gradients are clipped together, by the norm of each group: all of them by default."""
+        return (tuple(self.parameters()),)
+
+    def hidden_matrices(self) -> Sequence[nn.Parameter]:
+        """The matrices that ``training.optimiser = "muon"`` moves by orthogonal steps: those between hidden layers."""
+        return ()
+
+    def generator(self, step: int) -> torch.Generator:
+        """A generator on the CPU that depends on seed, step and rank alone, so that a resumed run repeats its draws.
+
+        Draw on the CPU and move the result; then the numbers are the same on every device.
+        """
+        drawn = named_generator("prbench-training", self.seed, step, self.rank).integers(2**63 - 1)
+        return torch.Generator().manual_seed(int(drawn))
+
+
+@runtime_checkable
+class TrainingTask(Protocol):
+    """A kind of network that ``prbench train --method NAME`` can train.
+
+    Two optional attributes are honoured: ``stages``, a tuple of the names that ``--stage`` may have here (by default
+    ``("pretrain", "finetune")``; the first is the default of the command line), and ``window_choice``, which takes the
+    table ``[model]`` and returns a :class:`~prbench_adapters.training.windows.WindowChoice`. A task with it is fed
+    windows of motion prediction (:class:`WindowsTask`).
+    """
+
+    name: str
+    configurations: str
+    """Import name of the package that holds the TOML files, named ``<task>-<configuration>.toml``."""
+
+    def build(
+        self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str
+    ) -> TrainingModule:
+        """Make the module in its state before the first step.
+
+        Args:
+            model: The table ``[model]`` of the configuration, as it is in the TOML file.
+            data: The training split.
+            initial: A weights file to start from (``--init``), or None to start from nothing.
+            stage: One of ``stages``.
+
+        Raises:
+            PrbenchError: if the table does not describe a model, or the initial weights do not fit it.
+        """
+        ...
+
+
+class WindowsTask(Protocol):
+    """A training task that is fed windows of motion prediction; see :class:`TrainingTask` for what else it has."""
+
+    def window_choice(self, model: Mapping[str, Any]) -> WindowChoice:
+        """Return which windows the network of the table ``[model]`` is shown.
+
+        Raises:
+            UsageError: if the table holds no such choice.
+        """
+        ...
+
+    def build(
+        self, model: Mapping[str, Any], *, data: WindowsDataset, initial: Path | None, stage: str
+    ) -> TrainingModule:
+        """Make the module in its state before the first step, as :meth:`TrainingTask.build` does.
+
+        Its batches are :class:`~prbench_adapters.training.windows.WindowBatch`.
+        """
+        ...
+
+
+def split_model_table(
+    model: Mapping[str, Any], networks: type[Networks], objective: type[Objective]
+) -> tuple[Networks, Objective]:
+    """Split the table between two kinds of settings.
+
+    Args:
+        model: The table as it is in the TOML file.
+        networks: Made from the keys that ``objective`` does not have; should forbid unknown ones.
+        objective: Made from the keys of its own.
+
+    Raises:
+        UsageError: for an unknown key or an impossible value.
+    """
+    trained_for = {key: value for key, value in model.items() if key in objective.__struct_fields__}
+    described = {key: value for key, value in model.items() if key not in trained_for}
+    try:
+        return msgspec.convert(described, networks), msgspec.convert(trained_for, objective)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"[model]: {error}.") from error

@@ -1,0 +1,301 @@
+"""``prbench ablation``: train and run the rows of Tables 3, 4 and S4 to S7, and make the table of what is there.
+
+Every step goes into a folder that its content names, so that the same command goes on with what an interruption has
+left, and rows that share a training or a run share its folder. A row that fails ends nothing but itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+
+from prbench.board import collect_runs, make_leaderboard
+from prbench.board.collect import Check
+from prbench.board.tables import DatasetTable, TableRow, of_all_methods
+from prbench.contract import Condition
+from prbench.engine import Engine
+from prbench.errors import PrbenchError, StorageError, TrainingStopped, UsageError
+from prbench.files.storage import file_digest
+from prbench.harness.methods.training_tasks import load_task
+from prbench.harness.request import RunRequest
+from prbench.harness.run import run_method
+from prbench.harness.run_folder.record import FILE_NAME as RUN
+from prbench.metrics import MAIN_METRICS
+from prbench.protocol.published import DATASETS, load_published, published_table
+from prbench.workflows.study.document import DASH, StudyBlock, StudyTable, StudyValue
+from prbench.workflows.study.methods import (
+    measured_cells,
+    measured_title,
+    measured_values,
+    part_title,
+    published_value,
+    table_notes,
+)
+from prbench.workflows.table_two.layout import metric_title
+from prbench_adapters.training.ablations import Ablation, load_ablations, overrides
+from prbench_adapters.training.outputs import WEIGHTS
+from prbench_adapters.training.record import read_record
+from prbench_adapters.training.run import TrainRequest, resolved, train
+
+TABLES = tuple(dict.fromkeys(row.table for row in load_ablations()))
+"""Tables of ablations, as the study numbers them."""
+SMOKE = "smoke"
+"""Configuration of a few steps: shows that everything runs, and learns nothing."""
+PAPER = "paper"
+_RUNS = "runs"
+_FEW_ITERATIONS = {"iterations": "2", "ddim-steps": "2"}
+"""Options of an optimisation at smoke size."""
+_CONDITION = Condition.GOAL_LOCATION
+
+
+@dataclass(frozen=True, kw_only=True)
+class AblationRequest:
+    """The rows of one table, trained and run.
+
+    Raises:
+        UsageError: for a table without rows, or a row that nothing can be pre-trained on.
+    """
+
+    table: str
+    """``3``, ``4`` or ``S4`` to ``S7``."""
+    data: tuple[Path, ...]
+    """Built dataset folders: their training split is learnt from, their test split is run."""
+    out: Path
+    corpora: Mapping[str, Path] = field(default_factory=dict)
+    """Maps ``nymeria`` and ``humanml3d`` to built corpus folders."""
+    configuration: str = PAPER
+    device: str = "cpu"
+    threads: int = 1
+    limit: int | None = None
+    """Sequences of each dataset that are run."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.table not in TABLES:
+            raise UsageError(f"no ablations in table '{self.table}'; those of the study are: {', '.join(TABLES)}.")
+        if not self.data:
+            raise UsageError("an ablation needs one dataset folder or more (--data DIR).")
+        if self.configuration == SMOKE:
+            return
+        for row in self.rows:
+            if row.pretraining != "none" and row.pretraining not in self.corpora:
+                raise UsageError(
+                    f"table {self.table}, '{row.variant}': is pre-trained on {row.pretraining}; name its folder with"
+                    f" --{row.pretraining} DIR (`prbench build-corpus` builds it)."
+                )
+
+    @property
+    def rows(self) -> tuple[Ablation, ...]:
+        """The rows of the table in printed order."""
+        return tuple(row for row in load_ablations() if row.table == self.table)
+
+    @property
+    def folder(self) -> Path:
+        """Where trainings and runs of this configuration go."""
+        return self.out / Path(self.configuration).stem
+
+    def options_of(self, row: Ablation) -> dict[str, str]:
+        """Return the options of a row's run; at smoke size an optimisation takes few steps."""
+        options = dict(row.options)
+        if self.configuration == SMOKE and options.get("optimise") != "off":
+            options |= _FEW_ITERATIONS
+        return options
+
+
+@dataclass(frozen=True)
+class AblationReport:
+    """What is there when the command ends."""
+
+    folder: Path
+    runs: tuple[Path, ...]
+    failed: dict[str, str]
+    """Maps rows that failed to the reason."""
+
+
+Say = Callable[[str], None]
+"""Called with a line for every step that begins."""
+
+
+def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> AblationReport:
+    """Pre-train, fine-tune and run each row; what is finished is not done again.
+
+    Raises:
+        StorageError: if a file cannot be written.
+        TrainingStopped: after SIGTERM or Ctrl-C; everything was saved.
+    """
+    failed: dict[str, str] = {}
+    runs = []
+    for row in request.rows:
+        try:
+            runs.append(_run_row(request, row, engine, say))
+        except (StorageError, TrainingStopped):
+            raise
+        except Exception as error:  # one row, of days perhaps, must not cost the others
+            failed[row.variant] = str(error) if isinstance(error, PrbenchError) else f"{type(error).__name__}: {error}"
+            say(f"failed: {row.variant}: {failed[row.variant]}")
+    return AblationReport(request.folder, tuple(dict.fromkeys(runs)), failed)
+
+
+def _run_row(request: AblationRequest, row: Ablation, engine: Engine, say: Say) -> Path:
+    initial = None
+    if row.pretraining != "none":
+        prior = request.folder / row.prior_name
+        say(f"pre-training for '{row.variant}': {prior}")
+        data = (request.corpora[row.pretraining],) if row.pretraining in request.corpora else request.data
+        initial = _train(request, "mdm", "pretrain", data, prior, overrides(row.pretrained_model))
+    trained = request.folder / row.training_name
+    say(f"fine-tuning '{row.variant}': {trained}")
+    weights = _train(request, "pr", "finetune", request.data, trained, overrides(row.model), initial)
+    out = request.folder / _RUNS / row.run_name
+    say(f"running '{row.variant}': {out}")
+    run_method(
+        RunRequest(
+            method="pr",
+            condition=_CONDITION,
+            data=request.data,
+            weights=weights,
+            options=request.options_of(row),
+            limit=request.limit,
+            seed=request.seed,
+            device=request.device,
+            threads=request.threads,
+            out=out,
+        ),
+        engine=engine,
+    )
+    return out
+
+
+def _train(
+    request: AblationRequest,
+    method: str,
+    stage: str,
+    data: tuple[Path, ...],
+    out: Path,
+    settings: tuple[tuple[str, str], ...],
+    initial: Path | None = None,
+) -> Path:
+    return train(
+        TrainRequest(
+            method=method,
+            stage=stage,
+            data=data,
+            out=out,
+            configuration=request.configuration,
+            overrides=settings,
+            initial=initial,
+            device=request.device,
+            threads=request.threads,
+        )
+    ).weights
+
+
+# The table of what is there.
+
+
+def ablation_table(number: str, folder: Path, check: Check | None, *, with_published: bool) -> list[StudyTable]:
+    """Make a table of ablations from a folder that ``prbench ablation`` has filled, a part for each dataset.
+
+    Args:
+        number: ``3``, ``4`` or ``S4`` to ``S7``.
+        folder: Of one configuration.
+        check: Holds the scores against the motions.
+        with_published: Show the study's rows in a block of their own.
+
+    Raises:
+        UsageError: if there is no such table.
+        RunError: if there is no run of it in the folder, or one was edited.
+    """
+    if number not in TABLES:
+        raise UsageError(f"no ablations in table '{number}'; those of the study are: {', '.join(TABLES)}.")
+    rows = [row for row in load_ablations() if row.table == number]
+    names = {row.run_name for row in rows}
+    runs = [folder / _RUNS / name for name in sorted(names) if (folder / _RUNS / name / RUN).is_file()]
+    board = make_leaderboard(collect_runs(runs or [folder / _RUNS], check=check))
+    return [_part(number, rows, table, folder, with_published=with_published) for table in of_all_methods(board.tables)]
+
+
+def _part(
+    number: str, rows: Sequence[Ablation], table: DatasetTable, folder: Path, *, with_published: bool
+) -> StudyTable:
+    by_name = {row.entry.run: row for row in table.rows}
+    found = [(row, by_name[row.run_name]) for row in rows if row.run_name in by_name]
+    stamps = {row.variant: training_stamp(row, run, folder) for row, run in found}
+    lines = tuple((row.condition, row.variant, *measured_cells(run)) for row, run in found)
+    missing = tuple(
+        (row.condition, row.variant, *(DASH for _ in MAIN_METRICS)) for row in rows if row.run_name not in by_name
+    )
+    blocks = [StudyBlock(measured_title(table), lines), StudyBlock("Not run, or not finished", missing)]
+    values = [
+        StudyValue(**{**vars(value), "condition": row.condition, "variant": row.variant,
+                      "note": "; ".join(part for part in (stamps[row.variant], value.note) if part)})
+        for row, run in found
+        for value in measured_values(run, table)
+    ]  # fmt: skip
+    if with_published:
+        blocks += _published_blocks(number)
+        values += list(_published_values(number))
+    return StudyTable(
+        number=number,
+        title=published_table(number).title,
+        dataset=table.dataset,
+        part=part_title(table),
+        header=("Condition", "Variant", *(metric_title(info) for info in MAIN_METRICS)),
+        blocks=tuple(block for block in blocks if block.rows),
+        values=tuple(values),
+        text_columns=2,
+        stamp=_shared_stamp(stamps.values()),
+        notes=(
+            *(f"{variant}: {stamp}." for variant, stamp in stamps.items() if stamp),
+            *table_notes(table),
+            *published_table(number).notes,
+        ),
+    )
+
+
+def training_stamp(row: Ablation, run: TableRow, folder: Path) -> str:
+    """Return what sets the training behind a run apart from the study's; empty if nothing does.
+
+    The digest of the run's weights decides which training is meant, not the name of a folder.
+    """
+    trained = folder / row.training_name
+    weights = trained / WEIGHTS
+    if not weights.is_file() or file_digest(weights) != run.entry.record.method.weights_digest:
+        return "TRAINING UNKNOWN: the weights of this run are not in the folder of its training"
+    record = read_record(trained)
+    wanted = resolved(load_task("pr"), PAPER, stage="finetune", overrides=overrides(row.model))[1]
+    found = record.configuration
+    # How often is saved and logged decides no weight.
+    bookkeeping = {"save_every": wanted.training.save_every, "log_every": wanted.training.log_every}
+    if msgspec.structs.replace(found, training=msgspec.structs.replace(found.training, **bookkeeping)) != wanted:
+        return f"NOT THE STUDY'S CONFIGURATION: {found.training.steps} steps of {wanted.training.steps}"
+    if any(one.synthetic for one in record.data):
+        return "TRAINED ON SYNTHETIC DATA"
+    options = run.entry.record.method.options
+    if options != dict(row.options):
+        return "OTHER OPTIONS THAN THE STUDY'S ROW"
+    return ""
+
+
+def _shared_stamp(stamps: Iterable[str]) -> str:
+    """Return what stands in the title: the first stamp, since one such row already makes a table that says nothing."""
+    return next((stamp for stamp in stamps if stamp), "")
+
+
+def _published_blocks(number: str) -> list[StudyBlock]:
+    blocks = []
+    numbers = load_published(number)
+    for dataset in (name for name in DATASETS if any(each.dataset == name for each in numbers)):
+        cells: dict[tuple[str, str], dict[str, str]] = {}
+        for each in (each for each in numbers if each.dataset == dataset):
+            cells.setdefault((each.condition, each.variant), {})[each.metric] = each.printed
+        rows = tuple((*key, *(found.get(info.id, DASH) for info in MAIN_METRICS)) for key, found in cells.items())
+        blocks.append(StudyBlock(f"Published: Prime and Reach, Table {number}, {dataset}", rows))
+    return blocks
+
+
+def _published_values(number: str) -> Iterable[StudyValue]:
+    return (published_value(each) for each in load_published(number))

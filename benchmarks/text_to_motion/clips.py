@@ -1,0 +1,190 @@
+"""Recorded motions with their captions, cropped and captioned by chance, as the evaluator takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.errors import TableError, UsageError
+from prbench.randomness import named_generator
+from prbench.sequences import CorpusTable, SequenceTable
+from prbench.text import TextEncoder, text_encoder
+from prbench_adapters.training.motions import Motion, cut, encoded, frame_rate, open_table, read_rows
+from prbench_benchmarks.text_to_motion.metrics import BATCH
+from prbench_benchmarks.text_to_motion.networks import GLOVE, SNIPPET, EvaluatorConfiguration
+from prbench_benchmarks.text_to_motion.words import GloveCaptions, WordVectors
+
+_SHORTER = 1 / 3
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One recorded motion with the captions that it is evaluated with."""
+
+    sequence_id: str
+    captions: tuple[str, ...]
+    motion: Motion
+
+
+@dataclass(frozen=True)
+class Pass:
+    """The settings by which one pass draws crops and captions, as a function of these and of a clip's id alone."""
+
+    seed: int
+    repetition: int
+    name: str
+    """``reference``, ``real`` or ``generated``."""
+
+    def generator(self, *parts: str) -> np.random.Generator:
+        """The pass's own generator for one purpose, or for one clip."""
+        return named_generator("prbench-text-to-motion", self.seed, self.repetition, self.name, *parts)
+
+
+@dataclass(frozen=True)
+class Draw:
+    """The crop and caption of a clip in one pass."""
+
+    caption: str
+    start: int
+    n_frames: int
+    """A multiple of 4."""
+
+
+@dataclass(frozen=True)
+class EvaluatedClips:
+    """The clips of a split that can be evaluated."""
+
+    table: SequenceTable | CorpusTable
+    split: str
+    clips: tuple[Clip, ...]
+    left_out: int
+    """Number of clips without a caption of the kinds asked for, or shorter than 4 frames."""
+
+    @classmethod
+    def read(cls, folder: Path, *, split: str, kinds: frozenset[str], fps: float) -> EvaluatedClips:
+        """Read the clips of a corpus, or the sequences of a P&R table.
+
+        Args:
+            folder: Of the table.
+            split: ``train``, ``validation`` or ``test``.
+            kinds: Of captions; empty for all. P&R tables know no kinds.
+            fps: What the evaluator was trained for.
+
+        Raises:
+            TableError: if the table is of another rate, or has fewer than 32 such clips.
+            UsageError: if kinds are asked of a P&R table.
+        """
+        table = open_table(folder)
+        rate = frame_rate(table, split)
+        if rate != fps:
+            raise TableError(
+                f"{folder}: expected {fps:g} frames per second, as the evaluator was trained, found {rate:g}."
+            )
+        allowed = _captions_of(table, kinds) if kinds else None
+        clips = []
+        left_out = 0
+        for rows in read_rows(table, split):
+            for row in rows:
+                # P&R tables have one text a sequence; corpora have captions of several kinds.
+                captions = row.texts if allowed is None else allowed.get(row.sequence_id, ())
+                if captions and row.motion.n_frames >= SNIPPET:
+                    clips.append(Clip(row.sequence_id, captions, _kept(row.motion)))
+                else:
+                    left_out += 1
+        if len(clips) < BATCH:
+            raise TableError(
+                f"{folder}: expected {BATCH} clips or more of split '{split}' with a caption"
+                f"{' of kind ' + ', '.join(sorted(kinds)) if kinds else ''}, found {len(clips)}."
+            )
+        # Sorted by id, so that draws depend on nothing but seed and id, not on how the table was written.
+        return cls(table, split, tuple(sorted(clips, key=lambda clip: clip.sequence_id)), left_out)
+
+    def captions(self) -> tuple[str, ...]:
+        """Return all distinct captions, sorted."""
+        return tuple(sorted({caption for clip in self.clips for caption in clip.captions}))
+
+
+def longest(clip: Clip, configuration: EvaluatorConfiguration) -> int:
+    """The most frames that are evaluated of a clip, a multiple of 4."""
+    return min(clip.motion.n_frames, configuration.max_frames) // SNIPPET * SNIPPET
+
+
+def draw(clip: Clip, taken: Pass, configuration: EvaluatorConfiguration) -> Draw:
+    """Choose a caption and a crop: a multiple of 4 frames, one time in three 4 fewer.
+
+    Source: docs/specification/mdm.md#training.
+    """
+    generator = taken.generator(clip.sequence_id)
+    caption = clip.captions[int(generator.integers(len(clip.captions)))]
+    n_frames = longest(clip, configuration)
+    # HumanML3D's own loader shortens one clip in three, so that lengths vary beyond multiples of 4.
+    if generator.random() < _SHORTER and n_frames > SNIPPET:
+        n_frames -= SNIPPET
+    start = int(generator.integers(clip.motion.n_frames - n_frames + 1))
+    return Draw(caption, start, n_frames)
+
+
+def recorded_features(clip: Clip, drawn: Draw, configuration: EvaluatorConfiguration) -> Float[np.ndarray, "n 263"]:
+    """The crop, encoded anew in its own canonical frame."""
+    motion = cut(clip.motion, drawn.start, drawn.n_frames, name=clip.sequence_id)
+    return encoded(motion, configuration.representation, name=clip.sequence_id)
+
+
+def _captions_of(table: SequenceTable | CorpusTable, kinds: frozenset[str]) -> dict[str, tuple[str, ...]]:
+    if not isinstance(table, CorpusTable):
+        raise UsageError(f"{table.folder} is a table of sequences, whose texts are of one kind. Leave --kind away.")
+    scalars = table.scalars()
+    rows = scalars["captions"].to_pylist()
+    known = {caption["kind"] for row in rows for caption in row}
+    if not kinds & known:
+        raise UsageError(
+            f"{table.folder}: no caption is of kind {', '.join(sorted(kinds))}; there are {', '.join(sorted(known))}."
+        )
+    texts = [tuple(caption["text"] for caption in row if caption["kind"] in kinds) for row in rows]
+    return dict(zip(scalars["sequence_id"].to_pylist(), texts))
+
+
+def _kept(motion: Motion) -> Motion:
+    """A copy that does not keep the chunk alive from which it was read."""
+    return Motion(motion.joints.copy(), motion.previous_joints.copy(), motion.next_joints.copy(), motion.goal_location)
+
+
+def token_vectors(
+    name: str, tables: Iterable[SequenceTable | CorpusTable], *, words: str = "", path: str = ""
+) -> tuple[TextEncoder, str]:
+    """The vectors that an evaluator reads texts with, and the digest of the vocabulary that a user supplied, if any.
+
+    Args:
+        name: ``glove``, or the name of a text encoder.
+        tables: Whose captions will be read; GloVe needs the tokens that stand beside them.
+        words: Folder of the word vectors and lists, for ``glove``.
+        path: Folder or hub id of a text encoder that has files.
+
+    Raises:
+        UsageError: if a path is missing, or given to vectors that read no files.
+        InputFileError: if the files are not what they should be.
+    """
+    if name != GLOVE:
+        if words:
+            raise UsageError(f"the text vectors '{name}' need no word vectors. Leave their folder away.")
+        return text_encoder(name, path or None), ""
+    if not words:
+        raise UsageError(
+            "a GloVe evaluator needs the folder of its word vectors (words.txt, vectors.npy and the five lists):"
+            " --set model.words=DIR for training, --words DIR for evaluation."
+        )
+    tables = list(tables)
+    vectors = WordVectors.read(Path(words))
+    source = ", ".join(str(table.folder) for table in tables)
+    return GloveCaptions(vectors, _tokens(tables), source=source), vectors.digest
+
+
+def _tokens(tables: Iterable[SequenceTable | CorpusTable]) -> dict[str, str]:
+    """The ``word/POS`` tokens of every caption; P&R tables have none."""
+    corpora = (table for table in tables if isinstance(table, CorpusTable))
+    rows = (row for table in corpora for row in table.scalars()["captions"].to_pylist())
+    return {caption["text"]: caption["tokens"] for row in rows for caption in row}

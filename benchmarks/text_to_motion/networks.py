@@ -1,0 +1,183 @@
+"""The evaluator's networks and their sizes."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+import torch
+from jaxtyping import Float, Int
+from torch import nn
+from torch.nn.utils.rnn import pack_padded_sequence
+
+from prbench.representation import N_FEATURES, Mode
+from prbench.representation.features import FOOT_CONTACTS
+from prbench_benchmarks.text_to_motion.words import POS_CLASSES, WORD_DIMENSION
+
+MOVEMENT_FEATURES = FOOT_CONTACTS.start
+"""Number of the 263 features that the movement encoder sees: all but the four contacts."""
+SNIPPET = 4
+"""Frames that become one snippet."""
+GLOVE = "glove"
+_SLOPE = 0.2
+_DROPOUT = 0.2
+
+
+assert N_FEATURES - MOVEMENT_FEATURES == 4
+
+
+class EvaluatorConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Defaults are those of the text-to-motion paper.
+
+    Source: docs/specification/text-to-motion-eval.md#training-the-extractor.
+    """
+
+    movement_width: int = 512
+    """Channels of the movement encoder, and numbers of a snippet."""
+    motion_width: int = 1024
+    """Hidden size of the motion encoder's GRU, in each direction."""
+    text_width: int = 512
+    """Hidden size of the text encoder's GRU, in each direction."""
+    embedding: int = 512
+    """Dimension of the space that both encoders map into."""
+    text: Literal["glove", "hashed-ngrams", "distilbert"] = "glove"
+    """Name of the word vectors that the text encoder reads. Numbers of different ones never stand in one column."""
+    most_tokens: int = 64
+    """Later tokens of a text are dropped. GloVe's captions are cut to 20 words whatever stands here."""
+    representation: Mode = "continuous"
+    fps: float = 20.0
+    max_frames: int = 196
+    """Longer motions are cropped to this before they are embedded."""
+
+    def __post_init__(self) -> None:
+        for name in ("movement_width", "motion_width", "text_width", "embedding", "most_tokens"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"`{name}` must be 1 or more")
+        if self.max_frames < SNIPPET:
+            raise ValueError(f"`max_frames` must be {SNIPPET} or more")
+
+
+class MovementEncoder(nn.Module):
+    """Four frames to one snippet: two strided convolutions over time.
+
+    Args:
+        width: Channels, and numbers of a snippet.
+    """
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.first = _halving(MOVEMENT_FEATURES, width)
+        self.second = _halving(width, width)
+        self.output = nn.Linear(width, width)
+
+    def forward(
+        self, features: Float[torch.Tensor, "batch frames 259"], n_frames: Int[torch.Tensor, " batch"]
+    ) -> Float[torch.Tensor, "batch snippets width"]:
+        """Snippets of a motion, frames // 4 of them; each motion's are those that it has alone.
+
+        A convolution pads what it is given with zeros, so beyond its end every motion is zero before either of them,
+        however long its neighbours in the batch are.
+
+        Args:
+            features: Standardised features without contacts.
+            n_frames: Frames of each motion, a multiple of 4; what stands behind is never looked at.
+        """
+        half = self.first(_ended(features, n_frames).transpose(1, 2)).transpose(1, 2)
+        return self.output(self.second(_ended(half, n_frames // 2).transpose(1, 2)).transpose(1, 2))
+
+
+class MovementDecoder(nn.Module):
+    """The mirror of the movement encoder, needed while that is trained.
+
+    Args:
+        width: Numbers of a snippet.
+    """
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.input = nn.Linear(width, width)
+        self.convolutions = nn.Sequential(
+            nn.LeakyReLU(_SLOPE),
+            nn.ConvTranspose1d(width, width, 4, stride=2, padding=1),
+            nn.LeakyReLU(_SLOPE),
+            nn.ConvTranspose1d(width, MOVEMENT_FEATURES, 4, stride=2, padding=1),
+        )
+
+    def forward(self, snippets: Float[torch.Tensor, "batch snippets width"]) -> Float[torch.Tensor, "batch frames 259"]:
+        """Standardised features of four frames for each snippet."""
+        return self.convolutions(self.input(snippets).transpose(1, 2)).transpose(1, 2)
+
+
+class _SequenceEncoder(nn.Module):
+    """Linear, bidirectional GRU with a learned initial state, and a head on the last states of both directions.
+
+    Args:
+        inputs: Numbers of one step.
+        inner: What each step is mapped to before the GRU.
+        width: Of the GRU in each direction.
+        hidden: Of the head's middle layer.
+        outputs: Of the embedding.
+    """
+
+    def __init__(self, inputs: int, inner: int, width: int, hidden: int, outputs: int) -> None:
+        super().__init__()
+        self.input = nn.Linear(inputs, inner)
+        self.gru = nn.GRU(inner, width, batch_first=True, bidirectional=True)
+        self.initial = nn.Parameter(torch.randn(2, 1, width))
+        self.head = nn.Sequential(
+            nn.Linear(2 * width, hidden), nn.LayerNorm(hidden), nn.LeakyReLU(_SLOPE), nn.Linear(hidden, outputs)
+        )
+
+    def forward(
+        self, steps: Float[torch.Tensor, "batch steps inputs"], lengths: Int[torch.Tensor, " batch"]
+    ) -> Float[torch.Tensor, "batch outputs"]:
+        """One embedding a row; row i is that of its first ``lengths[i]`` steps alone, wherever it stands."""
+        packed = pack_padded_sequence(self.input(steps), lengths.cpu(), batch_first=True, enforce_sorted=False)
+        _, last = self.gru(packed, self.initial.expand(-1, len(steps), -1).contiguous())
+        return self.head(torch.cat((last[0], last[1]), dim=-1))
+
+
+class MotionEncoder(_SequenceEncoder):
+    """Snippets to an embedding."""
+
+    def __init__(self, configuration: EvaluatorConfiguration) -> None:
+        width = configuration.motion_width
+        super().__init__(configuration.movement_width, width, width, width, configuration.embedding)
+
+
+class TextEncoder(nn.Module):
+    """Token vectors to an embedding; those of GloVe bring the word's class along, which is added to its vector.
+
+    Args:
+        configuration: Of the evaluator.
+        dimension: Of the token vectors.
+    """
+
+    def __init__(self, configuration: EvaluatorConfiguration, dimension: int) -> None:
+        super().__init__()
+        words = WORD_DIMENSION if configuration.text == GLOVE else dimension
+        self.classes = nn.Linear(len(POS_CLASSES), words) if configuration.text == GLOVE else None
+        width = configuration.text_width
+        self.sequence = _SequenceEncoder(words, width, width, width, configuration.embedding)
+
+    def forward(
+        self, tokens: Float[torch.Tensor, "batch tokens dimension"], lengths: Int[torch.Tensor, " batch"]
+    ) -> Float[torch.Tensor, "batch outputs"]:
+        """One embedding a text."""
+        if self.classes is not None:
+            tokens = tokens[..., :WORD_DIMENSION] + self.classes(tokens[..., WORD_DIMENSION:])
+        return self.sequence(tokens, lengths)
+
+
+def _halving(inputs: int, outputs: int) -> nn.Sequential:
+    # Kernel 4, stride 2, padding 1 halves the frames exactly, so four frames are one snippet after two.
+    convolution = nn.Conv1d(inputs, outputs, 4, stride=2, padding=1)
+    return nn.Sequential(convolution, nn.Dropout(_DROPOUT), nn.LeakyReLU(_SLOPE))
+
+
+def _ended(
+    steps: Float[torch.Tensor, "batch steps channels"], lengths: Int[torch.Tensor, " batch"]
+) -> Float[torch.Tensor, "batch steps channels"]:
+    """Zero from each row's length on."""
+    beyond = torch.arange(steps.shape[1], device=steps.device) >= lengths[:, None]
+    return steps.masked_fill(beyond[..., None], 0.0)

@@ -1,0 +1,305 @@
+"""Train a text-motion evaluator: reconstruction first, then contrast.
+
+Source: docs/specification/text-to-motion-eval.md#training-the-extractor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import msgspec
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import nn
+from torch.nn.functional import pairwise_distance
+
+from prbench.errors import TableError
+from prbench.representation import Statistics
+from prbench.text import TextEncoder as TokenVectors
+from prbench_adapters.training import MotionBatch
+from prbench_adapters.training.task import TrainingModule
+from prbench_adapters.training.weights import representation_entry
+from prbench_benchmarks.text_to_motion.extractor import cut_tokens
+from prbench_benchmarks.text_to_motion.networks import (
+    MOVEMENT_FEATURES,
+    SNIPPET,
+    EvaluatorConfiguration,
+    MotionEncoder,
+    MovementDecoder,
+    MovementEncoder,
+    TextEncoder,
+)
+
+Stage = Literal["full", "autoencoder", "contrastive"]
+STAGES: tuple[Stage, ...] = ("full", "autoencoder", "contrastive")
+EVALUATOR_KIND = "t2m-evaluator"
+MOVEMENT_KIND = "t2m-movement"
+"""Kinds of weights files: a whole evaluator, or a trained movement autoencoder alone."""
+_SHORTER = 1 / 3
+"""Probability that a motion loses one more snippet than its length needs (docs/specification/mdm.md#training)."""
+
+
+class EvaluatorObjective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Keys of ``[model]`` beside those of the networks. Defaults are those of the text-to-motion paper."""
+
+    autoencoder_batches: int = 0
+    """Batches of stage ``full`` that train the movement autoencoder, before it is frozen."""
+    window: int = 24
+    """Frames of a clip of the autoencoder."""
+    windows: int = 1
+    """Clips drawn from every motion of a batch."""
+    sparsity: float = 0.001
+    """Weight of the mean size of the snippets' numbers."""
+    smoothness: float = 0.001
+    """Weight of the mean difference of neighbouring snippets."""
+    margin: float = 10.0
+    """Distance beyond which a wrong pair costs nothing."""
+    equal_texts_are_negatives: bool = True
+    """Push a motion away from another one's text even if both have the same text, as the original does."""
+    words: str = ""
+    """Folder of the word vectors and lists, for ``text = "glove"``."""
+    text_path: str = ""
+    """Folder or hub id of the text encoder, for ``text = "distilbert"``; by default that of the environment."""
+
+    def __post_init__(self) -> None:
+        if self.window < 4 or self.window % 4:
+            raise ValueError("`window` must be a multiple of 4")
+        if self.windows < 1 or self.autoencoder_batches < 0:
+            raise ValueError("`windows` must be 1 or more, `autoencoder_batches` 0 or more")
+
+
+def reconstruction_losses(
+    objective: EvaluatorObjective,
+    recorded: Float[torch.Tensor, "clips frames 259"],
+    reconstructed: Float[torch.Tensor, "clips frames 259"],
+    snippets: Float[torch.Tensor, "clips snippets width"],
+    n_frames: Int[torch.Tensor, " clips"],
+) -> dict[str, torch.Tensor]:
+    """L1 of the valid frames, with snippets that are sparse and change smoothly.
+
+    Returns:
+        ``loss`` and its parts ``reconstruction``, ``sparsity``, ``smoothness``.
+    """
+    valid = torch.arange(recorded.shape[1], device=recorded.device) < n_frames[:, None]
+    reconstruction = (recorded - reconstructed).abs().mean(dim=-1)[valid].mean()
+    sparsity = snippets.abs().mean()
+    smoothness = snippets.diff(dim=1).abs().mean() if snippets.shape[1] > 1 else 0.0
+    loss = reconstruction + objective.sparsity * sparsity + objective.smoothness * smoothness
+    return {"loss": loss, "reconstruction": reconstruction}
+
+
+def contrastive_losses(
+    text: Float[torch.Tensor, "batch dimension"],
+    motion: Float[torch.Tensor, "batch dimension"],
+    *,
+    shift: int,
+    margin: float,
+    counted: Bool[torch.Tensor, " batch"] | None = None,
+) -> dict[str, torch.Tensor]:
+    """Pull each text to its own motion, push it from the one ``shift`` rows before (1 to batch - 1).
+
+    Args:
+        text: Embeddings of the texts.
+        motion: Embeddings of their motions.
+        shift: 0 would pair every text with its own motion as a negative, as the reference sometimes does.
+        margin: Distance beyond which a wrong pair costs nothing.
+        counted: Which of the wrong pairs count; all by default.
+
+    Returns:
+        ``loss`` and its parts ``positive`` (mean D²) and ``negative`` (mean max(0, margin - D)²), and ``ranked``: the
+        share of texts that are nearer to their own motion than to the wrong one.
+    """
+    assert 0 < shift < len(text)
+    near = pairwise_distance(text, motion)
+    far = pairwise_distance(text, motion.roll(shift, dims=0))
+    positive = near.square().mean()
+    wrong = (margin - far).clamp_min(0.0).square()
+    if counted is not None:
+        wrong = wrong * counted
+    negative = wrong.mean() if counted is None else wrong.sum() / counted.sum().clamp_min(1)
+    return {
+        "loss": positive + negative,
+        "positive": positive,
+        "negative": negative,
+        "ranked": (near < far).float().mean().detach(),
+    }
+
+
+def _positive_losses(
+    text: Float[torch.Tensor, "batch dimension"], motion: Float[torch.Tensor, "batch dimension"]
+) -> dict[str, torch.Tensor]:
+    """:func:`contrastive_losses` where there is no wrong pair."""
+    positive = pairwise_distance(text, motion).square().mean()
+    return {"loss": positive, "positive": positive, "negative": torch.zeros_like(positive)}
+
+
+def different_texts(texts: Sequence[str], shift: int) -> Bool[torch.Tensor, " batch"]:
+    """Return True for each row whose text differs from that of the motion ``shift`` rows before."""
+    return torch.tensor([text != texts[row - shift] for row, text in enumerate(texts)])
+
+
+class EvaluatorTraining(TrainingModule):
+    """The evaluator's networks with their losses.
+
+    Stage ``full`` trains the autoencoder for the first batches and everything else afterwards; the stages
+    ``autoencoder`` and ``contrastive`` are those two halves as trainings of their own.
+
+    Args:
+        configuration: Of the networks.
+        objective: Of the losses.
+        stage: Which half, or both.
+        statistics: Weighted for an evaluator.
+        tokens: Vectors of the words of a text.
+        words_digest: Of a vocabulary that the user supplies; empty if there is none.
+        origin: Lines for the card.
+    """
+
+    def __init__(
+        self,
+        configuration: EvaluatorConfiguration,
+        objective: EvaluatorObjective,
+        *,
+        stage: Stage,
+        statistics: Statistics,
+        tokens: TokenVectors,
+        words_digest: str = "",
+        origin: tuple[str, ...] = (),
+    ) -> None:
+        super().__init__()
+        self.configuration, self.objective, self.stage = configuration, objective, stage
+        self.tokens, self.words_digest, self.origin = tokens, words_digest, origin
+        self.movement = MovementEncoder(configuration.movement_width)
+        self.decoder = MovementDecoder(configuration.movement_width)
+        self.motion = MotionEncoder(configuration)
+        self.text = TextEncoder(configuration, tokens.dimension)
+        self.mean: torch.Tensor
+        self.std: torch.Tensor
+        self.register_buffer("mean", torch.from_numpy(statistics.mean.copy()), persistent=False)
+        self.register_buffer("std", torch.from_numpy(statistics.std.copy()), persistent=False)
+        for network, stages in (
+            (self.movement, ("full", "autoencoder")),
+            (self.decoder, ("full", "autoencoder")),
+            (self.motion, ("full", "contrastive")),
+            (self.text, ("full", "contrastive")),
+        ):
+            network.requires_grad_(stage in stages)
+
+    def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
+        """The losses of the phase that a step belongs to.
+
+        Returns:
+            ``loss``, and ``reconstruction`` of the autoencoder or ``positive``, ``negative``, ``ranked`` of the
+            contrast; in stage ``full`` all of them, those of the other phase being zero.
+
+        Raises:
+            TableError: if motions are too short, or a batch has no second motion to contrast with.
+        """
+        found = self.reconstruct(batch, step) if self.reconstructs(step) else self.contrast(batch, step)
+        if self.stage != "full":
+            return found
+        absent = found["loss"].new_zeros(())
+        return {name: found.get(name, absent) for name in ("loss", "reconstruction", "positive", "negative", "ranked")}
+
+    def reconstructs(self, step: int) -> bool:
+        """Return True if a step trains the autoencoder; validation (a step below 0) judges the final result."""
+        return self.stage == "autoencoder" or (self.stage == "full" and 0 <= step < self.objective.autoencoder_batches)
+
+    def reconstruct(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
+        """Short clips of every motion through the autoencoder."""
+        self.movement.train(self.training)
+        features = self._standardised(batch.features)
+        lengths = (batch.n_frames.clamp_max(self.objective.window) // SNIPPET * SNIPPET).to(features.device)
+        _require_snippets(lengths, batch)
+        chances = torch.rand(len(features), self.objective.windows, generator=self.generator(step))
+        # Motions that are shorter than a window start at 0; their padding is masked by the lengths.
+        room = (batch.n_frames - self.objective.window).clamp_min(0)
+        starts = (chances.to(room.device) * (room[:, None] + 1)).long().flatten()
+        rows = torch.arange(len(features), device=room.device).repeat_interleave(self.objective.windows)
+        clips = _clips(features, rows, starts, self.objective.window)
+        lengths = lengths[rows]
+        snippets = self.movement(clips, lengths)
+        return reconstruction_losses(self.objective, clips, self.decoder(snippets), snippets, lengths)
+
+    def contrast(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
+        """Texts and motions of a batch against each other, on snippets of the frozen movement encoder."""
+        if len(batch) < 2 and step >= 0:
+            raise TableError("a contrast needs two motions or more in a batch; raise training.batch_size.")
+        generator = self.generator(step)
+        shorter = torch.rand(len(batch), generator=generator) < _SHORTER
+        # Never 0, which would make a text's own motion its negative.
+        shift = int(torch.randint(1, max(len(batch), 2), (1,), generator=generator))
+        counts = batch.n_frames // SNIPPET
+        _require_snippets(counts, batch)
+        counts = torch.where(shorter.to(counts.device) & (counts > 1), counts - 1, counts)
+        # Frozen in this phase, and without dropout, as it will be at evaluation.
+        self.movement.eval()
+        features = self._standardised(batch.features)[:, : int(counts.max()) * SNIPPET]
+        with torch.no_grad():
+            snippets = self.movement(features, counts * SNIPPET)
+        tokens, lengths = cut_tokens(self.tokens.encode(batch.text), self.configuration)
+        text = self.text(tokens.to(features.device), lengths)
+        motion = self.motion(snippets, counts)
+        if len(batch) < 2:  # what was left over of the validation split has nothing wrong to meet
+            return _positive_losses(text, motion)
+        return contrastive_losses(
+            text, motion, shift=shift, margin=self.objective.margin, counted=self._counted(batch, shift)
+        )
+
+    def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+        """Networks and statistics as one object; the decoder is kept where a contrast is still to follow."""
+        half = self.stage == "autoencoder"
+        networks: dict[str, nn.Module] = {"movement": self.movement}
+        networks |= {"decoder": self.decoder} if half else {"motion": self.motion, "text": self.text}
+        tensors = {
+            f"{name}.{key}": tensor
+            for name, network in networks.items()
+            for key, tensor in network.state_dict().items()
+        }
+        tensors |= {"statistics.mean": self.mean, "statistics.std": self.std}
+        metadata = {
+            "kind": MOVEMENT_KIND if half else EVALUATOR_KIND,
+            "configuration": msgspec.json.encode(self.configuration).decode(),
+            "representation": representation_entry(self.configuration.representation),
+            "words": self.words_digest,
+        }
+        return tensors, metadata
+
+    def learned_from(self) -> tuple[str, ...]:
+        """The text vectors and the initial weights."""
+        return self.origin
+
+    def gradient_groups(self) -> tuple[tuple[nn.Parameter, ...], ...]:
+        """Each network's gradient is clipped by its own norm."""
+        networks = (self.movement, self.decoder, self.motion, self.text)
+        return tuple(tuple(network.parameters()) for network in networks)
+
+    def _standardised(
+        self, features: Float[torch.Tensor, "batch frames 263"]
+    ) -> Float[torch.Tensor, "batch frames 259"]:
+        return ((features - self.mean) / self.std)[..., :MOVEMENT_FEATURES]
+
+    def _counted(self, batch: MotionBatch, shift: int) -> Bool[torch.Tensor, " batch"] | None:
+        if self.objective.equal_texts_are_negatives:
+            return None
+        return different_texts(batch.text, shift).to(batch.features.device)
+
+
+def _clips(
+    features: Float[torch.Tensor, "batch frames 259"],
+    rows: Int[torch.Tensor, " clips"],
+    starts: Int[torch.Tensor, " clips"],
+    window: int,
+) -> Float[torch.Tensor, "clips window 259"]:
+    """``window`` frames from each start; beyond the end of the batch the last frame is repeated, to be masked."""
+    frames = starts[:, None] + torch.arange(window, device=starts.device)
+    return features[rows[:, None], frames.clamp_max(features.shape[1] - 1)]
+
+
+def _require_snippets(counts: Int[torch.Tensor, " batch"], batch: MotionBatch) -> None:
+    if int(counts.min()) < 1:
+        row = int(counts.argmin())
+        raise TableError(
+            f"{batch.sequence_id[row]}: an evaluator needs motions of {SNIPPET} frames or more,"
+            f" found {int(batch.n_frames[row])}."
+        )

@@ -1,0 +1,320 @@
+"""``prbench train`` as a user meets it, with a toy for a network."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from prbench.cli import main
+from prbench.errors import TrainingError, UsageError
+from prbench.files.storage import file_digest, read_json
+from prbench.harness.methods import training_tasks as installed
+from prbench.sequences import SequenceTable
+from prbench.sequences.folds import participant_folds
+from prbench_adapters.training.dataset import SequenceDataset
+from prbench_adapters.training.motions import REFIT
+from prbench_adapters.training.outputs import draw_curves
+from prbench_adapters.training.weights import read_weights
+from tests.adapters.training.toy import SIGNAL_VARIABLE, entry_points_of
+from tests.cli.reports import refused, reported
+from tests.fakes import fake_dataset
+
+ROOT = Path(__file__).parents[2]
+INSTALLED = installed.entry_points_of
+VALIDATED = ["--set", "validation.every=4", "--set", "validation.condition=goal-loc", "--set", "validation.sequences=3"]
+SCRIPT = """
+import sys
+import prbench.harness.methods.training_tasks
+from tests.adapters.training.toy import entry_points_of
+prbench.harness.methods.training_tasks.entry_points_of = entry_points_of
+from prbench.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.fixture(autouse=True)
+def toy_is_installed(monkeypatch, tmp_path_factory):
+    monkeypatch.setattr("prbench.harness.methods.training_tasks.entry_points_of", entry_points_of)
+    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path_factory.getbasetemp() / "train-cache"))
+    # Curves are drawn once, in `trained`.
+    monkeypatch.setattr("prbench_adapters.training.outputs.draw_curves", lambda *arguments: None)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return fake_dataset(tmp_path_factory.mktemp("table") / "data", 24).folder
+
+
+def command(data, out, *more):
+    return ["train", "--method", "toy", "--data", str(data), "--out", str(out), *more]
+
+
+@pytest.fixture(scope="module")
+def trained(data, tmp_path_factory):
+    """A finished training, and what it printed to standard output and standard error."""
+    out = tmp_path_factory.mktemp("trained")
+    printed, said = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("prbench.harness.methods.training_tasks.entry_points_of", entry_points_of)
+        patch.setenv("PRBENCH_CACHE", str(tmp_path_factory.getbasetemp() / "train-cache"))
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
+            assert main(command(data, out, *VALIDATED)) == 0, said.getvalue()
+    return out, printed.getvalue(), said.getvalue()
+
+
+def test_a_training_prints_lines_and_where_the_weights_are(trained):
+    out, printed, said = trained
+    assert printed == f"weights: {out / 'weights.safetensors'}\n"
+    lines = said.splitlines()
+    assert [line.split(":")[0] for line in lines] == [
+        "step 2/8", "step 4/8", "validation at 4", "step 6/8", "step 8/8", "validation at 8",
+        next(line.split(":")[0] for line in lines if line.startswith("waited for data")),
+    ]  # fmt: skip
+    assert "loss " in lines[0]
+    assert "waiting " in lines[0]
+    assert "prime success " in lines[2]
+
+
+def test_a_training_leaves_a_card_curves_and_a_log(trained, data):
+    out, *_ = trained
+    card = read_json(out / "weights.json")
+    assert card["method"], card["stage"] == ("toy", "pretrain")
+    assert (card["finished"], card["steps"], card["devices"]) == (True, 8, 1)
+    assert card["configuration"]["model"] == {"width": 6}
+    assert card["weights_sha256"] == file_digest(out / "weights.safetensors")
+    assert card["parameters"] == 263 * 6 + 6 + 6 * 263 + 263
+    assert card["learned_from"] == ["nothing much"]
+    assert [row["step"] for row in card["learning_curve"]] == [2, 4, 6, 8]
+    times = read_json(out / "timing.json")
+    assert 0 <= times["waiting_fraction"] <= 1
+    assert [row["step"] for row in times["timings"]] == [2, 4, 6, 8]
+    assert {"python", "torch", "lightning-fabric"} <= card["packages"].keys()
+    assert card["device"].startswith("cpu")
+    (table,) = card["data"]
+    assert table["dataset"] == "synthetic-adt"
+    assert table["sequences"] == 12
+    assert table["content_digest"] == read_json(data / "dataset.json")["content_digest"]
+    main_metrics = {"prime_success", "reach_success", "goal_mpjpe", "location_error", "mpjpe", "foot_skating"}
+    assert main_metrics | {"loss", "root"} <= card["validation"][-1].keys()
+    assert (out / "curves.png").read_bytes().startswith(b"\x89PNG")
+    assert list((out / "tensorboard").glob("events.out.tfevents.*"))
+    assert read_weights(out / "weights.safetensors", kind="toy").metadata["configuration"] == '{"width":6}'
+
+
+NOT_THE_SAME = ("timing.json", "tensorboard/")
+"""What docs/models.md says differs between two trainings that nothing disturbed."""
+
+
+def test_two_smoke_trainings_have_the_same_bytes_but_for_their_times(data, tmp_path, monkeypatch):
+    monkeypatch.setattr("prbench_adapters.training.outputs.draw_curves", draw_curves)
+    monkeypatch.setattr("prbench.harness.methods.training_tasks.entry_points_of", INSTALLED)
+    folders = [tmp_path / "one", tmp_path / "other"]
+    for out in folders:
+        assert main(["train", "--method", "pr", "--config", "smoke", "--data", str(data), "--out", str(out)]) == 0
+    one, other = ({path.relative_to(out).as_posix(): path for path in out.rglob("*") if path.is_file()}
+                  for out in folders)  # fmt: skip
+    compared = [name for name in one if not any(part in name for part in NOT_THE_SAME)]
+    assert {"weights.json", "curves.png", "weights.safetensors", "training.json"} <= set(compared)
+    assert sum(name.endswith("state.json") for name in compared) == 2
+    assert sorted(compared) == sorted(name for name in other if not any(part in name for part in NOT_THE_SAME))
+    assert [name for name in compared if one[name].read_bytes() != other[name].read_bytes()] == []
+
+
+def test_a_killed_training_goes_on_by_the_same_command_to_the_same_weights(trained, data, tmp_path, capsys):
+    reference, *_ = trained
+    killed = subprocess.run(
+        [sys.executable, "-c", SCRIPT, *command(data, tmp_path / "out")],
+        cwd=ROOT,
+        env={**os.environ, SIGNAL_VARIABLE: "9:SIGKILL"},
+    )
+    assert killed.returncode == -signal.SIGKILL
+    assert sorted(path.name for path in (tmp_path / "out" / "checkpoints").iterdir())[-1] == "step-000000003"
+    assert main(command(data, tmp_path / "out")) == 0
+    assert "step 4/8" in capsys.readouterr().err, "lines go on after the last checkpoint"
+    assert (tmp_path / "out" / "weights.safetensors").read_bytes() == (reference / "weights.safetensors").read_bytes()
+
+
+def test_sigterm_saves_says_so_and_the_same_command_goes_on(trained, data, tmp_path, capsys, monkeypatch):
+    reference, *_ = trained
+    monkeypatch.setenv(SIGNAL_VARIABLE, "9:SIGTERM")
+    assert main(command(data, tmp_path / "out")) == 143
+    error = capsys.readouterr().err
+    assert "stopped after step 5 of 8; everything is saved. The same command goes on from there." in error
+    assert "Traceback" not in error
+    assert not read_json(tmp_path / "out" / "weights.json")["finished"]
+    monkeypatch.delenv(SIGNAL_VARIABLE)
+    assert main(command(data, tmp_path / "out")) == 0
+    assert (tmp_path / "out" / "weights.safetensors").read_bytes() == (reference / "weights.safetensors").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("more", "key"),
+    [
+        (["--set", "model.width=9"], "'configuration.model.width' is 6 there, but 9"),
+        (["--set", "training.seed=1"], "'configuration.training.seed' is 0 there, but 1"),
+        (["--stage", "finetune"], """'stage' is "pretrain" there, but "finetune\""""),
+    ],
+)
+def test_another_training_in_the_same_folder_is_refused(more, key, trained, data, capsys):
+    out, *_ = trained
+    before = (out / "training.json").read_bytes()
+    assert main(command(data, out, *VALIDATED, *more)) == 11
+    assert key in capsys.readouterr().err
+    assert (out / "training.json").read_bytes() == before
+
+
+def test_other_data_in_the_same_folder_are_refused(trained, tmp_path, capsys):
+    out, *_ = trained
+    other = fake_dataset(tmp_path / "other", 28).folder
+    assert main(command(other, out, *VALIDATED)) == 11
+    assert "'data.0.identity_digest' is" in capsys.readouterr().err
+
+
+def test_how_often_is_logged_and_saved_may_change(data, tmp_path):
+    assert main(command(data, tmp_path / "out")) == 0
+    assert main(command(data, tmp_path / "out", "--set", "training.save_every=2", "--set", "training.log_every=1")) == 0
+
+
+def test_a_training_starts_from_given_weights(trained, data, tmp_path):
+    out, *_ = trained
+    more = ["--stage", "finetune", "--set", "model.width=6", "--init", str(out / "weights.safetensors")]
+    assert main(command(data, tmp_path / "out", *more)) == 0
+    card = read_json(tmp_path / "out" / "weights.json")
+    assert card["initial_weights_sha256"] == file_digest(out / "weights.safetensors")
+    assert card["stage"] == "finetune"
+
+
+def test_the_configuration_can_be_printed_and_used_as_a_file(tmp_path, capsys):
+    assert (
+        main(["train", "--method", "toy", "--stage", "finetune", "--show-config", "--set", "data.max_frames=30"]) == 0
+    )
+    printed = capsys.readouterr().out
+    assert "max_frames = 30" in printed
+    file = tmp_path / "own.toml"
+    file.write_text(printed)
+    assert main(["train", "--method", "toy", "--config", str(file), "--show-config", "--stage", "finetune"]) == 0
+    assert capsys.readouterr().out == printed.replace("width = 6", "width = 7")
+    report = reported(["train", "--method", "toy", "--config", str(file), "--show-config"], capsys)
+    assert report.trained is None
+    assert report.configuration is not None
+    assert report.configuration["model"]["width"] == 7
+    assert set(report.configuration) == {"model", "training", "data", "validation"}
+
+
+def _foreign(tmp_path):
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "thesis.tex").write_text("x")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["--method", "toi"], 5, "nothing to train is called 'toi'. Did you mean 'toy'? There are: toy."),
+        (["--config", "smal"], 2, "'toy' has no configuration 'smal'. Did you mean 'small'? There are: small;"),
+        (["--stage", "warmup"], 2, "'toy' has no stage 'warmup'; its stages are: pretrain, finetune."),
+        (["--set", "training.step=3"], 3, "unknown field `step`"),
+        (["--device", "cuda"], 2, "--device cuda: torch"),
+        (["--device", "cuda:1", "--devices", "2"], 2, "names one device"),
+        (["--device", "tpu"], 2, "expected cpu, cuda, cuda:1 … or mps, found 'tpu'"),
+        (["--data", "{tmp}/nowhere"], 4, "found no such folder"),
+        (["--out", "{tmp}/foreign"], 8, "holds no training.json"),
+        (["--init", "{tmp}/nothing.safetensors"], 3, "no such file"),
+        (["--init", "{tmp}/foreign/thesis.tex"], 3, "expected a safetensors file"),
+        (["--set", "data.max_frames=1"], 2, "max_frames"),
+    ],
+)
+def test_a_mistake_gives_one_message_and_its_exit_code(arguments, code, message, data, tmp_path, capsys):
+    import torch
+
+    if "cuda" in message and torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    _foreign(tmp_path)
+    filled = [part.format(tmp=tmp_path) for part in arguments]
+    assert main([*command(data, tmp_path / "out"), *filled]) == code
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert "Traceback" not in errors
+    assert len(errors.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists(), "the corrected command must not find another training there"
+
+
+def test_data_and_out_are_asked_for(capsys):
+    assert main(["train", "--method", "toy"]) == 2
+    assert "--data DIR is needed." in capsys.readouterr().err
+    refused(["train", "--method", "toy", "--data", "a"], capsys, code=2, message="--out DIR is needed.")
+
+
+def test_a_finished_training_is_reported_as_json(trained, data, capsys):
+    out = trained[0] if isinstance(trained, tuple) else trained
+    report = reported(command(data, out, *VALIDATED), capsys)
+    assert report.trained is not None
+    assert report.trained.weights.is_file()
+    assert (report.method, report.configuration, report.trained.steps) == ("toy", None, 8)
+
+
+@pytest.mark.parametrize("package", ["lightning_fabric", "tensorboard"])
+def test_without_the_extra_its_install_line_is_named(package, data, tmp_path, capsys, monkeypatch):
+    for name in [name for name in sys.modules if name.split(".")[0] == package or name == "torch.utils.tensorboard"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, package, None)
+    assert main(command(data, tmp_path / "out")) == 9
+    assert "pip install 'prbench[train]'" in capsys.readouterr().err
+
+
+def test_help_imports_neither_torch_nor_numpy():
+    code = "import sys\nfrom prbench.cli import main\ntry: main(['train', '--help'])\nexcept SystemExit: pass\n"
+    done = subprocess.run(
+        [sys.executable, "-c", code + "print('MODULES', *sys.modules)"], capture_output=True, text=True, cwd=ROOT
+    )
+    text, _, modules = done.stdout.partition("MODULES")
+    assert "example:\n  prbench train " in text
+    assert not {"torch", "numpy", "lightning_fabric", "prbench_adapters.training"} & set(modules.split())
+
+
+def test_refit_learns_from_train_and_validation(data, tmp_path, capsys):
+    table = SequenceTable.open(data).with_sequences()
+    rows = {split: table.scalars(split=split).num_rows for split in ("train", "validation")}
+    assert all(rows.values()), "the fake table has sequences in both"
+    both = command(data, tmp_path / "both", "--refit", "--set", "validation.every=0")
+    assert main(both) == 0
+    record = read_json(tmp_path / "both/training.json")
+    assert record["refit"] is True
+    assert record["data"][0]["sequences"] == sum(rows.values())
+    assert main(command(data, tmp_path / "alone", "--set", "validation.every=0")) == 0
+    assert read_json(tmp_path / "alone/training.json")["data"][0]["sequences"] == rows["train"]
+    both_ids = set(SequenceDataset(table, split=REFIT).sequence_ids)
+    parts = [set(SequenceDataset(table, split=split).sequence_ids) for split in rows]
+    assert both_ids == parts[0] | parts[1]
+    # The folder of one is never gone on with as the other.
+    refused(both[:-3] + both[-2:], capsys, code=TrainingError.exit_code, message="holds another training")
+
+
+def test_refit_and_validation_exclude_one_another(data, tmp_path, capsys):
+    words = command(data, tmp_path / "out", "--refit", *VALIDATED)
+    refused(words, capsys, code=UsageError.exit_code, message="measuring on it would say nothing")
+
+
+def test_a_fold_is_learnt_from_without_its_people(tmp_path, capsys):
+    table = fake_dataset(tmp_path / "table", 24)
+    out = tmp_path / "out"
+    fold = ["--split", "participants", "--fold", "1/3"]
+    assert main([*command(table.folder, out), *fold]) == 0
+    fold_of = participant_folds(table, 3)
+    people = table.scalars()["participant_id"].to_pylist()
+    rows = zip(people, table.scalars()["split"].to_pylist())
+    learnt = sum(fold_of[person] != 1 and split != "validation" for person, split in rows)
+    (told,) = read_json(out / "training.json")["data"]
+    assert (told["fold"], told["sequences"]) == ("1/3", learnt)
+    (card,) = read_json(out / "weights.json")["data"]
+    assert card["fold"] == "1/3"
+    other = [*command(table.folder, out), *fold[:3], "2/3"]
+    refused(other, capsys, code=TrainingError.exit_code, message="holds another training")
+    together = "--split participants and --fold K/N belong together"
+    refused([*command(table.folder, out), "--fold", "1/3"], capsys, code=UsageError.exit_code, message=together)

@@ -1,0 +1,103 @@
+"""Configurations: files, stages and single keys, in that order, and no key that nobody reads."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from prbench.errors import InputFileError, UsageError
+from prbench_adapters.training.configuration import as_toml, list_configurations, load_configuration, resolve
+
+PACKAGE = "tests.adapters.training.configurations"
+
+
+def load(*overrides, stage="pretrain", name="small"):
+    return load_configuration(name, package=PACKAGE, task="toy", stage=stage, overrides=overrides)
+
+
+def test_a_stage_overrides_the_file_and_a_single_key_overrides_both():
+    assert load().training.learning_rate == 1e-2
+    assert load(stage="finetune").training.learning_rate == 5e-3
+    assert load(("training.learning_rate", "1e-3"), stage="finetune").training.learning_rate == 1e-3
+    assert load(stage="finetune").training.steps == 8, "what a stage does not name stays"
+    assert (load().model, load(stage="finetune").model) == ({"width": 6}, {"width": 7})
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("3", 3),
+        ("true", True),
+        ("pose", "pose"),
+        ('"pose"', "pose"),
+        ('["goal", "text"]', ["goal", "text"]),
+        ("a=b", "a=b"),
+    ],
+)
+def test_values_need_no_quotes_on_the_command_line(text, value):
+    assert load(("model.anything", text)).model["anything"] == value
+
+
+def test_the_printed_configuration_is_one_that_can_be_read_back(tmp_path):
+    configuration = load(("model.dropped", '["goal"]'), ("model.nested.key", "1"), ("validation.condition", "goal-loc"))
+    file = tmp_path / "own.toml"
+    file.write_text(as_toml(configuration))
+    assert load(name=str(file)) == configuration
+    assert resolve(tomllib.loads(as_toml(configuration)), source=Path("x"), stage="finetune") == configuration
+
+
+def test_a_name_may_be_given_with_or_without_that_of_the_task():
+    assert list_configurations(PACKAGE, "toy") == ("small",)
+    assert load(name="toy-small") == load(name="small")
+
+
+def test_a_wrong_name_lists_those_that_exist():
+    with pytest.raises(
+        UsageError, match=r"'toy' has no configuration 'smal'. Did you mean 'small'\? There are: small;"
+    ):
+        load(name="smal")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "error", "message"),
+    [
+        ("trainin.steps", "5", UsageError, "a table of model, training, data, validation, found 'trainin.steps'"),
+        ("steps", "5", UsageError, "a table of"),
+        ("training.a b", "5", UsageError, "--set training.a b=5"),
+        ("training.step", "5", InputFileError, "unknown field `step`"),
+        ("training.steps", "many", InputFileError, r"Expected `int`, got `str` - at `\$.training.steps`"),
+        ("training.steps", "0", InputFileError, "`steps` must be 1 or more"),
+        ("training.warmup_steps", "9", InputFileError, "`warmup_steps` must lie between 0 and `steps`"),
+        ("training.ema", "1.0", InputFileError, "`ema` must be at least 0 and below 1"),
+        ("training.learning_rate", "0", InputFileError, "`learning_rate` must be above 0"),
+        ("training.gradient_clip", "-1", InputFileError, "`gradient_clip` must be above 0"),
+        ("data.crop", "middle", InputFileError, "Invalid enum value 'middle'"),
+        ("validation.condition", "goal", InputFileError, "Invalid enum value 'goal'"),
+    ],
+)
+def test_a_key_or_value_that_does_not_fit_is_named(key, value, error, message):
+    with pytest.raises(error, match=message):
+        load((key, value))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("[model]\nwidth = ", "expected valid TOML"),
+        ("[model]\n[traning]\nsteps = 3", "unknown field `traning`"),
+        ("[model]\n", "missing required field `training`"),
+        ("stages = 3\n[model]\n[training]\nsteps = 3", r"\[stages\]: expected tables"),
+    ],
+)
+def test_a_file_that_is_no_configuration_is_refused(content, message, tmp_path):
+    file = tmp_path / "own.toml"
+    file.write_text(content)
+    with pytest.raises(InputFileError, match=message):
+        load(name=str(file))
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(InputFileError, match=r"none\.toml: expected a TOML file"):
+        load(name=str(tmp_path / "none.toml"))
