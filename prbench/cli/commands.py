@@ -284,8 +284,9 @@ class Group(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands of each section with their summaries."""
         for title, commands in self._listed(ctx).items():
-            with formatter.section(title):
-                formatter.write_dl([(name, summary(self.get_command(ctx, name))) for name in commands])
+            if commands:
+                with formatter.section(title):
+                    formatter.write_dl([(name, summary(self.get_command(ctx, name))) for name in commands])
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the example, folded as a shell reads it."""

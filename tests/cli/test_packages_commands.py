@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 
+import click
 import pytest
 
 from prbench.cli.commands import Group
@@ -76,3 +77,10 @@ def test_a_former_command_names_the_present_one(former, capsys):
         pytest.skip("not moved yet")
     assert main([*former.split(), "--json"]) == 2
     assert f"'prbench {former}' is now `prbench {_RENAMED[former]}`." in capsys.readouterr().err
+
+
+def test_a_section_without_commands_is_left_out():
+    group = Group("g", sections={"empty: nothing here": {}, "data: one": {"diff": "prbench.cli.diff:diff"}})
+    text = group.get_help(click.Context(group, info_name="g"))
+    assert "empty" not in text
+    assert "data: one" in text
