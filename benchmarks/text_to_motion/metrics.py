@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -244,17 +245,22 @@ def measure_motions(
     return {FID: distance, _DIVERSITY: diversity(motion, pairs)}
 
 
-@dataclass(frozen=True)
-class Repeated:
-    """One number over repetitions of the whole evaluation. The interval says how far chance moves the mean of these
-    repetitions; it knows nothing of the choice of recordings or of training.
-    """  # noqa: D205
+class Repeated(msgspec.Struct, frozen=True):
+    """A metric over repetitions of the whole evaluation.
+
+    The interval says how far chance moves the mean of these repetitions. It knows nothing of the choice of recordings
+    or of training.
+
+    Attributes:
+        mean: Mean over repetitions; R-precision from 0 to 1, all others in units of the evaluator.
+        half_width: 1.96 times the population standard deviation over the root of the number of repetitions; null for
+            a single repetition.
+        values: The value of each repetition.
+    """
 
     mean: float
     half_width: float | None
-    """1.96 · population standard deviation / √repetitions; None for a single one."""
     values: tuple[float, ...]
-    """One a repetition."""
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Repeated:

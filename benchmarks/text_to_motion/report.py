@@ -18,39 +18,33 @@ from prbench_benchmarks.text_to_motion.metrics import METRICS, Measured, Repeate
 SCHEMA_VERSION = 1
 
 
-class Interval(msgspec.Struct, frozen=True, kw_only=True):
-    """A metric over repetitions: mean ± 1.96 · population standard deviation / √repetitions."""
-
-    mean: float
-    half_width: float | None
-    values: tuple[float, ...]
-
-    @classmethod
-    def of(cls, repeated: Repeated) -> Interval:
-        """The same as a part of a file."""
-        return cls(mean=repeated.mean, half_width=repeated.half_width, values=repeated.values)
-
-
 class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
-    """Real motions, real motions with other texts, or a method's."""
+    """Real motions, real motions with other texts, or a method's motions.
+
+    Attributes:
+        source: ``real``, ``real, texts shuffled`` or the name of the method.
+        metrics: Maps ids of metrics (``r_precision_top_1``, ``fid`` …) to their values.
+        motions: Number of motions of a repetition.
+        ranked_pairs: Number of those that are in whole batches of 32, within which texts are ranked.
+        dropped_pairs: Number of those in the last, incomplete batch.
+        duplicate_captions: Ranked texts that equal another one of their batch, mean over repetitions. The motion of
+            the other counts as a wrong one.
+        repetitions: Number of repetitions.
+        weights_sha256: Digest of the method's weights; null without weights.
+        options: Options of the method.
+        unsupported: Number of clips that are longer than the method can generate.
+    """
 
     source: str
-    """``real``, ``real, texts shuffled`` or a method's name."""
-    metrics: dict[str, Interval]
-    """Maps ids of :data:`prbench_benchmarks.text_to_motion.metrics.METRICS` to values; R-precision from 0 to 1."""
+    metrics: dict[str, Repeated]
     motions: int
-    """A repetition."""
     ranked_pairs: int
-    """Motions of a repetition that are in whole batches of 32."""
     dropped_pairs: int
-    """Motions of the last, incomplete batch of a repetition."""
     duplicate_captions: float
-    """Ranked texts that equal another one of their batch, mean over repetitions; such a pair is counted as a miss."""
     repetitions: int
     weights_sha256: str | None = None
     options: dict[str, str] = {}
     unsupported: int = 0
-    """Clips that are longer than the method can generate."""
 
 
 @dataclass
@@ -75,7 +69,7 @@ class RowTally:
         ranking = self.last.ranking
         return ResultRow(
             source=source,
-            metrics={name: Interval.of(Repeated.of(self.values[name])) for name in METRICS if name in self.values},
+            metrics={name: Repeated.of(self.values[name]) for name in METRICS if name in self.values},
             motions=self.motions,
             ranked_pairs=ranking.n_pairs,
             dropped_pairs=ranking.n_dropped,
@@ -88,12 +82,31 @@ class RowTally:
 
 
 class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
-    """One evaluation. Rows are comparable within it, and with others of the same evaluator, corpus and settings."""
+    """The match of motions and texts; rows compare within it, and with those of the same evaluator and settings.
+
+    Attributes:
+        kind: What the file is.
+        schema_version: Version of the file's format.
+        vectorisation: The way in which the evaluator reads texts; numbers of different ones never compare.
+        evaluator_sha256: Digest of the evaluator's weights.
+        representation: Name of the representation of motion that the evaluator reads.
+        dataset: Name of the corpus or dataset.
+        corpus_content_digest: Digest of its content.
+        split: Split that was evaluated.
+        kinds: Kinds of captions that were used; empty for all.
+        clips: Number of clips.
+        left_out: Number of clips that were left out.
+        distinct_captions: Number of different captions.
+        seed: Seed of crops, captions, pairs and noise.
+        diversity_pairs: Number of pairs of motions behind the diversity.
+        prbench_version: Version that measured.
+        rows: The rows of the table.
+        notes: What a reader of the numbers has to know.
+    """
 
     kind: str = "text-to-motion-evaluation"
     schema_version: int = SCHEMA_VERSION
     vectorisation: str
-    """The way in which the evaluator reads texts; numbers of different ones belong in different columns."""
     evaluator_sha256: str
     representation: str
     dataset: str
@@ -120,3 +133,13 @@ class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
     def read(cls, path: Path) -> TextEvaluation:
         """Read what :meth:`write` wrote."""
         return msgspec.json.decode(read_whole(path), type=cls)
+
+
+class WrittenEvaluation(TextEvaluation, frozen=True, kw_only=True):
+    """An evaluation and where it stands.
+
+    Attributes:
+        out: The file that the numbers were written to.
+    """
+
+    out: Path

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from prbench.protocol.published import load_published, published_table
 from prbench.workflows.study.document import DASH, StudyBlock, StudyTable, StudyValue
-from prbench_benchmarks.text_to_motion.report import Interval, ResultRow, TextEvaluation
+from prbench_benchmarks.text_to_motion.metrics import Repeated
+from prbench_benchmarks.text_to_motion.report import ResultRow, TextEvaluation
 
 _METRICS = {
     "r_precision_top_3": ("R Precision Top-3 ↑ (%)", 100.0, "%"),
@@ -62,7 +63,7 @@ def _line(row: ResultRow) -> tuple[str, ...]:
     return (row.source, *(_cell(row.metrics.get(name), scale) for name, (_, scale, _) in _METRICS.items()))
 
 
-def _cell(found: Interval | None, scale: float) -> str:
+def _cell(found: Repeated | None, scale: float) -> str:
     if found is None:
         return DASH
     mean = f"{scale * found.mean:.2f}"

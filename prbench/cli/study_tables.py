@@ -212,7 +212,7 @@ def study_item(name: str) -> Callable[..., Any]:
         UsageError: if the installed package lacks it.
     """
     for entry in installed_entries(STUDY_ITEMS):
-        if entry.ours and entry.name == name and not entry.problem:
+        if entry.built_in and entry.name == name and not entry.problem:
             return EntryPoint(entry.name, entry.target, STUDY_ITEMS).load()
     raise UsageError(f"no table '{name}' in the group '{STUDY_ITEMS}'. Install prbench again: its metadata is too old.")
 

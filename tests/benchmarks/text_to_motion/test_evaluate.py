@@ -194,7 +194,7 @@ def test_the_command_writes_prints_and_refuses(build, saved, corpus, tmp_path, c
     report = reported(words, capsys)
     written = json.loads(out.read_text())
     assert plain(report.rows) == written["rows"]
-    assert (report.clips, report.remarks) == (written["clips"], written["notes"])
+    assert (report.clips, report.notes) == (written["clips"], written["notes"])
     refused([*words, "--corpus", str(tmp_path / "gone")], capsys, code=4, message="gone")
     assert main([*command, "--multimodality"]) == 2
     assert "--multimodality belongs to a method" in capsys.readouterr().err

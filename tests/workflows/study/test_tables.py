@@ -9,13 +9,18 @@ import json
 import msgspec
 import pytest
 
+from prbench.cli import main
+from prbench.cli.study_tables import study_item
+from prbench.errors import UsageError
 from prbench.protocol.published import load_published, load_table_one
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
 from prbench.workflows.study.formats import FORMATS
 from prbench.workflows.study.methods import methods_table, poses_table
 from prbench.workflows.study.sizes import table_one, table_s2
-from prbench_benchmarks.text_to_motion.report import Interval, ResultRow, TextEvaluation
+from prbench_benchmarks.prime_and_reach.ablation import ablation_table
+from prbench_benchmarks.text_to_motion.metrics import Repeated
+from prbench_benchmarks.text_to_motion.report import ResultRow, TextEvaluation
 from prbench_benchmarks.text_to_motion.table_s8 import table_s8
 from tests.board.test_tables import metrics, write_run
 from tests.fakes import fake_dataset
@@ -152,7 +157,7 @@ def test_table_s1_tells_training_and_test_poses_apart(tmp_path):
 
 
 def evaluation(**more) -> TextEvaluation:
-    interval = Interval(mean=0.7, half_width=0.01, values=(0.69, 0.71))
+    interval = Repeated(mean=0.7, half_width=0.01, values=(0.69, 0.71))
     row = ResultRow(
         source="mdm", metrics={"r_precision_top_3": interval, "fid": interval}, motions=64, ranked_pairs=64,
         dropped_pairs=0, duplicate_captions=0.0, repetitions=2,
@@ -173,6 +178,16 @@ def test_table_s8_is_read_from_evaluations_and_says_that_nothing_was_recomputed(
     assert table.blocks[1].rows[0] == ("recorded motion", "75.43 ± 0.12", "0", "2.79 ± 0.00", "9.70 ± 0.13")
     assert any("motions are not at hand" in note for note in table.notes)
     require_whole_latex(FORMATS[".tex"]([table]))
+
+
+def test_the_command_finds_the_tables_that_stand_with_their_benchmark(tmp_path, capsys):
+    path = tmp_path / "e.json"
+    path.write_bytes(msgspec.json.encode(evaluation()))
+    assert main(["study", "table-s8", str(path)]) == 0
+    assert "70.00 ± 1.00" in capsys.readouterr().out
+    assert study_item("ablation") is ablation_table
+    with pytest.raises(UsageError, match="no table 'table-99'"):
+        study_item("table-99")
 
 
 def test_the_number_of_test_sequences_of_the_study_stands_in_the_csv_rows(tmp_path):
