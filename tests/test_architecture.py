@@ -50,6 +50,8 @@ def _package(module: str) -> str | None:
     parts = module.split(".")
     if parts[0] != "prbench":
         return "commands" if "commands" in parts[1:] else parts[0]
+    if parts[1] == "readers" and len(parts) == 4 and parts[3].startswith("synthetic"):
+        return "synthetic"  # what a dataset's sensors see, beside the reader that it imports
     return parts[1]
 
 

@@ -17,7 +17,7 @@ import pytest
 from prbench.cli.builds import NOT_EVERYTHING
 from prbench.cli.main import main
 from prbench.errors import StorageError
-from prbench.synthetic.egoallo import write_smplh_model
+from prbench.readers.egoallo.synthetic import write_smplh_model
 from tests.adapters.training.toy import entry_points_of
 from tests.fakes import fake_dataset
 from tests.prediction.windows import write as write_windows

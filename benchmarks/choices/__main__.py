@@ -24,12 +24,12 @@ from prbench.curation.options import DEFAULTS
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import read_scores
+from prbench.harness.synthetic_table import Staging, SyntheticSource, synthetic_source
 from prbench.protocol.manifests import BenchmarkProtocol, load_manifest, load_protocol
 from prbench.protocol.own_protocol import FILE_NAME
 from prbench.recording import Recording
 from prbench.sequences import SequenceTable
 from prbench.synthetic.layouts import layout_for
-from prbench.synthetic.synthetic_table import Staging, SyntheticSource, synthetic_source
 
 PRESET = "adt"
 RECORDINGS = 40

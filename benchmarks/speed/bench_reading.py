@@ -13,9 +13,9 @@ from pathlib import Path
 
 from benchmarks.speed.timing import Row, print_rows, timed
 from prbench.readers.adt import find_recordings, read_recording
-from prbench.synthetic.layouts import adt as layout
+from prbench.readers.adt import synthetic as layout
+from prbench.readers.adt.synthetic_sensors import sense
 from prbench.synthetic.people import perform
-from prbench.synthetic.sensors.adt import sense
 
 EVENTS = 19
 BYSTANDER_OBJECTS = 390

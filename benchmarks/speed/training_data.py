@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 
 from benchmarks.speed.timing import Row, print_rows
-from prbench.synthetic.synthetic_table import build_synthetic_table
+from prbench.harness.synthetic_table import build_synthetic_table
 from prbench_adapters.diffusion.condition import EncodedCondition
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration
 from prbench_adapters.diffusion.denoiser import Denoiser

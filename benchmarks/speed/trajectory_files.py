@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from prbench.readers.aria_mps import format as mps
-from prbench.synthetic.layouts.aria_mps import write_mps
+from prbench.readers.aria_mps.synthetic import write_mps
+from prbench.readers.aria_mps.synthetic_sensors import sense_mps
 from prbench.synthetic.people import perform
-from prbench.synthetic.sensors.aria_mps import sense_mps
 
 START_US = 149_000_000_000
 _EVENTS = 4  # about half a minute, which is repeated

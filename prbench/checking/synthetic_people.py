@@ -11,6 +11,7 @@ from prbench.curation import curate_recording
 from prbench.engine import Engine, InProcess
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
+from prbench.harness.synthetic_table import Staging
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.plausible import body_numbers, plausible
 from prbench.protocol.manifests import load_manifest, load_protocol
@@ -18,7 +19,6 @@ from prbench.synthetic.behaviour import Range, measure_behaviour, ranges
 from prbench.synthetic.people import PRESETS, perform
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.statistics import FPS, clips_of
-from prbench.synthetic.synthetic_table import Staging
 
 EVENTS = 6
 """Picks and puts of each recording."""

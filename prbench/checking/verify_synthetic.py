@@ -14,13 +14,13 @@ from prbench.checking.matching import Match, Verification, match_events, verific
 from prbench.curation import curate_recording
 from prbench.curation.options import DEFAULTS, CurationOptions
 from prbench.engine import Engine, InProcess
+from prbench.harness.synthetic_table import Staging, World
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.readers import reader_for
 from prbench.readers.found import RecordingFiles
 from prbench.sequences import Event
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import TrueEvent
-from prbench.synthetic.synthetic_table import Staging, World
 from prbench.synthetic.truth_files import read_truth
 
 _IN_PROCESS = InProcess()

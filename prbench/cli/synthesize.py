@@ -219,7 +219,7 @@ def _write_table(
     from prbench.curation import BuildOptions
     from prbench.curation.provenance import funnel_rows
     from prbench.engine import engine_for
-    from prbench.synthetic.synthetic_table import LARGE_RECORDINGS, Staging, build_synthetic_table
+    from prbench.harness.synthetic_table import LARGE_RECORDINGS, Staging, build_synthetic_table
     from prbench.synthetic.write_tree import planned_recordings
 
     large = size == "large"

@@ -33,8 +33,8 @@ from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.people.presets import PRESETS
 
 if TYPE_CHECKING:
+    from prbench.harness.synthetic_table import Progress
     from prbench.synthetic.people.world import Split
-    from prbench.synthetic.synthetic_table import Progress
 
 LAYOUTS = tuple(PRESETS)
 """Datasets that the embedded tables imitate, one table each."""
@@ -98,7 +98,7 @@ def _is_built(folder: Path) -> bool:
 
 def _build(engine: Engine, progress: Progress, tell: Callable[[str], None]) -> None:
     # Every later run goes without it.
-    from prbench.synthetic.synthetic_table import build_synthetic_table, recordings_of_people
+    from prbench.harness.synthetic_table import build_synthetic_table, recordings_of_people
 
     parent = default_folder()
     with in_turn(parent.with_name(f"{parent.name}.first-run"), tell):  # each build itself holds its folder

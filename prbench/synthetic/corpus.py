@@ -25,11 +25,10 @@ from prbench.files.storage import atomic_folder, text_digest, write_json
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, described_options
 from prbench.readers.options import ReaderOptions, parse_options
-from prbench.synthetic import GENERATOR_VERSION
+from prbench.synthetic import GENERATOR_VERSION, humanml3d, nymeria
 from prbench.synthetic.activities import identity_of, narrated_recording
 from prbench.synthetic.defects import defect
-from prbench.synthetic.layouts import humanml3d, nymeria
-from prbench.synthetic.layouts.nymeria import sense_nymeria
+from prbench.synthetic.nymeria import sense_nymeria
 from prbench.synthetic.write_tree import WrittenRecording, WrittenTree, require_free, write_mark
 
 DATASET = f"{SYNTHETIC_PREFIX}corpus"

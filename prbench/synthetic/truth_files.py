@@ -18,7 +18,7 @@ from prbench.errors import InputFileError
 from prbench.files.storage import atomic_path
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors import Switches
 
 _TRUTH_FOLDER = "truth"
 _TRUTH_SCHEMA = 1

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import prbench
-from prbench.synthetic.synthetic_table import build_synthetic_table
+from prbench.harness.synthetic_table import build_synthetic_table
 from tests.fakes import fake_dataset
 
 

@@ -284,7 +284,7 @@ def test_the_embedded_tables_are_built_once(monkeypatch, tmp_path):
         fakes.fake_dataset(Path(out), 12, dataset=f"synthetic-{preset}")
 
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path))
-    monkeypatch.setattr("prbench.synthetic.synthetic_table.build_synthetic_table", _build)
+    monkeypatch.setattr("prbench.harness.synthetic_table.build_synthetic_table", _build)
     first = prbench.embedded_tables()
     folders = tuple(table.folder for table in prbench.embedded_tables())
     assert folders == tuple(table.folder for table in first) == first_run.default_table_folders()

@@ -7,9 +7,9 @@ import pytest
 from prbench.board.audit import TableAudit, audit, metrics_of, not_worse_than_people
 from prbench.engine import InProcess
 from prbench.harness.controls import CONTROLS
+from prbench.harness.synthetic_table import build_synthetic_table
 from prbench.metrics import METRICS
 from prbench.sequences import SequenceTable
-from prbench.synthetic.synthetic_table import build_synthetic_table
 
 INFO = {info.id: info for info in METRICS}
 

@@ -18,13 +18,13 @@ import pytest
 from prbench.checking.matching import Match, Verification, match_events, verification
 from prbench.checking.verify_synthetic import LEVELS, SensorLevel, on_clock, verify_level, verify_tree
 from prbench.curation import build_dataset, curate_recording
+from prbench.harness.synthetic_table import Staging, build_synthetic_table
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors import Switches
 from prbench.synthetic.statistics import TARGETS
-from prbench.synthetic.synthetic_table import Staging, build_synthetic_table
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.checking.levels import MOSTLY_SLOW, limits
 

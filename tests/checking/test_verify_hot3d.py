@@ -16,10 +16,10 @@ import pytest
 from prbench.checking.verify_synthetic import LEVELS, SensorLevel, verify_level, verify_tree
 from prbench.curation import build_dataset, curate_recording
 from prbench.curation.options import BuildOptions, CurationOptions
+from prbench.harness.synthetic_table import Staging, build_synthetic_table
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.protocol.published import QUANTITIES, load_table_one
 from prbench.sequences import SequenceTable
-from prbench.synthetic.synthetic_table import Staging, build_synthetic_table
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.checking.levels import MOSTLY_SLOW, limits
 

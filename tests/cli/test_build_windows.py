@@ -8,7 +8,7 @@ import pytest
 
 from prbench.cli.main import main
 from prbench.readers.mogaze.format import Segment
-from prbench.synthetic.layouts.mogaze import write
+from prbench.readers.mogaze.synthetic import write
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, N, still_life

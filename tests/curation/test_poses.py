@@ -18,7 +18,7 @@ from prbench.curation.poses.states import Selection
 from prbench.errors import InputFileError, UsageError
 from prbench.geometry.skeleton import Joint
 from prbench.readers import reader_for
-from prbench.synthetic.egoallo import write_smplh_model
+from prbench.readers.egoallo.synthetic import write_smplh_model
 from tests.cli.reports import printed_document, refused, reported
 
 FAKE = Path(__file__).with_name("fake_egoallo.py")

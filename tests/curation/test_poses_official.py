@@ -8,8 +8,8 @@ import pytest
 from prbench.curation.poses.prepare import prepare
 from prbench.readers.adt import READER, find_recordings
 from prbench.readers.adt.format import Z_UP_FROM_SCENE
+from prbench.readers.adt.synthetic import write
 from prbench.synthetic.layouts import layout_for
-from prbench.synthetic.layouts.adt import write
 from prbench.synthetic.people import perform
 
 official = pytest.importorskip(

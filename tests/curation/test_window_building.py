@@ -10,7 +10,7 @@ from prbench.errors import InputFileError, StorageError, TableError
 from prbench.prediction.batch import Condition
 from prbench.prediction.table import WindowsTable
 from prbench.readers.mogaze.format import Segment
-from prbench.synthetic.layouts.mogaze import write
+from prbench.readers.mogaze.synthetic import write
 from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, N, still_life
 
 

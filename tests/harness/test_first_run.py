@@ -15,9 +15,9 @@ from prbench.engine import InProcess
 from prbench.harness import first_run
 from prbench.harness.methods.installed import list_adapters
 from prbench.harness.request import RunRequest
+from prbench.harness.synthetic_table import recordings_of_people
 from prbench.sequences import DatasetInfo
 from prbench.synthetic.people.world import Source, assign
-from prbench.synthetic.synthetic_table import recordings_of_people
 from tests.fakes import fake_dataset
 from tests.files.test_locks import holder
 
@@ -40,7 +40,7 @@ def build_fakes(monkeypatch, after=lambda: None):
         built.append(out)
         after()
 
-    monkeypatch.setattr("prbench.synthetic.synthetic_table.build_synthetic_table", build)
+    monkeypatch.setattr("prbench.harness.synthetic_table.build_synthetic_table", build)
     return built
 
 

@@ -12,10 +12,10 @@ from prbench.harness.recorded_motion import is_recorded_motion
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import DatasetSummary, read_scores
 from prbench.harness.score_predictions import ScoreRequest, score_predictions
+from prbench.harness.synthetic_table import build_synthetic_table
 from prbench.metrics import MotionBatch
 from prbench.randomness import named_generator
 from prbench.sequences import SequenceTable
-from prbench.synthetic.synthetic_table import build_synthetic_table
 from tests.fakes import STANDING, fake_sequence
 from tests.harness.run_folder.test_record import SUMMARY
 from tests.harness.test_run import request

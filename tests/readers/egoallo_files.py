@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from prbench.readers.egoallo.format import EgoAlloOutput
+from prbench.readers.egoallo.synthetic import write_outputs, write_smplh_model
 from prbench.recording import PoseStream
-from prbench.synthetic.egoallo import write_outputs, write_smplh_model
 
 START_NS = 150_000_000_000
 STEP_NS = 33_000_000

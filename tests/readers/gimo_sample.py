@@ -15,8 +15,8 @@ from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
 from prbench.readers.gimo.readings import read_readings
 from prbench.readers.gimo.segments import GimoOptions, find_segments
-from prbench.synthetic.layouts.gimo import LAYOUT, write_events, write_sequence, write_table
-from prbench.synthetic.sensors.gimo import DEPTH_FIRST, SKELETON_NAMES
+from prbench.readers.gimo.synthetic import LAYOUT, write_events, write_sequence, write_table
+from prbench.readers.gimo.synthetic_sensors import DEPTH_FIRST, SKELETON_NAMES
 from tests.fakes import STANDING
 
 N_FRAMES = 45

@@ -10,8 +10,8 @@ import numpy as np
 from prbench.files.storage import write_json
 from prbench.readers.aria_mps.format import MpsReadings, trajectory_rows
 from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d import synthetic as layout
 from prbench.synthetic.layouts import SHARED_PARTS
-from prbench.synthetic.layouts import hot3d as layout
 
 
 def first_seconds(readings: hot3d.Hot3dReadings, seconds: float) -> hot3d.Hot3dReadings:

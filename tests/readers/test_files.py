@@ -23,8 +23,8 @@ from prbench.readers.hot3d import hands_umetrack as umetrack
 from prbench.readers.hot3d.hands_umetrack import read_profile
 from prbench.readers.integrity import damage
 from prbench.readers.mogaze.arrays import dataset, numbers, opened
+from prbench.readers.mogaze.synthetic import write
 from prbench.sequences import SequenceTable
-from prbench.synthetic.layouts.mogaze import write
 from tests.bombs import empty_rows
 from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, still_life
 

@@ -11,10 +11,10 @@ import pytest
 
 from prbench.errors import InputFileError, UsageError
 from prbench.readers import read_synthetic_tree, reader_for
+from prbench.readers.adt.synthetic import LAYOUT
+from prbench.readers.adt.synthetic_sensors import sense
 from prbench.synthetic.layouts import synthetic_recording
-from prbench.synthetic.layouts.adt import LAYOUT
 from prbench.synthetic.people import perform
-from prbench.synthetic.sensors.adt import sense
 from prbench.synthetic.truth_files import objects_table, read_truth
 from prbench.synthetic.write_tree import WrittenTree, synthesize_tree
 from tests.comparing import differences

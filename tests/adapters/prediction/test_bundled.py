@@ -9,12 +9,12 @@ import pytest
 
 import prbench_adapters.prediction
 from prbench.curation import build_from_sources
+from prbench.harness.synthetic_table import Staging, synthetic_source
 from prbench.prediction.anchored import build_anchored_windows
 from prbench.prediction.batch import Condition
 from prbench.prediction.predictors import ZeroVelocity
 from prbench.prediction.scoring import score_predictor
 from prbench.prediction.table import WindowsTable
-from prbench.synthetic.synthetic_table import Staging, synthetic_source
 from prbench_adapters.prediction.adapter import load_predictor
 from tests.adapters.cards import described
 

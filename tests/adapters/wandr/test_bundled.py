@@ -16,8 +16,8 @@ from prbench.harness.conditions import ConditionSource, run_salt
 from prbench.harness.methods.adapters import load_adapter
 from prbench.harness.methods.motions import generate_checked
 from prbench.harness.planning import select
+from prbench.harness.synthetic_table import Staging, synthetic_source
 from prbench.sequences import SequenceTable
-from prbench.synthetic.synthetic_table import Staging, synthetic_source
 from prbench_adapters.diffusion.bundled import own_weights
 from prbench_adapters.wandr import adapter
 from tests.adapters.cards import described

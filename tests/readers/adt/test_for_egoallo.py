@@ -16,16 +16,16 @@ from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.for_egoallo import glasses_z_up, prepared_trajectory
+from prbench.readers.adt.synthetic import estimated_outputs, write
 from prbench.readers.adt.to_recording import recording_from_adt
 from prbench.readers.egoallo.places import poses_folder
+from prbench.readers.egoallo.synthetic import write_outputs, write_smplh_model
+from prbench.readers.egoallo.synthetic_smplh import synthetic_smplh
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.recording import Recording
-from prbench.synthetic.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts import layout_for
-from prbench.synthetic.layouts.adt import estimated_outputs, write
 from prbench.synthetic.people import perform
-from prbench.synthetic.sensors.errors import Switches
-from prbench.synthetic.sensors.smplh import synthetic_smplh
+from prbench.synthetic.sensors import Switches
 from tests.comparing import differences
 
 

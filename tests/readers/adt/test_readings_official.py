@@ -39,9 +39,9 @@ class Both:
 def both(request, tmp_path_factory) -> Both:
     if request.param == "sample":
         return Both(request.getfixturevalue("samples") / "adt" / "aria_digital_twin_test_data")
-    from prbench.synthetic.layouts import adt as layout
+    from prbench.readers.adt import synthetic as layout
+    from prbench.readers.adt.synthetic_sensors import sense
     from prbench.synthetic.people import perform
-    from prbench.synthetic.sensors.adt import sense
 
     folder = tmp_path_factory.mktemp("synthetic") / "recording"
     layout.write(sense(perform("adt", seed=2, index=0, n_events=1)), folder)
@@ -226,7 +226,7 @@ def test_the_order_of_the_joints(both) -> None:
 
 
 def test_the_official_reader_opens_the_older_layout_too(tmp_path) -> None:
-    from prbench.synthetic.layouts import adt as layout
+    from prbench.readers.adt import synthetic as layout
     from tests.readers.conftest import still_life
 
     layout.write_v1({"M1292": still_life()}, tmp_path / "sequence", version="1.2")

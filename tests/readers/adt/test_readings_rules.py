@@ -14,9 +14,9 @@ import pytest
 from prbench.errors import InputFileError
 from prbench.readers.adt import find_recordings, read_readings, read_recording
 from prbench.readers.adt import format as adt
+from prbench.readers.adt import synthetic as layout
 from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.recording import Recording
-from prbench.synthetic.layouts import adt as layout
 from tests.readers.conftest import still_life
 
 

@@ -12,10 +12,10 @@ from prbench.errors import InputFileError
 from prbench.geometry.skeleton import Joint
 from prbench.readers.adt import find_recordings, read_readings, read_recording
 from prbench.readers.adt import format as adt
+from prbench.readers.adt import synthetic as layout
 from prbench.readers.aria_mps.format import device_from_cpf
 from prbench.recording import Recording
 from prbench.recording.body_quality import hold_neighbours
-from prbench.synthetic.layouts import adt as layout
 from tests.readers.conftest import FINGER_BASES, FORK, SOFA, STANDING, TABLE
 
 

@@ -21,11 +21,11 @@ from prbench.readers.aria_mps.readings import (
     read_mps,
     read_wrists,
 )
+from prbench.readers.aria_mps.synthetic import write_mps
+from prbench.readers.aria_mps.synthetic_sensors import sense_mps
 from prbench.readers.found import RecordingFiles
 from prbench.readers.zipped import ZippedFile
-from prbench.synthetic.layouts.aria_mps import write_mps
 from prbench.synthetic.people import perform
-from prbench.synthetic.sensors.aria_mps import sense_mps
 from tests.readers.mps_files import gaze_lines, write_lines
 
 

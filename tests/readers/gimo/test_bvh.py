@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
 from prbench.readers.gimo.bvh import joint_positions, read_bvh
-from prbench.synthetic.layouts.gimo import write_bvh
+from prbench.readers.gimo.synthetic import write_bvh
 from tests.comparing import differences
 from tests.readers.gimo_sample import skeleton
 

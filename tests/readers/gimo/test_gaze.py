@@ -9,7 +9,7 @@ import pytest
 
 from prbench.errors import InputFileError
 from prbench.readers.gimo.gaze import count_vertices, read_gaze, read_vertices
-from prbench.synthetic.layouts.gimo import ply_bytes
+from prbench.readers.gimo.synthetic import ply_bytes
 
 POINT = np.array([[0.25, -1.5, 3.0], [9.0, 9.0, 9.0]])
 

@@ -18,8 +18,8 @@ import torch
 
 from prbench.errors import InputFileError
 from prbench.readers.gimo import pickled_tensors
+from prbench.readers.gimo import synthetic as tensor_pickles
 from prbench.readers.gimo.pickled_tensors import load_tensors
-from prbench.synthetic.layouts import gimo as tensor_pickles
 
 TRACE: list[str] = []
 

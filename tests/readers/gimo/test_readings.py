@@ -19,8 +19,8 @@ from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo import segments
+from prbench.readers.gimo.synthetic import pickled_tensors, write_events
 from prbench.readers.gimo.to_recording import recording_from_gimo
-from prbench.synthetic.layouts.gimo import pickled_tensors, write_events
 from tests.comparing import differences
 from tests.readers import gimo_sample as sample
 

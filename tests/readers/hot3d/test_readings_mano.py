@@ -16,10 +16,10 @@ from prbench.geometry.axes import z_up
 from prbench.readers import Reader, reader_for
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands_mano as mano
+from prbench.readers.hot3d.synthetic_sensors import sense
 from prbench.recording import Recording
 from prbench.synthetic.people import perform
-from prbench.synthetic.sensors.errors import Switches
-from prbench.synthetic.sensors.hot3d import sense
+from prbench.synthetic.sensors import Switches
 from tests.readers.hot3d.test_hands_mano import invented_model
 from tests.readers.hot3d_trees import first_seconds, write_tree
 

@@ -11,12 +11,12 @@ from prbench.errors import RecordingUnusable, StreamsDoNotOverlap
 from prbench.geometry.timelines import interpolate
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d.synthetic_sensors import clock_start, native_object_id, sense
 from prbench.readers.hot3d.to_recording import GoodFrames, object_track, recording_from_hot3d, umetrack_points
 from prbench.recording import Recording
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors.errors import Switches
-from prbench.synthetic.sensors.hot3d import clock_start, native_object_id, sense
+from prbench.synthetic.sensors import Switches
 from tests.readers.hot3d_trees import first_seconds
 
 MANIFEST = load_manifest("hot3d")

@@ -18,8 +18,8 @@ from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.body import STATE_COLUMNS
 from prbench.readers.mogaze.layouts import extents
 from prbench.readers.mogaze.scene import find_mesh, read_mesh, read_scene
+from prbench.readers.mogaze.synthetic import box_mesh, write
 from prbench.recording import Recording
-from prbench.synthetic.layouts.mogaze import box_mesh, write
 from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, N, body, still_life
 
 NAMES = {CUP: "cup_red", PLATE: "plate_red", GOGGLES: "goggles", TABLE: "table"}

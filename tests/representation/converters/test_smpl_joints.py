@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError, UsageError
 from prbench.geometry.axes import z_up
+from prbench.readers.egoallo.synthetic_smplh import synthetic_smplh
 from prbench.representation.converters import (
     RestJoints,
     SmplParameters,
@@ -27,7 +28,6 @@ from prbench.representation.converters import (
 )
 from prbench.representation.converters.smpl_joints import HOW_TO_CONVERT
 from prbench.representation.converters.smpl_rotations import numbers_of
-from prbench.synthetic.sensors.smplh import synthetic_smplh
 from tests.representation.converters.bodies import person_rotations, write_body_model
 
 REST = RestJoints.fixed(synthetic_smplh().template)

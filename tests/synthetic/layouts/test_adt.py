@@ -11,9 +11,9 @@ import pytest
 
 from prbench.readers.adt import find_recordings, read_readings, read_recording
 from prbench.readers.adt import format as adt
-from prbench.synthetic.layouts import adt as layout
-from prbench.synthetic.layouts.adt import LAYOUT
-from prbench.synthetic.sensors.adt import sense
+from prbench.readers.adt import synthetic as layout
+from prbench.readers.adt.synthetic import LAYOUT
+from prbench.readers.adt.synthetic_sensors import sense
 from tests.comparing import differences
 
 

@@ -15,12 +15,12 @@ from prbench.geometry.timelines import interpolate
 from prbench.readers import reader_for
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.synthetic.layouts.hd_epic import LAYOUT
+from prbench.readers.hd_epic import synthetic_sensors as sensors
+from prbench.readers.hd_epic.synthetic import LAYOUT
 from prbench.synthetic.people import perform
 from prbench.synthetic.people.perform import name_of_recording
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors import hd_epic as sensors
-from prbench.synthetic.sensors.errors import Sensing, Switches
+from prbench.synthetic.sensors import Sensing, Switches
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.comparing import differences
 

@@ -16,13 +16,13 @@ from prbench.readers import reader_for
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze import read_readings
 from prbench.readers.mogaze.body import MODEL_OFFSETS, body_joints, forward_kinematics, link_offsets
+from prbench.readers.mogaze.synthetic import LAYOUT
+from prbench.readers.mogaze.synthetic_body import solve_body
+from prbench.readers.mogaze.synthetic_sensors import body_names, gaze_bias, sense
 from prbench.synthetic.layouts import synthetic_recording
-from prbench.synthetic.layouts.mogaze import LAYOUT
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors.errors import Switches
-from prbench.synthetic.sensors.mogaze import body_names, gaze_bias, sense
-from prbench.synthetic.sensors.mogaze_body import solve_body
+from prbench.synthetic.sensors import Switches
 from tests.comparing import differences
 
 DERIVED = (Joint.SPINE1, Joint.SPINE2)

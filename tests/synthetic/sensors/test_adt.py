@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from prbench.geometry.skeleton import Joint, bone_lengths
 from prbench.readers.adt import format as adt
+from prbench.readers.adt.synthetic import LAYOUT
+from prbench.readers.adt.synthetic_sensors import native_object_id, sense
+from prbench.readers.aria_mps.synthetic_sensors import gaze_bias
 from prbench.synthetic.behaviour import recorded_bone_change
 from prbench.synthetic.layouts import synthetic_recording
-from prbench.synthetic.layouts.adt import LAYOUT
-from prbench.synthetic.sensors.adt import native_object_id, sense
-from prbench.synthetic.sensors.aria_mps import gaze_bias
-from prbench.synthetic.sensors.errors import Switches, device_start_us
+from prbench.synthetic.sensors import Switches, device_start_us
 
 TOUCHED = {
     "pose_noise": {"glasses.position", "glasses.rotation", "glasses.quality"},

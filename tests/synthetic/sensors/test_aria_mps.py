@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.readers.aria_mps import format as mps
-from prbench.synthetic.layouts.aria_mps import write_mps
+from prbench.readers.aria_mps.synthetic import write_mps
+from prbench.readers.aria_mps.synthetic_sensors import gaze_bias, sense_mps
 from prbench.synthetic.people import perform
-from prbench.synthetic.sensors.aria_mps import gaze_bias, sense_mps
-from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors import Switches
 
 START_US = 90_000_000_000
 GAZE_ANGLES = {"gaze.yaw", "gaze.pitch", "gaze.yaw_range", "gaze.pitch_range"}

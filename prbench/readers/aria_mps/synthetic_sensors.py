@@ -21,7 +21,7 @@ from prbench.geometry.timelines import interpolate
 from prbench.readers.aria_mps import format as mps
 from prbench.synthetic.people.kinematics import wobble
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors.errors import Sensing, Switches, closed_eyes, gaze_bias_of, measured_gaze
+from prbench.synthetic.sensors import Sensing, Switches, closed_eyes, gaze_bias_of, measured_gaze
 
 POSE_RATE = 1000
 GAZE_RATE = 10

@@ -19,9 +19,9 @@ from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths
 from prbench.protocol.manifests import load_manifest
 from prbench.randomness import named_generator
 from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.synthetic import split_columns, write_csv
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities import NarratedMotion
-from prbench.synthetic.layouts.aria_mps import split_columns, write_csv
 from prbench.synthetic.people.kinematics import matrix_of, quaternion, rotation_quaternion, wobble
 
 _GLASSES_STRIDE = 1

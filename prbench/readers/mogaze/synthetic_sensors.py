@@ -16,8 +16,9 @@ from prbench.geometry.timelines import interpolate, slerp
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.aria_mps.format import gaze_directions_cpf
 from prbench.readers.mogaze import format as mogaze
+from prbench.readers.mogaze.synthetic_body import solve_body
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
-from prbench.synthetic.sensors.errors import (
+from prbench.synthetic.sensors import (
     Sensing,
     Switches,
     closed_eyes,
@@ -28,7 +29,6 @@ from prbench.synthetic.sensors.errors import (
     tracked,
     untracked,
 )
-from prbench.synthetic.sensors.mogaze_body import solve_body
 
 GOGGLES_ID = 1
 

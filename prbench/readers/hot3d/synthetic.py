@@ -10,18 +10,18 @@ import msgspec
 import numpy as np
 
 from prbench.files.storage import atomic_folder, read_json, write_bytes, write_json
+from prbench.readers.aria_mps.synthetic import split_columns, write_csv, write_mps
+from prbench.readers.aria_mps.synthetic_sensors import GAZE_RATE, gaze_bias
 from prbench.readers.egoallo import format as ego
+from prbench.readers.egoallo.synthetic import write_outputs, write_smplh_model
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands_umetrack as umetrack
+from prbench.readers.hot3d import synthetic_sensors as sensors
 from prbench.readers.hot3d.format import HandModel
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
-from prbench.synthetic.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
-from prbench.synthetic.layouts.aria_mps import split_columns, write_csv, write_mps
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.synthetic.sensors import hot3d as sensors
-from prbench.synthetic.sensors.aria_mps import GAZE_RATE, gaze_bias
 
 _HEADSET_UID = "100000000000001"
 LIBRARY = hot3d.LIBRARY_FOLDERS[0]

@@ -8,8 +8,8 @@ import pytest
 
 from prbench.engine import ProcessPool
 from prbench.errors import UsageError
+from prbench.harness.synthetic_table import build_synthetic_table
 from prbench.sequences import SequenceTable
-from prbench.synthetic.synthetic_table import build_synthetic_table
 from tests.curation.sources import folder_bytes
 
 

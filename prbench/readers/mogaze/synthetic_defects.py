@@ -11,8 +11,8 @@ import numpy as np
 
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.body import STATE_COLUMNS
+from prbench.readers.mogaze.synthetic_sensors import GOGGLES_ID
 from prbench.synthetic.defects import Damage, Defect, cut_in_half, removed
-from prbench.synthetic.sensors.mogaze import GOGGLES_ID
 
 HUMAN, OBJECTS, GAZE, SEGMENTS = mogaze.PARTS
 _BODY_ROWS = mogaze.HUMAN_DATASET

@@ -19,15 +19,15 @@ from prbench.geometry.axes import Y_UP_FROM_Z_UP
 from prbench.geometry.skeleton import transform_points
 from prbench.geometry.timelines import interpolate
 from prbench.readers.aria_mps.format import MpsReadings
+from prbench.readers.aria_mps.synthetic_sensors import gaze_bias as aria_gaze_bias
+from prbench.readers.aria_mps.synthetic_sensors import sense_mps, uid_of
 from prbench.readers.egoallo.format import EgoAlloOutput
+from prbench.readers.egoallo.synthetic import NATIVE_FROM_WORLD, sense_egoallo
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.synthetic.egoallo import NATIVE_FROM_WORLD, sense_egoallo
 from prbench.synthetic.people.kinematics import forward_of
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.synthetic.sensors.aria_mps import gaze_bias as aria_gaze_bias
-from prbench.synthetic.sensors.aria_mps import sense_mps, uid_of
-from prbench.synthetic.sensors.errors import Sensing, Switches, device_start_us, sensor_generator
+from prbench.synthetic.sensors import Sensing, Switches, device_start_us, sensor_generator
 
 _POINT_NOISE = 0.020  # m an axis
 _MISSING = 0.05  # share

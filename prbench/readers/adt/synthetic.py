@@ -10,17 +10,17 @@ import numpy as np
 
 from prbench.files.storage import atomic_folder, write_bytes, write_json
 from prbench.readers.adt import format as adt
+from prbench.readers.adt import synthetic_sensors as sensors
 from prbench.readers.adt.for_egoallo import prepared_trajectory
 from prbench.readers.adt.to_recording import recording_from_adt
 from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.synthetic import split_columns, write_csv
+from prbench.readers.aria_mps.synthetic_sensors import gaze_bias
 from prbench.readers.egoallo import format as ego
-from prbench.synthetic.egoallo import sense_egoallo, write_outputs, write_smplh_model
+from prbench.readers.egoallo.synthetic import sense_egoallo, write_outputs, write_smplh_model
 from prbench.synthetic.layouts import Layout
-from prbench.synthetic.layouts.aria_mps import split_columns, write_csv
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors import adt as sensors
-from prbench.synthetic.sensors.aria_mps import gaze_bias
-from prbench.synthetic.sensors.errors import Switches, device_start_us
+from prbench.synthetic.sensors import Switches, device_start_us
 
 _GRAPH_UID = "00000000-0000-0000-0000-000000000000"
 _GRAVITY = (0.0, -9.81, 0.0)

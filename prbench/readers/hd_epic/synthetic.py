@@ -16,17 +16,17 @@ import numpy as np
 from prbench.files.storage import atomic_path, write_json
 from prbench.protocol.manifests import Manifest
 from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.synthetic import write_csv, write_mps
 from prbench.readers.egoallo import format as ego
+from prbench.readers.egoallo.synthetic import write_outputs, write_smplh_model
+from prbench.readers.egoallo.synthetic_smplh import synthetic_smplh
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.readers.hd_epic import format as hd_epic
+from prbench.readers.hd_epic import synthetic_sensors as sensors
 from prbench.readers.hd_epic.to_recording import recording_from_hd_epic
 from prbench.recording import Recording
-from prbench.synthetic.egoallo import write_outputs, write_smplh_model
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
-from prbench.synthetic.layouts.aria_mps import write_csv, write_mps
-from prbench.synthetic.sensors import hd_epic as sensors
-from prbench.synthetic.sensors.errors import device_start_us
-from prbench.synthetic.sensors.smplh import synthetic_smplh
+from prbench.synthetic.sensors import device_start_us
 
 _SLAM_ROLES = (mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY)
 _GAZE_ROLES = (mps.GAZE, mps.GAZE_SUMMARY, mps.WRISTS, mps.HAND_SUMMARY)

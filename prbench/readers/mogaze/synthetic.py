@@ -17,10 +17,10 @@ from jaxtyping import Float
 from prbench.files.storage import atomic_path, write_json, write_text
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.mogaze import format as mogaze
+from prbench.readers.mogaze import synthetic_sensors as sensors
 from prbench.readers.mogaze.body import STATE_COLUMNS
 from prbench.readers.mogaze.to_recording import recording_from_mogaze
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
-from prbench.synthetic.sensors import mogaze as sensors
 
 _GAZE_COLUMNS = 7
 _COLOUR = "1 0.5 0.5 0.5"

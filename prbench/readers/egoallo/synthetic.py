@@ -23,10 +23,10 @@ from prbench.geometry.skeleton import PARENTS, Joint
 from prbench.geometry.timelines import interpolate, slerp
 from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize, device_from_cpf
 from prbench.readers.egoallo import format as ego
+from prbench.readers.egoallo.synthetic_smplh import model_rotations, shape_of, synthetic_smplh
 from prbench.synthetic.people.kinematics import soft_limit, two_bone, wobble
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors.errors import Sensing, Switches
-from prbench.synthetic.sensors.smplh import model_rotations, shape_of, synthetic_smplh
+from prbench.synthetic.sensors import Sensing, Switches
 
 NATIVE_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 """The performance's Y up to the Z up of native worlds: (x, y, z) becomes (x, -z, y)."""

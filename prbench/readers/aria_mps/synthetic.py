@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.files.storage import atomic_path, write_json
 from prbench.readers.aria_mps import format as mps
-from prbench.synthetic.sensors.aria_mps import GRAVITY
+from prbench.readers.aria_mps.synthetic_sensors import GRAVITY
 
 _ROLES = (
     mps.TRAJECTORY,

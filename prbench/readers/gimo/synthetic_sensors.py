@@ -19,7 +19,7 @@ from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.synthetic.sensors.errors import Sensing, Switches, gaze_bias_of, measured_gaze, sensor_generator
+from prbench.synthetic.sensors import Sensing, Switches, gaze_bias_of, measured_gaze, sensor_generator
 
 _SKELETON_RATE = 60.0
 """Frames of the suit a second."""

@@ -24,12 +24,12 @@ from prbench.files.storage import atomic_folder, atomic_path, write_json, write_
 from prbench.geometry.skeleton import WRISTS, Joint
 from prbench.geometry.timelines import interpolate
 from prbench.readers.gimo import format as gimo
+from prbench.readers.gimo import synthetic_sensors as sensors
 from prbench.readers.gimo.bvh import BvhMotion
 from prbench.readers.gimo.to_recording import recording_from_gimo
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.synthetic.sensors import gimo as sensors
 
 _UNUSED_KEYS = {"lhand": 45, "rhand": 45, "beta": 10, "expression": 10, "jaw_pose": 3}
 _CONE_POINTS = 8

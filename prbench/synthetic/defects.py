@@ -1,13 +1,12 @@
 """Defects: what real copies of a dataset suffer from, done to one recording of a freshly written synthetic tree.
 
-The defects of a layout are the ``DEFECTS`` of the module with its name; a new module is found by itself.
+The defects of a layout are the ``DEFECTS`` of ``synthetic_defects.py`` in its reader's folder.
 """
 
 from __future__ import annotations
 
 import importlib
 import json
-import pkgutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any, Literal
 from prbench.errors import UsageError, did_you_mean
 from prbench.files.storage import write_json
 
+_CORPORA = {name: f"prbench.synthetic.{name}_defects" for name in ("nymeria", "humanml3d")}
 Damage = Callable[[Path, str], None]
 """Damages the recording of that id below the tree's root; deterministic."""
 Row = dict[str, str]
@@ -39,10 +39,8 @@ class Defect:
 
 def defects_of(preset: str) -> tuple[Defect, ...]:
     """Return all defects of a preset's layout."""
-    name = preset.replace("-", "_")
-    if name not in {module.name for module in pkgutil.iter_modules(__path__)}:
-        return ()
-    return importlib.import_module(f"{__name__}.{name}").DEFECTS
+    module = _CORPORA.get(preset, f"prbench.readers.{preset.replace('-', '_')}.synthetic_defects")
+    return importlib.import_module(module).DEFECTS
 
 
 def defect(preset: str, name: str) -> Defect:

@@ -1,6 +1,6 @@
 """Layouts: what each dataset's sensors make of a performance, as a ``Recording`` in memory and as native files.
 
-The layout of a preset is the ``LAYOUT`` of the module with its name.
+The layout of a preset is the ``LAYOUT`` of ``synthetic.py`` in its reader's folder.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from prbench.readers import SYNTHETIC_PREFIX
 from prbench.recording import Recording
 from prbench.synthetic.people.presets import PRESETS
 from prbench.synthetic.performance import Performance, TrueEvent
-from prbench.synthetic.sensors.errors import Switches
+from prbench.synthetic.sensors import Switches
 
 SHARED_PARTS = ".shared-parts"
 """Folder of a tree that is being written; see :meth:`Layout.finish`."""
@@ -82,7 +82,7 @@ def layout_for(preset: str) -> Layout:
     if preset not in PRESETS:
         raise UsageError(f"there are no native files of '{preset}'; use one of: {', '.join(sorted(PRESETS))}.")
     # Imported on demand: a layout needs its dataset's reader, and h5py or torch with it.
-    return importlib.import_module(f"{__name__}.{preset.replace('-', '_')}").LAYOUT
+    return importlib.import_module(f"prbench.readers.{preset.replace('-', '_')}.synthetic").LAYOUT
 
 
 def synthetic_recording(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> Recording:

@@ -17,10 +17,10 @@ from scipy.spatial.transform import Rotation
 from prbench.geometry.skeleton import Joint
 from prbench.geometry.timelines import interpolate, slerp
 from prbench.readers.adt import format as adt
+from prbench.readers.aria_mps.synthetic_sensors import device_poses, gaze_rows
 from prbench.synthetic.people.kinematics import UP, unit, wobble
 from prbench.synthetic.performance import ObjectMotion, Performance
-from prbench.synthetic.sensors.aria_mps import device_poses, gaze_rows
-from prbench.synthetic.sensors.errors import Sensing, Switches, device_start_us, fixation_depth, tracked, untracked
+from prbench.synthetic.sensors import Sensing, Switches, device_start_us, fixation_depth, tracked, untracked
 
 _DIRECT = {
     "Skeleton": Joint.PELVIS, "Ab": Joint.SPINE1, "Chest": Joint.SPINE3, "Neck": Joint.NECK, "Head": Joint.HEAD,

@@ -19,12 +19,14 @@ from scipy.spatial.transform import Rotation
 from prbench.geometry.axes import z_up
 from prbench.geometry.skeleton import Joint
 from prbench.geometry.timelines import interpolate, slerp
+from prbench.readers.aria_mps.synthetic_sensors import sense_mps
+from prbench.readers.egoallo.synthetic import NATIVE_FROM_WORLD, sense_egoallo
+from prbench.readers.egoallo.synthetic_smplh import synthetic_smplh
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.readers.hot3d import format as hot3d
-from prbench.synthetic.egoallo import NATIVE_FROM_WORLD, sense_egoallo
+from prbench.readers.hot3d.synthetic_hand import finger_angles, synthetic_hand, wrist_rotation
 from prbench.synthetic.performance import ObjectMotion, Performance
-from prbench.synthetic.sensors.aria_mps import sense_mps
-from prbench.synthetic.sensors.errors import (
+from prbench.synthetic.sensors import (
     Sensing,
     Switches,
     device_start_us,
@@ -33,8 +35,6 @@ from prbench.synthetic.sensors.errors import (
     untracked,
     within,
 )
-from prbench.synthetic.sensors.hot3d_hand import finger_angles, synthetic_hand, wrist_rotation
-from prbench.synthetic.sensors.smplh import synthetic_smplh
 
 RATE = 30.0
 """RGB frames, Hz; SLAM frames follow each after :data:`SLAM_DELAY`."""

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from prbench.readers.gimo import format as gimo
+from prbench.readers.gimo.synthetic import pickled_tensors
 from prbench.synthetic.defects import Defect, removed
-from prbench.synthetic.layouts.gimo import pickled_tensors
 
 _SHORT_GAP = 3  # frames
 _LONG_GAP = 15

@@ -1,1 +1,0 @@
-"""Imitates the sensors of each dataset: noise-free truth → native readings."""
