@@ -12,7 +12,6 @@ import click
 import msgspec
 
 from prbench.cli.commands import Answer, command, note, session
-from prbench.cli.engines import opened
 from prbench.cli.options import (
     PATH,
     POSITIVE,
@@ -20,6 +19,7 @@ from prbench.cli.options import (
     data_option,
     engine_options,
     fold_options,
+    opened,
     out_folder_option,
     threads_option,
 )

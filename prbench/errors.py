@@ -65,7 +65,7 @@ class ErrorOfParts(PrbenchError):
 
 
 class UnforeseenInput(InputFileError):
-    """A file made prbench stumble in a way that no check foresaw (see :mod:`prbench.files.boundary`).
+    """A file made prbench stumble in a way that no check foresaw (see :mod:`prbench.files.bounded`).
 
     For a user it is one more damaged file. For prbench it is a missing check: a test that damages files fails on it.
     """

@@ -8,7 +8,7 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from prbench.files.ranges import first_repeated, require_times
+from prbench.files.arrays import first_repeated, require_times
 from prbench.geometry.axes import y_up
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.foot_skating import Fps

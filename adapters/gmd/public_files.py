@@ -20,8 +20,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from prbench.errors import InputFileError, UsageError
-from prbench.files.boundary import foreign_input
-from prbench.files.numpy_files import load_array
+from prbench.files.arrays import load_array
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest
 from prbench.representation.features import N_FEATURES
 from prbench_adapters.gmd.features import ROOT_XZ, FeatureSpace

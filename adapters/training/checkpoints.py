@@ -11,8 +11,7 @@ import safetensors.torch
 from safetensors import SafetensorError
 
 from prbench.errors import InputFileError, TrainingError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import require_size
+from prbench.files.bounded import foreign_input, require_size
 from prbench.files.storage import atomic_folder, read_json, remove_folder, write_json
 from prbench.limits import LARGEST_UNPACKED
 from prbench_adapters.training.state import Tally, TrainingState

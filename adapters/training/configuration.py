@@ -15,8 +15,7 @@ from typing import Any, Literal
 import msgspec
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole
+from prbench.files.bounded import foreign_input, read_whole
 from prbench.limits import HARMLESS_SIZE
 
 DEFAULT_STAGES = ("pretrain", "finetune")

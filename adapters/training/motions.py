@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError, TableError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.geometry.skeleton import Joint, canonical_frame, invert_rigid, transform_points
 from prbench.representation import Mode, encode, mirror
 from prbench.sequences import CorpusTable, SequenceChunk, SequenceTable

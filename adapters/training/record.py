@@ -16,8 +16,7 @@ import torch
 
 import prbench
 from prbench.errors import StorageError, TrainingError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole
+from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import read_json, remove_leftovers, write_json
 from prbench.harness.preparation import package_versions
 from prbench.sequences import CorpusTable, SequenceTable

@@ -16,8 +16,7 @@ import pyarrow.ipc
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import InputFileError, TableError
-from prbench.files.locks import in_turn, sole_writer
-from prbench.files.storage import atomic_path, read_json, text_digest, write_json
+from prbench.files.storage import atomic_path, in_turn, read_json, sole_writer, text_digest, write_json
 from prbench.representation import N_FEATURES, Mode, check_joints
 from prbench.sequences import CorpusTable
 from prbench.sequences.chunk import column

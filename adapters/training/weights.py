@@ -21,8 +21,7 @@ import torch
 from safetensors import SafetensorError
 
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole
+from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import atomic_path, bytes_digest, write_json
 from prbench.limits import LARGEST_HEADER
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from prbench.cli.checked_runs import run_checker
 from prbench.cli.commands import Answer, Command, Group, command, note
 from prbench.cli.options import (
     PATH,
@@ -16,6 +15,7 @@ from prbench.cli.options import (
     device_option,
     limit_option,
     out_folder_option,
+    run_checker,
     seed_option,
     threads_option,
     workers_option,

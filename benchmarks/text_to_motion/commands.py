@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from prbench.cli.commands import Answer, command, note
+from prbench.cli.commands import Answer, command, note, progress
 from prbench.cli.options import (
     PATH,
     POSITIVE,
@@ -20,7 +20,6 @@ from prbench.cli.options import (
     threads_option,
     weights_option,
 )
-from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
 

@@ -8,10 +8,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole
-from prbench.files.locks import sole_writer
-from prbench.files.storage import write_json
+from prbench.files.bounded import foreign_input, read_whole
+from prbench.files.storage import sole_writer, write_json
 from prbench_benchmarks.text_to_motion.generated import Generator
 from prbench_benchmarks.text_to_motion.metrics import METRICS, Measured, Repeated
 

@@ -14,7 +14,7 @@ from typing import Any, cast
 import torch
 
 from prbench.errors import InputFileError, UsageError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.representation import N_FEATURES, Statistics
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench_adapters.training.task import TrainingData, split_model_table

@@ -16,11 +16,10 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_text
-from prbench.files.numpy_files import load_array
+from prbench.files.arrays import load_array
+from prbench.files.bounded import foreign_input, read_text
 from prbench.files.storage import bytes_digest, text_digest
-from prbench.text.encoder import EncodedText, padded
+from prbench.text.built_in import EncodedText, padded
 
 WORD_DIMENSION = 300
 MOST_WORDS = 20

@@ -5,15 +5,24 @@ list. Whatever a user can repair is raised as :class:`PrbenchError`, with the sa
 """
 
 from prbench.api.building import Build, SyntheticRecordings, build_dataset, synthesize
-from prbench.api.comparing import Comparison, compare
-from prbench.api.events import Event, Events, Recording, Recordings, Story
 from prbench.api.measuring import Measures, measure
 from prbench.api.pictures import Picture, Replay
-from prbench.api.running import run
-from prbench.api.runs import Run, open_run
-from prbench.api.scoring import Scores, score
-from prbench.api.sequences import Gaze, Goal, Head, Sequence
-from prbench.api.tables import Table, embedded_tables, open_table
+from prbench.api.runs import Run, open_run, run
+from prbench.api.scoring import Comparison, Scores, compare, score
+from prbench.api.tables import (
+    Event,
+    Events,
+    Gaze,
+    Goal,
+    Head,
+    Recording,
+    Recordings,
+    Sequence,
+    Story,
+    Table,
+    embedded_tables,
+    open_table,
+)
 from prbench.engine.choice import Cluster
 from prbench.errors import PrbenchError
 from prbench.geometry.skeleton import Joint

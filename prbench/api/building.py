@@ -19,8 +19,7 @@ from prbench.api.arguments import (
     output_folder,
     require_positive,
 )
-from prbench.api.frames import frame_from_rows, notebook_table
-from prbench.api.progress import progress
+from prbench.api.pictures import frame_from_rows, notebook_table, progress
 from prbench.api.tables import Table, open_table
 from prbench.errors import UsageError
 

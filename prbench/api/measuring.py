@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from prbench.api.frames import frozen
+from prbench.api.pictures import frozen
 from prbench.errors import UsageError, did_you_mean
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.methods.coordinates import coordinate_problem

@@ -1,18 +1,36 @@
-"""Pictures and replays that show themselves below a notebook's cell and save themselves into files."""
+"""Pictures and replays that show themselves below a notebook's cell and save themselves into files.
+
+Rows as pandas frames, and frames as the tables that a notebook shows.
+
+Progress of long work: a bar in a terminal or below a notebook's cell, and nothing anywhere else.
+"""
 
 from __future__ import annotations
 
-import html
+import contextlib
+import sys
 import tempfile
-from collections.abc import Callable, Collection
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
 
 from prbench.api.arguments import PathLike, output_file
-from prbench.api.progress import progress
 from prbench.errors import UsageError
+from prbench.progress_bar import ProgressCallback, progress_bar
+from prbench.sequences.chunk import row_values
+from prbench.shown import html
 from prbench.viewing.replay.scene import Scene
+
+if TYPE_CHECKING:
+    import pandas as pd
+
 
 _REPLAY_HEIGHT = 560
 """Pixels of a replay below a cell."""
@@ -105,7 +123,7 @@ class Replay:
 
     def _repr_html_(self) -> str:
         # The page of a viewer brings styles and scripts of its own, so it gets a frame of its own.
-        page = html.escape(self.page, quote=True)
+        page = escape(self.page, quote=True)
         return f'<iframe srcdoc="{page}" width="100%" height="{_REPLAY_HEIGHT}" style="border:none"></iframe>'
 
     def __repr__(self) -> str:
@@ -148,3 +166,126 @@ def replay_of(scenes: tuple[Scene, ...]) -> Replay:
 def _titles(scenes: Collection[Scene]) -> str:
     first = next(iter(scenes)).title
     return first if len(scenes) == 1 else f"{len(scenes)} sequences, first {first}"
+
+
+_SHOWN_ROWS = 20
+
+
+def frame_of(table: pa.Table) -> pd.DataFrame:
+    """Return an Arrow table as a pandas frame.
+
+    A column of vectors holds one read-only array a cell; a missing value is None, NaN or NaT, as pandas has it.
+
+    Args:
+        table: Rows with plain values and vectors of a fixed size.
+    """
+    import pandas as pd
+
+    columns = {}
+    for name in table.column_names:
+        column = table[name]
+        if pa.types.is_fixed_size_list(column.type):
+            columns[name] = pd.Series(row_values(column.combine_chunks()), dtype=object)
+        else:
+            columns[name] = column.to_pandas()
+    return pd.DataFrame(columns, columns=pd.Index(table.column_names))
+
+
+def frozen(array: np.ndarray) -> np.ndarray:
+    """Make an array read-only and return it.
+
+    Args:
+        array: An array that nobody else holds.
+    """
+    array.setflags(write=False)
+    return array
+
+
+def frame_from_rows(rows: Iterable[tuple], columns: Iterable[str]) -> pd.DataFrame:
+    """Return rows as a pandas frame that has its columns without a row, too.
+
+    Args:
+        rows: The values of each row.
+        columns: Names of the columns, in their order.
+    """
+    import pandas as pd
+
+    return pd.DataFrame(list(rows), columns=pd.Index(list(columns)))
+
+
+def notebook_table(title: str, frame: pd.DataFrame, remarks: Iterable[str] = ()) -> str:
+    """Return what a notebook shows of an object: a line, a table and further lines.
+
+    Args:
+        title: The line above.
+        frame: The table; pandas leaves out its middle where it is long.
+        remarks: Lines below.
+    """
+    below = "".join(f"<p>{html(remark)}</p>" for remark in remarks)
+    table = frame.to_html(
+        index=False, max_rows=_SHOWN_ROWS, na_rep="", border=0, justify="left", float_format="{:.2f}".format
+    )
+    return f"<p><b>{html(title)}</b></p>{table}{below}"
+
+
+_SECONDS_BETWEEN_UPDATES = 0.2
+"""A notebook redraws its page for every update, which would take longer than the work itself."""
+
+
+@contextlib.contextmanager
+def progress(description: str) -> Iterator[ProgressCallback]:
+    """Show the progress of one piece of work while the block runs; the bar is gone afterwards.
+
+    Args:
+        description: What is being done, in a few words.
+    """
+    if _in_notebook():
+        with _cell_bar(description) as callback:
+            yield callback
+    elif sys.stderr is not None and sys.stderr.isatty():
+        from rich.console import Console
+
+        with progress_bar(description, Console(stderr=True)) as callback:
+            yield callback
+    else:
+        yield _silent
+
+
+def _silent(done: int, total: int, last: str) -> None:
+    """Say nothing: a script's output and a log belong to whoever wrote the script."""
+
+
+def _in_notebook() -> bool:
+    """Return True in a Jupyter kernel; IPython is there already then, and is never imported for this question."""
+    ipython = sys.modules.get("IPython")
+    if ipython is None:
+        return False
+    shell = ipython.get_ipython()
+    return getattr(shell, "kernel", None) is not None
+
+
+@contextlib.contextmanager
+def _cell_bar(description: str) -> Iterator[ProgressCallback]:
+    from IPython.display import HTML, display  # type: ignore[import-not-found] - there in a notebook alone
+
+    handle = display(HTML(_bar(description, 0, 0, "")), display_id=True)
+    assert handle is not None, "a display with an id can be updated"
+    shown_at = time.monotonic()
+
+    def callback(done: int, total: int, last: str) -> None:
+        nonlocal shown_at
+        now = time.monotonic()
+        if now - shown_at >= _SECONDS_BETWEEN_UPDATES:
+            shown_at = now
+            handle.update(HTML(_bar(description, done, total, last)))
+
+    try:
+        yield callback
+    finally:
+        handle.update(HTML(""))
+
+
+def _bar(description: str, done: int, total: int, last: str) -> str:
+    bar = f'<progress value="{done}" max="{total}"></progress>' if total else "<progress></progress>"
+    count = f" {done}/{total}" if total else ""
+    return f"<div>{html(description)} {bar}{count} {html(last)}</div>"

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from prbench.contract import Condition
 from prbench.engine import Engine
-from prbench.files.locks import sole_writer
+from prbench.files.storage import sole_writer
 from prbench.harness.controls import CONTROLS, GROUND_TRUTH, RECORDED_MOTION, SHUFFLED_GOAL, round_trip_fps
 from prbench.harness.planning import open_tables, select
 from prbench.harness.request import RunRequest

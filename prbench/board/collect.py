@@ -1,4 +1,7 @@
-"""Find run folders and read what stands in a leaderboard."""
+"""Find run folders and read what stands in a leaderboard.
+
+The cost of a motion, as a leaderboard shows it beside the scores.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,14 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from prbench.board.costs import UNMEASURED, MotionCost, cost_of
 from prbench.board.merging import merge_folds
 from prbench.errors import RunError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.harness.benchmark import Benchmark, load_benchmark
 from prbench.harness.methods.names import METHOD_CONTROLS, name_problem
 from prbench.harness.run_folder import record as run_record
-from prbench.harness.run_folder.folder import RunFolder
+from prbench.harness.run_folder.cost import RunCost
+from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.merged import FILE_NAME as MERGED
 from prbench.harness.run_folder.merged import FoldRun, MergedFrom
 from prbench.harness.run_folder.record import RunRecord, TableRecord
@@ -22,6 +25,60 @@ from prbench.harness.run_folder.scores import read_scores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
 from prbench.harness.verification import CheckedSummary, RunChecker, ScoredSequences
 from prbench.protocol.benchmarks import benchmarks, find_benchmark
+
+_MEBIBYTE = 2**20
+_DASH = "–"
+
+
+@dataclass(frozen=True)
+class MotionCost:
+    """Seconds, network passes, memory and parameters; None where nothing was measured or declared."""
+
+    seconds: float | None
+    """Seconds a motion, batched as the run was, without warm-up."""
+    network_passes: float | None
+    """Passes a motion, as the method declares."""
+    memory_mebibytes: float | None
+    """Largest memory of the device, else of the process."""
+    parameters: int | None
+    """Parameters of the method's networks, where they are in this process."""
+
+    @property
+    def cells(self) -> tuple[str, str, str, str]:
+        """The four as printed."""
+        return (
+            _DASH if self.seconds is None else f"{self.seconds:.3f}",
+            _DASH if self.network_passes is None else f"{self.network_passes:.0f}",
+            _DASH if self.memory_mebibytes is None else f"{self.memory_mebibytes:.0f}",
+            _DASH if self.parameters is None else f"{self.parameters:,}",
+        )
+
+
+COST_TITLES = ("s/motion", "Passes/motion", "Memory (MiB)", "Parameters")
+UNMEASURED = MotionCost(None, None, None, None)
+"""Of controls, whose motions the harness makes, and of motions that came as a file."""
+
+
+def cost_of(files: DatasetFolder) -> MotionCost:
+    """Read the cost of one dataset of a run; nothing where the file is missing or damaged, since scores need none."""
+    try:
+        cost = RunCost.read(files.cost)
+    except RunError:
+        return UNMEASURED
+    motions = cost.motions + cost.warm_up_motions
+    if not motions or not cost.seconds + cost.warm_up_seconds:
+        return UNMEASURED
+    # A run of a single batch has warm-up alone, which is dearer than what follows, and better than nothing.
+    seconds = cost.seconds_per_motion
+    if seconds is None:
+        seconds = cost.warm_up_seconds / motions
+    memory = cost.peak_device_bytes if cost.peak_device_bytes is not None else cost.peak_process_bytes
+    return MotionCost(
+        seconds=seconds,
+        network_passes=cost.network_passes_declared / motions if cost.network_passes_declared else None,
+        memory_mebibytes=memory / _MEBIBYTE if memory else None,
+        parameters=cost.parameters,
+    )
 
 
 @dataclass(frozen=True)

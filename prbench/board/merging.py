@@ -13,8 +13,7 @@ import msgspec
 import pyarrow as pa
 
 from prbench.errors import RunError, StorageError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import atomic_folder, text_digest
+from prbench.files.storage import atomic_folder, sole_writer, text_digest
 from prbench.harness.results import summary_of
 from prbench.harness.run_folder.cost import RunCost, joined_costs
 from prbench.harness.run_folder.folder import RunFolder

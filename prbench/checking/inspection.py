@@ -10,7 +10,7 @@ from typing import Literal
 
 from prbench.corpora.sources import CORPUS_MODULES, CorpusOptions, CorpusRecording, corpus_for
 from prbench.errors import InputFileError, PrbenchError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
 from prbench.protocol.published import QUANTITIES, Spread
 from prbench.readers import RecordingFiles, reader_for

@@ -1,7 +1,13 @@
-"""``prbench adapters``: the installed methods, from metadata alone; beside it ``new`` and ``check``."""
+"""``prbench adapters``: the installed methods, from metadata alone; beside it ``new`` and ``check``.
+
+``prbench adapters check``: does a method keep the contract, and what has to be changed if not.
+
+``prbench doctor``: what is wrong with motions in a file, from the numbers themselves.
+"""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,14 +15,30 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from prbench.cli.commands import Answer, Group, command, note
-from prbench.cli.options import ALL_CONDITIONS, OUT_FILE, SECONDS, benchmark_option, out_folder_option
+from prbench.cli.commands import Answer, Group, command, note, progress
+from prbench.cli.options import (
+    ALL_CONDITIONS,
+    OUT_FILE,
+    PATH,
+    POSITIVE,
+    SECONDS,
+    benchmark_option,
+    data_option,
+    method_settings,
+    out_folder_option,
+    seed_option,
+)
 from prbench.cli.terminal import print_columns
 from prbench.entry_points import InstalledEntry
+from prbench.protocol.benchmarks import default_benchmark
+from prbench.shown import clean
 
 if TYPE_CHECKING:
+    from prbench.checking.conformance import Report
+    from prbench.checking.doctor.examine_file import DoctorReport
     from prbench.harness.controls import ControlInfo
     from prbench.harness.methods.describe import Description
+
 
 adapters = Group(
     "adapters",
@@ -24,7 +46,7 @@ adapters = Group(
         "commands": {
             "list": "prbench.cli.adapters:list_methods",
             "new": "prbench.cli.adapters:new",
-            "check": "prbench.cli.adapters_check:check",
+            "check": "prbench.cli.adapters:check",
         }
     },
     example="prbench adapters list",
@@ -200,3 +222,161 @@ def new(
             print(f"  {step}")
 
     return Answer(made, show)
+
+
+_COLOURS = {"passed": "green", "skipped": "dim", "warning": "yellow", "failed": "bold red"}
+"""Colour of each outcome, from good to bad."""
+_FAILED = 5  # as for every other breach of the adapter contract
+
+
+@command(
+    "check",
+    example="prbench adapters check static",
+    report="prbench.checking.conformance.report:Report",
+    writes_report=True,
+)
+@click.argument("method")
+@benchmark_option
+@click.option(
+    "--data",
+    type=PATH,
+    metavar="DIR",
+    help="Ask about 12 test cases of this table (default: synthetic people).",
+)
+@method_settings
+@click.option(
+    "--timeout",
+    type=SECONDS,
+    default=600,
+    metavar="SECONDS",
+    help="Time limit of each call of the method (default 600).",
+)
+@click.option(
+    "--start-timeout",
+    type=SECONDS,
+    default=120,
+    metavar="SECONDS",
+    help="Time limit of importing an installed method, and of loading it (default 120).",
+)
+@click.option("--isolate", is_flag=True, help="Run an installed method in a process of its own.")
+def check(
+    method: str,
+    benchmark: str | None,
+    data: Path | None,
+    weights: Path | None,
+    options: tuple[tuple[str, str], ...],
+    device: str,
+    threads: int,
+    timeout: float,
+    start_timeout: float,
+    isolate: bool,
+) -> Answer:
+    """Check that a method keeps the contract, and say what to change where it does not.
+
+    METHOD is an installed method, cmd:'python glide.py', or a .toml file that describes a program.
+    """
+    from prbench.checking import conformance
+
+    request = conformance.CheckRequest(
+        method,
+        benchmark=benchmark or default_benchmark().name,
+        weights=weights,
+        options=dict(options),
+        device=device,
+        threads=threads,
+        isolate=isolate,
+        data=data,
+        time_limit=timeout,
+        start_limit=start_timeout,
+    )
+    with progress(f"checking {method}") as show:
+        found = conformance.check(request, lambda name, place, total: show(place, total, name))
+    return Answer(found, lambda: print_report(found), _FAILED if found.failed else 0)
+
+
+def print_report(report: Report) -> None:
+    """Print a table on a terminal, plain lines elsewhere; one line for all checks that wait for the same one."""
+    shown = []
+    waiting: dict[str, list[str]] = {}
+    for finding in report.findings:
+        if finding.outcome.value == "skipped" and " before " in finding.said:
+            waiting.setdefault(finding.said, []).append(finding.check)
+            continue
+        # Behind a log the remedy has a line of its own.
+        between = "\n    " if "\n" in finding.said else " "
+        shown.append((finding.check, finding.outcome.value, f"{finding.said}{between}{finding.remedy}".strip()))
+    if sys.stdout.isatty():
+        _print_table(shown)
+    else:
+        for check_name, outcome, sentences in shown:
+            print(f"{outcome:<8} {check_name:<16} {sentences}")
+    for reason, names in waiting.items():
+        print(f"skipped  {reason} {len(names)}: {', '.join(names)}.")
+    counts = ", ".join(
+        f"{sum(finding.outcome == outcome for finding in report.findings)} {outcome}" for outcome in _COLOURS
+    )
+    verdict = "does not keep the contract" if report.failed else "keeps the contract"
+    print(f"{report.method} {verdict}: {counts}; {report.seconds:.1f} s.")
+
+
+def _print_table(shown: list[tuple[str, str, str]]) -> None:
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    from prbench.cli.terminal import console
+
+    table = Table("check", "", "what was found, and what to change", box=box.SIMPLE, pad_edge=False)
+    for check_name, outcome, sentences in shown:
+        table.add_row(check_name, Text(outcome, _COLOURS[outcome]), clean(sentences, keep="\n"))
+    console().print(table)
+
+
+@command(
+    "doctor",
+    example="prbench doctor motions.npy",
+    report="prbench.checking.doctor.examine_file:DoctorReport",
+    writes_report=True,
+)
+@click.argument("motions", type=PATH, metavar="FILE")
+@data_option(
+    required=False,
+    help="Built dataset folder(s): compare with their initial poses, lengths and recordings.",
+)
+@click.option("--conditions", type=PATH, metavar="FILE", help="Compare with this file of `prbench export-conditions`.")
+@seed_option("behind the opaque ids, with --data")
+@click.option("--fps", type=float, metavar="F", help="Rate of the motions (default: that asked for, else 20).")
+@click.option(
+    "--max-motions",
+    type=POSITIVE,
+    default=200,
+    metavar="N",
+    help="Look at N motions at most, evenly spread (default 200).",
+)
+def doctor(
+    motions: Path, data: tuple[Path, ...], conditions: Path | None, seed: int, fps: float | None, max_motions: int
+) -> Answer:
+    """Say what is wrong with motions (unit, axes, order of joints, place, clock …), from the numbers.
+
+    FILE is .npy, .npz or Parquet of any shape, a folder of motions/*.npy, or a run folder. The exit code is 1 where a
+    fault is certain.
+    """
+    from prbench.checking.doctor.examine_file import DoctorRequest, examine_file
+
+    report = examine_file(
+        DoctorRequest(path=motions, data=data, conditions=conditions, seed=seed, fps=fps, limit=max_motions)
+    )
+    return Answer(report, lambda: _print(report), int(report.certain))
+
+
+def _print(report: DoctorReport) -> None:
+    some = f"{report.examined} of {report.total}" if report.examined < report.total else f"{report.total}"
+    compared = f", {report.compared} compared with what was asked for" if report.compared else ""
+    print(f"{report.path}: {some} motion(s), {', '.join(report.shapes)}, at {report.fps:g} frames a second{compared}")
+    for diagnosis in report.diagnoses:
+        print(f"\n{'wrong' if diagnosis.certain else 'suspicious'}: {diagnosis.kind}")
+        print(f"  evidence  {diagnosis.evidence}")
+        print(f"  cause     {diagnosis.cause}")
+        print(f"  remedy    {diagnosis.remedy}")
+    if not report.diagnoses:
+        print("nothing found; docs/doctor.md says what numbers cannot tell")

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from prbench.cli.checked_runs import run_checker
 from prbench.cli.commands import Answer, command
-from prbench.cli.options import PATH, data_option, workers_option
+from prbench.cli.options import PATH, data_option, run_checker, workers_option
 from prbench.cli.summaries import phi_cell
 from prbench.cli.terminal import print_table
 

@@ -3,13 +3,17 @@
 A command is a function that returns an :class:`Answer`: a report whose shape is documented (``docs/json.md``), and how
 it is printed for people. The same report is printed as JSON with ``--json``, and written to a file with ``--out`` where
 the command has no other use for that option.
+
+Progress of long work: a bar on a terminal, plain lines in a log. Everything goes to standard error.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import shlex
 import sys
+import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -21,7 +25,8 @@ import click
 from prbench.cli.places import PlaceType, Remote, has_urls, local_places, showing
 from prbench.entry_points import InstalledEntry, installed_entries
 from prbench.errors import did_you_mean
-from prbench.shown import quoted
+from prbench.progress_bar import ProgressCallback, progress_bar
+from prbench.shown import clean, quoted
 
 _WIDEST_HELP = 100
 """Columns that a help page takes at most: longer lines are hard to read."""
@@ -432,3 +437,36 @@ def _report_file_option() -> click.Option:
         callback=_set("report_file"),
         help="Write the report as JSON to this file, too.",
     )
+
+
+_SECONDS_BETWEEN_LINES = 5.0
+
+
+@contextlib.contextmanager
+def progress(description: str) -> Iterator[ProgressCallback]:
+    """Show the progress of one piece of work while the block runs: each item as a line with ``--verbose``."""
+    now = session()
+    if now.quiet:
+        yield lambda *_: None
+    elif now.verbose:
+        yield _lines(description, seconds_between=0.0)
+    elif sys.stderr.isatty():
+        from prbench.cli.terminal import console
+
+        with progress_bar(description, console(stderr=True)) as callback:
+            yield callback
+    else:
+        yield _lines(description, seconds_between=_SECONDS_BETWEEN_LINES)
+
+
+def _lines(description: str, *, seconds_between: float) -> ProgressCallback:
+    last_line = 0.0
+
+    def callback(done: int, total: int, last: str) -> None:
+        nonlocal last_line
+        now = time.monotonic()
+        if done == total or now - last_line >= seconds_between:
+            last_line = now
+            print(f"{description}: {done}/{total} {clean(last)}".rstrip(), file=sys.stderr, flush=True)
+
+    return callback

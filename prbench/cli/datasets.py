@@ -1,18 +1,39 @@
-"""``prbench datasets``: which datasets there are, and what using them asks for."""
+"""``prbench datasets``: which datasets there are, and what using them asks for.
+
+``prbench inspect``: what is this folder, and is it all there?
+
+``prbench validate``: a dataset's own results beside prbench's rules.
+
+``prbench poses``: bodies for recordings that have none.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import msgspec
 
-from prbench.cli.commands import Answer, SeveralValues, command
-from prbench.cli.options import PATH, root_option
+from prbench.cli.builds import NOT_EVERYTHING
+from prbench.cli.commands import Answer, SeveralValues, command, note, progress
+from prbench.cli.options import (
+    LOCAL_PATH,
+    NATIVE,
+    PATH,
+    reader_options,
+    recordings_options,
+    root_option,
+    workers_option,
+)
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from prbench.checking.catalogue import Catalogue, CatalogueEntry
+    from prbench.checking.hd_epic import Validation
+    from prbench.checking.inspection import InspectedDataset, InspectedTable
+    from prbench.curation.poses.make import Outcome
 
 
 @command(
@@ -81,3 +102,281 @@ def _everything(entry: CatalogueEntry) -> str:
         lines.append(f"found:           {entry.found}")
     lines += [f"missing:         {line}" for line in entry.missing]
     return "\n".join([*lines, "", entry.citation])
+
+
+_SHOWN = 30
+"""Recordings of a dataset that are listed without ``--all``."""
+_NOT_COMPLETE = 3
+"""Exit code when something is missing, damaged, cut short or unreadable."""
+
+
+@command(
+    "inspect",
+    example="prbench inspect /data tables/adt",
+    report="prbench.checking.inspection:Inspection",
+    writes_report=True,
+)
+@click.argument("places", type=NATIVE, nargs=-1, required=True, metavar="DIR...")
+@click.option("--thorough", is_flag=True, help="Read every recording as a build would; takes as long.")
+@click.option("--all", "everything", is_flag=True, help="List complete recordings too, and every incomplete one.")
+def inspect(*, places: tuple[Path, ...], thorough: bool, everything: bool) -> Answer:
+    """Say what folders hold, and which recordings are complete, cut short, incomplete or damaged.
+
+    DIR is a dataset's folder, one that holds several, or a built table, of which sizes and means are printed; `prbench
+    study table-1` prints those beside the study's.
+    """
+    from prbench.checking.inspection import inspect_folders
+
+    with progress("inspecting") as show:
+        found = inspect_folders(places, thorough=thorough, progress=show)
+
+    def show_all() -> None:
+        for dataset in found.datasets:
+            _print_dataset(dataset, everything=everything)
+        for broken in found.broken:
+            print(f"{broken.root}: looks like {broken.dataset}, but: {broken.message}")
+        if found.tables:
+            _print_tables(found.tables)
+
+    return Answer(found, show_all, 0 if found.all_complete else _NOT_COMPLETE)
+
+
+def _print_dataset(dataset: InspectedDataset, *, everything: bool) -> None:
+    recordings = dataset.recordings
+    size = sum(each.size for each in recordings)
+    states = Counter(recording.state for recording in recordings)
+    counted = ", ".join(f"{count} {state}" for state, count in sorted(states.items()))
+    plural = "s" if len(recordings) != 1 else ""
+    print(f"{dataset.root}: {dataset.title} ({dataset.name}), {len(recordings)} recording{plural} ({counted}),"
+          f" {size / 1e6:,.1f} MB")  # fmt: skip
+    listed = [each for each in recordings if everything or each.state != "complete" or each.remarks]
+    shown = listed if everything else listed[:_SHOWN]
+    if shown:
+        rows = [(each.recording_id, each.state, f"{each.size / 1e6:,.1f}", "; ".join(each.remarks)) for each in shown]
+        print_table(dataset.name, ("recording", "state", "MB", "what"), rows, numbers=(2,))
+    if len(shown) < len(listed):
+        print(f"… and {len(listed) - len(shown)} more: --all")
+
+
+def _print_tables(tables: tuple[InspectedTable, ...]) -> None:
+    rows = []
+    for table in tables:
+        means = [f"{each.mean:.2f} ± {each.sd:.2f}" if table.sequences else "–" for each in table.quantities.values()]
+        counts = [str(number) for number in (table.sequences, *table.by_split.values())]
+        rows.append((table.dataset, *counts, *means, ", ".join(table.pose_sources)))
+    print_table(
+        "prime-and-reach sequences (mean ± standard deviation over sequences)",
+        (
+            "dataset", "sequences", "train", "validation", "test", "duration s", "prime gap s", "body m", "hand m",
+            "body",
+        ),
+        rows,
+        numbers=range(1, 9),
+    )  # fmt: skip
+    for table in tables:
+        if table.participants_in_two_splits:
+            print(
+                f"{table.dataset}: {table.participants_in_two_splits} participants have sequences in both train and"
+                " test; the protocol splits by recording, as the study does."
+            )
+        for remark in table.remarks:
+            print(f"{table.dataset}: {remark}")
+
+
+@command(
+    "validate",
+    example="prbench validate hd-epic --root /data/HD --workers 4",
+    report="prbench.checking.hd_epic:Validation",
+    writes_report=True,
+)
+@click.argument("dataset", type=click.Choice(["hd-epic"]))
+@root_option("Your copy of the dataset: both ways of priming.", required=False)
+@click.option("--data", type=PATH, metavar="DIR", help="A table of it that was built by the rule, in place of --root.")
+@recordings_options
+@reader_options(remark="with --root")
+@workers_option()
+def validate(
+    *,
+    dataset: str,
+    root: Path | None,
+    data: Path | None,
+    recordings: str,
+    max_recordings: int | None,
+    options: tuple[tuple[str, str], ...],
+    workers: int,
+) -> Answer:
+    """Compare a dataset's own priming results with the rule, and its counts with the study's.
+
+    Either --root or --data is needed.
+    """
+    from prbench.checking.hd_epic import validate_build, validate_root
+    from prbench.curation.options import BuildOptions
+    from prbench.engine import engine_for
+    from prbench.errors import UsageError
+
+    assert dataset == "hd-epic", "the only choice"
+    if data is not None and root is None:
+        validation = validate_build(data)
+    elif root is not None and data is None:
+        chosen = BuildOptions(recordings=recordings, limit=max_recordings, reader=tuple(sorted(dict(options).items())))
+        validation = validate_root(root, options=chosen, engine=engine_for(workers))
+    else:
+        raise UsageError("expected either --root DIR, your copy of the dataset, or --data DIR, a table of it.")
+    for message in validation.failed:
+        note(f"failed: {message}")
+    return Answer(validation, lambda: _print(validation), NOT_EVERYTHING if validation.failed else 0)
+
+
+def _print(validation: Validation) -> None:
+    from prbench.checking.hd_epic import PUBLISHED_OUTCOMES, RULE_OUTCOMES, shares_of
+
+    if validation.synthetic:
+        print("synthetic videos, with priming results that an invented pipeline published")
+    print_table(
+        "published priming (rows) and the rule (columns): events",
+        ("action", "published", *RULE_OUTCOMES),
+        [
+            (each.action, published, *(str(each.count(published, rule=(rule,))) for rule in RULE_OUTCOMES))
+            for each in validation.agreements
+            for published in PUBLISHED_OUTCOMES
+        ],
+        numbers=(2, 3, 4),
+    )
+    rows = []
+    for each in validation.agreements:
+        tested, primed = shares_of(each, validation)
+        gaps = [f"{gap.mean:.2f} ± {gap.sd:.2f}" for gap in (each.published_gaps, each.rule_gaps)]
+        ours = [f"{share:.1%}" for share in (each.tested_share, each.primed_share, each.agreement)]
+        rows.append((each.action, ours[0], tested, ours[1], primed, ours[2], *gaps))
+    print_table(
+        "shares, and prime gaps in seconds (mean ± sd)",
+        ("action", "tested", "dataset", "primed", "dataset", "same answer", "gap published", "gap rule"),
+        rows,
+        numbers=range(1, 8),
+    )
+    rows = []
+    for each in validation.agreements:
+        spread = each.difference
+        numbers = (f"{value:.3f}" for value in (spread.bias, spread.median, spread.p95, spread.largest))
+        rows.append((each.action, str(spread.n), *numbers))
+    print_table(
+        "prime time by the rule minus published, seconds",
+        ("action", "both primed", "mean", "median size", "95 % size", "largest"),
+        rows,
+        numbers=range(1, 6),
+    )
+    print_table(
+        "from movements to sequences",
+        ("stage", "rule", "published priming", "published count"),
+        [(line.stage, line.rule, line.published_priming, line.reference) for line in validation.funnel],
+        numbers=(1, 2, 3),
+    )
+    for remark in validation.remarks:
+        print(f"[{remark.kind}] {remark.text}")
+
+
+_STILL_LACKING = 3
+"""Exit code when some recording was to get a body and did not."""
+
+
+class PosesReport(msgspec.Struct, frozen=True, kw_only=True):
+    """Which recordings lack a body, and what was done about it.
+
+    Attributes:
+        recordings: All recordings that were chosen, and what there was of their bodies before the command did anything.
+            EgoAllo's outputs are ``complete``; ``partial``, covering a part; ``refused``, of another recording or
+            damaged; ``missing``; ``unreadable``, without a trajectory to make any from; or ``skipped``, of a recording
+            that is known to be bad.
+        estimated: One entry for each of them, with ``--config``.
+        prepared: One entry for each recording that lacks a body, with ``--prepare``: the command to run, or what is
+            wrong.
+        instructions: How to install EgoAllo and go on, where bodies are lacking and no ``--config`` was given.
+    """
+
+    recordings: list[Outcome]
+    estimated: list[Outcome]
+    prepared: list[Outcome]
+    instructions: str | None
+
+
+@command(
+    "poses",
+    example="prbench poses egoallo --root /data/HD-EPIC --config egoallo.toml",
+    resumes=True,
+    report=PosesReport,
+    writes_report=True,
+)
+@click.argument("estimator", type=click.Choice(["egoallo"]))
+@root_option(type=LOCAL_PATH)
+@click.option("--dataset", metavar="NAME", help="Name of the dataset, such as adt (default: what the folder holds).")
+@click.option("--config", type=PATH, metavar="FILE", help="How to run EgoAllo; without it, says what to do.")
+@recordings_options
+@click.option(
+    "--poses-root", type=LOCAL_PATH, metavar="DIR", help="Folder of EgoAllo's outputs (default: ROOT/egoallo)."
+)
+@click.option("--dry-run", is_flag=True, help="Say which recordings lack a body, and run nothing.")
+@click.option("--prepare", is_flag=True, help="Only write EgoAllo's input folders, to run it by hand.")
+@click.option("--keep-inputs", is_flag=True, help="Leave prepared input folders in place.")
+def poses(
+    *,
+    estimator: str,
+    root: Path,
+    dataset: str | None,
+    config: Path | None,
+    recordings: str,
+    max_recordings: int | None,
+    poses_root: Path | None,
+    dry_run: bool,
+    prepare: bool,
+    keep_inputs: bool,
+) -> Answer:
+    """Say which recordings lack a body pose, and have EgoAllo estimate it."""
+    from prbench.curation.poses import instructions, make_poses, pose_states, read_config
+    from prbench.curation.poses.make import Outcome, prepare_by_hand
+    from prbench.curation.poses.states import Selection
+
+    assert estimator == "egoallo", "the only choice"
+    settings = read_config(config) if config else None
+    states = tuple(pose_states(root, Selection(dataset, recordings, max_recordings, poses_root)))
+    lacking = [state for state in states if state.lacking]
+    prepared: list[Outcome] = []
+    estimated: list[Outcome] = []
+    advice = None
+    if prepare:
+        prepared = list(prepare_by_hand(lacking, root, poses_root))
+    elif dry_run:
+        pass
+    elif settings is not None:
+        with progress("running EgoAllo") as show:
+            estimated = list(make_poses(states, settings, root=root, keep_inputs=keep_inputs, progress=show))
+    elif lacking:
+        advice = instructions(root, lacking)
+    failed = [outcome for outcome in (*prepared, *estimated) if outcome.failed]
+    for outcome in failed:
+        note(f"failed: {outcome.recording_id}: {outcome.message}")
+    report = PosesReport(
+        recordings=[Outcome(state.found.recording_id, state.state, state.message) for state in states],
+        estimated=estimated,
+        prepared=prepared,
+        instructions=advice,
+    )
+    return Answer(report, lambda: _print_poses(report), _STILL_LACKING if failed else 0)
+
+
+def _print_poses(report: PosesReport) -> None:
+    rows = [(each.recording_id, each.state, each.message) for each in report.recordings if each.state != "complete"]
+    if rows:
+        print_table("recordings without a whole EgoAllo body", ("recording", "outputs", "details"), rows)
+    print(f"{len(report.recordings)} recordings: {_counted(report.recordings)}")
+    for prepared in report.prepared:
+        if not prepared.failed:
+            print(f"{prepared.recording_id}: {prepared.message}")
+    if report.estimated:
+        print(f"EgoAllo: {_counted(report.estimated)}")
+    if report.instructions is not None:
+        print(f"\n{report.instructions}", end="")
+
+
+def _counted(outcomes: list[Outcome]) -> str:
+    counts = Counter(each.state for each in outcomes)
+    return ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))

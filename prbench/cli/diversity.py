@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from prbench.cli.commands import Answer, command
+from prbench.cli.commands import Answer, command, progress
 from prbench.cli.options import OUT_FILE, PATH, data_option, permission_option
-from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
 

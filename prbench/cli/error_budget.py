@@ -7,9 +7,8 @@ from pathlib import Path
 
 import click
 
-from prbench.cli.commands import Answer, command
+from prbench.cli.commands import Answer, command, progress
 from prbench.cli.options import PATH, data_option, out_folder_option
-from prbench.cli.progress import progress
 from prbench.cli.terminal import print_columns
 from prbench.workflows.error_budget.report import ErrorBudgetReport, Group, Parts, RunBudget
 

@@ -25,8 +25,7 @@ import click
 import msgspec
 
 from prbench.cli.commands import Command
-from prbench.cli.documents import Document
-from prbench.cli.main import program
+from prbench.cli.main import Document, program
 
 _START = """\
 # Reports as JSON

@@ -1,4 +1,7 @@
-"""``prbench``: find the command, run it, show its answer, and turn an error into one message and an exit code."""
+"""``prbench``: find the command, run it, show its answer, and turn an error into one message and an exit code.
+
+JSON documents: what ``--json`` prints and ``--out`` writes, in one envelope for all commands.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,15 @@ import sys
 import time
 import traceback
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import click
+import msgspec
 
 import prbench
-from prbench.cli.commands import Answer, Group, Session
+from prbench.cli.commands import Answer, Group, Session, session
+from prbench.cli.places import Remote
 from prbench.cli.terminal import clean_output
 from prbench.entry_points import COMMANDS
 from prbench.errors import PrbenchError, UsageError
@@ -32,41 +38,41 @@ examples:
 _COMMANDS = {
     "data: from recordings to tables": {
         "datasets": "prbench.cli.datasets:datasets",
-        "inspect": "prbench.cli.inspect:inspect",
-        "poses": "prbench.cli.poses:poses",
-        "build-dataset": "prbench.cli.build_dataset:build_dataset",
+        "inspect": "prbench.cli.datasets:inspect",
+        "poses": "prbench.cli.datasets:poses",
+        "build-dataset": "prbench.cli.builds:build_dataset",
         "build-corpus": "prbench.cli.build_corpus:build_corpus",
-        "build-windows": "prbench.cli.build_windows:build_windows",
-        "split-dataset": "prbench.cli.split_dataset:split_dataset",
-        "validate": "prbench.cli.validate:validate",
+        "build-windows": "prbench.cli.build_corpus:build_windows",
+        "split-dataset": "prbench.cli.builds:split_dataset",
+        "validate": "prbench.cli.datasets:validate",
         "import-release": "prbench.cli.release:import_release",
         "export-release": "prbench.cli.release:export_release",
         "synthesize": "prbench.cli.synthesize:synthesize",
     },
     "run: methods over tables": {
         "run": "prbench.cli.run:run",
-        "export-conditions": "prbench.cli.export_conditions:export_conditions",
+        "export-conditions": "prbench.cli.score:export_conditions",
         "score": "prbench.cli.score:score",
-        "merge": "prbench.cli.merge:merge",
+        "merge": "prbench.cli.score:merge",
     },
     "train: networks": {},
     "board: runs side by side": {
         "leaderboard": "prbench.cli.leaderboard:leaderboard",
         "agreement": "prbench.cli.agreement:agreement",
         "diversity": "prbench.cli.diversity:diversity",
-        "audit": "prbench.cli.audit:audit",
+        "audit": "prbench.cli.leaderboard:audit",
         "error-budget": "prbench.cli.error_budget:error_budget",
         "study": "prbench.cli.study:study",
         "prediction": "prbench.cli.prediction:prediction",
     },
     "look: at tables, events and motions": {
-        "explain": "prbench.cli.explain:explain",
-        "diff": "prbench.cli.diff:diff",
+        "explain": "prbench.cli.view:explain",
+        "diff": "prbench.cli.view:diff",
         "view": "prbench.cli.view:view",
     },
     "develop: methods of your own": {
         "adapters": "prbench.cli.adapters:adapters",
-        "doctor": "prbench.cli.doctor:doctor",
+        "doctor": "prbench.cli.adapters:doctor",
         "help": "prbench.cli.help:help",
     },
 }
@@ -167,8 +173,6 @@ def _present(answer: Any, now: Session) -> int:
     if not isinstance(answer, Answer):
         return int(answer or 0)
     if now.as_json or now.report_file is not None:
-        from prbench.cli.documents import document_of, print_document, write_document
-
         document = document_of(answer, now)
         if now.report_file is not None:  # saved first, then printed: a report that could not be written is a failure
             write_document(document, now.report_file)
@@ -187,8 +191,6 @@ def _refuse(error: PrbenchError, now: Session, words: list[str]) -> int:
         traceback.print_exception(error)
     print(f"prbench: {error}", file=sys.stderr)
     if now.as_json or "--json" in words:  # the option itself may stand behind the word that was refused
-        from prbench.cli.documents import document_of, print_document
-
         print_document(document_of(error, now))
     return error.exit_code
 
@@ -206,3 +208,89 @@ def _tell_cost(seconds: float) -> None:
         f" prbench {prbench.__version__}, Python {sys.version.split()[0]}",
         file=sys.stderr,
     )
+
+
+class Failure(msgspec.Struct, frozen=True, kw_only=True):
+    """Why a command gave no report.
+
+    Attributes:
+        kind: Class of the error, such as ``TableError``.
+        message: What was expected and found, and what to do.
+    """
+
+    kind: str
+    message: str
+
+
+class Document(msgspec.Struct, frozen=True, kw_only=True):
+    """The envelope around every report.
+
+    Attributes:
+        prbench: Version of prbench that wrote the document.
+        command: Name of the command, such as ``leaderboard compare``.
+        exit_code: What the command ended with.
+        notes: What the command said beside its report, on standard error.
+        report: The command's report; its shape is described below, command by command; null if there is an error.
+        error: Why there is no report; null if there is one.
+    """
+
+    prbench: str
+    command: str
+    exit_code: int
+    notes: list[str]
+    report: Any
+    error: Failure | None
+
+
+def document_of(result: Answer | PrbenchError, now: Session) -> Document:
+    """Put a command's answer, or the error for which there is none, into the envelope."""
+    failed = isinstance(result, PrbenchError)
+    return Document(
+        prbench=prbench.__version__,
+        command=now.command,
+        exit_code=result.exit_code,
+        notes=now.notes,
+        report=None if failed else result.report,
+        error=Failure(kind=type(result).__name__, message=str(result)) if failed else None,
+    )
+
+
+def print_document(document: Document) -> None:
+    """Print a document on standard output."""
+    print(_encoded(document).decode("utf-8"))
+    sys.stdout.flush()
+
+
+def write_document(document: Document, path: Path | Remote) -> None:
+    """Write a document to a file, here or at a URL, whole or not at all.
+
+    Raises:
+        StorageError: if it cannot be written.
+    """
+    from prbench.files.storage import sole_writer, write_json
+
+    if isinstance(path, Remote):
+        from prbench.object_stores.outputs import written_file
+
+        with written_file(path.url) as copy:
+            write_json(copy, msgspec.json.decode(_encoded(document)))
+        return
+    with sole_writer(path):
+        write_json(path, msgspec.json.decode(_encoded(document)))
+
+
+def _encoded(document: Document) -> bytes:
+    """Encode a document; what JSON cannot say (NaN, infinity) becomes null."""
+    report = msgspec.json.encode(document.report, enc_hook=_plain).decode()
+    # Messages in a report name places as well. Notes stay as they were told: some say where a local copy lies.
+    document = msgspec.structs.replace(document, report=msgspec.Raw(session().shown_place(report).encode()))
+    return msgspec.json.format(msgspec.json.encode(document), indent=2)
+
+
+def _plain(value: Any) -> Any:
+    """Encode what JSON has no form for: paths, and NumPy's numbers and arrays."""
+    if isinstance(value, Path):
+        return session().shown_place(str(value))
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} has no form in JSON")

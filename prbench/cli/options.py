@@ -1,19 +1,39 @@
-"""Options that several commands share: the same name has the same meaning in every command."""
+"""Options that several commands share: the same name has the same meaning in every command.
+
+What the commands that work in shards share: ``--shard K/N``, and the report of one shard.
+
+The engine that a command's user has chosen, closed when the command ends.
+
+What commands share that read finished runs: the tables that they are held against, and what was left out.
+
+The embedded synthetic datasets, which commands take that are given no other.
+"""
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
+import msgspec
 
-from prbench.cli.commands import SeveralValues
+from prbench.cli.commands import Answer, SeveralValues, note, progress
 from prbench.cli.places import PlaceType
-from prbench.engine.choice import DEFAULT_SPILL_LIMIT_GB, LOCAL, RAY, Cluster
+from prbench.engine import close_engine
+from prbench.engine.choice import DEFAULT_SPILL_LIMIT_GB, LOCAL, RAY, Cluster, open_engine
 from prbench.errors import UsageError
 from prbench.protocol.benchmarks import benchmarks, default_benchmark
+
+if TYPE_CHECKING:
+    from prbench.board.collect import CollectedRuns
+    from prbench.engine import Engine
+    from prbench.engine.choice import EngineChoice
+    from prbench.engine.shards import Shard
+    from prbench.harness.verification import RunChecker
+
 
 CONDITIONS = tuple(default_benchmark().conditions)
 """Conditions that a method of the default benchmark can be given."""
@@ -375,3 +395,153 @@ def complete_dataset(ctx: click.Context, param: click.Parameter, incomplete: str
     from prbench.datasets import readable_datasets
 
     return sorted(name for name in readable_datasets() if name.startswith(incomplete))
+
+
+class MadeShard(msgspec.Struct, frozen=True, kw_only=True):
+    """One shard that was made, with ``--shard``.
+
+    Attributes:
+        shard: Which one it is, such as ``3/16``.
+        folder: Its folder, for `prbench merge`.
+        made_of: Number of its recordings (of a corpus: groups of them, of a run: batches).
+        planned: Number of those of all shards.
+        taken_over: Number of recordings or batches that an interrupted call had already finished.
+    """
+
+    shard: str
+    folder: Path
+    made_of: int
+    planned: int
+    taken_over: int
+
+
+def shard_option(of: str) -> Callable[[_Function], _Function]:
+    """Add ``--shard K/N``.
+
+    Args:
+        of: What is dealt out to the shards.
+    """
+    return click.option(
+        "--shard",
+        metavar="K/N",
+        help=f"Work on shard K of N, such as 3/16: every N-th of {of}; --out is the shard's own folder, and `prbench"
+        " merge` puts all of them together (docs/cluster.md).",
+    )
+
+
+def chosen_shard(text: str | None, **refused: object) -> Shard | None:
+    """Return the shard that was asked for.
+
+    Args:
+        text: What ``--shard`` says.
+        refused: Values of options that do not go with it, by the option's name.
+
+    Raises:
+        UsageError: for another text, or an option that does not go with it.
+    """
+    if text is None:
+        return None
+    from prbench.engine.shards import Shard
+    from prbench.errors import UsageError
+
+    shard = Shard.parse(text)
+    for name, value in refused.items():
+        if value:
+            raise UsageError(f"--shard {shard}: does not go with {_REFUSED[name]}.")
+    return shard
+
+
+_REFUSED = {
+    "replace": "--replace: a shard replaces nothing; give the option to `prbench merge`",
+    "dry_run": "--dry-run, which is of the whole build; leave one of them out",
+    "everything": "'all': each dataset is merged by itself; name one",
+    "data": "--data: windows of a built table are made in one go; leave --shard out",
+    "view": "--view: the motions are whole after `prbench merge`",
+    "first_run": "a run without --data: name the tables",
+    "table_two": "all: name one method and one condition",
+}
+"""What is wrong with an option beside ``--shard``, and what to do."""
+
+
+def shard_answer(report: Any, made: MadeShard, *, unit: str, exit_code: int = 0) -> Answer:
+    """Answer a command that has made one shard.
+
+    Args:
+        report: The command's report.
+        made: The shard.
+        unit: What it consists of.
+        exit_code: Of the command.
+    """
+
+    def show() -> None:
+        print(f"shard {made.shard}: {made.made_of} of {made.planned} {unit}")
+        print(f"shard folder: {made.folder}")
+
+    if not made.made_of:
+        note(f"there are fewer {unit} than shards: shard {made.shard} is empty, and is merged like the others.")
+    return Answer(report, show, exit_code)
+
+
+def opened(choice: EngineChoice, **needs: Any) -> Engine:
+    """Open an engine for the rest of the command.
+
+    Args:
+        choice: What ``prbench.cli.options.engine_options`` gave the command.
+        needs: See :func:`prbench.engine.choice.open_engine`.
+    """
+    engine = open_engine(choice, **needs, tell=note)
+    click.get_current_context().call_on_close(lambda: close_engine(engine))
+    return engine
+
+
+def tables_option(function: Callable) -> Callable:
+    """Add ``--data DIR…``: the tables that runs were made on."""
+    return data_option(
+        required=False,
+        help="The tables of the runs: scores are held against the motions on them, and called unverified without; the"
+        " embedded tables need not be named.",
+    )(function)
+
+
+def run_checker(data: Sequence[Path], workers: int) -> RunChecker:
+    """Make what scores again on the named tables and the embedded ones."""
+    from prbench.engine import engine_for
+    from prbench.harness.first_run import table_finder
+    from prbench.harness.verification import RunChecker
+
+    return RunChecker(table_finder(data), engine_for(workers))
+
+
+def collected_runs(
+    runs: Sequence[Path], data: Sequence[Path], workers: int, *, any_benchmark: bool = False
+) -> CollectedRuns:
+    """Collect finished runs, whose scores are held against their motions, and tell what was left out or not checked.
+
+    Args:
+        runs: Run folders, or folders that hold some.
+        data: Tables of the runs.
+        workers: Number of processes.
+        any_benchmark: The command knows runs of every benchmark.
+    """
+    from prbench.board import collect_runs
+
+    collected = collect_runs(runs, check=run_checker(data, workers).check, any_benchmark=any_benchmark)
+    for reason in collected.left_out:
+        note(f"left out: {reason}")
+    for row in collected.rows:
+        if row.unverified:
+            note(f"unverified: {row.run}: {row.unverified}")
+    return collected
+
+
+def embedded_tables(engine: Engine) -> tuple[Path, ...]:
+    """Return the folders of the embedded synthetic datasets, which are built on the first call."""
+    from prbench.harness.first_run import LAYOUTS, default_folder, default_tables, default_tables_are_built
+
+    folder = default_folder()
+    if default_tables_are_built():
+        note(f"no --data given: using the {len(LAYOUTS)} embedded synthetic datasets in {folder}")
+    else:
+        note(f"no --data given: building {len(LAYOUTS)} small synthetic datasets in {folder} (once)")
+    with progress("building synthetic data") as show:
+        return tuple(table.folder for table in default_tables(engine, show, tell=note))

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 import msgspec
 
-from prbench.cli.commands import Answer, SeveralValues, command, note
+from prbench.cli.commands import Answer, SeveralValues, command, note, progress
 from prbench.cli.options import PATH, POSITIVE, device_option, limit_option, out_folder_option, seed_option
-from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from prbench.cli.commands import Answer, SeveralValues, command
+from prbench.cli.commands import Answer, SeveralValues, command, progress
 from prbench.cli.options import (
     PATH,
     POSITIVE,
@@ -18,7 +18,6 @@ from prbench.cli.options import (
     permission_option,
     seed_option,
 )
-from prbench.cli.progress import progress
 
 if TYPE_CHECKING:
     from prbench.viewing.futures import ShownWindow

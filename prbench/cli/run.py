@@ -1,20 +1,28 @@
-"""``prbench run``: methods over tables, scored."""
+"""``prbench run``: methods over tables, scored.
+
+The command line of ``prbench run`` as an experiment, whose file may say what the command line does not.
+
+A method of another package in a child process: it may leave that process, and the shell is still told the truth.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
+import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
 
-from prbench.cli.commands import Answer, command, note, session
-from prbench.cli.embedded import embedded_tables
-from prbench.cli.engines import opened
+from prbench.cli.commands import Answer, command, note, progress, session
 from prbench.cli.options import (
     ALL_CONDITIONS,
     FIRST_RUN_SEQUENCES,
@@ -23,29 +31,33 @@ from prbench.cli.options import (
     POSITIVE,
     PUBLISHED,
     SECONDS,
+    MadeShard,
     benchmark_option,
+    chosen_shard,
     complete_method,
     conditions_by_benchmark,
     control_option,
     data_option,
+    embedded_tables,
     engine_options,
     fold_options,
     limit_option,
     method_settings,
+    opened,
     out_folder_option,
     permission_option,
     protocol_option,
     seed_option,
     sequence_option,
+    shard_option,
     usual_number,
 )
-from prbench.cli.progress import progress
-from prbench.cli.run_answer import RunAnswer, run_answer, shards_answer
-from prbench.cli.run_experiment import read_command_line
-from prbench.cli.shards import MadeShard, chosen_shard, shard_option
+from prbench.cli.summaries import RunAnswer, run_answer, shards_answer
 from prbench.cli.table_two import ALL, run_table_two
+from prbench.engine import end_with_parent
 from prbench.engine.choice import Cluster
-from prbench.errors import UsageError
+from prbench.entry_points import ADAPTERS
+from prbench.errors import AdapterError, UsageError
 
 if TYPE_CHECKING:
     from prbench.engine import Engine
@@ -55,6 +67,7 @@ if TYPE_CHECKING:
     from prbench.harness.request import Progress, RunRequest
     from prbench.harness.run import RunReport
     from prbench.harness.run_folder import RunFolder
+
 
 _FIRST_RUN_WORKERS = 2
 
@@ -189,8 +202,6 @@ def run(
         print(experiment.as_toml(), end="")
         return 0
     if session().from_shell:
-        from prbench.cli.supervision import calls_foreign_code, supervised
-
         for method in experiment.methods:
             if calls_foreign_code(method.name, isolate=experiment.isolate, entry_points=_group(experiment)):
                 from prbench.cli.main import main
@@ -417,3 +428,146 @@ def _tell_repetition(earlier: RunFolder, later: RunFolder) -> None:
             f"repeats {earlier.path}: scores differ. `prbench leaderboard compare {earlier.path} {later.path}` says"
             " where; other versions of packages, processors or numbers of threads can be the cause."
         )
+
+
+_OF_AN_EXPERIMENT = ("benchmark", "method", "condition", "options", "control", "sequences", "minutes")
+"""Options whose place is in the file, where there is one."""
+
+_SHARED = (
+    "data",
+    "out",
+    "split",
+    "fold",
+    "limit",
+    "samples",
+    "best_of",
+    "carry_on",
+    "batch_size",
+    "device",
+    "threads",
+    "isolate",
+    "timeout",
+    "seed",
+    "protocol",
+)
+"""Options that all runs of an experiment share; their names are its keys, but for ``seeds``."""
+
+
+def read_command_line(config: Path | None, given: Mapping[str, Any]) -> tuple[RunFolder | None, Experiment]:
+    """Turn the command line into an experiment; also return the run that it repeats, if it repeats one.
+
+    Raises:
+        UsageError: for an option whose place is in the file that was named.
+    """
+    from prbench.harness.experiment import Experiment, ExperimentMethod, experiment_of_run, read_experiment, run_of
+
+    own = _said_on_the_command_line(given)
+    if config is None:
+        method = ExperimentMethod(
+            name=given["method"],
+            conditions=(given["condition"],) if given["condition"] else (),
+            weights=str(given["weights"]) if given["weights"] else None,
+            options=dict(given["options"]),
+            control=given["control"],
+        )
+        benchmark = {"benchmark": given["benchmark"]} if given["benchmark"] else {}
+        return None, msgspec.convert(
+            {"methods": [msgspec.to_builtins(method)], "sequences": given["sequences"], **own, **benchmark}, Experiment
+        )
+    for name in _OF_AN_EXPERIMENT:
+        if given.get(name):
+            option = name.removesuffix("s") if name in ("options", "sequences") else name
+            raise UsageError(f"--{option}: {config} says that already; write it there, or leave --config out.")
+    repeated = run_of(config)
+    if repeated is None:
+        experiment = read_experiment(config)
+        if given["weights"]:
+            raise UsageError(f"--weights: write them into {config}, beside the method that they belong to.")
+    else:
+        experiment = experiment_of_run(repeated, data=given["data"], weights=given["weights"])
+        own.pop("data", None)  # found by digest among the named ones
+    return repeated, msgspec.structs.replace(experiment, **own)
+
+
+def _said_on_the_command_line(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of an experiment that the command line sets; defaults do not replace what a file says."""
+    context = click.get_current_context()
+    said = {
+        name: given[name]
+        for name in _SHARED
+        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+    }
+    if "data" in said:
+        said["data"] = tuple(str(folder) for folder in said["data"])
+    for name in ("out", "protocol"):
+        if name in said:
+            said[name] = str(said[name])
+    if "seed" in said:
+        said["seeds"] = (said.pop("seed"),)
+    return said
+
+
+_Command = Callable[[Sequence[str]], int]
+
+
+def calls_foreign_code(method: str, *, isolate: bool, entry_points: str = ADAPTERS) -> bool:
+    """Return True where an installed method of another package would be called in this process."""
+    if isolate:
+        return False
+    from prbench.harness.methods.installed import list_adapters
+
+    claims = (adapter for adapter in list_adapters(entry_points) if adapter.name == method)
+    return any(not adapter.built_in and not adapter.problem for adapter in claims)
+
+
+def supervised(command: _Command, arguments: Sequence[str], *, method: str) -> int:
+    """Run a command in a child process and return its exit code.
+
+    Args:
+        command: Importable; called in the child with the arguments.
+        arguments: Of the command line.
+        method: Whose code runs there, for the message.
+
+    Raises:
+        AdapterError: if the child ends without having returned from the command.
+    """
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    child = context.Process(target=_report, args=(command, list(arguments), sender))
+    child.start()
+    previous = _answered_by(child)
+    child.join()  # not the end of the pipe: what the method has started may hold that open
+    for number, handler in previous.items():
+        signal.signal(number, handler)
+    if receiver.poll():
+        return int(receiver.recv_bytes())
+    from prbench.harness.methods.remote.faults import exit_story
+
+    status = child.exitcode or 0
+    if -status in (signal.SIGINT, signal.SIGTERM):
+        return 128 - status
+    raise AdapterError(
+        f"method '{method}': the process that it ran in {exit_story(status)}, so there are no scores. A method must"
+        " not call os._exit() or leave the process from C; it raises an exception instead. Finished batches are kept;"
+        " --isolate runs it in a process of its own and shows what it wrote last."
+    )
+
+
+def _report(command: _Command, arguments: list[str], sender: Connection) -> None:
+    """Run the command in the child, and say how it ended."""
+    end_with_parent()
+    code = 1  # of a traceback
+    try:
+        code = command(arguments)
+    finally:
+        sender.send_bytes(str(code).encode())
+
+
+def _answered_by(child: BaseProcess) -> dict[int, Any]:
+    """Leave Ctrl-C and requests to stop to the child; returns the handlers until now."""
+
+    def pass_on(number: int, _: FrameType | None) -> None:
+        if number == signal.SIGTERM:  # Ctrl-C reaches the child without us
+            child.terminate()
+
+    return {number: signal.signal(number, pass_on) for number in (signal.SIGINT, signal.SIGTERM)}

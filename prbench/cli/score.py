@@ -1,18 +1,29 @@
-"""``prbench score``: predictions that lie on disk, against one table or several."""
+"""``prbench score``: predictions that lie on disk, against one table or several.
+
+``prbench export-conditions``: what a method may see, as a file for a program that runs elsewhere.
+
+``prbench merge``: the shards of a build or run as one table, corpus or run folder; runs on all folds as one run.
+"""
 
 from __future__ import annotations
 
+import os
+import shlex
 from collections.abc import Sequence
+from dataclasses import replace as with_values
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 import msgspec
 
-from prbench.cli.commands import Answer, command
-from prbench.cli.engines import opened
+from prbench.cli.build_corpus import WindowsBuilt, corpus_answer, windows_answer
+from prbench.cli.builds import BuiltTable, table_answer
+from prbench.cli.commands import Answer, command, note, progress
 from prbench.cli.options import (
+    ALL_CONDITIONS,
     CONDITIONS,
+    FIRST_RUN_SEQUENCES,
     PATH,
     POSITIVE,
     benchmark_option,
@@ -20,17 +31,25 @@ from prbench.cli.options import (
     data_option,
     engine_options,
     limit_option,
+    opened,
+    out_file_option,
     out_folder_option,
+    permission_option,
     protocol_option,
+    replace_option,
+    run_checker,
     seed_option,
     split_option,
+    usual_number,
+    workers_option,
 )
-from prbench.cli.progress import progress
-from prbench.cli.summaries import print_agreement, print_scene, print_summary
+from prbench.cli.summaries import MadeRun, print_agreement, print_scene, print_summary, run_answer
 from prbench.errors import UsageError
+from prbench.protocol.benchmarks import default_benchmark
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
+    from prbench.harness.offline.export import ExportReport
     from prbench.harness.run_folder.agreement import DatasetAgreement
     from prbench.harness.run_folder.summary import DatasetSummary
     from prbench.harness.score_predictions import ScoreReport as Scored
@@ -223,3 +242,252 @@ def _print(scored: Sequence[Scored], out: Path | None) -> None:
         print(f"scores: {out}")
         if any(each.summary.condition == UNSTATED for each in scored):
             print("the condition is not stated (--condition or --conditions): a leaderboard will not rank these scores")
+
+
+@command(
+    "export-conditions",
+    example="prbench export-conditions --data tables/adt --condition goal-loc --seed 0 --out conditions.npz",
+    report="prbench.harness.offline.export:ExportReport",
+)
+@data_option(required=True)
+@benchmark_option
+@click.option("--condition", type=click.Choice(ALL_CONDITIONS), required=True, help="What the method is given.")
+@out_file_option(".parquet, or .npz for NumPy alone.", required=True)
+@seed_option("behind opaque ids and noise seeds")
+@click.option(
+    "--samples", type=POSITIVE, metavar="K", help=f"Answers to each case (default {usual_number('samples')})."
+)
+@split_option()
+@limit_option()
+@click.option(
+    "--max-frames",
+    type=POSITIVE,
+    metavar="N",
+    help="Leave out sequences of more than N frames; scoring counts them as unsupported.",
+)
+@click.option(
+    "--native-fps",
+    type=float,
+    metavar="F",
+    help="Ask for motions at F frames per second; scoring resamples them to the table's rate.",
+)
+@control_option("Give every sequence another one's goal; the file does not tell.")
+@permission_option
+def export_conditions(
+    data: tuple[Path, ...],
+    benchmark: str | None,
+    condition: str,
+    out: Path,
+    seed: int,
+    samples: int | None,
+    split: str,
+    limit: int | None,
+    max_frames: int | None,
+    native_fps: float | None,
+    control: str | None,
+    permission: tuple[str, ...],
+) -> Answer:
+    """Write exactly what a method may see, for one that runs elsewhere.
+
+    `prbench score` takes the motions that the method makes from it.
+    """
+    from prbench.contract import Condition
+    from prbench.harness.offline import ExportRequest
+    from prbench.harness.offline import export_conditions as export
+    from prbench.protocol.benchmarks import find_benchmark
+
+    about = find_benchmark(benchmark or default_benchmark().name)
+    if condition not in about.conditions:
+        known = ", ".join(about.conditions)
+        raise UsageError(f"--condition {condition}: expected one of the benchmark {about.name}: {known}.")
+    samples = samples or about.samples
+    if not about.default:
+        for option, value in (("max-frames", max_frames), ("native-fps", native_fps), ("control", control)):
+            if value is not None:
+                raise UsageError(f"--{option}: the benchmark {about.name} does not have it; leave it out.")
+        return _windows(data, condition, out, seed, samples, split, limit, permission)
+    exported = export(
+        ExportRequest(
+            data=data,
+            condition=Condition(condition),
+            out=out,
+            seed=seed,
+            samples=samples,
+            split=split,
+            limit=limit,
+            max_frames=max_frames,
+            native_fps=native_fps,
+            control=control,
+            permitted=permission,
+        )
+    )
+    if limit is None:
+        _tell_first_run(data)
+    note(f"then: prbench score PREDICTIONS --conditions {shlex.quote(str(exported.out))} --data …")
+    return Answer(exported, lambda: _print_export_conditions(exported))
+
+
+def _windows(
+    data: tuple[Path, ...],
+    condition: str,
+    out: Path,
+    seed: int,
+    samples: int,
+    split: str,
+    limit: int | None,
+    permission: tuple[str, ...],
+) -> Answer:
+    """Write what a predictor may see."""
+    from prbench.harness.motion_prediction.offline import WindowsRequest, export_windows
+    from prbench.harness.offline.export import ExportReport
+
+    exported = export_windows(
+        WindowsRequest(
+            data=data,
+            condition=condition,
+            out=out,
+            seed=seed,
+            samples=samples,
+            split=split,
+            limit=limit,
+            permitted=permission,
+        )
+    )
+    note(f"then: prbench score FUTURES.npz --conditions {shlex.quote(str(exported.out))} --data …")
+    report = ExportReport(
+        out=exported.out,
+        rows=exported.windows * samples,
+        sequences={exported.dataset: exported.windows},
+        left_out={},
+        notices=exported.notices,
+    )
+    return Answer(report, lambda: _print_export_conditions(report, case="windows"))
+
+
+def _tell_first_run(data: Sequence[Path]) -> None:
+    """Tell that runs without ``--data`` take a part of the embedded datasets, and this command all by default."""
+    from prbench.harness.first_run import default_table_folders
+
+    embedded = {os.path.realpath(folder) for folder in default_table_folders()}
+    if any(os.path.realpath(folder) in embedded for folder in data):
+        note(
+            f"these are embedded datasets, of which `prbench run` without --data takes {FIRST_RUN_SEQUENCES}"
+            f" sequences each: --limit {FIRST_RUN_SEQUENCES} exports the same ones."
+        )
+
+
+def _print_export_conditions(report: ExportReport, case: str = "sequences") -> None:
+    for dataset, count in report.sequences.items():
+        longer = report.left_out.get(dataset, 0)
+        print(f"{dataset}: {count} {case}{f' ({longer} longer ones left out)' if longer else ''}")
+    for line in report.notices:
+        print(f"notice: {line}")
+    print(f"{report.rows} motions to generate: {report.out}")
+
+
+class MergeReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The result of a merge.
+
+    Attributes:
+        kind: ``dataset``, ``corpus``, ``windows`` or ``run`` of shards, or ``folds``.
+        shards: Number of shards, or of runs on folds.
+        table: The table or corpus that was written; null for others.
+        windows: The table of windows that was written; null for others.
+        run: The run that was put together and scored; null for others.
+        folds: Scores of the runs on all folds as one; null for others.
+        unverified: A sentence for each run on a fold whose scores could not be held against its motions.
+    """
+
+    kind: str
+    shards: int
+    table: BuiltTable | None = None
+    windows: WindowsBuilt | None = None
+    run: MadeRun | None = None
+    folds: DatasetSummary | None = None
+    unverified: list[str] = []
+
+
+@command("merge", example="prbench merge shards/adt-* --out tables/adt", report=MergeReport, resumes=True)
+@click.argument("parts", type=PATH, nargs=-1, required=True, metavar="DIR...")
+@out_folder_option("Folder of the table, corpus, windows or run.", required=True)
+@data_option(
+    required=False,
+    help="Tables of a run, where they no longer lie where its shards found them; of runs on folds, the tables on which"
+    " their scores are checked.",
+)
+@replace_option("table or corpus")
+@workers_option(help="Processes that score a run (default 1); changes no result.")
+def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: bool, workers: int) -> Answer:
+    """Put the shards of a build or run together, with the bytes of an unsharded one, or runs on folds as one run.
+
+    DIR... are the folders of all shards of one `prbench build-dataset`, `build-corpus`, `build-windows` or `run` with
+    --shard K/N, in any order, of which a run is scored here; or the runs of a method on all folds of a dataset, made by
+    `prbench run --split participants --fold K/N`.
+    """
+    from prbench.engine.shards import FILE_NAME, require_whole
+    from prbench.harness.run_folder.record import FILE_NAME as RUN_FILE
+
+    if (parts[0] / RUN_FILE).is_file() and not (parts[0] / FILE_NAME).is_file():
+        if replace:
+            raise UsageError("--replace: belongs to a dataset or corpus; these are runs on folds. Leave it out.")
+        return _merged_folds(parts, out, data, workers)
+    if out.resolve() in [folder.resolve() for folder in parts]:
+        raise UsageError(f"--out {out}: is one of the shards. Choose another folder.")
+    opened = require_whole(parts)
+    kind = opened[0][1].kind
+    if data and kind != "run":
+        raise UsageError(f"--data: belongs to shards of a run; these are of a {kind}. Leave it out.")
+    if replace and kind not in ("dataset", "corpus"):
+        raise UsageError(f"--replace: belongs to a dataset or corpus; these are shards of a {kind}. Leave it out.")
+    report = MergeReport(kind=kind, shards=len(parts))
+    if kind == "dataset":
+        from prbench.curation.build import merge_dataset_shards
+
+        answer = table_answer(merge_dataset_shards(opened, out, replace=replace))
+        report = msgspec.structs.replace(report, table=answer.report.built[0])
+    elif kind == "corpus":
+        from prbench.corpora.build import merge_corpus_shards
+
+        answer = corpus_answer(merge_corpus_shards(opened, out, replace=replace))
+        report = msgspec.structs.replace(report, table=answer.report.built[0])
+    elif kind == "windows":
+        from prbench.curation.window_building import merge_windows_shards
+
+        made = merge_windows_shards(opened, out)
+        answer = windows_answer(made.info, made.folder)
+        report = msgspec.structs.replace(report, windows=answer.report.built)
+    else:
+        from prbench.engine import engine_for
+        from prbench.harness.sharded import merge_run_shards
+
+        with progress("merging") as tell:
+            run = merge_run_shards(
+                opened,
+                out,
+                data=data,
+                engine=engine_for(workers),
+                progress=lambda step: tell(step.done, step.total, f"{step.stage} {step.dataset}"),
+            )
+        answer = run_answer([run], single=bool(run.folder.record.sequences))
+        report = msgspec.structs.replace(report, run=answer.report.runs[0])
+    return with_values(answer, report=report)
+
+
+def _merged_folds(runs: Sequence[Path], out: Path, data: tuple[Path, ...], workers: int) -> Answer:
+    from prbench.board.merging import merge_folds
+
+    merged = merge_folds(runs, checker=run_checker(data, workers))
+    protocol = merged.folds[0].protocol
+    if protocol is not None and protocol.is_own:
+        note(f"scored under a protocol of your own, {protocol.label}: no number here is the study's")
+    merged.write(out)
+    method = merged.record.method
+    report = MergeReport(kind="folds", shards=len(runs), folds=merged.summary, unverified=list(merged.unverified))
+
+    def show() -> None:
+        print_summary(merged.summary, origin=method.origin, motionless=method.motionless)
+        for reason in merged.unverified:
+            print(f"unverified: {reason}")
+        print(f"run folder: {out}")
+
+    return Answer(report, show)

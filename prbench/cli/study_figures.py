@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from prbench.cli.checked_runs import tables_option
 from prbench.cli.commands import Answer, Command, SeveralValues, command
 from prbench.cli.options import (
     OUT_FILE,
@@ -18,6 +17,7 @@ from prbench.cli.options import (
     out_file_option,
     permission_option,
     sequence_option,
+    tables_option,
     workers_option,
 )
 from prbench.cli.study_answers import StudyReport, require_formats, runs_arguments, study_answer

@@ -9,9 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from prbench.cli.checked_runs import collected_runs, run_checker, tables_option
 from prbench.cli.commands import Answer, Command, SeveralValues, command, note
-from prbench.cli.options import OUT_FILE, PATH, data_arguments, workers_option
+from prbench.cli.options import (
+    OUT_FILE,
+    PATH,
+    collected_runs,
+    data_arguments,
+    run_checker,
+    tables_option,
+    workers_option,
+)
 from prbench.cli.study_answers import StudyReport, require_formats, runs_arguments, study_answer
 from prbench.entry_points import STUDY_ITEMS, installed_entries
 from prbench.errors import RunError, UsageError

@@ -11,7 +11,7 @@ import click
 import msgspec
 
 from prbench.cli.builds import BuiltTable, built_table
-from prbench.cli.commands import Answer, command
+from prbench.cli.commands import Answer, command, progress
 from prbench.cli.options import (
     OUT_FILE,
     POSITIVE,
@@ -21,7 +21,6 @@ from prbench.cli.options import (
     seed_option,
     workers_option,
 )
-from prbench.cli.progress import progress
 from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
 

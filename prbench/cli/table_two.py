@@ -10,11 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from prbench.cli.commands import Answer, note
-from prbench.cli.embedded import embedded_tables
-from prbench.cli.engines import opened
-from prbench.cli.options import PARTICIPANTS
-from prbench.cli.progress import progress
+from prbench.cli.commands import Answer, note, progress
+from prbench.cli.options import PARTICIPANTS, embedded_tables, opened
 from prbench.cli.terminal import print_table, shown_width
 from prbench.errors import UsageError
 

@@ -18,8 +18,7 @@ from prbench.corpora.job import CorpusJob, FinishedGroup, GroupReceipt, describe
 from prbench.corpora.sources import Corpus, CorpusOptions, RecordingGroup, corpus_for, find_groups
 from prbench.engine import Engine, InProcess
 from prbench.engine.shards import Shard, ShardRecord, require_settings
-from prbench.files.locks import sole_writer
-from prbench.files.storage import require_replaceable, text_digest
+from prbench.files.storage import require_replaceable, sole_writer, text_digest
 from prbench.protocol.manifests import digest_of, load_protocol
 from prbench.sequences import parts
 from prbench.sequences.corpus import CORPUS_TABLES, CorpusRecord

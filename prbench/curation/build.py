@@ -23,8 +23,7 @@ from prbench.curation.sources import RecordingSource, native_sources
 from prbench.engine import Engine, InProcess
 from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, StorageError, TableError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import require_replaceable
+from prbench.files.storage import require_replaceable, sole_writer
 from prbench.protocol.manifests import BuildEstimate, digest_of, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo

@@ -10,8 +10,7 @@ from pathlib import Path
 from prbench.curation.candidates import Candidate, propose_pick
 from prbench.engine import Engine, InProcess
 from prbench.errors import PrbenchError, StorageError, UsageError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import atomic_path
+from prbench.files.storage import atomic_path, sole_writer
 from prbench.readers import AnnotatedByHand, AnnotationLine, RecordingFiles, reader_for
 from prbench.readers.discover import usable_readers
 from prbench.shown import csv_text

@@ -11,8 +11,8 @@ from typing import Protocol, runtime_checkable
 
 from prbench.curation.options import BuildOptions
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
-from prbench.files.ranges import first_repeated
+from prbench.files.arrays import first_repeated
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import text_digest
 from prbench.protocol.manifests import load_manifest
 from prbench.readers import (

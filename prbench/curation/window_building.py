@@ -21,8 +21,7 @@ from prbench.curation.window_runs import window_starts
 from prbench.engine import Engine, InProcess
 from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, UsageError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import require_replaceable, text_digest
+from prbench.files.storage import require_replaceable, sole_writer, text_digest
 from prbench.prediction.protocol import PredictionProtocol, load_prediction_protocol
 from prbench.prediction.table import FILE_NAME, SCHEMA_VERSION, WindowsInfo, write_windows
 from prbench.prediction.window_parts import read_cut_runs

@@ -17,8 +17,7 @@ import msgspec
 
 import prbench
 from prbench.errors import ShardError, UsageError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole
+from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import write_bytes
 from prbench.limits import LARGEST_JSON
 from prbench.shown import clean, quoted

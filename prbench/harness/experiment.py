@@ -14,8 +14,7 @@ from pathlib import Path
 import msgspec
 
 from prbench.errors import InputFileError, RunError, UsageError, did_you_mean
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole
+from prbench.files.bounded import foreign_input, read_whole
 from prbench.harness.first_run import table_finder
 from prbench.harness.preparation import DEFAULT_PARENT
 from prbench.harness.request import RunRequest

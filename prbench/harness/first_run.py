@@ -16,8 +16,7 @@ import prbench
 from prbench.contract import Condition
 from prbench.engine import Engine
 from prbench.errors import RunError, TableError, UsageError
-from prbench.files.locks import in_turn
-from prbench.files.storage import cache_folder, text_digest
+from prbench.files.storage import cache_folder, in_turn, text_digest
 from prbench.harness.benchmark import CaseTable, load_benchmark
 from prbench.harness.controls import GROUND_TRUTH, SCRIPTED
 from prbench.harness.methods.installed import list_adapters

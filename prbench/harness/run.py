@@ -21,8 +21,7 @@ from jaxtyping import Int
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import AdapterError, MemoryFullError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import remove_half_written, write_text
+from prbench.files.storage import remove_half_written, sole_writer, write_text
 from prbench.harness.generation import BatchTask, run_batch
 from prbench.harness.methods.loaded_methods import forget_loaded_methods, unload_method
 from prbench.harness.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run

@@ -16,8 +16,7 @@ import msgspec
 from prbench.engine import Engine, InProcess
 from prbench.engine.shards import FILE_NAME, Shard, ShardRecord, begin_shard, require_settings
 from prbench.errors import ShardError, UsageError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import atomic_path, remove_half_written, remove_leftovers, require_replaceable
+from prbench.files.storage import atomic_path, remove_half_written, remove_leftovers, require_replaceable, sole_writer
 from prbench.harness.methods.loaded_methods import forget_loaded_methods
 from prbench.harness.preparation import DEFAULT_PARENT, PreparedRun, prepare_recorded, prepare_run
 from prbench.harness.request import ProgressCallback, RunRequest, silent

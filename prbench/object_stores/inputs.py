@@ -15,8 +15,7 @@ import msgspec
 
 from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError, PrbenchError, StorageError
-from prbench.files.locks import in_turn
-from prbench.files.storage import remove_folder, text_digest, write_bytes
+from prbench.files.storage import in_turn, remove_folder, text_digest, write_bytes
 from prbench.object_stores.manifest import FINISHED, LARGEST_MANIFEST, UNFINISHED, FolderManifest, decode_manifest
 from prbench.object_stores.opened import opened_elsewhere
 from prbench.object_stores.store import Store, StoredObject

@@ -12,7 +12,7 @@ from pathlib import PurePosixPath
 import msgspec
 
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import bytes_digest
 from prbench.limits import LARGEST_JSON
 from prbench.shown import clean

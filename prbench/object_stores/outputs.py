@@ -14,8 +14,7 @@ from pathlib import Path
 import msgspec
 
 from prbench.errors import InputFileError, StorageError, UsageError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import file_digest, remove_folder, write_bytes
+from prbench.files.storage import file_digest, remove_folder, sole_writer, write_bytes
 from prbench.object_stores.inputs import Tell, fetch_files, finished_manifest
 from prbench.object_stores.manifest import (
     FINISHED,

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.errors import UsageError
-from prbench.files.locks import sole_writer
+from prbench.files.storage import sole_writer
 from prbench.geometry.skeleton import head_forward, transform_points
 from prbench.prediction.protocol import AnchoredRules, WindowRules, load_prediction_protocol
 from prbench.prediction.table import SCHEMA_VERSION, CutRun, Run, Window, WindowsInfo, write_windows

@@ -19,7 +19,7 @@ import pyarrow as pa
 from jaxtyping import Bool, Float, Int
 
 from prbench.errors import TableError, UsageError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import atomic_folder, require_replaceable
 from prbench.prediction.batch import Condition, ObservedBatch, window_keys
 from prbench.prediction.joint_sets import JointSet, invert_each, joint_set, rotations_alone, transform_each

@@ -13,7 +13,7 @@ import msgspec
 
 from prbench.datasets import find_reader, folder_of, own_datasets, readable_datasets
 from prbench.errors import InputFileError, UsageError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.shown import quoted
 
 Redistribution = Literal["none", "non-commercial", "yes"]

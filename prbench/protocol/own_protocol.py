@@ -22,8 +22,7 @@ import msgspec
 import tomli_w
 
 from prbench.errors import InputFileError, PrbenchError, TableError, UsageError, did_you_mean
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole
+from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import write_text
 from prbench.limits import HARMLESS_SIZE
 from prbench.protocol.manifests import PROTOCOL_NAME, BenchmarkProtocol, load_protocol

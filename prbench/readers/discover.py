@@ -7,7 +7,7 @@ from pathlib import Path
 
 from prbench.datasets import installed_readers, origin_of, readable_datasets
 from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
 from prbench.readers import Reader, RecordingFiles, read_synthetic_tree, reader_for
 from prbench.readers.found import names_in

@@ -15,8 +15,7 @@ import pyarrow.csv
 from jaxtyping import Bool, Float, Int
 
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import open_regular, require_size, too_long_line, whole_lines
+from prbench.files.bounded import foreign_input, open_regular, require_size, too_long_line, whole_lines
 from prbench.limits import LARGEST_FILE, LARGEST_JSON, LARGEST_TABLE, LONGEST_LINE
 from prbench.readers.zipped import RememberingTail, Source, opened, read_all, require_whole_last_line, shown
 

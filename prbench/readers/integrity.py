@@ -13,9 +13,8 @@ import h5py
 import msgspec
 
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_end, read_whole, require_size
-from prbench.files.numpy_files import map_array, read_header
+from prbench.files.arrays import map_array, read_header
+from prbench.files.bounded import foreign_input, read_end, read_whole, require_size
 from prbench.limits import LARGEST_UNPACKED, LONGEST_LINE
 from prbench.readers.found import InputFile
 

@@ -23,8 +23,7 @@ import pyarrow as pa
 import pyarrow.ipc
 
 from prbench.errors import StorageError, UsageError
-from prbench.files.locks import sole_file, sole_writer
-from prbench.files.storage import cache_folder, file_digest, text_digest, write_json
+from prbench.files.storage import cache_folder, file_digest, sole_file, sole_writer, text_digest, write_json
 from prbench.readers.zipped import Source, ZippedFile
 
 CACHE_VARIABLE = "PRBENCH_PARSE_CACHE"

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import RecordingUnusable
-from prbench.files.ranges import first_repeated, require_near, require_times, require_unit_length
+from prbench.files.arrays import first_repeated, require_near, require_times, require_unit_length
 from prbench.geometry.timelines import interpolate, slerp
 from prbench.limits import FARTHEST_POSITION, LARGEST_OBJECT
 from prbench.shown import quoted

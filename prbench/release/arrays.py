@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole
-from prbench.files.numpy_files import Archive, read_header
+from prbench.files.arrays import Archive, read_header
+from prbench.files.bounded import foreign_input, read_whole
 from prbench.limits import HARMLESS_SIZE
 
 FURTHER_ARRAYS = {

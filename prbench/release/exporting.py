@@ -14,8 +14,7 @@ import numpy as np
 
 import prbench
 from prbench.errors import UsageError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import atomic_folder, inside, require_replaceable, write_json
+from prbench.files.storage import atomic_folder, inside, require_replaceable, sole_writer, write_json
 from prbench.geometry.skeleton import transform_points
 from prbench.release.arrays import FURTHER_ARRAYS, pack_arrays
 from prbench.release.block import block_of

@@ -15,9 +15,8 @@ import pyarrow as pa
 
 import prbench
 from prbench.errors import InputFileError, RecordingsWouldBeLost
-from prbench.files.boundary import foreign_input
-from prbench.files.locks import sole_writer
-from prbench.files.storage import file_digest, read_json, require_replaceable, text_digest
+from prbench.files.bounded import foreign_input
+from prbench.files.storage import file_digest, read_json, require_replaceable, sole_writer, text_digest
 from prbench.protocol.manifests import Manifest, digest_of, load_citations, load_manifest, load_protocol
 from prbench.release.known import SYNTHETIC_PREFIX, dataset_of, load_known
 from prbench.release.layout import EXPORT_RECORD, TARGETS, find_datasets

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_text
+from prbench.files.bounded import foreign_input, read_text
 from prbench.limits import LARGEST_JSON
 from prbench.readers.found import names_in
 from prbench.release.known import dataset_of

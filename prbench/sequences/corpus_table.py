@@ -8,7 +8,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from prbench.errors import TableError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import atomic_folder, require_replaceable
 from prbench.sequences.corpus import CLIPS, CORPUS_TABLES, check_corpus_schema
 from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo

@@ -8,8 +8,7 @@ from typing import ClassVar, Self
 import msgspec
 
 from prbench.errors import TableError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole
+from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import is_path_part, write_json
 from prbench.limits import LARGEST_JSON
 from prbench.shown import quoted

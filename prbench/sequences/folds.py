@@ -15,8 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 import prbench
 from prbench.errors import TableError, UsageError
-from prbench.files.locks import in_turn, sole_writer
-from prbench.files.storage import cache_folder, text_digest
+from prbench.files.storage import cache_folder, in_turn, sole_writer, text_digest
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.table import SequenceTable

@@ -13,9 +13,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from prbench.errors import TableError
-from prbench.files import parquet_files
-from prbench.files.boundary import foreign_input
-from prbench.files.ranges import first_repeated
+from prbench.files import arrays
+from prbench.files.arrays import first_repeated
+from prbench.files.bounded import foreign_input
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.digests import files_of_table
 from prbench.shown import quoted
@@ -126,7 +126,7 @@ def open_parquet(path: Path) -> pq.ParquetFile:
         TableError: if it is missing or damaged.
     """
     with naming(path):
-        return parquet_files.open_parquet(path)
+        return arrays.open_parquet(path)
 
 
 def read_parquet(path: Path, columns: list[str]) -> pa.Table:
@@ -136,7 +136,7 @@ def read_parquet(path: Path, columns: list[str]) -> pa.Table:
         TableError: if it is missing or damaged.
     """
     with naming(path):
-        return parquet_files.read_parquet(path, columns)
+        return arrays.read_parquet(path, columns)
 
 
 def require_distinct(ids: SequenceOf[str], where: Path | str) -> None:

@@ -17,10 +17,8 @@ import msgspec
 
 from prbench.engine.shards import FILE_NAME, Shard, ShardRecord, begin_shard
 from prbench.errors import ShardError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole
-from prbench.files.locks import sole_writer
-from prbench.files.storage import file_digest, inside, remove_leftovers, require_replaceable, write_json
+from prbench.files.bounded import foreign_input, read_whole
+from prbench.files.storage import file_digest, inside, remove_leftovers, require_replaceable, sole_writer, write_json
 from prbench.limits import LARGEST_JSON
 from prbench.sequences.parts import read_receipt
 

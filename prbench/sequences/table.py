@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from prbench.errors import TableError, UsageError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.protocol.own_protocol import DescribedTable
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.dataset_info import DatasetInfo, Provenance

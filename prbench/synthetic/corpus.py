@@ -20,8 +20,7 @@ from prbench.corpora.nymeria.suit import clean_suit
 from prbench.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
 from prbench.engine import engine_for
 from prbench.errors import UsageError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import atomic_folder, text_digest, write_json
+from prbench.files.storage import atomic_folder, sole_writer, text_digest, write_json
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, described_options
 from prbench.readers.options import ReaderOptions, parse_options

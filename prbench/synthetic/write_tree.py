@@ -20,8 +20,7 @@ import pyarrow as pa
 import prbench
 from prbench.engine import engine_for
 from prbench.errors import UsageError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import atomic_folder, write_json
+from prbench.files.storage import atomic_folder, sole_writer, write_json
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.defects import defect
 from prbench.synthetic.layouts import SHARED_PARTS, layout_for

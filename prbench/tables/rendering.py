@@ -15,8 +15,7 @@ from typing import Any
 import msgspec
 
 from prbench.errors import UsageError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import write_text
+from prbench.files.storage import sole_writer, write_text
 from prbench.shown import csv_text, latex, markdown
 from prbench.tables.records import DASH, Block, Cell, Column, Row, Table
 

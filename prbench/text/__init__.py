@@ -9,7 +9,7 @@ from pathlib import Path
 
 from prbench.errors import UsageError, did_you_mean
 from prbench.text import built_in
-from prbench.text.encoder import EncodedText, TextEncoder
+from prbench.text.built_in import EncodedText, TextEncoder
 from prbench.text.pretrained import CLIP, DISTILBERT, Clip, DistilBert
 
 __all__ = ["NAMES", "EncodedText", "TextEncoder", "text_encoder"]

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError, MissingExtraError
-from prbench.text.encoder import EncodedText, padded
+from prbench.text.built_in import EncodedText, padded
 
 CLIP = "clip-vit-b32"
 CLIP_VARIABLE = "PRBENCH_CLIP"

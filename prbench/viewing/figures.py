@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import UsageError
-from prbench.files.locks import sole_file
+from prbench.files.storage import sole_file
 from prbench.geometry.skeleton import CHAINS, WRISTS, Joint, head_forward
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.errors import UsageError
-from prbench.files.locks import sole_file
+from prbench.files.storage import sole_file
 from prbench.shown import figure_text
 from prbench.viewing.figures import new_figure, write_png
 

@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError, UsageError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.geometry.meshes import import_open3d
 from prbench.geometry.skeleton import Joint, invert_rigid, transform_points
 from prbench.limits import LARGEST_FILE

@@ -97,7 +97,7 @@ def test_options_and_single_values(table, tmp_path):
 
 def test_without_data_the_embedded_tables_are_run(table, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("prbench.api.running.embedded_tables", lambda workers: (table,))
+    monkeypatch.setattr("prbench.api.runs.embedded_tables", lambda workers: (table,))
     run = prbench.run("ground-truth")
     assert run.record.limit == 10
     assert run.record.tables[0].batch_plan.batch_size == 5

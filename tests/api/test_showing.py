@@ -12,7 +12,7 @@ import types
 import pytest
 
 import prbench
-from prbench.api import progress as progress_module
+from prbench.api import pictures as progress_module
 from tests.fakes import fake_info
 
 needs_view = pytest.mark.skipif(importlib.util.find_spec("viser") is None, reason="needs the extra view")

@@ -8,8 +8,8 @@ import pyarrow.compute as pc
 import pytest
 
 from prbench.board import collect_runs, compare_runs
-from prbench.board.decidable import undecided
-from prbench.board.separation import separate_by_comparison
+from prbench.board.comparison import separate_by_comparison
+from prbench.board.tables import undecided
 from prbench.cli import main
 from prbench.errors import RunError
 from prbench.harness.comparisons import smallest_detectable_unpaired

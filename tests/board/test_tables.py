@@ -15,8 +15,7 @@ import pytest
 
 import prbench
 from prbench.board import collect_runs, compare_runs, export, make_leaderboard
-from prbench.board.comparison import sequence_scores
-from prbench.board.separation import separate_by_comparison
+from prbench.board.comparison import separate_by_comparison, sequence_scores
 from prbench.board.tables import FEWEST_RANKED, of_all_methods
 from prbench.errors import RunError, UsageError
 from prbench.harness.prime_and_reach.benchmark import PRIME_AND_REACH

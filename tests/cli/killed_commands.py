@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from prbench.files.locks import sole_writer
+from prbench.files.storage import sole_writer
 from tests.crashes import in_a_child, killed_after, operations
 from tests.writing import WRITING, Inputs, Writing, run
 

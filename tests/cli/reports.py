@@ -14,8 +14,8 @@ import msgspec
 import pytest
 
 from prbench.cli import main
-from prbench.cli.documents import Document
 from prbench.cli.json_page import all_commands, fields_of, has_fields, report_of
+from prbench.cli.main import Document
 
 
 def reported(words: Sequence[str], capsys: pytest.CaptureFixture, *, code: int = 0) -> Any:

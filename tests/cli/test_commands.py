@@ -14,7 +14,7 @@ import pytest
 from prbench import errors
 from prbench.cli import main
 from prbench.cli.help import EXIT_CODES
-from prbench.cli.run_answer import RunAnswer
+from prbench.cli.summaries import RunAnswer
 from tests.cli.reports import documented
 from tests.fakes import fake_dataset
 from tests.parsing import all_commands, parsed

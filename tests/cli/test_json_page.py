@@ -8,7 +8,6 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from prbench.cli.documents import Document
 from prbench.cli.json_page import (
     all_commands,
     descriptions_of,
@@ -18,6 +17,7 @@ from prbench.cli.json_page import (
     reporting_commands,
     shapes_in,
 )
+from prbench.cli.main import Document
 
 PAGE = Path(__file__).parents[2] / "docs" / "json.md"
 WITHOUT_REPORT = {"help"}

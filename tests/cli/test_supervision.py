@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from prbench.cli.supervision import calls_foreign_code, supervised
+from prbench.cli.run import calls_foreign_code, supervised
 from prbench.errors import AdapterError
 from tests.cli import ended_commands
 from tests.fakes import fake_dataset

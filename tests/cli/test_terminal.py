@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from prbench.cli import terminal
-from prbench.cli.progress import progress
+from prbench.cli.commands import progress
 from prbench.cli.terminal import clean_output, print_columns, print_table
 
 

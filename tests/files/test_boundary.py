@@ -11,7 +11,7 @@ import pytest
 
 from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError, TableError, UnforeseenInput
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.readers import files, reader_for
 from prbench.readers.files import decode_json
 

@@ -16,13 +16,13 @@ from pathlib import Path
 import pytest
 
 from prbench.errors import StorageError
-from prbench.files.locks import in_turn, lock_file, sole_file, sole_writer
+from prbench.files.storage import in_turn, lock_file, sole_file, sole_writer
 
 ROOT = Path(__file__).parents[1]
 HOLD = """
 import sys
 from pathlib import Path
-from prbench.files.locks import sole_writer
+from prbench.files.storage import sole_writer
 with sole_writer(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.readline()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError, PredictionsError, UnforeseenInput
-from prbench.files.numpy_files import Archive, load_array
+from prbench.files.arrays import Archive, load_array
 from prbench.harness.run_folder.predictions import Predictions
 from prbench.limits import LARGEST_ARRAYS
 from prbench.readers.zipped import archive_members

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from prbench.errors import InputFileError, PredictionsError, RunError, TableError
-from prbench.files import parquet_files
+from prbench.files import arrays
 from prbench.harness.offline.files import _read_parquet as read_conditions
 from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.scores import read_scores
@@ -45,16 +45,16 @@ def test_billions_of_rows_in_a_small_file_are_refused(many_rows, read, error):
 
 
 def test_long_lists_are_held_against_the_bytes_that_are_stored(tmp_path, monkeypatch):
-    monkeypatch.setattr(parquet_files, "MOST_VALUES", 1000)
+    monkeypatch.setattr(arrays, "MOST_VALUES", 1000)
     for name, values in {"bomb": np.zeros(10**5), "honest": np.random.default_rng(0).random(10**5)}.items():
         rows = pa.table({"joints": pa.array([values], pa.list_(pa.float64()))})
         pq.write_table(rows, tmp_path / f"{name}.parquet")
-    assert parquet_files.read_parquet(tmp_path / "honest.parquet").num_rows == 1
+    assert arrays.read_parquet(tmp_path / "honest.parquet").num_rows == 1
     with pytest.raises(pa.ArrowInvalid, match=r"100,000 values of 'joints\.list\.element' declared in row group 0"):
-        parquet_files.read_parquet(tmp_path / "bomb.parquet")
+        arrays.read_parquet(tmp_path / "bomb.parquet")
 
 
 def test_a_column_that_is_not_there_is_named(tmp_path):
     pq.write_table(pa.table({"a": [1]}), tmp_path / "a.parquet")
     with pytest.raises(pa.ArrowInvalid, match="no column 'b'"):
-        parquet_files.read_parquet(tmp_path / "a.parquet", ["a", "b"])
+        arrays.read_parquet(tmp_path / "a.parquet", ["a", "b"])

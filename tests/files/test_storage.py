@@ -106,7 +106,7 @@ def _killed(target, name: str, *, moment: str) -> None:
     """Write in a process of its own that dies at a moment, as ``kill -9`` would have it."""
     script = (
         "import os, pathlib\n"
-        "from prbench import storage\n"
+        "from prbench.files import storage\n"
         f"target = pathlib.Path({str(target)!r})\n"
         f"with storage.{name}(target) as temporary:\n"
         "    (temporary / 'new' if temporary.is_dir() else temporary).write_text('new')\n"

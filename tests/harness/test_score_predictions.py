@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from prbench.errors import PrbenchError, PredictionsError, RunError, StorageError
-from prbench.files.numpy_files import Archive
+from prbench.files.arrays import Archive
 from prbench.harness.conditions import opaque_ids, run_salt
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import DatasetSummary, read_scores

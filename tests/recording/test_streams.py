@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError, RecordingUnusable
-from prbench.files.ranges import first_repeated, require_column, require_near
+from prbench.files.arrays import first_repeated, require_column, require_near
 from tests.curation.scenes import scene
 
 

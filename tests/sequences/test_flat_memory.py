@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from prbench.errors import TableError
-from prbench.files.parquet_files import open_parquet
+from prbench.files.arrays import open_parquet
 from prbench.sequences import SequenceTable, rows
 from prbench.sequences.digests import identity_of_rows
 from prbench.sequences.rows import groups_that_may_hold, require_distinct_rows

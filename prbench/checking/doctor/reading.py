@@ -10,10 +10,8 @@ import numpy as np
 import pyarrow as pa
 
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import open_regular
-from prbench.files.numpy_files import Archive, ArrayHeader, map_array, read_header
-from prbench.files.parquet_files import read_parquet
+from prbench.files.arrays import Archive, ArrayHeader, map_array, read_header, read_parquet
+from prbench.files.bounded import foreign_input, open_regular
 from prbench.geometry.skeleton import N_JOINTS
 
 _LARGEST = 8 * 1024**3  # bytes of one array

@@ -20,8 +20,7 @@ from prbench.checking.scaffold.values import (
 )
 from prbench.contract import Condition
 from prbench.errors import StorageError, UsageError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import atomic_folder
+from prbench.files.storage import atomic_folder, sole_writer
 from prbench.harness.methods.installed import list_adapters
 from prbench.protocol.benchmarks import default_benchmark, find_benchmark
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import prbench
 from prbench.errors import StorageError
-from prbench.files.locks import sole_file
+from prbench.files.storage import sole_file
 
 ONE_FILE = "prbench_converters.py"
 _PACKAGES = ("prbench",)

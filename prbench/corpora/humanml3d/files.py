@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
+from prbench.files.arrays import load_array
 from prbench.files.bounded import read_text
-from prbench.files.numpy_files import load_array
 from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.limits import HARMLESS_SIZE
 

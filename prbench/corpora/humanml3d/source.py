@@ -19,8 +19,7 @@ from prbench.corpora.sources import (
     without_folders,
 )
 from prbench.errors import InputFileError, UsageError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_text
+from prbench.files.bounded import foreign_input, read_text
 from prbench.files.storage import file_digest, text_digest
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from prbench.corpora.nymeria.format import SUIT_RATE, Suit
 from prbench.corpora.nymeria.suit import CleanSuit
 from prbench.errors import InputFileError
-from prbench.files.numpy_files import Archive
+from prbench.files.arrays import Archive
 from prbench.geometry.axes import y_up
 from prbench.geometry.joint_names import XSENS_SEGMENTS
 from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths

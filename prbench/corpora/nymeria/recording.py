@@ -15,7 +15,7 @@ from prbench.corpora.nymeria.gaze import gaze_file, gaze_in_suit_world, head_fro
 from prbench.corpora.nymeria.source import NymeriaSource
 from prbench.corpora.nymeria.suit import CleanSuit, clean_suit, read_suit
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, text_digest
 from prbench.geometry.skeleton import Joint
 from prbench.protocol.manifests import load_manifest

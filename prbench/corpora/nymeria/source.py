@@ -26,7 +26,7 @@ from prbench.corpora.sources import (
     without_folders,
 )
 from prbench.errors import InputFileError, PrbenchError, UsageError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, read_json, text_digest
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.randomness import hash_fraction

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from prbench.corpora.nymeria.format import N_SEGMENTS, SUIT_RATE, Suit
 from prbench.errors import InputFileError
-from prbench.files.numpy_files import Archive
+from prbench.files.arrays import Archive
 from prbench.geometry.joint_names import XSENS_SEGMENTS
 
 _DOWNLOAD = "The file may be truncated or another version; download it again."

@@ -15,8 +15,7 @@ import msgspec
 
 from prbench.curation.poses.states import PoseState
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_text
+from prbench.files.bounded import foreign_input, read_text
 from prbench.limits import HARMLESS_SIZE
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.inputs import Need

@@ -15,8 +15,7 @@ from prbench.curation.poses.prepare import guidance_mode, head_poses, prepare, s
 from prbench.curation.poses.program import run_program
 from prbench.curation.poses.states import PoseState, coverage
 from prbench.errors import InputFileError, PrbenchError, StorageError
-from prbench.files.locks import lock_file, sole_writer
-from prbench.files.storage import atomic_folder
+from prbench.files.storage import atomic_folder, lock_file, sole_writer
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.inputs import EgoalloInputs

@@ -12,8 +12,7 @@ import numpy as np
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.errors import AdapterError, RedistributionError, UsageError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import turn_into_paths, write_text
+from prbench.files.storage import sole_writer, turn_into_paths, write_text
 from prbench.harness import planning
 from prbench.harness.conditions import ConditionSource, ConditionStream, derangement, opaque_ids, run_salt
 from prbench.harness.controls import SHUFFLED_GOAL

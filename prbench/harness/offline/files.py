@@ -12,9 +12,8 @@ import pyarrow.parquet as pq
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.errors import InputFileError
-from prbench.files import parquet_files
-from prbench.files.boundary import foreign_input
-from prbench.files.numpy_files import Archive
+from prbench.files.arrays import Archive, read_parquet
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import atomic_path
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.offline.conditions_file import (
@@ -177,7 +176,7 @@ def _read_parquet(path: Path) -> ConditionsFile:
         InputFileError: if it is missing, damaged, or not one that prbench wrote.
     """
     try:
-        table = parquet_files.read_parquet(path, verify=True)
+        table = read_parquet(path, verify=True)
     except FileNotFoundError as error:
         raise InputFileError(path, "", expected="a conditions file", found="no file") from error
     except (pa.ArrowInvalid, OSError) as error:

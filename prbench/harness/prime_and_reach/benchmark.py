@@ -10,7 +10,7 @@ from pathlib import Path
 
 from prbench.contract import Condition
 from prbench.errors import AdapterError
-from prbench.files.locks import in_turn
+from prbench.files.storage import in_turn
 from prbench.harness.benchmark import Benchmark
 from prbench.harness.best_of import require_goal
 from prbench.harness.carry_on import require_goal_to_carry, whole_pairs

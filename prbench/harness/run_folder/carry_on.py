@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import write_json
 from prbench.harness.run_folder.rates_of_people import CarriedOn
 from prbench.harness.run_folder.record import read_record

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float, Int
 
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.harness.run_folder.scores import SCORES, open_scores, repeated_row, write_scores
 
 _ROWS_AT_ONCE = 64 * 1024

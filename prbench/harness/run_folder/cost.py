@@ -8,8 +8,7 @@ from pathlib import Path
 import msgspec
 
 from prbench.errors import RunError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole
+from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import write_json
 from prbench.harness.run_folder.record import read_record
 from prbench.limits import LARGEST_JSON

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 
 from prbench.engine import shards
 from prbench.errors import InputFileError, RunError, StorageError
-from prbench.files.boundary import foreign_input
-from prbench.files.parquet_files import read_parquet
+from prbench.files.arrays import read_parquet
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import inside, remove_half_written, remove_leftovers
 from prbench.harness.run_folder import agreement, record, summary
 from prbench.harness.run_folder.record import RunRecord

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, write_json
 from prbench.harness.run_folder import record
 from prbench.harness.run_folder.folder import RunFolder

@@ -8,8 +8,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from prbench.errors import RunError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole
+from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import text_digest, write_json
 from prbench.limits import LARGEST_JSON
 from prbench.protocol.benchmarks import default_benchmark

@@ -11,8 +11,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from prbench.errors import RunError
-from prbench.files.boundary import foreign_input
-from prbench.files.parquet_files import open_parquet
+from prbench.files.arrays import open_parquet
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import atomic_path
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.shown import quoted

@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 
 from prbench.errors import RunError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import write_json
 from prbench.harness.run_folder.record import read_record
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION

@@ -10,7 +10,7 @@ import msgspec
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import inside
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps.find import find_gaze_file

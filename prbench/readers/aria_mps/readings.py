@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
-from prbench.files.ranges import require_column
+from prbench.files.arrays import require_column
 from prbench.limits import FARTHEST_POSITION, LARGEST_ANGLE, LONGEST_LINE
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.find import UNREADABLE, is_personalized, read_warnings

@@ -16,7 +16,7 @@ import pyarrow.csv
 from jaxtyping import Bool
 
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.line_search import NotSearchable
 from prbench.readers.aria_mps.sparse_rows import NearGaze, search_rows

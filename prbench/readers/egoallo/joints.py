@@ -14,11 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError, StorageError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole, require_regular
-from prbench.files.locks import sole_file
-from prbench.files.numpy_files import Archive
-from prbench.files.storage import bytes_digest, cache_folder
+from prbench.files.arrays import Archive
+from prbench.files.bounded import foreign_input, read_whole, require_regular
+from prbench.files.storage import bytes_digest, cache_folder, sole_file
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.outputs import JointsOnly, parse_output
 from prbench.readers.egoallo.to_recording import window_joints

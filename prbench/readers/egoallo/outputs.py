@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole
-from prbench.files.numpy_files import Archive
+from prbench.files.arrays import Archive
+from prbench.files.bounded import foreign_input, read_whole
 from prbench.readers.egoallo import format as ego
 from prbench.readers.files import require_increasing
 

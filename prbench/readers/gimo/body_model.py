@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
-from prbench.files.numpy_files import Archive
+from prbench.files.arrays import Archive
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.readers.files import missing_file
 from prbench.readers.gimo import format as gimo

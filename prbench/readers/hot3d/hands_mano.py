@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
-from prbench.files.numpy_files import Archive
+from prbench.files.arrays import Archive
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.hands_umetrack import Wrist, hand_rows, read_lines

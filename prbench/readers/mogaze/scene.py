@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import require_size
+from prbench.files.bounded import foreign_input, require_size
 from prbench.limits import HARMLESS_SIZE
 from prbench.readers.mogaze import format as mogaze
 

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
-from prbench.files.numpy_files import load_array
+from prbench.files.arrays import load_array
+from prbench.files.bounded import foreign_input
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.representation.converters.feature_checks import FEATURES, check_features
 from prbench.representation.encoding import decode, decode_rotations, yaw_matrices

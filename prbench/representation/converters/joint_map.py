@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Float, Num
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_text
+from prbench.files.bounded import foreign_input, read_text
 from prbench.geometry.skeleton import N_JOINTS, Joint
 from prbench.limits import HARMLESS_SIZE
 from prbench.representation.converters.anatomy import (

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError
-from prbench.files.boundary import foreign_input
-from prbench.files.numpy_files import Archive
+from prbench.files.arrays import Archive
+from prbench.files.bounded import foreign_input
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.representation.converters.smpl_rotations import RotationForm, numbers_of, quaternions_of
 

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.errors import InputFileError, MissingExtraError
-from prbench.files.boundary import foreign_input
+from prbench.files.bounded import foreign_input
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.representation.converters.smpl_joints import (
     REGRESSOR,

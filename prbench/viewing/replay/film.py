@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.errors import MissingExtraError, StorageError
-from prbench.files.locks import sole_file
+from prbench.files.storage import sole_file
 from prbench.geometry.skeleton import Joint
 from prbench.shown import figure_text
 from prbench.viewing.figures import new_figure

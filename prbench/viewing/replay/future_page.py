@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from prbench.files.locks import sole_writer
-from prbench.files.storage import write_text
+from prbench.files.storage import sole_writer, write_text
 from prbench.shown import html
 from prbench.viewing.figures import shades
 from prbench.viewing.futures import (

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from prbench.errors import MissingExtraError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import write_text
+from prbench.files.storage import sole_writer, write_text
 from prbench.shown import html
 from prbench.viewing.replay.measures import score_sentence
 from prbench.viewing.replay.page_stage import PageStage, set_up_scene

@@ -10,8 +10,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from prbench.errors import RunError, TableError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import atomic_path, remove_leftovers
+from prbench.files.storage import atomic_path, remove_leftovers, sole_writer
 from prbench.harness.run_folder import RunFolder
 from prbench.harness.run_folder.record import TableRecord
 from prbench.protocol.manifests import load_protocol

@@ -13,8 +13,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 
 from prbench.errors import UsageError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import write_text
+from prbench.files.storage import sole_writer, write_text
 from prbench.shown import csv_text, latex, markdown
 from prbench.workflows.study.document import StudyTable, StudyValue
 

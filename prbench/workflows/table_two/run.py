@@ -16,8 +16,7 @@ from pathlib import Path
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import StorageError
-from prbench.files.locks import sole_writer
-from prbench.files.storage import remove_leftovers, write_json, write_text
+from prbench.files.storage import remove_leftovers, sole_writer, write_json, write_text
 from prbench.harness.request import ProgressCallback, RunRequest, silent
 from prbench.harness.run import run_method
 from prbench.sequences import SequenceTable

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from prbench.engine import Engine, is_out_of_memory
 from prbench.errors import PrbenchError, StorageError
-from prbench.files.locks import sole_writer
+from prbench.files.storage import sole_writer
 from prbench.harness.generation import BatchTask, run_batch
 from prbench.harness.methods.loaded_methods import forget_loaded_methods
 from prbench.harness.request import RunRequest

@@ -14,8 +14,7 @@ import numpy as np
 
 from prbench.engine import Engine, capacity
 from prbench.errors import RunError, StorageError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_whole
+from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import remove_leftovers, write_json
 from prbench.harness.planning import select
 from prbench.sequences import SequenceTable

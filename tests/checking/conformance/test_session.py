@@ -11,7 +11,7 @@ import pytest
 from prbench.checking.conformance import CheckRequest, Finding, Outcome, Report, check
 from prbench.checking.conformance.checks import CHECKS
 from prbench.cli import main
-from prbench.cli.adapters_check import print_report
+from prbench.cli.adapters import print_report
 from prbench.errors import AdapterError, UsageError
 from tests.cli.reports import documented, refused, reported
 

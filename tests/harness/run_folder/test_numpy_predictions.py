@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError, PredictionsError, StorageError
-from prbench.files import numpy_files
+from prbench.files import arrays as array_files
 from prbench.harness.run_folder.predictions import Numbering, Predictions, npz
 
 LENGTHS = np.array([3, 5, 2])
@@ -197,7 +197,7 @@ def test_a_header_that_ends_in_the_middle_is_refused(tmp_path):
     with zipfile.ZipFile(tmp_path / "p.npz", "w") as archive:
         archive.writestr("joints.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text)
     with pytest.raises(InputFileError, match=r"p\.npz, 'joints': expected an array as np\.save writes it"):
-        numpy_files.Archive(tmp_path / "p.npz").header("joints")
+        array_files.Archive(tmp_path / "p.npz").header("joints")
 
 
 @pytest.mark.parametrize("shape", [(10**9, 22, 3), (10, 22, 3, 0), (-1, 22, 3)])
@@ -227,7 +227,7 @@ def test_no_space_to_unpack_is_said_so(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(numpy_files, "_write_piece", full)
+    monkeypatch.setattr(array_files, "_write_piece", full)
     with pytest.raises(StorageError, match=r"cannot be unpacked .*No space left.* Save it with np.savez"):
         predictions.make_ready()
 

@@ -208,7 +208,7 @@ def test_names_are_escaped_in_every_format(tmp_path):
 
 
 def test_the_json_report_has_its_documented_shape(tmp_path):
-    from prbench.cli.leaderboard_export import Board
+    from prbench.cli.leaderboard import Board
 
     write_real(tmp_path / "a")
     board = board_of(tmp_path)

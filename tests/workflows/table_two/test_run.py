@@ -14,7 +14,7 @@ import pytest
 from prbench.board.tables import FEWEST_RANKED
 from prbench.contract import Condition
 from prbench.errors import AdapterError, PrbenchError, RunError, StorageError, UsageError
-from prbench.files.locks import sole_writer
+from prbench.files.storage import sole_writer
 from prbench.harness.run_folder import RunFolder, read_scores
 from prbench.workflows.table_two import TableRequest, plan, run, run_table
 from prbench.workflows.table_two import state as subset

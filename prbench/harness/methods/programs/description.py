@@ -9,8 +9,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from prbench.errors import InputFileError, did_you_mean
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import read_text
+from prbench.files.bounded import foreign_input, read_text
 from prbench.harness.methods.names import name_problem
 from prbench.limits import HARMLESS_SIZE
 

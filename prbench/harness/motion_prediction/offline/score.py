@@ -14,9 +14,8 @@ from jaxtyping import Float
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import AdapterError, InputFileError, PredictionsError, UsageError
-from prbench.files.locks import sole_writer
-from prbench.files.numpy_files import Archive
-from prbench.files.storage import file_digest, turn_into_paths
+from prbench.files.arrays import Archive
+from prbench.files.storage import file_digest, sole_writer, turn_into_paths
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.methods.names import name_problem
 from prbench.harness.motion_prediction.offline.windows_file import (

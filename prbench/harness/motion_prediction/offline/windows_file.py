@@ -14,9 +14,8 @@ import msgspec
 import numpy as np
 
 from prbench.errors import InputFileError, UsageError
-from prbench.files.locks import sole_writer
-from prbench.files.numpy_files import Archive
-from prbench.files.storage import atomic_path, text_digest, turn_into_paths, write_text
+from prbench.files.arrays import Archive
+from prbench.files.storage import atomic_path, sole_writer, text_digest, turn_into_paths, write_text
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.request import RunRequest
 from prbench.prediction.batch import Condition, ObservedBatch

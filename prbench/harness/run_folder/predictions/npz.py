@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Int
 
 from prbench.errors import InputFileError, PredictionsError
-from prbench.files.numpy_files import Archive, ArrayHeader
+from prbench.files.arrays import Archive, ArrayHeader
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.run_folder.predictions.rows import IndexedRows, as_float32, is_floating, leading_axes
 from prbench.harness.run_folder.scores import GAZE_COLUMNS

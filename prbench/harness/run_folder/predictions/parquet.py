@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from prbench.errors import PredictionsError
-from prbench.files.parquet_files import open_parquet
+from prbench.files.arrays import open_parquet
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.run_folder.predictions.rows import POSE_SIZE, IndexedRows, PredictionRows, as_float32
 from prbench.harness.run_folder.predictions.unpacked import UnpackedFrames

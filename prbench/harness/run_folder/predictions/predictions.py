@@ -14,9 +14,8 @@ import numpy as np
 from jaxtyping import Int
 
 from prbench.errors import InputFileError, PredictionsError
-from prbench.files.boundary import foreign_input
-from prbench.files.bounded import open_regular
-from prbench.files.numpy_files import ArrayHeader, map_array, read_header
+from prbench.files.arrays import ArrayHeader, map_array, read_header
+from prbench.files.bounded import foreign_input, open_regular
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.run_folder.predictions.npz import index_npz
 from prbench.harness.run_folder.predictions.parquet import index_parquet

@@ -12,7 +12,7 @@ import pyarrow as pa
 from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError, PredictionsError
-from prbench.files.parquet_files import read_parquet
+from prbench.files.arrays import read_parquet
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.run_folder.scores import GAZE_COLUMNS, predictions_schema
 from prbench.sequences.write import write_table

@@ -3,6 +3,12 @@
 ``.npz`` is a ZIP archive of ``.npy`` members. A member that is stored as it is (``np.savez``) is mapped into memory, so
 that single motions can be read from a file of any size; a compressed one (``np.savez_compressed``) has to be unpacked
 as a whole.
+
+Parquet files, opened without trust: what their metadata declares is looked at before a row is unpacked.
+
+A few bytes of a Parquet file can stand for billions of equal values, so its size on the disk says nothing.
+
+Numbers of recordings that cannot be what their fields mean, refused with stream, row and value; and repeated ids.
 """
 
 from __future__ import annotations
@@ -21,10 +27,25 @@ from pathlib import Path
 from typing import BinaryIO, Protocol, runtime_checkable
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from jaxtyping import Bool, Float
 
-from prbench.errors import InputFileError, StorageError
+from prbench.errors import InputFileError, RecordingUnusable, StorageError
 from prbench.files.bounded import require_size, require_unpackable
-from prbench.limits import HIGHEST_COMPRESSION, LARGEST_ARCHIVE, LARGEST_ARRAYS, LARGEST_UNPACKED, LONGEST_AXIS
+from prbench.limits import (
+    HIGHEST_COMPRESSION,
+    LARGEST_ARCHIVE,
+    LARGEST_ARRAYS,
+    LARGEST_HEADER,
+    LARGEST_UNPACKED,
+    LATEST_TIME,
+    LONGEST_AXIS,
+    LONGEST_RECORDING,
+    MOST_ROWS,
+    MOST_VALUES,
+    MOST_VALUES_PER_BYTE,
+)
 
 _LOCAL_HEADER_BYTES = 30  # of a ZIP member, before its name
 _PIECE = 4 * 1024**2
@@ -386,3 +407,167 @@ _DAMAGED = (
 
 def _write_piece(file: BinaryIO, part: bytes) -> None:
     file.write(part)
+
+
+def open_parquet(path: Path, *, verify: bool = False) -> pq.ParquetFile:
+    """A Parquet file whose metadata declares no more than a table or a run can hold.
+
+    Args:
+        path: The file.
+        verify: Compare the checksum of every page that is read.
+
+    Raises:
+        InputFileError: if it is a folder, a pipe or a device.
+        pa.ArrowInvalid: if it is no Parquet file, or declares too much.
+        OSError: if it is missing or cannot be read.
+    """
+    require_size(path, largest=LARGEST_ARCHIVE)
+    file = pq.ParquetFile(
+        path,
+        page_checksum_verification=verify,
+        thrift_string_size_limit=LARGEST_HEADER,
+        # Reading ahead keeps every row group that was streamed in memory until the file is closed.
+        pre_buffer=False,
+    )
+    excess = _excess(file.metadata)
+    if excess:
+        raise pa.ArrowInvalid(excess)
+    return file
+
+
+def read_parquet(path: Path, columns: list[str] | None = None, *, verify: bool = False) -> pa.Table:
+    """Some columns of a Parquet file, all by default (see :func:`open_parquet` for what it raises)."""
+    file = open_parquet(path, verify=verify)
+    missing = [name for name in columns or () if name not in file.schema_arrow.names]
+    if missing:
+        raise pa.ArrowInvalid(f"no column '{missing[0]}'")
+    return file.read(columns)
+
+
+def _excess(metadata: pq.FileMetaData) -> str:
+    """Say in a few words what a file declares too much of; empty if nothing."""
+    if metadata.num_rows > MOST_ROWS:
+        return f"{metadata.num_rows:,} rows declared, expected at most {MOST_ROWS:,}"
+    for number in range(metadata.num_row_groups):
+        group = metadata.row_group(number)
+        for place in range(group.num_columns):
+            column = group.column(place)
+            plausible = max(MOST_VALUES, MOST_VALUES_PER_BYTE * column.total_compressed_size)
+            if column.num_values > plausible:
+                return (
+                    f"{column.num_values:,} values of '{column.path_in_schema}' declared in row group {number},"
+                    f" expected at most {plausible:,} in {column.total_compressed_size:,} bytes"
+                )
+    return ""
+
+
+_REMEDY = "A number of its files is damaged, or in another unit; compare them with another copy."
+_LENGTH_TOLERANCE = 0.01
+
+
+def require_times(stream: str, times: Float[np.ndarray, " n"]) -> None:
+    """Refuse clocks that no recording has.
+
+    Args:
+        stream: What the times are of, for the message.
+        times: Seconds.
+
+    Raises:
+        RecordingUnusable: naming the first row beyond :data:`prbench.limits.LATEST_TIME`, or the two ends of a stream
+            that is longer than :data:`prbench.limits.LONGEST_RECORDING`.
+    """
+    beyond = np.abs(times) > LATEST_TIME
+    if beyond.any():
+        row = int(np.argmax(beyond))
+        raise _unusable(stream, row, f"a time within {LATEST_TIME:.0e} s", f"{times[row]:g} s")
+    if len(times) and np.ptp(times) > LONGEST_RECORDING:
+        raise RecordingUnusable(
+            f"{stream}: expected at most {LONGEST_RECORDING:,.0f} s from first to last, found {times.min():.1f} …"
+            f" {times.max():.1f} s. {_REMEDY}"
+        )
+
+
+def require_near(
+    stream: str, points: Float[np.ndarray, "n ..."], valid: Bool[np.ndarray, " n"] | None = None, *, farthest: float
+) -> None:
+    """Refuse points that lie farther from the origin than anything can.
+
+    Args:
+        stream: What the points are of, for the message.
+        points: One or more points a row, metres.
+        valid: Rows that matter; all by default.
+        farthest: Largest coordinate, metres.
+
+    Raises:
+        RecordingUnusable: naming the first such row and its value.
+    """
+    if points.size == 0:
+        return
+    beyond = np.abs(points.reshape(len(points), -1)) > farthest
+    if valid is not None:
+        beyond &= valid[:, None]
+    if beyond.any():
+        row = int(np.argmax(beyond.any(axis=1)))
+        found = points[row].reshape(-1)[int(np.argmax(beyond[row]))]
+        raise _unusable(stream, row, f"a position within {farthest:,.0f} m of the origin", f"{found:g} m")
+
+
+def require_unit_length(stream: str, vectors: Float[np.ndarray, "n k"], valid: Bool[np.ndarray, " n"]) -> None:
+    """Refuse directions and quaternions whose length is not 1.
+
+    Raises:
+        RecordingUnusable: naming the first such row and its length.
+    """
+    length = np.sqrt(np.einsum("nk,nk->n", vectors, vectors, dtype=np.float64))
+    wrong = valid & (np.abs(length - 1) > _LENGTH_TOLERANCE)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise _unusable(stream, row, "a vector of length 1", f"length {length[row]:g}")
+
+
+def require_column(
+    path: Path | str,
+    column: str,
+    values: Float[np.ndarray, " n"],
+    *,
+    largest: float,
+    unit: str,
+    remedy: str = _REMEDY,
+) -> None:
+    """Refuse a column of a table file that holds a number beyond what its field can mean; NaN may stand in it.
+
+    Args:
+        path: The file, whose first row of numbers is its second line.
+        column: Name of the column.
+        values: Its numbers.
+        largest: Largest number without sign.
+        unit: Of the numbers, for the message.
+        remedy: What to do about a larger one.
+
+    Raises:
+        InputFileError: naming line and column of the first such number.
+    """
+    beyond = np.abs(values) > largest
+    if beyond.any():
+        row = int(np.argmax(beyond))
+        raise InputFileError(
+            path,
+            f"line {row + 2}, column '{column}'",
+            expected=f"a number within {largest:g} {unit}",
+            found=f"{values[row]:g}",
+            remedy=remedy,
+        )
+
+
+def first_repeated(ids: Iterable[str]) -> str | None:
+    """Return the first id that has stood before, or None if all are different."""
+    seen = set[str]()
+    for name in ids:
+        if name in seen:
+            return name
+        seen.add(name)
+    return None
+
+
+def _unusable(stream: str, row: int, expected: str, found: str) -> RecordingUnusable:
+    return RecordingUnusable(f"{stream}, row {row}: expected {expected}, found {found}. {_REMEDY}")
