@@ -46,9 +46,9 @@ def commands() -> Iterator[tuple[str, list[str]]]:
         yield f"windows/{layout}", ["build-windows", layout, "--root", f"native/{layout}", "--max-recordings", "2"]
     for predictor in PREDICTORS:
         chosen = ["--method", predictor, "--data", "windows/mogaze", "--limit", "4", "--samples", "3"]
-        if predictor == "gazemodiff":
-            chosen += ["--condition", "pose+gaze"]
-        yield f"futures/{predictor}", ["run", "--benchmark", "motion-prediction", *chosen]
+        condition = "pose+gaze" if predictor == "gazemodiff" else "pose"
+        asked = ["run", "--benchmark", "motion-prediction", "--condition", condition]
+        yield f"futures/{predictor}", [*asked, *chosen]
     boards = [f"runs/{name}" for name in ("static-none", "pr-goal-loc", "scripted-goal-loc", "wandr-goal-loc")]
     for form in ("md", "csv", "json"):
         yield f"boards/board.{form}", ["leaderboard", "export", *boards, "--format", form]

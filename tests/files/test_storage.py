@@ -114,7 +114,7 @@ def _killed(target, name: str, *, moment: str) -> None:
         "        (target).replace(temporary.with_suffix('.replaced'))\n"
         "    os._exit(9)\n"
     )
-    assert subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[1]).returncode == 9
+    assert subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[2]).returncode == 9
 
 
 def test_leftovers_of_a_killed_writer_are_cleared_and_only_those(tmp_path):
@@ -150,7 +150,7 @@ def test_a_folder_that_was_replaced_and_half_deleted_never_comes_back(tmp_path):
         f"with atomic_folder(Path({str(folder)!r})):\n"
         "    pass\n"
     )
-    assert subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[1]).returncode == 9
+    assert subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[2]).returncode == 9
     assert len(list(tmp_path.iterdir())) == 2
     folder.rmdir()
     remove_leftovers(folder)
@@ -168,7 +168,7 @@ def test_a_folder_is_deleted_whole_or_found_whole(tmp_path):
         "shutil.rmtree = lambda *_, **__: os._exit(9)\n"
         f"remove_folder(Path({str(folder)!r}))\n"
     )
-    assert subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[1]).returncode == 9
+    assert subprocess.run([sys.executable, "-c", script], cwd=Path(__file__).parents[2]).returncode == 9
     assert not folder.exists()
     assert len(list(tmp_path.iterdir())) == 1
     remove_leftovers(folder)

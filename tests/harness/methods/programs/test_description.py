@@ -75,7 +75,7 @@ def test_a_mistake_is_named_with_file_and_key(tmp_path, text, where, answer):
 
 
 def test_the_files_that_the_page_shows_are_read(tmp_path):
-    page = (Path(__file__).parents[3] / "docs/environments.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[4] / "docs/environments.md").read_text(encoding="utf-8")
     shown = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
     assert len(shown) == 5
     for text in shown:
