@@ -14,7 +14,7 @@ from pathlib import Path
 from benchmarks.speed.timing import Row, print_rows, timed
 from prbench.readers.adt import find_recordings, read_recording
 from prbench.readers.adt import synthetic as layout
-from prbench.readers.adt.synthetic_sensors import sense
+from prbench.readers.adt.synthetic import sense
 from prbench.synthetic.people import perform
 
 EVENTS = 19

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.synthetic import write_mps
-from prbench.readers.aria_mps.synthetic_sensors import sense_mps
+from prbench.readers.aria_mps.synthetic import sense_mps, write_mps
 from prbench.synthetic.people import perform
 
 START_US = 149_000_000_000

@@ -7,7 +7,7 @@ import pytest
 
 from prbench.readers.adt import format as adt
 from prbench.readers.adt import synthetic as layout
-from prbench.readers.adt.synthetic_sensors import suit_joints
+from prbench.readers.adt.synthetic import suit_joints
 
 START_US = 5_000_000_000
 FORK, TABLE, SOFA = 3758151980953788, 9007199254740993, 4443332221110000  # the second is no float64

@@ -15,8 +15,14 @@ from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
 from prbench.readers.gimo.readings import read_readings
 from prbench.readers.gimo.segments import GimoOptions, find_segments
-from prbench.readers.gimo.synthetic import LAYOUT, write_events, write_sequence, write_table
-from prbench.readers.gimo.synthetic_sensors import DEPTH_FIRST, SKELETON_NAMES
+from prbench.readers.gimo.synthetic import (
+    DEPTH_FIRST,
+    LAYOUT,
+    SKELETON_NAMES,
+    write_events,
+    write_sequence,
+    write_table,
+)
 from tests.fakes import STANDING
 
 N_FRAMES = 45

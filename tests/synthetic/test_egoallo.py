@@ -18,8 +18,13 @@ from prbench.readers.egoallo.bodies import read_bodies
 from prbench.readers.egoallo.format import EgoAlloBody
 from prbench.readers.egoallo.joints import read_smplh_rest
 from prbench.readers.egoallo.places import find_outputs
-from prbench.readers.egoallo.synthetic import NATIVE_FROM_WORLD, sense_egoallo, write_outputs, write_smplh_model
-from prbench.readers.egoallo.synthetic_smplh import synthetic_smplh
+from prbench.readers.egoallo.synthetic import (
+    NATIVE_FROM_WORLD,
+    sense_egoallo,
+    synthetic_smplh,
+    write_outputs,
+    write_smplh_model,
+)
 from prbench.readers.egoallo.to_recording import body_from_outputs, body_stream
 from prbench.readers.found import RecordingFiles
 from prbench.recording import PoseStream

@@ -11,8 +11,7 @@ import pytest
 
 from prbench.errors import InputFileError, UsageError
 from prbench.readers import read_synthetic_tree, reader_for
-from prbench.readers.adt.synthetic import LAYOUT
-from prbench.readers.adt.synthetic_sensors import sense
+from prbench.readers.adt.synthetic import LAYOUT, sense
 from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.people import perform
 from prbench.synthetic.truth_files import objects_table, read_truth

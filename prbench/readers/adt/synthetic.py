@@ -1,26 +1,336 @@
-"""Native files of Aria Digital Twin (docs/specification/adt.md): layout v2.0, and v1.x for tests of the reader."""
+"""What the sensors of Aria Digital Twin see of synthetic people, and its native files (docs/specification/adt.md).
+
+Sensors: docs/specification/synthetic-recordings.md#sensors, rows "adt". The optical suit has 51 joints and 57 markers;
+they follow from the 22 joints and the finger bases of a performance. Readings are rounded to the resolution of the
+files (micrometres, microradians, 1e-9 for quaternions), so that files and memory hold the same numbers. Files are of
+layout v2.0, and of v1.x for tests of the reader.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
 from prbench.files.storage import atomic_folder, write_bytes, write_json
+from prbench.geometry.skeleton import Joint
+from prbench.geometry.timelines import interpolate, slerp
 from prbench.readers.adt import format as adt
-from prbench.readers.adt import synthetic_sensors as sensors
 from prbench.readers.adt.for_egoallo import prepared_trajectory
 from prbench.readers.adt.to_recording import recording_from_adt
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.synthetic import split_columns, write_csv
-from prbench.readers.aria_mps.synthetic_sensors import gaze_bias
+from prbench.readers.aria_mps.synthetic import device_poses, gaze_bias, gaze_rows, split_columns, write_csv
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.synthetic import sense_egoallo, write_outputs, write_smplh_model
 from prbench.synthetic.layouts import Layout
-from prbench.synthetic.performance import Performance
-from prbench.synthetic.sensors import Switches, device_start_us
+from prbench.synthetic.people.kinematics import UP, unit, wobble
+from prbench.synthetic.performance import ObjectMotion, Performance
+from prbench.synthetic.sensors import Sensing, Switches, device_start_us, fixation_depth, tracked, untracked
+
+_DIRECT = {
+    "Skeleton": Joint.PELVIS, "Ab": Joint.SPINE1, "Chest": Joint.SPINE3, "Neck": Joint.NECK, "Head": Joint.HEAD,
+    "LShoulder": Joint.LEFT_COLLAR, "LUArm": Joint.LEFT_SHOULDER, "LFArm": Joint.LEFT_ELBOW, "LHand": Joint.LEFT_WRIST,
+    "RShoulder": Joint.RIGHT_COLLAR, "RUArm": Joint.RIGHT_SHOULDER, "RFArm": Joint.RIGHT_ELBOW,
+    "RHand": Joint.RIGHT_WRIST,
+    "LThigh": Joint.LEFT_HIP, "LShin": Joint.LEFT_KNEE, "LFoot": Joint.LEFT_ANKLE, "LToe": Joint.LEFT_FOOT,
+    "RThigh": Joint.RIGHT_HIP, "RShin": Joint.RIGHT_KNEE, "RFoot": Joint.RIGHT_ANKLE, "RToe": Joint.RIGHT_FOOT,
+}  # fmt: skip
+# Straight fingers: base beside the middle-finger base (towards the thumb), and the two further joints along the hand.
+_FINGERS = {
+    "Thumb": (0.035, (-0.055, -0.030, -0.005)),
+    "Index": (0.022, (0.0, 0.042, 0.066)),
+    "Middle": (0.0, (0.0, 0.045, 0.072)),
+    "Ring": (-0.020, (0.0, 0.042, 0.067)),
+    "Pinky": (-0.038, (-0.006, 0.028, 0.047)),
+}
+_BODY_PARENTS = {
+    "Ab": "Skeleton", "Chest": "Ab", "Neck": "Chest", "Head": "Neck",
+    "LShoulder": "Chest", "LUArm": "LShoulder", "LFArm": "LUArm", "LHand": "LFArm",
+    "RShoulder": "Chest", "RUArm": "RShoulder", "RFArm": "RUArm", "RHand": "RFArm",
+    "LThigh": "Skeleton", "LShin": "LThigh", "LFoot": "LShin", "LToe": "LFoot",
+    "RThigh": "Skeleton", "RShin": "RThigh", "RFoot": "RShin", "RToe": "RFoot",
+}  # fmt: skip
+_FINGER_JOINTS = [name for name in adt.JOINT_NAMES if name[1:-1] in _FINGERS]
+_PARENTS = _BODY_PARENTS | {
+    name: f"{name[0]}Hand" if name[-1] == "1" else f"{name[:-1]}{int(name[-1]) - 1}" for name in _FINGER_JOINTS
+}
+"""Maps each native joint to the joint at the other end of its bone; parents stand before their children."""
+_RIGID_WITH = {
+    "Ab": "Skeleton", "LThigh": "Skeleton", "RThigh": "Skeleton",
+    "Neck": "Chest", "LShoulder": "Chest", "RShoulder": "Chest",
+} | {name: f"{name[0]}Hand" for name in _FINGER_JOINTS}  # fmt: skip
+"""Maps joints to the first joint of the rigid segment that they belong to."""
+_MARKED_BONES = (
+    ("Skeleton", "Ab"), ("Ab", "Chest"), ("Chest", "Neck"), ("Neck", "Head"),
+    ("LShoulder", "LUArm"), ("LUArm", "LFArm"), ("LFArm", "LHand"), ("LHand", "LMiddle1"),
+    ("RShoulder", "RUArm"), ("RUArm", "RFArm"), ("RFArm", "RHand"), ("RHand", "RMiddle1"),
+    ("Skeleton", "LThigh"), ("LThigh", "LShin"), ("LShin", "LFoot"), ("LFoot", "LToe"),
+    ("Skeleton", "RThigh"), ("RThigh", "RShin"), ("RShin", "RFoot"),
+)  # fmt: skip
+_MARKERS_ALONG_BONE = (0.2, 0.5, 0.8)
+RATE = 30.0
+"""Glasses, gaze and objects, Hz."""
+_BODY_RATE = 120.0
+GLASSES_SIZE = "DVT-L"
+_POSE_NOISE = 0.5e-3  # m
+_POSE_TURN = np.deg2rad(0.05)
+_POSE_LOSS = 0.01
+# The third differences of the release's own sample have an r.m.s. of 0.2 mm at 120 Hz: white noise is at most 0.05 mm.
+_BODY_NOISE = 0.05e-3
+_BODY_WOBBLE = 3e-3
+_BODY_WOBBLE_HZ = (0.05, 0.3)
+_BODY_LOSS = 1e-4  # share of the frames at the origin or with a joint thrown off
+_MARKER_LOSS = 0.01  # share of the markers that are occluded
+_THROW = 0.5  # m
+_OBJECT_NOISE = 0.3e-3
+_OBJECT_TURN = np.deg2rad(0.1)
+_ROOM_HALF_EXTENTS = (6.0, 1.5, 6.0)
+_METRES = 6  # decimals
+_QUATERNION = 9
+
+
+def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> adt.AdtReadings:
+    """Return what the sensors of an ADT recording say about a performance.
+
+    Args:
+        performance: The truth; any rate, usually 120 Hz.
+        noise: Multiplies every error: its size, or how often it happens; 0 for ideal sensors.
+        switches: Which errors are on; all if None.
+    """
+    sensing = Sensing(performance, noise, switches or Switches())
+    times = sensing.times(RATE)
+    pose_us = device_start_us(performance) + np.rint((times - performance.times[0]) * 1e6).astype(np.int64)
+    return adt.AdtReadings(
+        recording_id=performance.recording_id,
+        serial=_glasses_serial(performance),
+        concurrent=f"{performance.recording_id}-other" if performance.other_people else "",
+        glasses_size=None,
+        device_from_rgb=None,
+        glasses=_sense_glasses(sensing, times, pose_us),
+        # The file's depth is 0, "unknown", between fixations.
+        gaze=gaze_rows(sensing, times, pose_us - adt.GAZE_BEFORE_POSE_US, fixation_depth(sensing, times, 0.0)),
+        objects=_sense_objects(sensing, times, pose_us * 1000 + adt.OBJECT_AFTER_POSE_NS),
+        skeletons=_sense_people(sensing),
+    )
+
+
+def _glasses_serial(performance: Performance, other: int = 0) -> str:
+    """Return a synthetic serial of the wearer's glasses, or of those of another person in the scene."""
+    return f"SYNTH{performance.index:05d}M{other:02d}"
+
+
+def _sense_glasses(
+    sensing: Sensing, times: Float[np.ndarray, " n"], time_us: Int[np.ndarray, " n"]
+) -> adt.GlassesPoses:
+    position, rotation = device_poses(sensing, times, GLASSES_SIZE)
+    rng = sensing.generator("pose-noise")
+    scale = sensing.strength("pose_noise")
+    offset = rng.normal(0.0, _POSE_NOISE, (len(times), 3)) * scale
+    turned = rotation * Rotation.from_rotvec(rng.normal(0.0, _POSE_TURN, (len(times), 3)) * scale)
+    lost = sensing.generator("pose-losses").random(len(times)) < _POSE_LOSS * sensing.strength("pose_losses")
+    quality = np.clip(1.0 - np.linalg.norm(offset, axis=1) / 5e-3, 0.2, 1.0)
+    return adt.GlassesPoses(
+        time_us,
+        np.round(position + offset, _METRES),
+        np.round(turned.as_quat(canonical=True, scalar_first=True), _QUATERNION),
+        np.round(np.where(lost, 0.0, quality), _METRES),
+    )
+
+
+def _sense_objects(
+    sensing: Sensing, times: Float[np.ndarray, " n"], time_ns: Int[np.ndarray, " n"]
+) -> tuple[adt.AdtObject, ...]:
+    performance = sensing.performance
+    scale = sensing.strength("object_noise")
+    objects = [_room_object()]
+    for motion in performance.objects:
+        seen = ~untracked(performance, motion, times) if motion.movable else np.ones(1, dtype=bool)
+        query = times if motion.movable else times[:1]
+        position, rotation = _object_poses(performance, motion, query)
+        if motion.movable:
+            size = (_OBJECT_NOISE, _OBJECT_TURN)
+            position, rotation = tracked(sensing, motion.object_id, position, rotation, size=size, scale=scale)
+        quaternion = rotation.as_quat(canonical=True, scalar_first=True)
+        height = 2 * motion.half_extents[1]
+        x, _, z = motion.half_extents
+        objects.append(
+            adt.AdtObject(
+                object_id=native_object_id(motion.object_id),
+                name=motion.name,
+                prototype=re.sub(r"_\d+$", "", motion.name),
+                category="door" if motion.hinged else motion.category,
+                dynamic=motion.movable,
+                box_min=np.round(np.array([-x, 0.0, -z]), _METRES),
+                box_max=np.round(np.array([x, height, z]), _METRES),
+                time_ns=time_ns[seen] if motion.movable else np.array([adt.STATIC_TIME]),
+                position=np.round(position, _METRES)[seen],
+                rotation=np.round(quaternion, _QUATERNION)[seen],
+            )
+        )
+    return tuple(sorted(objects, key=lambda entry: entry.object_id))
+
+
+def native_object_id(object_id: str) -> int:
+    """Return the id under which the native files know an object: 16 digits, the given ones where it has that many."""
+    if re.fullmatch(r"[1-9]\d{14,15}", object_id):
+        return int(object_id)
+    return 10**15 + int.from_bytes(hashlib.sha256(object_id.encode()).digest()[:8], "big") % (8 * 10**15)
+
+
+def _object_poses(
+    performance: Performance, motion: ObjectMotion, query: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
+    """Return the poses of an object's own frame, whose origin is the middle of the box's base."""
+    track = performance.times[: len(motion.position)]
+    rotation = Rotation.from_quat(slerp(track, motion.rotation, query), scalar_first=True)
+    centre = interpolate(track, motion.position, query)
+    return centre - rotation.apply((0.0, motion.half_extents[1], 0.0)), rotation
+
+
+def _room_object() -> adt.AdtObject:
+    """Return the room itself as an object, as the real dataset has it; readers must leave it out."""
+    half = np.array(_ROOM_HALF_EXTENTS)
+    return adt.AdtObject(
+        object_id=adt.SCENE_BOX_ID,
+        name="ApartmentEnv",
+        prototype="ApartmentEnv",
+        category="shelter",
+        dynamic=False,
+        box_min=-half,
+        box_max=half,
+        time_ns=np.array([adt.STATIC_TIME]),
+        position=np.array([[0.0, half[1] - 0.1, 0.0]]),
+        rotation=np.array([[1.0, 0.0, 0.0, 0.0]]),
+    )
+
+
+def _sense_people(sensing: Sensing) -> tuple[adt.AdtSkeleton, ...]:
+    performance = sensing.performance
+    wearer = performance.person.participant_id
+    suits = [_sense_suit(sensing, performance.joints, performance.finger_bases, wearer, 0)]
+    for number, person in enumerate(performance.other_people, start=1):
+        suits.append(_sense_suit(sensing, person.joints, person.finger_bases, person.participant_id, number))
+    return tuple(suits)
+
+
+def _sense_suit(
+    sensing: Sensing,
+    joints: Float[np.ndarray, "n 22 3"],
+    finger_bases: Float[np.ndarray, "n 2 3"],
+    participant_id: str,
+    number: int,
+) -> adt.AdtSkeleton:
+    performance = sensing.performance
+    times = sensing.times(_BODY_RATE)
+    native = interpolate(performance.times, suit_joints(joints, finger_bases), times)
+    native = with_rigid_bones(native, _suit_noise(sensing, times, number))
+    markers = suit_markers(native)
+    scale = sensing.strength("body_losses")
+    rng = sensing.generator(f"body-losses-{number}")
+    bad = np.flatnonzero(rng.random(len(times)) < _BODY_LOSS * scale)
+    thrown = rng.integers(adt.N_NATIVE_JOINTS, size=len(times))[bad]
+    native[bad, thrown] += (0.0, _THROW, 0.0)
+    native[bad[::2]] = 0.0  # every other bad frame is lost as a whole: the suit writes zeros
+    markers[rng.random(markers.shape[:2]) < _MARKER_LOSS * scale] = 0.0
+    since_start = np.rint((times - performance.times[0]) * 1e9).astype(np.int64)
+    return adt.AdtSkeleton(
+        name=f"Skeleton_{participant_id}",
+        skeleton_id=native_object_id(f"skeleton {participant_id}"),
+        serial=_glasses_serial(performance, number),
+        time_ns=device_start_us(performance) * 1000 + since_start,
+        joints=np.round(native, _METRES),
+        markers=np.round(markers, _METRES),
+    )
+
+
+def suit_joints(
+    joints: Float[np.ndarray, "n 22 3"], finger_bases: Float[np.ndarray, "n 2 3"]
+) -> Float[np.ndarray, "n 51 3"]:
+    """Return the 51 native joints: 21 of the body as they are, and straight fingers.
+
+    Args:
+        joints: The 22 joints, metres; spine2 has no native joint, the reader takes it between spine1 and spine3.
+        finger_bases: Middle-finger bases, left and right.
+    """
+    native = np.zeros((len(joints), adt.N_NATIVE_JOINTS, 3))
+    for name, joint in _DIRECT.items():
+        native[:, adt.JOINT_NAMES.index(name)] = joints[:, joint]
+    for side, letter in enumerate("LR"):
+        elbow, wrist = (joints[:, joint + side] for joint in (Joint.LEFT_ELBOW, Joint.LEFT_WRIST))
+        shoulder = joints[:, Joint.LEFT_SHOULDER + side]
+        base = finger_bases[:, side]
+        along = unit(base - wrist)
+        # The normal of the arm's plane is the palm's side axis; a straight arm has none, any steady one will do.
+        plane = np.cross(wrist - elbow, elbow - shoulder)
+        is_bent = np.linalg.norm(plane, axis=-1, keepdims=True) > 1e-4
+        aside = unit(np.cross(np.where(is_bent, plane, UP), along))
+        for finger, (beside, places) in _FINGERS.items():
+            for number, place in enumerate(places, start=1):
+                index = adt.JOINT_NAMES.index(f"{letter}{finger}{number}")
+                native[:, index] = base + beside * aside + place * along
+    return native
+
+
+def _suit_noise(sensing: Sensing, times: Float[np.ndarray, " n"], number: int) -> Float[np.ndarray, "n segments 3"]:
+    """Return how far each segment of the suit is shifted at every frame, metres."""
+    segments = len(np.unique(suit_segments()))
+    rng = sensing.generator(f"body-noise-{number}")
+    shift = rng.normal(0.0, _BODY_NOISE, (len(times), segments, 3)) * sensing.strength("body_noise")
+    scale = sensing.strength("body_wobble")
+    if scale == 0:
+        return shift
+    rng = sensing.generator(f"body-wobble-{number}")
+    slow = [wobble(times, _BODY_WOBBLE, *_BODY_WOBBLE_HZ, rng) for _ in range(3 * segments)]
+    return shift + np.stack(slow, axis=1).reshape(len(times), segments, 3) * scale
+
+
+def suit_segments() -> Int[np.ndarray, "51"]:
+    """Return which joints the suit shifts together: pelvis, chest and hands are rigid, every other joint is alone."""
+    names = adt.JOINT_NAMES
+    owner = [names.index(_RIGID_WITH.get(name, name)) for name in names]
+    return np.unique(owner, return_inverse=True)[1]
+
+
+def with_rigid_bones(
+    joints: Float[np.ndarray, "n 51 3"], shifts: Float[np.ndarray, "n segments 3"]
+) -> Float[np.ndarray, "n 51 3"]:
+    """Move the segments of a suit without changing the length of a bone, as its solver does.
+
+    The bones of the release's own sample keep their lengths to a millionth (docs/specification/adt.md#joints).
+
+    Args:
+        joints: True joints, metres.
+        shifts: Wanted shift of each segment (see :func:`suit_segments`), metres.
+
+    Returns:
+        Joints that lie in the wanted direction from their parents; a shift along a bone is passed on by its parent.
+    """
+    segments = suit_segments()
+    moved = joints + shifts[:, segments]
+    for name, parent_name in _PARENTS.items():
+        child = adt.JOINT_NAMES.index(name)
+        parent = adt.JOINT_NAMES.index(parent_name)
+        bone = joints[:, child] - joints[:, parent]
+        if segments[child] != segments[parent]:
+            wanted = moved[:, child] - moved[:, parent]
+            bone = wanted * np.sqrt((bone * bone).sum(axis=1) / (wanted * wanted).sum(axis=1))[:, None]
+        moved[:, child] = moved[:, parent] + bone
+    return moved
+
+
+def suit_markers(joints: Float[np.ndarray, "n 51 3"]) -> Float[np.ndarray, "n 57 3"]:
+    """Return synthetic markers: three along each of 19 bones."""
+    first, second = (np.array([adt.JOINT_NAMES.index(bone[end]) for bone in _MARKED_BONES]) for end in (0, 1))
+    share = np.array(_MARKERS_ALONG_BONE)[:, None]
+    points = joints[:, first, None] * (1 - share) + joints[:, second, None] * share
+    return points.reshape(len(joints), adt.N_MARKERS, 3)
+
 
 _GRAPH_UID = "00000000-0000-0000-0000-000000000000"
 _GRAVITY = (0.0, -9.81, 0.0)
@@ -41,7 +351,7 @@ def estimated_outputs(
         noise=noise,
         switches=switches,
         start_us=device_start_us(performance),
-        size=sensors.GLASSES_SIZE,
+        size=GLASSES_SIZE,
         native_from_world=adt.Z_UP_FROM_SCENE,
     )
 
@@ -224,12 +534,12 @@ def _write_estimates(performance: Performance, readings: adt.AdtReadings, root: 
 
 LAYOUT = Layout(
     dataset="adt",
-    sense=sensors.sense,
+    sense=sense,
     to_recording=recording_from_adt,
     write=lambda readings, root: write(readings, root / readings.recording_id),
     events=lambda performance: performance.events,
     clock_start=lambda performance: device_start_us(performance) / 1e6,
-    object_id=lambda object_id: str(sensors.native_object_id(object_id)),
+    object_id=lambda object_id: str(native_object_id(object_id)),
     gaze_bias=gaze_bias,
     write_estimates=_write_estimates,
 )

@@ -1,23 +1,293 @@
-"""Files of the Machine Perception Services (docs/specification/aria-mps.md), as HOT3D and HD-EPIC hold them.
+"""The Machine Perception Services for synthetic people: what they measure, and their files, for HOT3D and HD-EPIC.
 
-The CSV files of all datasets that were recorded with Aria glasses are written here.
+Sources: docs/specification/synthetic-recordings.md#sensors and docs/specification/aria-mps.md. Readings are rounded to
+the resolution of the written files, so that files and memory hold the same numbers. The native world is Z up: the
+performance's, with the axes renamed.
 """
 
 from __future__ import annotations
 
+import hashlib
+import uuid
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.files.storage import atomic_path, write_json
+from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.skeleton import WRISTS, invert_rigid
+from prbench.geometry.timelines import interpolate
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.synthetic_sensors import GRAVITY
+from prbench.synthetic.people.kinematics import wobble
+from prbench.synthetic.performance import Performance
+from prbench.synthetic.sensors import Sensing, Switches, closed_eyes, gaze_bias_of, measured_gaze
+
+POSE_RATE = 1000
+GAZE_RATE = 10
+_HAND_RATE = 10
+"""Hz."""
+GLASSES_SIZE: mps.GlassesSize = "DVT-S"
+GRAVITY = (0.0, 0.0, -9.81)
+"""In the native world."""
+
+_GAZE_MARGIN = np.array([-0.02, 0.02])
+"""The written uncertainty interval around an angle, radians."""
+_GAZE_BIAS = np.deg2rad(1.0) / np.sqrt(2)
+_GAZE_JITTER = np.deg2rad(0.5)
+_GENERAL = 2.5  # how much larger the bias is without the wearer's own calibration
+_GAZE_LOSS = 0.03
+_GAZE_CLOCK_US = 16
+_DRIFT = 5e-3
+_DRIFT_TURN = np.deg2rad(0.3)
+_DRIFT_HZ = (0.01, 0.05)
+_WHITE = 0.2e-3
+_WHITE_TURN = np.deg2rad(0.02)
+_STARTING_ROWS = 101  # as in a real recording, while the estimator starts
+_STARTING_QUALITY = 0.5
+_GAZE_START_US = 20_000  # after the first pose
+_HAND_START_US = 45_000
+_DEPTH = (0.2, 4.0)  # m; what the files say of depth is wrong
+_HAND_NOISE = 8e-3
+_FIELD_OF_VIEW = np.deg2rad(60.0)
+_METRES = 6  # decimals
+_QUATERNION = 9
+_RADIANS = 6
+
+
+def sense_mps(
+    performance: Performance,
+    *,
+    start_us: int,
+    noise: float = 1.0,
+    switches: Switches | None = None,
+    gaze_kind: mps.GazeKind = "personalized",
+    step_jitter_us: int = 0,
+    hands: bool = True,
+    slam_gaps: Sequence[tuple[float, float]] = (),
+) -> mps.MpsReadings:
+    """Sense the trajectory at 1 kHz (all rows), gaze at 10 Hz, wrists at 10 Hz.
+
+    Args:
+        performance: The truth.
+        start_us: Device time of the performance's first instant, microseconds.
+        noise: Multiplies every error; 0 for ideal sensors.
+        switches: Which errors are on; all if None.
+        gaze_kind: Without the wearer's own calibration ("general") the gaze bias is 2.5 times as large.
+        step_jitter_us: Largest error of the 1 kHz time steps: 2 for HD-EPIC, 0 for HOT3D.
+        hands: Whether the services found hands.
+        slam_gaps: Spans without poses, seconds after the first instant.
+    """
+    sensing = Sensing(performance, noise, switches or Switches())
+    readings = mps.MpsReadings(
+        trajectory=_sense_poses(sensing, start_us, step_jitter_us),
+        gaze=_sense_gaze(sensing, start_us, gaze_kind),
+        gaze_kind=gaze_kind,
+        wrists=_sense_hands(sensing, start_us) if hands else None,
+        glasses_size=GLASSES_SIZE,
+        device_from_rgb=device_from_rgb(),
+    )
+    spans = [(start_us + round(begin * 1e6), start_us + round(end * 1e6)) for begin, end in slam_gaps]
+    return with_slam_gaps(readings, spans)
+
+
+def with_slam_gaps(readings: mps.MpsReadings, spans_us: Sequence[tuple[int, int]]) -> mps.MpsReadings:
+    """Return the readings without the poses strictly inside of some spans (device microseconds) of lost tracking."""
+    time_us = readings.trajectory.time_us
+    lost = [(time_us > start) & (time_us < end) for start, end in spans_us]
+    if not lost:
+        return readings
+    return replace(readings, trajectory=mps.trajectory_rows(readings.trajectory, np.flatnonzero(~np.any(lost, axis=0))))
+
+
+def device_from_rgb() -> Float[np.ndarray, "4 4"]:
+    """Return the nominal pose of the RGB camera, to the last bit as it comes back from a quaternion in a file."""
+    transform = mps.device_from_cpf(GLASSES_SIZE) @ mps.cpf_from_rgb()
+    for _ in range(8):  # rounding settles after one or two steps
+        quaternion = Rotation.from_matrix(transform[:3, :3]).as_quat(canonical=True)
+        transform[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    return transform
+
+
+def _sense_poses(sensing: Sensing, start_us: int, step_jitter_us: int) -> mps.AriaTrajectory:
+    performance = sensing.performance
+    n = int((performance.duration + 1e-9) * POSE_RATE) + 1
+    since_start = np.arange(n) * (1_000_000 // POSE_RATE) + _step_errors(sensing, n, step_jitter_us)
+    since_start = np.clip(since_start, 0, round(performance.duration * 1e6))
+    times = performance.times[0] + since_start / 1e6
+    position, rotation = _native_poses(sensing, times)
+    shift, turn = _drift(sensing, times)
+    rng = sensing.generator("mps-pose-noise")
+    scale = sensing.strength("pose_noise")
+    shift += rng.normal(0.0, _WHITE, (n, 3)) * scale
+    turn += rng.normal(0.0, _WHITE_TURN, (n, 3)) * scale
+    turned = Rotation.from_rotvec(turn) * rotation
+    return mps.AriaTrajectory(
+        time_us=start_us + since_start,
+        position=np.round(position + shift, _METRES),
+        rotation=np.round(turned.as_quat(canonical=True, scalar_first=True), _QUATERNION),
+        quality=np.where(np.arange(n) < _STARTING_ROWS, _STARTING_QUALITY, 1.0),
+        up=-np.array(GRAVITY) / np.linalg.norm(GRAVITY),
+        graph_uids=(graph_uid(performance),),
+        left_out=0,
+    )
+
+
+def _step_errors(sensing: Sensing, n: int, largest_us: int) -> Int[np.ndarray, " n"]:
+    if not (sensing.switches.pose_clock and largest_us):
+        return np.zeros(n, dtype=np.int64)
+    errors = sensing.generator("mps-pose-clock").integers(-largest_us, largest_us, n, endpoint=True)
+    errors[0] = 0
+    return errors
+
+
+def _native_poses(sensing: Sensing, times: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
+    """Return noise-free positions and rotations of the device in the native world; ``times`` in performance seconds."""
+    position, rotation = device_poses(sensing, times, GLASSES_SIZE)
+    native_from_world = Y_UP_FROM_Z_UP[:3, :3].T
+    return position @ native_from_world.T, Rotation.from_matrix(native_from_world) * rotation
+
+
+def device_poses(
+    sensing: Sensing, times: Float[np.ndarray, " n"], size: mps.GlassesSize
+) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
+    """Return noise-free positions (metres) and rotations of the glasses' device frame in the performance's world."""
+    cpf = sensing.head(times)
+    cpf_from_device = invert_rigid(mps.device_from_cpf(size))
+    position = sensing.eye(times) + cpf.apply(cpf_from_device[:3, 3])
+    return position, cpf * Rotation.from_matrix(cpf_from_device[:3, :3])
+
+
+def _drift(
+    sensing: Sensing, times: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+    """Return the slow errors of the estimated world: shift, metres, and rotation vector, radians."""
+    scale = sensing.strength("pose_drift")
+    if scale == 0:
+        return np.zeros((len(times), 3)), np.zeros((len(times), 3))
+    rng = sensing.generator("mps-pose-drift")
+    waves = [wobble(times, rms, *_DRIFT_HZ, rng) * scale for rms in [_DRIFT] * 3 + [_DRIFT_TURN] * 3]
+    return np.stack(waves[:3], axis=1), np.stack(waves[3:], axis=1)
+
+
+def graph_uid(performance: Performance) -> str:
+    """Return the id of the native world: one for all recordings of a participant, as in multi-recording SLAM."""
+    return uid_of(f"{performance.preset}/{performance.seed}/{performance.person.participant_id}")
+
+
+def uid_of(identity: str) -> str:
+    """Return a UUID that depends on a text alone."""
+    return str(uuid.UUID(bytes=hashlib.sha256(identity.encode()).digest()[:16]))
+
+
+def _sense_gaze(sensing: Sensing, start_us: int, gaze_kind: mps.GazeKind) -> mps.GazeAngles:
+    since_start = _steps(sensing.performance, _GAZE_START_US, GAZE_RATE)
+    times = sensing.performance.times[0] + since_start / 1e6
+    depth = sensing.generator("mps-gaze-depth").uniform(*_DEPTH, len(times))
+    gaze = gaze_rows(sensing, times, start_us + since_start, depth, gaze_kind)
+    # Of two equal eyes, as the files hold them: combining them costs the last bit.
+    return replace(
+        gaze,
+        yaw=mps.combined_yaw(gaze.yaw, gaze.yaw),
+        yaw_range=mps.combined_yaw(gaze.yaw_range, gaze.yaw_range),
+    )
+
+
+def gaze_rows(
+    sensing: Sensing,
+    times: Float[np.ndarray, " n"],
+    time_us: Int[np.ndarray, " n"],
+    depth: Float[np.ndarray, " n"],
+    gaze_kind: mps.GazeKind = "personalized",
+) -> mps.GazeAngles:
+    """Return the gaze rows that the files have: some are lost, those of blinks hold NaN, stamps are a little off.
+
+    Args:
+        sensing: The truth and its errors.
+        times: When the eyes are looked at, performance seconds.
+        time_us: The same instants on the device clock, microseconds.
+        depth: Written distances of the point looked at, metres.
+        gaze_kind: Without the wearer's own calibration ("general") the bias is larger.
+    """
+    angles = measured_gaze(
+        sensing, sensing.head(times), sensing.gaze(times), bias=_bias_size(gaze_kind), jitter=_GAZE_JITTER
+    )
+    angles[closed_eyes(sensing, times)] = np.nan
+    kept = sensing.generator("gaze-losses").random(len(times)) >= _GAZE_LOSS * sensing.strength("gaze_losses")
+    shift = sensing.generator("gaze-clock").uniform(-_GAZE_CLOCK_US, _GAZE_CLOCK_US, len(times))
+    stamps = time_us + np.rint(shift * sensing.strength("gaze_clock")).astype(np.int64)
+    yaw, pitch = np.round(angles[kept], _RADIANS).T
+    return mps.GazeAngles(
+        stamps[kept],
+        yaw,
+        pitch,
+        np.round(depth, _METRES)[kept],
+        np.round(yaw[:, None] + _GAZE_MARGIN, _RADIANS),
+        np.round(pitch[:, None] + _GAZE_MARGIN, _RADIANS),
+    )
+
+
+def gaze_bias(
+    performance: Performance, *, noise: float, switches: Switches, gaze_kind: mps.GazeKind = "personalized"
+) -> tuple[float, float]:
+    """Return the recording's constant gaze error, yaw and pitch, radians."""
+    return gaze_bias_of(Sensing(performance, noise, switches), _bias_size(gaze_kind))
+
+
+def _bias_size(gaze_kind: mps.GazeKind) -> float:
+    return _GAZE_BIAS * (_GENERAL if gaze_kind == "general" else 1.0)
+
+
+def _sense_hands(sensing: Sensing, start_us: int) -> mps.WristPositions:
+    performance = sensing.performance
+    since_start = _steps(performance, _HAND_START_US, _HAND_RATE)
+    times = performance.times[0] + since_start / 1e6
+    wrist = interpolate(performance.times, performance.joints[:, list(WRISTS)], times)
+    palm = (wrist + interpolate(performance.times, performance.finger_bases, times)) / 2
+    error = sensing.generator("mps-hand-noise").normal(0.0, _HAND_NOISE, wrist.shape) * sensing.strength("hand_noise")
+    confidence = _hand_confidence(sensing, times, wrist)
+    seen = (confidence > 0)[..., None]
+    return mps.WristPositions(
+        start_us + since_start,
+        confidence,
+        np.where(seen, np.round(_in_device(sensing, times, wrist + error), _METRES), np.nan),
+        np.where(seen, np.round(_in_device(sensing, times, palm + error), _METRES), np.nan),
+    )
+
+
+def _hand_confidence(
+    sensing: Sensing, times: Float[np.ndarray, " n"], wrist: Float[np.ndarray, "n 2 3"]
+) -> Float[np.ndarray, "n 2"]:
+    """Return 1 straight ahead, less towards the edge of the view, -1 beyond it; always 1 without losses."""
+    scale = sensing.strength("hand_losses")
+    away = wrist - sensing.eye(times)[:, None]
+    forward = sensing.head(times).apply((0.0, 0.0, 1.0))
+    ahead = np.einsum("nhk,nk->nh", away, forward) / np.linalg.norm(away, axis=2)
+    angle = np.arccos(np.clip(ahead, -1.0, 1.0)) / _FIELD_OF_VIEW
+    doubt = np.abs(sensing.generator("mps-hand-confidence").normal(0.0, 0.03, angle.shape))
+    confidence = np.round(np.clip(1.0 - scale * (0.5 * angle**4 + doubt), 0.01, 1.0), _METRES)
+    return np.where((angle > 1.0) & (scale > 0), -1.0, confidence)
+
+
+def _in_device(
+    sensing: Sensing, times: Float[np.ndarray, " n"], points: Float[np.ndarray, "n 2 3"]
+) -> Float[np.ndarray, "n 2 3"]:
+    """Return points of the performance's world in the true device frame."""
+    position, rotation = _native_poses(sensing, times)
+    native = points @ Y_UP_FROM_Z_UP[:3, :3] - position[:, None]
+    return np.einsum("nji,nhj->nhi", rotation.as_matrix(), native)
+
+
+def _steps(performance: Performance, first_us: int, rate: int) -> Int[np.ndarray, " n"]:
+    """Return the microseconds since the first instant, at a steady rate, until the performance ends."""
+    return np.arange(first_us, int(performance.duration * 1e6) - 50, 1_000_000 // rate)
+
 
 _ROLES = (
     mps.TRAJECTORY,

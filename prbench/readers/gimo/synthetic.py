@@ -1,6 +1,8 @@
-"""Native files of GIMO, route C: fitted root and translation, and the suit's skeleton.
+"""What GIMO's suit and glasses see of synthetic people, and its native files, route C.
 
-Source: docs/specification/gimo.md#three-routes-to-the-22-joints.
+Sources: docs/specification/synthetic-recordings.md#sensors (rows "gimo"), #native-layouts, and
+docs/specification/gimo.md#three-routes-to-the-22-joints. The learned pose decoder cannot be imitated, so the fitted
+parameters hold root and translation only, and limbs come from the skeleton of the inertial suit.
 """
 
 from __future__ import annotations
@@ -19,17 +21,260 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from prbench.files.storage import atomic_folder, atomic_path, write_json, write_text
-from prbench.geometry.skeleton import WRISTS, Joint
-from prbench.geometry.timelines import interpolate
+from prbench.geometry.skeleton import PARENTS, WRISTS, Joint, invert_rigid, transform_points
+from prbench.geometry.timelines import interpolate, slerp
+from prbench.randomness import named_generator
+from prbench.readers.aria_mps.format import gaze_directions_cpf
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo import synthetic_sensors as sensors
-from prbench.readers.gimo.bvh import BvhMotion
+from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
 from prbench.readers.gimo.to_recording import recording_from_gimo
+from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.people.truth import seen_again
 from prbench.synthetic.performance import Performance, TrueEvent
+from prbench.synthetic.sensors import Sensing, Switches, gaze_bias_of, measured_gaze, sensor_generator
+
+_SKELETON_RATE = 60.0
+"""Frames of the suit a second."""
+_TRANSFORMATION = "transform_info_0.json"
+_ACTIVITY = "take object"
+
+_FIRST_FRAMES = 300  # of the video, before the segment
+_SKELETON_LEAD = (20, 90)  # frames of the suit before the segment: its clock is its own
+_GAZE_BIAS = _GAZE_JITTER = np.deg2rad(1.0) / 2  # per axis and each: 1 degree of all four together
+_GAZE_LOSS = 0.25
+_ROOT_NOISE = 1e-3  # m, degrees
+_ANGLE_NOISE = 0.1
+_SCALE = (0.98, 1.06)
+_CEILING = 2.6  # m
+_BEHIND_FURNITURE = 0.3
+_CENTIMETRES = 100.0
+_DECIMALS = 6
+_EULER = ("Yrotation", "Xrotation", "Zrotation")
+
+SKELETON_NAMES = (
+    "Hips", "LeftUpLeg", "RightUpLeg", "Spine", "LeftLeg", "RightLeg", "Spine1", "LeftFoot", "RightFoot", "Spine2",
+    "LeftToeBase", "RightToeBase", "Neck", "LeftShoulder", "RightShoulder", "Head", "LeftArm", "RightArm",
+    "LeftForeArm", "RightForeArm", "LeftHand", "RightHand",
+)  # fmt: skip
+
+
+def _depth_first(joint: int = 0) -> tuple[int, ...]:
+    below = [child for child, parent in enumerate(PARENTS) if parent == joint]
+    return (joint, *(each for child in below for each in _depth_first(child)))
+
+
+DEPTH_FIRST = _depth_first()
+"""The 22 joints in the order in which a BVH file lists them."""
+
+
+def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> gimo.GimoReadings:
+    """Return what the sensors of a GIMO segment say about a performance.
+
+    Args:
+        performance: The truth; any rate, usually 120 Hz.
+        noise: Multiplies every error: its size, or how often it happens; 0 for ideal sensors.
+        switches: Which errors are on; all if None.
+    """
+    sensing = Sensing(performance, noise, switches or Switches())
+    segment = _segment_of(performance)
+    transform = _scene_transform(performance)
+    body_from_room = invert_rigid(transform.room_from_body())
+    return gimo.GimoReadings(
+        recording_id=performance.recording_id,
+        segment=segment,
+        transform=transform,
+        body=gimo.LocalSkeleton(
+            _sense_skeleton(sensing, body_from_room), _sense_poses(sensing, segment, body_from_room)
+        ),
+        gaze=_sense_gaze(sensing, segment, transform),
+        events=tuple(gimo.EventFrame(event_frame(performance, event), event.hand) for event in picks(performance)),
+    )
+
+
+def _segment_of(performance: Performance) -> gimo.Segment:
+    """Return the row of ``dataset.csv``: the whole performance is one segment."""
+    start = first_frame(performance)
+    known = [event_frame(performance, event) for event in picks(performance)]
+    train = gimo.TRAIN_LATER if performance.index % 3 == 2 else gimo.TRAIN
+    return gimo.Segment(
+        scene=performance.room_id,
+        sequence=performance.recording_id,
+        start_frame=start,
+        end_frame=start + int((performance.duration + 1e-9) * gimo.FRAME_RATE),
+        transformation=_TRANSFORMATION,
+        training=gimo.TEST if performance.split == "test" else train,
+        activity=_ACTIVITY,
+        hint=known[0] if known and performance.index % 2 else None,
+    )
+
+
+def first_frame(performance: Performance) -> int:
+    """Return the video frame of the performance's first instant: the segment is a part of a longer video."""
+    return int(sensor_generator(performance, "clock").integers(_FIRST_FRAMES))
+
+
+def event_frame(performance: Performance, event: TrueEvent) -> int:
+    """Return the frame that an annotator would name."""
+    since = event.event_time - float(performance.times[0])
+    return first_frame(performance) + round(since * gimo.FRAME_RATE)
+
+
+def picks(performance: Performance) -> tuple[TrueEvent, ...]:
+    """Return events that an annotator would list: picks; no doors, and nothing that only looks like a pick."""
+    others = ("not_an_event", "excluded_category", "other_wearer")
+    return tuple(event for event in performance.events if event.action == "pick" and event.expected not in others)
+
+
+def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
+    """Return the recording's constant gaze error, yaw and pitch, radians."""
+    return gaze_bias_of(Sensing(performance, noise, switches), _GAZE_BIAS)
+
+
+def _scene_transform(performance: Performance) -> gimo.SceneTransform:
+    """Draw how suit and scan lie in the room. The scan, with its scale, belongs to the room: others share it."""
+    room = named_generator(
+        "prbench-synth",
+        GENERATOR_VERSION,
+        performance.seed,
+        performance.preset,
+        performance.world,
+        "room",
+        performance.room_id,
+        "scan",
+    )
+    scale = float(np.round(room.uniform(*_SCALE), 4))
+    room_from_scene = np.eye(4)
+    room_from_scene[:3, :3] = Rotation.from_rotvec(room.normal(size=3)).as_matrix()
+    room_from_scene[:3, 3] = room.uniform(-2.0, 2.0, 3)
+    own = sensor_generator(performance, "suit-frame")
+    room_from_body = np.eye(4)
+    room_from_body[:3, :3] = Rotation.from_euler("y", own.uniform(-np.pi, np.pi)).as_matrix()
+    room_from_body[[0, 2], 3] = own.uniform(-2.0, 2.0, 2)
+    scene_from_body = invert_rigid(room_from_scene) @ room_from_body
+    for matrix in (room_from_scene, scene_from_body):
+        matrix[:3, 3] *= scale
+    return gimo.SceneTransform(scale, scene_from_body, room_from_scene)
+
+
+def looked_at(
+    performance: Performance,
+    origin: Float[np.ndarray, "n 3"],
+    direction: Float[np.ndarray, "n 3"],
+) -> Float[np.ndarray, "n 3"]:
+    """Return where rays meet the scanned room: its walls, furniture and objects as they stood in the beginning.
+
+    Args:
+        performance: Whose room.
+        origin: Inside the room, metres.
+        direction: Unit vectors.
+    """
+    boxes = performance.objects
+    places = np.concatenate([[motion.position[0] for motion in boxes], origin])
+    margin = np.array([_BEHIND_FURNITURE, 0.0, _BEHIND_FURNITURE])
+    low = places.min(axis=0) - margin
+    high = places.max(axis=0) + margin
+    low[1], high[1] = 0.0, max(float(high[1]), _CEILING)
+    _, distance = _crossings(origin, direction, low, high)
+    for motion in boxes:
+        turned = Rotation.from_quat(motion.rotation[0], scalar_first=True).inv()
+        half = motion.half_extents
+        enters, leaves = _crossings(turned.apply(origin - motion.position[0]), turned.apply(direction), -half, half)
+        distance = np.where((enters > 0) & (enters < leaves), np.minimum(distance, enters), distance)
+    return origin + distance[:, None] * direction
+
+
+def _crossings(
+    origin: np.ndarray, direction: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Return the distances at which rays cross the last plane of a box before it and the first one behind it."""
+    with np.errstate(divide="ignore"):  # a ray along a plane crosses it infinitely far away
+        inverse = 1.0 / direction
+    one = (low - origin) * inverse
+    other = (high - origin) * inverse
+    return np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+
+
+def _frame_seconds(performance: Performance, segment: gimo.Segment) -> Float[np.ndarray, " n"]:
+    """Return the performance seconds of the segment's frames."""
+    return performance.times[0] + np.arange(len(segment.frames)) / gimo.FRAME_RATE
+
+
+def _sense_poses(sensing: Sensing, segment: gimo.Segment, body_from_room: Float[np.ndarray, "4 4"]) -> gimo.SmplxPoses:
+    performance = sensing.performance
+    times = _frame_seconds(performance, segment)
+    pelvis = transform_points(
+        body_from_room, interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
+    )
+    pelvis = pelvis + sensing.generator("fit-noise").normal(0.0, _ROOT_NOISE, pelvis.shape) * sensing.strength(
+        "body_noise"
+    )
+    turned = Rotation.from_quat(
+        slerp(performance.times, performance.rotations[:, Joint.PELVIS], times), scalar_first=True
+    )
+    orient = (Rotation.from_matrix(body_from_room[:3, :3]) * turned).as_rotvec()
+    return gimo.SmplxPoses(
+        frames=segment.frames,
+        orient=orient.astype(np.float32),
+        trans=(pelvis - np.array(gimo.REST_PELVIS)).astype(np.float32),
+        latent=np.zeros((len(times), gimo.N_LATENT), dtype=np.float32),
+    )
+
+
+def _sense_skeleton(sensing: Sensing, body_from_room: Float[np.ndarray, "4 4"]) -> BvhMotion:
+    """Return the suit's own file: centimetres, starting earlier than the segment with the first pose held."""
+    performance = sensing.performance
+    lead = int(sensor_generator(performance, "suit-clock").integers(*_SKELETON_LEAD))
+    n = int((performance.duration + 1e-9) * _SKELETON_RATE) + 1
+    times = performance.times[0] + np.maximum(np.arange(-lead, n), 0) / _SKELETON_RATE
+    turned = [
+        Rotation.from_matrix(body_from_room[:3, :3])
+        * Rotation.from_quat(slerp(performance.times, performance.rotations[:, joint], times), scalar_first=True)
+        for joint in range(len(PARENTS))
+    ]
+    hips = transform_points(body_from_room, interpolate(performance.times, performance.joints[:, Joint.PELVIS], times))
+    columns = [hips * _CENTIMETRES]
+    for joint in DEPTH_FIRST:
+        parent = PARENTS[joint]
+        local = turned[joint] if parent < 0 else turned[parent].inv() * turned[joint]
+        columns.append(local.as_euler("YXZ", degrees=True))
+    values = np.concatenate(columns, axis=1)
+    size = np.full(values.shape[1], _ANGLE_NOISE)
+    size[:3] = _ROOT_NOISE * _CENTIMETRES
+    values += sensing.generator("suit-noise").normal(0.0, 1.0, values.shape) * size * sensing.strength("body_noise")
+    return BvhMotion(_hierarchy(performance), 1.0 / _SKELETON_RATE, np.round(values, _DECIMALS))
+
+
+def _hierarchy(performance: Performance) -> tuple[BvhJoint, ...]:
+    """Return joints as a BVH file lists them: each with everything below it before its next sibling."""
+    joints = []
+    for joint in DEPTH_FIRST:
+        parent = PARENTS[joint]
+        if parent < 0:
+            joints.append(BvhJoint(SKELETON_NAMES[joint], -1, (0.0, 0.0, 0.0), (*POSITION_CHANNELS, *_EULER)))
+            continue
+        apart = performance.joints[0, joint] - performance.joints[0, parent]
+        own = Rotation.from_quat(performance.rotations[0, parent], scalar_first=True).inv().apply(apart)
+        x, y, z = np.round(own * _CENTIMETRES, _DECIMALS).tolist()
+        joints.append(BvhJoint(SKELETON_NAMES[joint], DEPTH_FIRST.index(parent), (x, y, z), _EULER))
+    return tuple(joints)
+
+
+def _sense_gaze(sensing: Sensing, segment: gimo.Segment, transform: gimo.SceneTransform) -> gimo.GazePoints:
+    times = _frame_seconds(sensing.performance, segment)
+    head = sensing.head(times)
+    gaze = sensing.gaze(times)
+    gaze /= np.linalg.norm(gaze, axis=1, keepdims=True)
+    angles = measured_gaze(sensing, head, gaze, bias=_GAZE_BIAS, jitter=_GAZE_JITTER)
+    directions = head.apply(gaze_directions_cpf(angles[:, 0], angles[:, 1]))
+    points = looked_at(sensing.performance, sensing.eye(times), directions)
+    lost = sensing.generator("gaze-losses").random(len(times)) < _GAZE_LOSS * sensing.strength("gaze_losses")
+    scan_from_room = np.linalg.inv(transform.room_from_scan())
+    return gimo.GazePoints(segment.frames[~lost], transform_points(scan_from_room, points)[~lost])
+
 
 _UNUSED_KEYS = {"lhand": 45, "rhand": 45, "beta": 10, "expression": 10, "jaw_pose": 3}
 _CONE_POINTS = 8
@@ -194,7 +439,7 @@ def _matrix_text(matrix: Float[np.ndarray, "4 4"]) -> str:
 
 def _as_shown(performance: Performance) -> Performance:
     """Return the performance as the dataset can show it: rays from the head joint to the points on the scan."""
-    points = sensors.looked_at(performance, performance.eye, performance.gaze)
+    points = looked_at(performance, performance.eye, performance.gaze)
     head = performance.joints[:, Joint.HEAD]
     apart = points - head
     return replace(performance, eye=head, gaze=apart / np.linalg.norm(apart, axis=1, keepdims=True))
@@ -202,7 +447,7 @@ def _as_shown(performance: Performance) -> Performance:
 
 def _as_known(shown: Performance, event: TrueEvent) -> TrueEvent:
     """Return a pick whose goal is the wrist on the annotated frame."""
-    frame = sensors.event_frame(shown, event) - sensors.first_frame(shown)
+    frame = event_frame(shown, event) - first_frame(shown)
     instant = np.array([shown.times[0] + frame / gimo.FRAME_RATE])
     wrist = interpolate(shown.times, shown.joints[:, WRISTS[event.hand == "right"]], instant)[0]
     return replace(seen_again(event, shown, wrist, wrist, gaze_period=1 / gimo.FRAME_RATE), goal=wrist)
@@ -234,17 +479,17 @@ def _finish(root: Path) -> None:
 def _events(performance: Performance) -> tuple[TrueEvent, ...]:
     """Return picks alone, with the wrist as goal, and primes as rays from the head joint to the scan show them."""
     shown = _as_shown(performance)
-    return tuple(_as_known(shown, event) for event in sensors.picks(performance))
+    return tuple(_as_known(shown, event) for event in picks(performance))
 
 
 LAYOUT = Layout(
     dataset="gimo",
-    sense=sensors.sense,
+    sense=sense,
     to_recording=recording_from_gimo,
     write=_write_below,
     finish=_finish,
     events=_events,
-    clock_start=lambda performance: sensors.first_frame(performance) / gimo.FRAME_RATE,
+    clock_start=lambda performance: first_frame(performance) / gimo.FRAME_RATE,
     object_id=lambda _: gimo.OBJECT_ID,  # the dataset knows one target and no objects
-    gaze_bias=sensors.gaze_bias,
+    gaze_bias=gaze_bias,
 )

@@ -1,4 +1,10 @@
-"""Native files of HD-EPIC (docs/specification/hd-epic.md): archives by video, annotations for all videos together."""
+"""What HD-EPIC's glasses and annotators see of synthetic people, and its native files (docs/specification/hd-epic.md).
+
+Sensors: docs/specification/synthetic-recordings.md#sensors, rows "hd-epic". Poses, gaze and hands come from the Machine
+Perception Services, bodies from EgoAllo, places and times of events from people who looked at the video. Everything is
+rounded to the files' resolution, so that files and memory agree. Files are archives by video, and annotations for all
+videos together.
+"""
 
 from __future__ import annotations
 
@@ -6,27 +12,321 @@ import dataclasses
 import hashlib
 import tempfile
 import zipfile
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
+from jaxtyping import Float
 
 from prbench.files.storage import atomic_path, write_json
+from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.skeleton import transform_points
+from prbench.geometry.timelines import interpolate
 from prbench.protocol.manifests import Manifest
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.synthetic import write_csv, write_mps
+from prbench.readers.aria_mps.format import MpsReadings
+from prbench.readers.aria_mps.synthetic import gaze_bias as aria_gaze_bias
+from prbench.readers.aria_mps.synthetic import sense_mps, uid_of, write_csv, write_mps
 from prbench.readers.egoallo import format as ego
-from prbench.readers.egoallo.synthetic import write_outputs, write_smplh_model
-from prbench.readers.egoallo.synthetic_smplh import synthetic_smplh
+from prbench.readers.egoallo.format import EgoAlloOutput
+from prbench.readers.egoallo.synthetic import (
+    NATIVE_FROM_WORLD,
+    sense_egoallo,
+    synthetic_smplh,
+    write_outputs,
+    write_smplh_model,
+)
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.readers.hd_epic import synthetic_sensors as sensors
 from prbench.readers.hd_epic.to_recording import recording_from_hd_epic
 from prbench.recording import Recording
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
-from prbench.synthetic.sensors import device_start_us
+from prbench.synthetic.people.kinematics import forward_of
+from prbench.synthetic.people.truth import seen_again
+from prbench.synthetic.performance import Performance, TrueEvent
+from prbench.synthetic.sensors import Sensing, Switches, device_start_us, sensor_generator
+
+_POINT_NOISE = 0.020  # m an axis
+_MISSING = 0.05  # share
+_MIDDLE_MASK = 0.01  # share of the movements that have a third mask
+_REVERSED = 0.3  # share of the movements whose masks are listed backwards
+_FIXTURE_REACH = 0.8  # m
+_METRES = 6  # decimals
+_PIXELS = 2
+_WINDOW = 300  # frames: the published priming looks back ten seconds at 30 fps
+_NEAR = 0.10  # m between gaze and the object's place
+_IN_VIEW = np.cos(np.deg2rad(50.0))  # half of the camera's field of view
+_FORGOTTEN = 0.02  # share of the events that the file does not mention
+_GAZE_PERIOD = 0.1  # s
+_STEP_JITTER_US = 2
+_GAZE_KIND = "general"
+"""HD-EPIC has no personalized gaze."""
+_CLOCK_JITTER_NS = 400  # of an image's time stamp
+_REPEATED = 0.002  # share of the frames
+_SKIPPED = 0.001
+_TIME_NOISE = 0.060  # s
+_SHORTEST_TRACK = 0.05  # s; noise never turns a movement around
+_ANNOTATED = ("sequence", "not_primed", "too_short", "minimum_movement", "no_location", "tracking_lost")
+_SECONDS = 3  # decimals
+
+
+@dataclass(frozen=True)
+class SensedVideo:
+    """Content of the files of one video."""
+
+    readings: hd_epic.HdEpicReadings
+    """With whole MPS readings and without body."""
+    bodies: tuple[EgoAlloOutput, ...]
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """One end of a movement."""
+
+    side: Literal["start", "end"]
+    seconds: float
+    """Of the video, as annotated."""
+    event: TrueEvent
+
+
+def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> SensedVideo:
+    """Return what glasses, body estimate and annotators say about a performance.
+
+    Args:
+        performance: The truth.
+        noise: Multiplies every error: its size, or how often it happens; 0 for ideal sensors.
+        switches: Which errors are on; all if None.
+    """
+    sensing = Sensing(performance, noise, switches or Switches())
+    start_us = device_start_us(performance)
+    glasses = sense_mps(
+        performance,
+        start_us=start_us,
+        noise=noise,
+        switches=switches,
+        gaze_kind=_GAZE_KIND,
+        step_jitter_us=_STEP_JITTER_US,
+    )
+    glasses = _in_world_of(performance.person.participant_id, glasses)
+    clock = sense_video_clock(sensing)
+    tracks = _annotated_tracks(sensing, clock)
+    readings = hd_epic.HdEpicReadings(
+        video=performance.recording_id,
+        participant_id=performance.person.participant_id,
+        clock=clock,
+        tracks=tracks,
+        priming=synthetic_priming(performance, tracks),
+        glasses=glasses,
+        body=None,
+    )
+    bodies = sense_egoallo(performance, glasses.trajectory, noise=noise, switches=switches, start_us=start_us)
+    return SensedVideo(readings, bodies)
+
+
+def _in_world_of(participant_id: str, glasses: MpsReadings) -> MpsReadings:
+    """Move a video into the world that all videos of one participant share."""
+    uid = uid_of(f"kitchen of {participant_id}")
+    return dataclasses.replace(glasses, trajectory=dataclasses.replace(glasses.trajectory, graph_uids=(uid,)))
+
+
+def sense_video_clock(sensing: Sensing) -> hd_epic.VideoClock:
+    """Return the device time of every frame: the image nearest to a regular time line, some twice, some skipped."""
+    n = len(sensing.times(hd_epic.FPS))
+    scale = sensing.strength("video_clock")
+    rng = sensing.generator("video-clock")
+    jitter = rng.uniform(-_CLOCK_JITTER_NS, _CLOCK_JITTER_NS, n) * scale
+    image = np.arange(n)
+    repeated = rng.random(n) < _REPEATED * scale
+    skipped = rng.random(n) < _SKIPPED * scale
+    shown = np.maximum.accumulate(np.clip(image - repeated + skipped, 0, n - 1))
+    since_start = np.rint(np.arange(n) * 1e9 / hd_epic.FPS + jitter).astype(np.int64)
+    return hd_epic.VideoClock(device_start_us(sensing.performance) * 1000 + since_start[shown])
+
+
+def _annotated_tracks(sensing: Sensing, clock: hd_epic.VideoClock) -> tuple[hd_epic.ObjectTrack, ...]:
+    """Return one track a movement: the pick, and the put that ends it."""
+    performance = sensing.performance
+    rng = sensing.generator("annotated-times")
+    device_start = device_start_us(performance) / 1e6 - performance.times[0]
+    last = (len(clock.device_ns) - 1) / hd_epic.FPS - _SHORTEST_TRACK
+    tracks = []
+    for number, (pick, put) in enumerate(movements(performance)):
+        shift = rng.normal(0.0, _TIME_NOISE, 2) * sensing.strength("annotated_times")
+        device = device_start + np.array([pick.event_time, put.event_time]) + shift
+        seconds = np.clip(clock.frames(device) / hd_epic.FPS, 0.0, last)
+        start, end = (float(value) for value in np.round(seconds, _SECONDS))
+        track = hd_epic.ObjectTrack(
+            track_id=_identifier(performance, f"track {number}"),
+            object_id=association_id(pick.object_id),
+            name=pick.object_name.replace("_", " "),
+            start=start,
+            end=max(end, start + _SHORTEST_TRACK),
+            masks=(),
+        )
+        sightings = (Sighting("start", track.start, pick), Sighting("end", track.end, put))
+        tracks.append(masks_of(sensing, track, sightings))
+    return tuple(sorted(tracks, key=lambda track: (track.start, track.end, track.object_id, track.track_id)))
+
+
+def movements(performance: Performance) -> list[tuple[TrueEvent, TrueEvent]]:
+    """Return every pick with the put of the same object that follows it."""
+    ordered = sorted(performance.events, key=lambda event: event.event_time)
+    known = [event for event in ordered if event.expected in _ANNOTATED]
+    pairs = []
+    for pick in (event for event in known if event.action == "pick"):
+        after = [e for e in known if e.object_id == pick.object_id and e.event_time > pick.event_time]
+        if after and after[0].action == "put":
+            pairs.append((pick, after[0]))
+    return pairs
+
+
+def association_id(object_id: str) -> str:
+    """Return sixteen hexadecimal digits for an object of a performance."""
+    return hashlib.sha256(f"association {object_id}".encode()).hexdigest()[:16]
+
+
+def _identifier(performance: Performance, what: str) -> str:
+    return hashlib.sha256(f"{performance.recording_id} {what}".encode()).hexdigest()[:16]
+
+
+def masks_of(sensing: Sensing, track: hd_epic.ObjectTrack, sightings: Sequence[Sighting]) -> hd_epic.ObjectTrack:
+    """Return the track with its masks: one at either end, rarely none or a third, listed in either order."""
+    performance = sensing.performance
+    rng = sensing.generator(f"masks-{track.track_id}")
+    points = rng.normal(0.0, _POINT_NOISE, (2, 3)) * sensing.strength("annotated_points")
+    lost = rng.random(2) < _MISSING * sensing.strength("mask_losses")
+    has_middle, is_reversed = rng.random(2) < (_MIDDLE_MASK, _REVERSED)
+    masks = [
+        _mask(performance, track, sighting, sighting.event.goal + offset)
+        for sighting, offset, missing in zip(sightings, points, lost, strict=False)
+        if not missing
+    ]
+    if has_middle and track.end - track.start > 1.0 and len(masks) == 2:
+        masks.append(_middle(performance, track, sightings[0].event, masks))
+    return dataclasses.replace(track, masks=tuple(masks[::-1] if is_reversed else masks))
+
+
+def _mask(
+    performance: Performance, track: hd_epic.ObjectTrack, sighting: Sighting, point: Float[np.ndarray, "3"]
+) -> hd_epic.ObjectMask:
+    frame = round(sighting.seconds * hd_epic.FPS)
+    return hd_epic.ObjectMask(
+        mask_id=_mask_id(track, sighting.side),
+        frame=frame,
+        location=np.round(transform_points(NATIVE_FROM_WORLD, point), _METRES),
+        box_px=_box(performance, sighting.event, frame),
+        fixture=_fixture(performance, sighting.event.goal),
+    )
+
+
+def _middle(
+    performance: Performance, track: hd_epic.ObjectTrack, event: TrueEvent, ends: Sequence[hd_epic.ObjectMask]
+) -> hd_epic.ObjectMask:
+    """Draw a mask somewhere in between, in the hand."""
+    frame = round((track.start + track.end) / 2 * hd_epic.FPS)
+    known = [mask.location for mask in ends if mask.location is not None]
+    return hd_epic.ObjectMask(
+        mask_id=_mask_id(track, "middle"),
+        frame=frame,
+        location=np.round(np.mean(known, axis=0), _METRES),
+        box_px=_box(performance, event, frame),
+        fixture=None,
+    )
+
+
+def _mask_id(track: hd_epic.ObjectTrack, what: str) -> str:
+    return hashlib.sha256(f"{track.track_id} {what}".encode()).hexdigest()[:16]
+
+
+def _box(performance: Performance, event: TrueEvent, frame: int) -> Float[np.ndarray, "4"]:
+    """Return a box in the middle of the image, as large as the object appears from the eyes."""
+    eye = interpolate(performance.times, performance.eye, performance.times[:1] + frame / hd_epic.FPS)[0]
+    moving = next((each for each in performance.objects if each.object_id == event.object_id), None)
+    half = 0.05 if moving is None else float(moving.half_extents.mean())
+    pixels = half * hd_epic.FOCAL_LENGTH / max(float(np.linalg.norm(event.goal - eye)), 0.1)
+    centre = hd_epic.IMAGE_SIZE / 2
+    return np.round(np.array([centre - pixels, centre - pixels, centre + pixels, centre + pixels]), _PIXELS)
+
+
+def _fixture(performance: Performance, goal: Float[np.ndarray, "3"]) -> str | None:
+    """Return the piece of furniture whose top is nearest below."""
+    furniture = [each for each in performance.objects if len(each.position) == 1]
+    distances = [float(np.linalg.norm(each.position[0] - goal)) for each in furniture]
+    if not distances or min(distances) > _FIXTURE_REACH:
+        return None
+    number = int(np.argmin(distances))
+    return f"{performance.person.participant_id}_{furniture[number].category.replace(' ', '_')}.{number + 1:03d}"
+
+
+def synthetic_priming(
+    performance: Performance, tracks: Sequence[hd_epic.ObjectTrack]
+) -> tuple[hd_epic.PublishedSide, ...]:
+    """Return one entry for every end of a movement that has a mask, but for a few."""
+    rng = sensor_generator(performance, "published-priming")
+    entries = []
+    for number, track in enumerate(tracks):
+        forgotten = rng.random(2) < _FORGOTTEN
+        start = round(track.start * hd_epic.FPS)
+        end = round(track.end * hd_epic.FPS)
+        for mask in track.masks:
+            if mask.location is None or mask.frame not in (start, end) or forgotten[int(mask.frame == end)]:
+                continue
+            is_start = mask.frame == start
+            first = max(start - _WINDOW, 0) if is_start else max(end - _WINDOW, start)
+            primed = _first_look(performance, mask, first)
+            key = f"{number}/{'start' if is_start else 'end'}"
+            entries.append(hd_epic.PublishedSide(key, is_start, mask.frame, mask.location, primed))
+    return tuple(sorted(entries, key=lambda entry: (int(entry.key.split("/")[0]), not entry.is_start)))
+
+
+def _first_look(performance: Performance, mask: hd_epic.ObjectMask, first: int) -> int:
+    """Return the frame of the first look, or -1, or -2 for an event that is not tested."""
+    assert mask.location is not None
+    goal = transform_points(Y_UP_FROM_Z_UP, mask.location)
+    if not _in_view(performance, goal, mask.frame):
+        return hd_epic.EXCLUDED
+    for frame in range(first, mask.frame + 1):
+        row = _row(performance, frame)
+        towards = goal - performance.eye[row]
+        along = float(towards @ performance.gaze[row])
+        beside = float(np.linalg.norm(towards - along * performance.gaze[row]))
+        if along > 0 and beside <= _NEAR:
+            at_once = frame == first and mask.frame - first == _WINDOW
+            return hd_epic.EXCLUDED if at_once else frame
+    return hd_epic.NOT_PRIMED
+
+
+def _in_view(performance: Performance, goal: np.ndarray, frame: int) -> bool:
+    row = _row(performance, frame)
+    towards = goal - performance.eye[row]
+    return bool(towards @ forward_of(performance.head_rotation[row]) >= _IN_VIEW * np.linalg.norm(towards))
+
+
+def _row(performance: Performance, frame: int) -> int:
+    """Return the row of the performance nearest to a video frame."""
+    return min(round(frame / hd_epic.FPS * performance.rate), len(performance.times) - 1)
+
+
+def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
+    """Return the recording's constant gaze error, yaw and pitch, radians."""
+    return aria_gaze_bias(performance, noise=noise, switches=switches, gaze_kind=_GAZE_KIND)
+
+
+def known_events(performance: Performance) -> tuple[TrueEvent, ...]:
+    """Return the events as HD-EPIC can know them: places are points, gaze comes ten times a second.
+
+    People annotate what is lifted and put down again: no doors and drawers, no touches, nothing that somebody else
+    does, and no movement that the video does not see through.
+    """
+    ends = [event for movement in movements(performance) for event in movement]
+    return tuple(
+        seen_again(event, performance, event.goal, event.goal, gaze_period=_GAZE_PERIOD)
+        for event in sorted(ends, key=lambda event: event.event_time)
+    )
+
 
 _SLAM_ROLES = (mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY)
 _GAZE_ROLES = (mps.GAZE, mps.GAZE_SUMMARY, mps.WRISTS, mps.HAND_SUMMARY)
@@ -111,7 +411,7 @@ def _share(readings: hd_epic.HdEpicReadings) -> dict[str, object]:
         "video": readings.video,
         "participant": readings.participant_id,
         "associations": _associations(readings),
-        "masks": {key: _mask(mask) for key, mask in masks.items()},
+        "masks": {key: _written_mask(mask) for key, mask in masks.items()},
         "priming": _priming(readings.priming or ()),
     }
 
@@ -136,7 +436,7 @@ def _associations(readings: hd_epic.HdEpicReadings) -> dict[str, object]:
     }
 
 
-def _mask(mask: hd_epic.ObjectMask) -> dict[str, object]:
+def _written_mask(mask: hd_epic.ObjectMask) -> dict[str, object]:
     return {
         "frame_number": mask.frame,
         "3d_location": None if mask.location is None else mask.location.tolist(),
@@ -164,7 +464,7 @@ def _priming(sides: Collection[hd_epic.PublishedSide]) -> dict[str, dict[str, ob
     return objects
 
 
-def _to_recording(readings: sensors.SensedVideo, manifest: Manifest, *, dataset: str) -> Recording:
+def _to_recording(readings: SensedVideo, manifest: Manifest, *, dataset: str) -> Recording:
     """Return the streams of one synthetic video, thinned as its reader thins them."""
     video = readings.readings
     assert isinstance(video.glasses, mps.MpsReadings)
@@ -173,7 +473,7 @@ def _to_recording(readings: sensors.SensedVideo, manifest: Manifest, *, dataset:
     return recording_from_hd_epic(seen, manifest, dataset=dataset)
 
 
-def _write_below(readings: sensors.SensedVideo, root: Path) -> None:
+def _write_below(readings: SensedVideo, root: Path) -> None:
     """Write archives and time file of one video, its bodies, and its share of the annotations."""
     _write_video(readings.readings, root / hd_epic.DATA_FOLDER)
     video = readings.readings.video
@@ -203,12 +503,12 @@ def _finish(root: Path) -> None:
 
 LAYOUT = Layout(
     dataset="hd-epic",
-    sense=sensors.sense,
+    sense=sense,
     to_recording=_to_recording,
     write=_write_below,
     finish=_finish,
-    events=sensors.known_events,
+    events=known_events,
     clock_start=lambda performance: device_start_us(performance) / 1e6,
-    object_id=sensors.association_id,
-    gaze_bias=sensors.gaze_bias,
+    object_id=association_id,
+    gaze_bias=gaze_bias,
 )

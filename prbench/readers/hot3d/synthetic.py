@@ -1,27 +1,372 @@
-"""Native files of HOT3D (docs/specification/hot3d.md)."""
+"""What HOT3D's sensors see of synthetic people, their hands in UmeTrack's form, and its native files.
+
+Sources: docs/specification/synthetic-recordings.md#sensors, #native-layouts, and docs/specification/hot3d.md. The hand
+has 80 vertices and 21 landmarks; in its frame x runs from the wrist along the middle finger, y out of the back of the
+hand, z towards the thumb, and lengths are shares of the distance from the wrist to the base of the middle finger. The
+truth's clock is that of the ground truth; the glasses' device clock drifts against it. Readings are rounded to the
+resolution of the written files.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import struct
 from pathlib import Path
 
 import msgspec
 import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation
 
 from prbench.files.storage import atomic_folder, read_json, write_bytes, write_json
-from prbench.readers.aria_mps.synthetic import split_columns, write_csv, write_mps
-from prbench.readers.aria_mps.synthetic_sensors import GAZE_RATE, gaze_bias
+from prbench.geometry.axes import z_up
+from prbench.geometry.skeleton import Joint
+from prbench.geometry.timelines import interpolate, slerp
+from prbench.readers.aria_mps.synthetic import GAZE_RATE, gaze_bias, sense_mps, split_columns, write_csv, write_mps
 from prbench.readers.egoallo import format as ego
-from prbench.readers.egoallo.synthetic import write_outputs, write_smplh_model
+from prbench.readers.egoallo.synthetic import (
+    NATIVE_FROM_WORLD,
+    sense_egoallo,
+    synthetic_smplh,
+    write_outputs,
+    write_smplh_model,
+)
+from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands_umetrack as umetrack
-from prbench.readers.hot3d import synthetic_sensors as sensors
 from prbench.readers.hot3d.format import HandModel
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
+from prbench.synthetic.people.kinematics import unit
 from prbench.synthetic.people.truth import seen_again
-from prbench.synthetic.performance import Performance, TrueEvent
+from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
+from prbench.synthetic.sensors import Sensing, Switches, device_start_us, sensor_generator, tracked, untracked, within
+
+_BASES = ((0.20, -0.10, 0.18), (1.00, 0.00, 0.28), (1.00, 0.02, 0.00), (0.95, 0.00, -0.25), (0.86, -0.04, -0.48))
+_STEPS = (
+    ((0.32, 0.02, 0.16), (0.22, -0.16, 0.20), (0.22, -0.10, 0.20)),
+    ((0.00, 0.00, 0.00), (0.42, -0.02, 0.00), (0.26, -0.02, 0.00)),
+    ((0.00, 0.00, 0.00), (0.47, -0.02, -0.02), (0.30, -0.02, -0.02)),
+    ((0.00, 0.00, 0.00), (0.44, -0.02, -0.06), (0.28, -0.02, -0.04)),
+    ((0.00, 0.00, 0.00), (0.34, -0.02, -0.10), (0.22, -0.02, -0.06)),
+)
+"""From each joint of a finger to the next; the first two joints of a finger but the thumb share a place."""
+_TIP = 0.26
+_THUMB_AXES = ((0.8, 0.6, 0.0), (0.0, 0.6, 0.8), (0.6, 0.8, 0.0), (0.6, 0.8, 0.0))
+_FINGER_AXES = ((0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (0.0, 0.0, -1.0), (0.0, 0.0, -1.0))
+"""Spreading, then three times bending towards the palm."""
+_THICKNESS = 0.10
+_PALM_ALONG = (0.08, 0.30, 0.52, 0.74, 0.94)
+_PALM_ACROSS = (-0.35, 0.22)
+_DECIMALS = 6  # of millimetres
+_OPEN = 0.20
+_CLOSED = 0.55
+"""Bending of each finger joint of an empty and of a holding hand, radians."""
+_SPREAD = 0.03
+"""Radians; never 0, at which the dataset's own toolkit divides by zero."""
+_ROOT = 0
+_WRIST = 1
+
+
+def synthetic_hand(length: float) -> HandModel:
+    """Return the left hand of somebody whose middle finger begins ``length`` metres from the wrist."""
+    joints = _joints()
+    bones = [first + step for first in range(0, 20, 4) for step in (1, 2, 3)]
+    tips = np.array([joints[first + 3] + _TIP * unit(joints[first + 3] - joints[first + 2]) for first in _firsts()])
+    points = []
+    weights = []
+    for bone, joint in enumerate(bones, start=2):
+        end = tips[(bone - 2) // 3] if (bone - 2) % 3 == 2 else joints[joint + 1]
+        # The middle joint of three belongs to the base: a base phalanx is skinned to the wrist as well.
+        share = 0.2 if (bone - 2) % 3 == 0 else 0.0
+        points.append(_ring(joints[joint], end))
+        weights.append(np.tile(share * _one_hot(_WRIST) + (1 - share) * _one_hot(bone), (4, 1)))
+    palm = np.array([(x, y, z) for x in _PALM_ALONG for z in _PALM_ACROSS for y in (-0.12, 0.12)])
+    points.append(palm)
+    weights.append(np.tile(0.2 * _one_hot(_ROOT) + 0.8 * _one_hot(_WRIST), (len(palm), 1)))
+    landmarks, landmark_weights = _landmarks(joints, tips)
+    vertices = np.concatenate(points)
+    return HandModel(
+        vertices=_metres(vertices, length),
+        weights=np.concatenate(weights),
+        joint_positions=_metres(joints, length),
+        joint_axes=np.array([*_THUMB_AXES, *_FINGER_AXES * 4, (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]),
+        landmarks=_metres(landmarks, length),
+        landmark_weights=landmark_weights,
+        triangles=_triangles(len(vertices)),
+    )
+
+
+def wrist_rotation(segment: Rotation, side: int) -> Rotation:
+    """Return UmeTrack's wrist rotation from a hand segment (y along the hand, x to the left at neutral).
+
+    Args:
+        segment: World from segment.
+        side: 0 left, 1 right; a right hand's x axis points back along the hand, since posing mirrors it.
+    """
+    mirror = 1.0 if side == 0 else -1.0
+    columns = np.array([[0.0, mirror, 0.0], [mirror, 0.0, 0.0], [0.0, 0.0, -1.0]])  # y, x, -z
+    return segment * Rotation.from_matrix(columns)
+
+
+def finger_angles(closed: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 22"]:
+    """Return the joint angles of a hand between open (0) and closed around something (1), radians."""
+    angles = np.zeros((len(closed), umetrack.N_JOINTS))
+    bend = _OPEN + closed * (_CLOSED - _OPEN)
+    for first in _firsts():
+        angles[:, first] = _SPREAD
+        angles[:, first + 1 : first + 4] = bend[:, None]
+    angles[:, 0:4] = 0.3 * bend[:, None]
+    return angles
+
+
+def _firsts() -> range:
+    return range(0, umetrack.N_ANGLES, umetrack.JOINTS_A_FINGER)
+
+
+def _joints() -> Float[np.ndarray, "22 3"]:
+    fingers = [np.cumsum([base, *steps], axis=0) for base, steps in zip(_BASES, _STEPS, strict=True)]
+    return np.concatenate([*fingers, np.zeros((2, 3))])
+
+
+def _ring(start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 3"]:
+    """Return four points around a bone, a fifth of the way along it."""
+    centre = start + 0.2 * (end - start)
+    along = unit(end - start)
+    aside = unit(np.cross(along, (0.0, 1.0, 0.0)))
+    above = np.cross(aside, along)
+    return centre + _THICKNESS * np.array([aside, above, -aside, -above])
+
+
+def _landmarks(
+    joints: Float[np.ndarray, "22 3"], tips: Float[np.ndarray, "5 3"]
+) -> tuple[Float[np.ndarray, "21 3"], Float[np.ndarray, "21 17"]]:
+    """Return the tips, wrist, two of the thumb, three of every other finger, palm; each fixed to one bone."""
+    thumb = [joints[2], joints[3]]
+    others = [joints[first + step] for first in (4, 8, 12, 16) for step in (1, 2, 3)]
+    points = np.array([*tips, np.zeros(3), *thumb, *others, (0.7, -0.12, 0.0)])
+    bones = [4, 7, 10, 13, 16, _WRIST, 2, 3]
+    bones += [bone for last in (7, 10, 13, 16) for bone in (_WRIST, last - 2, last - 1)]
+    return points, np.array([_one_hot(bone) for bone in (*bones, _WRIST)])
+
+
+def _triangles(n_vertices: int) -> Int[np.ndarray, "f 3"]:
+    """Return a strip over each group of four vertices; nothing is computed from them."""
+    first = np.arange(0, n_vertices, 4)[:, None]
+    return np.concatenate([first + np.array(corners) for corners in ((0, 1, 2), (0, 2, 3))])
+
+
+def _metres(shares: Float[np.ndarray, "n 3"], length: float) -> Float[np.ndarray, "n 3"]:
+    """Return lengths in metres, as a reader computes them from rounded millimetres."""
+    return np.round(shares * length / umetrack.METRES_A_UNIT, _DECIMALS) * umetrack.METRES_A_UNIT
+
+
+def _one_hot(bone: int) -> Float[np.ndarray, "17"]:
+    return np.eye(umetrack.N_BONES)[bone]
+
+
+RATE = 30.0
+"""RGB frames, Hz; SLAM frames follow each after :data:`SLAM_DELAY`."""
+SLAM_DELAY = 91e-6
+"""Seconds."""
+
+_TIME_CODE_START = (3_600.0, 80_000.0)  # s
+_LARGEST_DRIFT = 1e-6
+_OBJECT_NOISE = (0.5e-3, np.deg2rad(0.1))  # m, rad
+_GAP_SHARE = 0.03  # of the rows; s
+_GAP_LENGTH = (0.05, 0.5)
+_HAND_NOISE = 2e-3
+_HAND_SIGHT = np.deg2rad(75.0)
+_WRONG_START = 0.7  # s, m
+_WRONG_BY = 0.25
+_WRONG_EVERY = 5
+_WRONG_FIRST = 1
+_CLOSING = 0.3  # s
+_ORIGIN = np.array([0.004, -0.006, 0.0])
+"""Centre of the box in the object's frame, metres: origins of real models lie beside it, too."""
+_METRES = 6  # decimals
+_QUATERNION = 9
+_ANGLE = 6
+
+
+def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> hot3d.Hot3dReadings:
+    """Return what the sensors of a HOT3D recording say about a performance.
+
+    Args:
+        performance: The truth; any rate, usually 120 Hz.
+        noise: Multiplies every error: its size, or how often it happens; 0 for ideal sensors.
+        switches: Which errors are on; all if None.
+    """
+    sensing = Sensing(performance, noise, switches or Switches())
+    since = frame_times(performance)
+    drift = clock_drift(sensing)
+    time_ns = round(clock_start(performance) * 1e9) + np.rint(since * 1e9 * (1 + drift)).astype(np.int64)
+    start_us = device_start_us(performance)
+    mps = sense_mps(performance, start_us=start_us, noise=noise, switches=switches, hands=False)
+    outputs = sense_egoallo(performance, mps.trajectory, noise=noise, switches=switches, start_us=start_us)
+    times = performance.times[0] + since
+    hands = tuple(_sense_hand(sensing, side, times, time_ns) for side in (0, 1))
+    trajectory = mps.trajectory
+    row = _nearest(trajectory.time_us, start_us + np.rint(since * 1e6).astype(np.int64))
+    hand_length = float(np.linalg.norm(performance.finger_bases[0, 0] - performance.joints[0, Joint.LEFT_WRIST]))
+    return hot3d.Hot3dReadings(
+        recording_id=performance.recording_id,
+        participant_id=performance.person.participant_id,
+        headset=hot3d.PoseRows(time_ns, trajectory.position[row], trajectory.rotation[row]),
+        objects=_sense_objects(sensing, times, time_ns),
+        hands=hands,
+        hand_model=synthetic_hand(hand_length),
+        masks=_masks(sensing, time_ns, hands),
+        mps=mps,
+        body=body_from_outputs(outputs, synthetic_smplh()),
+        egoallo_outputs=outputs,
+    )
+
+
+def clock_start(performance: Performance) -> float:
+    """Return the time of the ground truth's clock at the performance's first instant, whole microseconds, seconds."""
+    return round(float(sensor_generator(performance, "time-code").uniform(*_TIME_CODE_START)), 6)
+
+
+def clock_drift(sensing: Sensing) -> float:
+    """Return how much faster the ground truth's clock runs than the glasses'."""
+    drift = sensing.generator("clock-drift").uniform(-_LARGEST_DRIFT, _LARGEST_DRIFT)
+    return float(drift * sensing.strength("clock_drift"))
+
+
+def frame_times(performance: Performance) -> Float[np.ndarray, " n"]:
+    """Return the seconds from the performance's first instant: every RGB frame and the SLAM frame after it."""
+    rgb = np.arange(int((performance.duration - SLAM_DELAY + 1e-9) * RATE) + 1) / RATE
+    return np.column_stack([rgb, rgb + SLAM_DELAY]).ravel()
+
+
+def native_object_id(object_id: str) -> str:
+    """Return the uid under which the native files know an object: 15 digits."""
+    return str(10**14 + int.from_bytes(hashlib.sha256(object_id.encode()).digest()[:8], "big") % (9 * 10**14))
+
+
+def _has_quality_mask(performance: Performance) -> bool:
+    """Return True for a recording of a newer release, which says in which frames the hands are right."""
+    return performance.index % 2 == 0
+
+
+def _has_wrong_start(sensing: Sensing) -> bool:
+    """Return True where the hands of the first 0.7 s are wrong, as in several real recordings."""
+    return sensing.strength("hand_start") > 0 and sensing.performance.index % _WRONG_EVERY == _WRONG_FIRST
+
+
+def _nearest(time_us: Int[np.ndarray, " n"], query: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
+    right = np.clip(np.searchsorted(time_us, query), 1, len(time_us) - 1)
+    return np.where(query - time_us[right - 1] <= time_us[right] - query, right - 1, right)
+
+
+def _sense_objects(
+    sensing: Sensing, times: Float[np.ndarray, " n"], time_ns: Int[np.ndarray, " n"]
+) -> tuple[hot3d.Hot3dObject, ...]:
+    performance = sensing.performance
+    scale = sensing.strength("object_noise")
+    objects = []
+    for motion in performance.objects:
+        track = performance.times[: len(motion.position)]
+        rotation = Rotation.from_quat(slerp(track, motion.rotation, times), scalar_first=True)
+        position = interpolate(track, motion.position, times) - rotation.apply(_ORIGIN)
+        position, rotation = tracked(sensing, motion.object_id, position, rotation, size=_OBJECT_NOISE, scale=scale)
+        seen = ~(untracked(performance, motion, times) | _gaps(sensing, motion, times))
+        uid = native_object_id(motion.object_id)
+        objects.append(
+            hot3d.Hot3dObject(
+                object_id=uid,
+                name=f"{motion.name}_{uid[-4:]}",  # the library finds uids by name, too
+                rows=_native_rows(time_ns, position, rotation, seen),
+                mesh=box_mesh(motion.half_extents),
+            )
+        )
+    return tuple(sorted(objects, key=lambda entry: entry.object_id))
+
+
+def box_mesh(half_extents: Float[np.ndarray, "3"]) -> hot3d.ObjectMesh:
+    """Return a box as twelve triangles in the object's frame, metres, rounded to micrometres."""
+    corners = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))])
+    return hot3d.ObjectMesh(np.round(corners * half_extents + _ORIGIN, _METRES), faces)
+
+
+def _gaps(sensing: Sensing, motion: ObjectMotion, times: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Return the runs of missing rows."""
+    rng = sensing.generator(f"object-gaps-{motion.object_id}")
+    share = _GAP_SHARE * sensing.strength("object_gaps")
+    count = rng.poisson(share * sensing.performance.duration / np.mean(_GAP_LENGTH))
+    starts = rng.uniform(times[0], times[-1], count)
+    return within(times, np.column_stack([starts, starts + rng.uniform(*_GAP_LENGTH, count)]))
+
+
+def _sense_hand(
+    sensing: Sensing, side: int, times: Float[np.ndarray, " n"], time_ns: Int[np.ndarray, " n"]
+) -> hot3d.HandRows:
+    performance = sensing.performance
+    joint = Joint.LEFT_WRIST + side
+    wrist = interpolate(performance.times, performance.joints[:, joint], times)
+    segment = Rotation.from_quat(slerp(performance.times, performance.rotations[:, joint], times), scalar_first=True)
+    noise = sensing.generator(f"hand-noise-{side}").normal(0.0, _HAND_NOISE, wrist.shape)
+    sensed = wrist + noise * sensing.strength("hand_noise")
+    if _has_wrong_start(sensing):
+        sensed[times < times[0] + _WRONG_START] += (0.0, _WRONG_BY, 0.0)
+    seen = np.ones(len(times), dtype=bool)
+    if sensing.strength("hand_losses"):
+        seen = _angle_off_head(sensing, wrist, times) <= _HAND_SIGHT
+    rows = _native_rows(time_ns, sensed, wrist_rotation(segment, side), seen)
+    held = np.any([motion.held_by == side for motion in performance.objects if len(motion.held_by) > 1], axis=0)
+    # Fingers close and open within a window around the grasp, not in one frame.
+    window = max(1, round(_CLOSING * performance.rate))
+    closed = uniform_filter1d(np.broadcast_to(held, performance.times.shape).astype(float), window)
+    angles = finger_angles(interpolate(performance.times, closed, times[seen]))
+    name = ("left", "right")[side]
+    return hot3d.HandRows(name, rows.time_ns, rows.position, rows.rotation, np.round(angles, _ANGLE), np.empty(0))
+
+
+def _angle_off_head(
+    sensing: Sensing, points: Float[np.ndarray, "n 3"], times: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    local = sensing.head(times).inv().apply(points - sensing.eye(times))
+    return np.arctan2(np.linalg.norm(local[:, :2], axis=1), local[:, 2])
+
+
+def _native_rows(
+    time_ns: Int[np.ndarray, " n"],
+    position: Float[np.ndarray, "n 3"],
+    rotation: Rotation,
+    seen: Bool[np.ndarray, " n"],
+) -> hot3d.PoseRows:
+    """Return those poses that were seen, in the native world, rounded."""
+    turned = Rotation.from_matrix(NATIVE_FROM_WORLD[:3, :3]) * rotation
+    quaternion = turned.as_quat(canonical=True, scalar_first=True)
+    return hot3d.PoseRows(
+        time_ns[seen],
+        np.round(z_up(position), _METRES)[seen],
+        np.round(quaternion, _QUATERNION)[seen],
+    )
+
+
+def _masks(
+    sensing: Sensing, time_ns: Int[np.ndarray, " n"], hands: tuple[hot3d.HandRows, ...]
+) -> dict[hot3d.MaskName, hot3d.MaskRows]:
+    """Return flags of the RGB frames."""
+    rgb = time_ns[::2]
+    good = np.ones(len(rgb), dtype=bool)
+    tracked = np.isin(rgb, np.concatenate([hand.time_ns for hand in hands]))
+    masks: dict[hot3d.MaskName, hot3d.MaskRows] = {
+        "headset_pose_available": hot3d.MaskRows(rgb, good),
+        "object_pose_available": hot3d.MaskRows(rgb, good),
+        "hand_pose_available": hot3d.MaskRows(rgb, tracked),
+    }
+    if _has_quality_mask(sensing.performance):
+        passed = good if not _has_wrong_start(sensing) else rgb - rgb[0] >= round(_WRONG_START * 1e9)
+        masks["qa_pass"] = hot3d.MaskRows(rgb, passed)
+    return masks
+
 
 _HEADSET_UID = "100000000000001"
 LIBRARY = hot3d.LIBRARY_FOLDERS[0]
@@ -223,7 +568,7 @@ def _write_masks(readings: hot3d.Hot3dReadings, folder: Path) -> None:
 
 def _mask_columns(rows: hot3d.MaskRows) -> dict[str, object]:
     """Return one row a camera and frame: the RGB frame, then both SLAM cameras' one after it."""
-    slam = rows.time_ns + round(sensors.SLAM_DELAY * 1e9)
+    slam = rows.time_ns + round(SLAM_DELAY * 1e9)
     streams = (hot3d.RGB_STREAM, *hot3d.SLAM_STREAMS)
     return {
         hot3d.TIME: np.column_stack([rows.time_ns, slam, slam]).ravel(),
@@ -261,12 +606,12 @@ def _events(performance: Performance) -> tuple[TrueEvent, ...]:
 
 LAYOUT = Layout(
     dataset="hot3d",
-    sense=sensors.sense,
+    sense=sense,
     to_recording=recording_from_hot3d,
     write=_write_below,
     finish=_finish,
     events=_events,
-    clock_start=sensors.clock_start,
-    object_id=sensors.native_object_id,
+    clock_start=clock_start,
+    object_id=native_object_id,
     gaze_bias=gaze_bias,
 )

@@ -19,8 +19,7 @@ from prbench.readers.adt.for_egoallo import glasses_z_up, prepared_trajectory
 from prbench.readers.adt.synthetic import estimated_outputs, write
 from prbench.readers.adt.to_recording import recording_from_adt
 from prbench.readers.egoallo.places import poses_folder
-from prbench.readers.egoallo.synthetic import write_outputs, write_smplh_model
-from prbench.readers.egoallo.synthetic_smplh import synthetic_smplh
+from prbench.readers.egoallo.synthetic import synthetic_smplh, write_outputs, write_smplh_model
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.recording import Recording
 from prbench.synthetic.layouts import layout_for

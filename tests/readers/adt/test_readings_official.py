@@ -40,7 +40,7 @@ def both(request, tmp_path_factory) -> Both:
     if request.param == "sample":
         return Both(request.getfixturevalue("samples") / "adt" / "aria_digital_twin_test_data")
     from prbench.readers.adt import synthetic as layout
-    from prbench.readers.adt.synthetic_sensors import sense
+    from prbench.readers.adt.synthetic import sense
     from prbench.synthetic.people import perform
 
     folder = tmp_path_factory.mktemp("synthetic") / "recording"

@@ -21,8 +21,7 @@ from prbench.readers.aria_mps.readings import (
     read_mps,
     read_wrists,
 )
-from prbench.readers.aria_mps.synthetic import write_mps
-from prbench.readers.aria_mps.synthetic_sensors import sense_mps
+from prbench.readers.aria_mps.synthetic import sense_mps, write_mps
 from prbench.readers.found import RecordingFiles
 from prbench.readers.zipped import ZippedFile
 from prbench.synthetic.people import perform

@@ -29,8 +29,7 @@ def folder(request, tmp_path_factory) -> Path:
         return request.getfixturevalue("samples") / "mps" / "mps_sample"
     if request.param == "hot3d_sample":
         return request.getfixturevalue("samples") / "hot3d" / "Aria" / "P0003_c701bd11" / "mps"
-    from prbench.readers.aria_mps.synthetic import write_mps
-    from prbench.readers.aria_mps.synthetic_sensors import sense_mps
+    from prbench.readers.aria_mps.synthetic import sense_mps, write_mps
     from prbench.synthetic.people import perform
 
     target = tmp_path_factory.mktemp("synthetic") / request.param

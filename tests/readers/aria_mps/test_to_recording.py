@@ -12,7 +12,7 @@ from prbench.geometry.timelines import interpolate
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.find import find_mps_files
 from prbench.readers.aria_mps.readings import read_first_calibration, read_gaze_angles, read_wrists
-from prbench.readers.aria_mps.synthetic_sensors import sense_mps, with_slam_gaps
+from prbench.readers.aria_mps.synthetic import sense_mps, with_slam_gaps
 from prbench.readers.aria_mps.to_recording import MpsStreams, mps_streams
 from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.synthetic.people import perform

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths
 from prbench.readers.egoallo.format import SmplhRest, forward_kinematics
-from prbench.readers.egoallo.synthetic_smplh import synthetic_smplh
+from prbench.readers.egoallo.synthetic import synthetic_smplh
 
 IDENTITY = np.array([1.0, 0, 0, 0])
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.readers.hot3d import hands_umetrack as umetrack
 from prbench.readers.hot3d.format import HandModel
-from prbench.readers.hot3d.synthetic_hand import finger_angles, synthetic_hand, wrist_rotation
+from prbench.readers.hot3d.synthetic import finger_angles, synthetic_hand, wrist_rotation
 
 RNG = np.random.default_rng(3)
 

@@ -16,7 +16,7 @@ from prbench.geometry.axes import z_up
 from prbench.readers import Reader, reader_for
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands_mano as mano
-from prbench.readers.hot3d.synthetic_sensors import sense
+from prbench.readers.hot3d.synthetic import sense
 from prbench.recording import Recording
 from prbench.synthetic.people import perform
 from prbench.synthetic.sensors import Switches

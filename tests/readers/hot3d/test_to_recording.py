@@ -11,7 +11,7 @@ from prbench.errors import RecordingUnusable, StreamsDoNotOverlap
 from prbench.geometry.timelines import interpolate
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d.synthetic_sensors import clock_start, native_object_id, sense
+from prbench.readers.hot3d.synthetic import clock_start, native_object_id, sense
 from prbench.readers.hot3d.to_recording import GoodFrames, object_track, recording_from_hot3d, umetrack_points
 from prbench.recording import Recording
 from prbench.synthetic.people import perform

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
-from prbench.readers.egoallo.synthetic_smplh import model_rotations, synthetic_smplh
+from prbench.readers.egoallo.synthetic import model_rotations, synthetic_smplh
 from prbench.representation import canonicalise
 from prbench.synthetic.people.perform import perform
 

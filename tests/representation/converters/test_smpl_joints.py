@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError, UsageError
 from prbench.geometry.axes import z_up
-from prbench.readers.egoallo.synthetic_smplh import synthetic_smplh
+from prbench.readers.egoallo.synthetic import synthetic_smplh
 from prbench.representation.converters import (
     RestJoints,
     SmplParameters,

@@ -12,8 +12,7 @@ import pytest
 from prbench.readers.adt import find_recordings, read_readings, read_recording
 from prbench.readers.adt import format as adt
 from prbench.readers.adt import synthetic as layout
-from prbench.readers.adt.synthetic import LAYOUT
-from prbench.readers.adt.synthetic_sensors import sense
+from prbench.readers.adt.synthetic import LAYOUT, sense
 from tests.comparing import differences
 
 

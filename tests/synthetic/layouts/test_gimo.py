@@ -13,8 +13,7 @@ from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.gimo import GimoOptions, read_readings
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.synthetic import LAYOUT
-from prbench.readers.gimo.synthetic_sensors import sense
+from prbench.readers.gimo.synthetic import LAYOUT, sense
 from prbench.synthetic.people import perform
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import Switches

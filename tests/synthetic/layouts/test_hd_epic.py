@@ -15,7 +15,7 @@ from prbench.geometry.timelines import interpolate
 from prbench.readers import reader_for
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.readers.hd_epic import synthetic_sensors as sensors
+from prbench.readers.hd_epic import synthetic as sensors
 from prbench.readers.hd_epic.synthetic import LAYOUT
 from prbench.synthetic.people import perform
 from prbench.synthetic.people.perform import name_of_recording

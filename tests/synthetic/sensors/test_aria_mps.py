@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.synthetic import write_mps
-from prbench.readers.aria_mps.synthetic_sensors import gaze_bias, sense_mps
+from prbench.readers.aria_mps.synthetic import gaze_bias, sense_mps, write_mps
 from prbench.synthetic.people import perform
 from prbench.synthetic.sensors import Switches
 
