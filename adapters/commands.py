@@ -73,7 +73,7 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option(
     "--stage",
     metavar="STAGE",
-    help="pretrain, finetune or, for pr, distil (fewer passes) and gaze (default: the method's first).",
+    help="pretrain, finetune or, for pr, distil for fewer passes (default: the first).",
 )
 @data_option(required=False, help="Built dataset or corpus folder(s), whose split 'train' is learnt from.")
 @out_folder_option("Training folder: checkpoints, logs, weights; an interrupted training goes on in it.")

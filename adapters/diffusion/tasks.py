@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -56,21 +56,17 @@ class DiffusionTask:
     """Makes the adapter that validation asks for motions, from the network as it is then."""
     distilled: Callable[[MotionModel], Adapter] | None = None
     """The same for a student; None for a method without the stage ``distil``."""
-    others: Mapping[str, Callable[[Mapping[str, Any], TrainingData, Path | None], TrainingModule]] = field(
-        default_factory=dict
-    )
-    """Stages that train another network: by name, what makes its module from ``[model]``, data and initial weights."""
 
     @property
     def stages(self) -> tuple[str, ...]:
         """Names that ``--stage`` may have."""
         own = () if self.distilled is None else (DISTIL,)
-        return (*DEFAULT_STAGES, *own, *self.others)
+        return (*DEFAULT_STAGES, *own)
 
     def build(
         self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str
     ) -> TrainingModule:
-        """Make the denoiser, or the network of another stage, in its state before the first step.
+        """Make the denoiser in its state before the first step.
 
         Statistics of features, and of the condition vector, come from the initial weights where these have them, else
         from the training split (docs/specification/pr-model.md#data-and-features).
@@ -86,8 +82,6 @@ class DiffusionTask:
             UsageError: if the table does not describe such a model, or the data do not fit it.
             InputFileError: if the initial weights do not fit it.
         """
-        if stage in self.others:
-            return self.others[stage](model, data, initial)
         configuration, objective = read_model_table(model)
         self._require_goal(configuration, stage)
         data.require_fit(

@@ -22,17 +22,12 @@ if TYPE_CHECKING:
     from prbench_adapters.diffusion.model import MotionModel
     from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
     from prbench_adapters.diffusion.tasks import DiffusionTask
-    from prbench_adapters.pr.gaze.network import GazeNetwork
 
 DEFAULT_WEIGHTS = {Condition.GOAL_LOCATION: "pr-small-goal-loc", Condition.GOAL_POSE: "pr-small-goal-pose"}
-
-DEFAULT_GAZE_WEIGHTS = "pr-gaze"
 
 _GUIDANCE = 1.0  # the conditional estimate alone (docs/specification/pr-model.md#sampling-without-optimisation)
 _MODES = ("fast", "paper", "off")
 _BONES = ("predicted", "initial")
-_OBSTACLES = ("ignore", "avoid")
-_GAZE = ("head", "eyes")
 _SAMPLING_ALONE = ("sampler", "steps", "feet", "noise-scale")
 _OF_GOAL_FRAMES = {"reach": "goal", "feet": "predicted"}  # choices that other features do not have
 
@@ -45,8 +40,6 @@ class Generation:
     """Of plain sampling, or of noise optimisation."""
     own_bones: bool = False
     """Keep the bone lengths of the initial pose in sampled motions; an optimisation has its own setting."""
-    avoids_obstacles: bool = False
-    """Lead the finished motions around the scene's boxes."""
 
 
 @dataclass(frozen=True)
@@ -63,20 +56,17 @@ class PR:
 
     Args:
         models: By condition; those of one file or one folder may serve one condition only.
-        eyes: Network that adds gaze to finished motions; None for the head alone, as in the study.
     """
 
     name = "pr"
     conditions = frozenset(GOALS)
 
-    def __init__(self, models: Mapping[Condition, TrainedFor], eyes: GazeNetwork | None = None) -> None:
-        self.models, self.eyes = dict(models), eyes
-        self.gaze = eyes is not None
+    def __init__(self, models: Mapping[Condition, TrainedFor]) -> None:
+        self.models = dict(models)
         configurations = [trained.model.configuration for trained in self.models.values()]
         # One limit for the method: the harness asks for it before it knows the condition.
         self.max_frames = min(configuration.max_frames for configuration in configurations)
         self.native_fps = configurations[0].fps
-        self.wants_obstacles = any(trained.generation.avoids_obstacles for trained in self.models.values())
 
     def weights_for(self, condition: Condition) -> Path:
         """The weights file that a condition uses.
@@ -90,24 +80,10 @@ class PR:
         """Generate one motion for each row.
 
         Raises:
-            AdapterError: for a goal that no body can reach, weights of the other kind of goal, or boxes that are to be
-                avoided and were not given.
+            AdapterError: for a goal that no body can reach, or weights of the other kind of goal.
         """
         trained = self._trained_for(batch.condition)
         require_goals_within_reach(batch, adapter=self.name)
-        motions = self._motions(trained, batch)
-        if trained.generation.avoids_obstacles:
-            from prbench_adapters.diffusion.obstacles import led_around
-
-            motions = led_around(motions, batch)
-        if self.eyes is None:
-            return motions
-        from prbench_adapters.pr.gaze.generation import with_gaze
-
-        # Last, because the eyes belong to the head as it finally moves.
-        return with_gaze(motions, batch, self.eyes)
-
-    def _motions(self, trained: TrainedFor, batch: ConditionBatch) -> Motions:
         generation = trained.generation
         from prbench_adapters.diffusion.generation import SamplingSettings, generate
 
@@ -139,10 +115,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     ``feet`` (steps: they stand or swing; or predicted: as the network has them) and ``noise-scale`` (1: deviation of
     the noise that sampling starts from; with 2 several motions for one goal differ more); ``reach`` (predicted, or
     goal: a wrist is led to a goal location at the end); ``guidance`` (1); ``bones``
-    (predicted, or initial for the initial pose's lengths); ``obstacles`` (ignore, or avoid: finished motions are led
-    around the scene's boxes); ``text-path`` (files of the text encoder, if the weights need one that has some);
-    ``gaze`` (head, or eyes: motions with gaze) and ``gaze-weights`` (file or folder that ``prbench train --method pr
-    --stage gaze`` left, or the name of bundled ones).
+    (predicted, or initial for the initial pose's lengths); ``text-path`` (files of the text encoder, if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
@@ -159,7 +132,7 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     from prbench_adapters.diffusion.noise_optimisation.settings import PRIME_AND_REACH_OPTIONS
     from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known
 
-    own = ("optimise", "text-path", "feet", "noise-scale", "obstacles", "gaze", "gaze-weights")
+    own = ("optimise", "text-path", "feet", "noise-scale")
     require_known(options, (*own, *SAMPLING_OPTIONS, *PRIME_AND_REACH_OPTIONS))
     if weights is None:
         paths = {condition: resolve(None, name) for condition, name in DEFAULT_WEIGHTS.items()}
@@ -168,24 +141,18 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
         trained = _load(resolve(weights, ""), device, options, tuple(GOALS))
         goal = trained.model.configuration.goal
         models = {condition: trained for condition, kind in GOALS.items() if kind == goal}
-    fps = next(iter(models.values())).model.configuration.fps
-    return PR(models, _eyes(options, device, fps))
+    return PR(models)
 
 
 def training_task() -> DiffusionTask:
-    """Make the task of ``prbench train --method pr``: text, initial state and goal. Pre-training may be ``mdm``'s.
-
-    The stage ``gaze`` trains the gaze network.
-    """
+    """Make the task of ``prbench train --method pr``: text, initial state and goal. Pre-training may be ``mdm``'s."""
     from prbench_adapters.diffusion.tasks import DiffusionTask
-    from prbench_adapters.pr.gaze.training import STAGE, build
 
     return DiffusionTask(
         "pr",
         goals=("pose", "location"),
         configurations="prbench_adapters.pr",
         validating=_in_training,
-        others={STAGE: build},
         distilled=_student_in_training,
     )
 
@@ -213,7 +180,7 @@ def _sampling(model: MotionModel, settings: SamplingSettings) -> PR:
 
 def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Condition, ...]) -> TrainedFor:
     from prbench_adapters.diffusion.model import MotionModel
-    from prbench_adapters.diffusion.options import ONE_PASS, choice
+    from prbench_adapters.diffusion.options import ONE_PASS
 
     model = MotionModel.load(path, device, text_path=options.get("text-path"))
     wanted = [GOALS[condition] for condition in allowed]
@@ -230,30 +197,7 @@ def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Co
         )
     if options.get("sampler") == ONE_PASS:
         _require_few_steps(model, path)
-    avoids = choice(options, "obstacles", _OBSTACLES) == "avoid"
-    return TrainedFor(model, path, replace(_generation(options, model.configuration), avoids_obstacles=avoids))
-
-
-def _eyes(options: Mapping[str, str], device: str, fps: float) -> GazeNetwork | None:
-    """Load the network of gaze, if it is asked for."""
-    from prbench_adapters.diffusion.bundled import resolve
-    from prbench_adapters.diffusion.options import choice
-
-    if choice(options, "gaze", _GAZE) == "head":
-        if "gaze-weights" in options:
-            raise ValueError("option 'gaze-weights': without gaze=eyes nothing uses them; add it, or leave them out.")
-        return None
-    from prbench_adapters.pr.gaze.network import load_network
-
-    given = options.get("gaze-weights")
-    path = resolve(None if given is None else Path(given), DEFAULT_GAZE_WEIGHTS)
-    network = load_network(path, device)
-    if network.configuration.fps != fps:
-        raise AdapterError(
-            f"option 'gaze-weights': {path}: expected gaze at {fps:g} frames a second, as the motions, found"
-            f" {network.configuration.fps:g}. Choose other weights."
-        )
-    return network
+    return TrainedFor(model, path, _generation(options, model.configuration))
 
 
 def _require_few_steps(model: MotionModel, path: Path) -> None:

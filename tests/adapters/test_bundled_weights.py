@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
-from prbench.files.storage import file_digest
 from prbench_adapters.diffusion.bundled import bundled_names, bundled_weights
 from prbench_adapters.diffusion.model import MotionModel
-from prbench_adapters.pr.gaze.network import load_network
 from tests.adapters.cards import described
 
 GOALS = {
@@ -31,16 +27,6 @@ def test_a_card_describes_its_weights(name):
     card = described(bundled_weights(name), largest=LARGEST)
     assert card["learning_curve"][-1]["loss"] < card["learning_curve"][0]["loss"]
     assert card["evaluation"]
-
-
-def test_the_network_of_gaze_is_described_by_its_card():
-    path = bundled_weights("pr-gaze")
-    card = json.loads(path.with_suffix(".json").read_text("utf-8"))
-    assert card["weights"] == path.name
-    assert card["weights_sha256"] == file_digest(path)
-    last = card["validation"][-1]
-    assert last["mean_deg"] < last["offset_deg"] < last["goal_deg"]
-    assert load_network(path, "cpu").configuration.fps == 20.0
 
 
 @pytest.mark.parametrize(("name", "goal"), GOALS.items())
