@@ -115,7 +115,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
     ``feet`` (steps: they stand or swing; or predicted: as the network has them) and ``noise-scale`` (1: deviation of
     the noise that sampling starts from; with 2 several motions for one goal differ more); ``reach`` (predicted, or
     goal: a wrist is led to a goal location at the end); ``guidance`` (1); ``bones``
-    (predicted, or initial for the initial pose's lengths); ``text-path`` (files of the text encoder, if the weights need one that has some).
+    (predicted, or initial for the initial pose's lengths); ``text-path`` (files of the text encoder,
+    if the weights need one that has some).
 
     Args:
         weights: File, folder or name of bundled weights, for one kind of goal; None for ``pr-small-goal-loc`` and
