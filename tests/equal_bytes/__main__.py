@@ -43,7 +43,7 @@ def commands() -> Iterator[tuple[str, list[str]]]:
     shuffled = ["run", "--method", "scripted", "--condition", "goal-loc", "--data", *data, "--control", "shuffled-goal"]
     yield "runs/scripted-shuffled", shuffled
     for layout in ("mogaze", "adt"):
-        yield f"windows/{layout}", ["build-windows", layout, "--root", f"native/{layout}", "--max-recordings", "2"]
+        yield f"windows/{layout}", ["build-windows", layout, "--root", f"native/{layout}"]
     for predictor in PREDICTORS:
         chosen = ["--method", predictor, "--data", "windows/mogaze", "--limit", "4", "--samples", "3"]
         condition = "pose+gaze" if predictor == "gazemodiff" else "pose"
