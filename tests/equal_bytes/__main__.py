@@ -45,7 +45,8 @@ def commands() -> Iterator[tuple[str, list[str]]]:
     for layout in ("mogaze", "adt"):
         yield f"windows/{layout}", ["build-windows", layout, "--root", f"native/{layout}"]
     for predictor in PREDICTORS:
-        chosen = ["--method", predictor, "--data", "windows/mogaze", "--limit", "4", "--samples", "3"]
+        samples = "50" if predictor == "dlow" else "3"  # DLow's samples are one design, of which fewer are no part
+        chosen = ["--method", predictor, "--data", "windows/adt", "--limit", "4", "--samples", samples]
         condition = "pose+gaze" if predictor == "gazemodiff" else "pose"
         asked = ["run", "--benchmark", "motion-prediction", "--condition", condition]
         yield f"futures/{predictor}", [*asked, *chosen]
