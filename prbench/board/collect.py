@@ -41,7 +41,7 @@ class MotionCost:
     memory_mebibytes: float | None
     """Largest memory of the device, else of the process."""
     parameters: int | None
-    """Parameters of the method's networks, where they are in this process."""
+    """Parameters of the method's networks."""
 
     @property
     def cells(self) -> tuple[str, str, str, str]:

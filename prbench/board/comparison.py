@@ -21,24 +21,49 @@ from prbench.harness.comparisons import Comparison, PairedValues, compare
 from prbench.harness.run_folder.coded_scores import CodedScores
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.record import TableRecord
+from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.harness.verification import RunChecker
 from prbench.metrics import MetricInfo
 
 
 @dataclass(frozen=True)
 class ComparedMetric:
-    """A metric on one dataset; the difference is first - second."""
+    """A metric on one dataset, over the same sequences; the difference is first - second."""
 
     dataset: str
+    """Name of the dataset."""
     info: MetricInfo
+    """The metric; differences of rates lie between -1 and 1."""
     comparison: Comparison
+    """The difference, and whether the data support one."""
+    conclusion: str
+    """``higher``, ``lower``, ``not supported by the data`` or ``cannot be tested``: of the first run."""
+
+
+@dataclass(frozen=True)
+class ComparedRun:
+    """One of two runs."""
+
+    path: Path
+    """Its folder."""
+    method: str
+    """Name of the method."""
+    origin: str
+    """Whose method it is, in words."""
+    marks: dict[str, str]
+    """Maps datasets to remarks about the motions that readers must know."""
 
 
 @dataclass(frozen=True)
 class RunComparison:
-    """All metrics of two runs, and what could not be verified of them."""
+    """Two runs, compared sequence by sequence."""
 
+    first: ComparedRun
+    """The first run."""
+    second: ComparedRun
+    """The second run."""
     metrics: tuple[ComparedMetric, ...]
+    """One entry for each metric and dataset."""
     left_out: tuple[str, ...]
     """A line for each dataset of which only the sequences that both methods generated are compared."""
     unverified: tuple[str, ...]
@@ -93,8 +118,15 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
     metrics = []
     for key, comparison in found.items():
         dataset, metric = key.split("\n")
-        metrics.append(ComparedMetric(dataset, infos[metric], comparison))
-    return RunComparison(tuple(metrics), tuple(left_out), tuple(filter(None, unverified)))
+        metrics.append(ComparedMetric(dataset, infos[metric], comparison, comparison.conclusion))
+    compared = []
+    for run in runs:
+        marks = {name: DatasetSummary.read(run.dataset(name).path).mark for name in shared}
+        method = run.record.method
+        compared.append(
+            ComparedRun(run.path, method.name, method.origin, {name: mark for name, mark in marks.items() if mark})
+        )
+    return RunComparison(*compared, tuple(metrics), tuple(left_out), tuple(filter(None, unverified)))
 
 
 def _common_sequences(first: RunFolder, second: RunFolder, dataset: str) -> frozenset[str] | None:

@@ -24,10 +24,9 @@ from prbench.board.tables import (
     undecided_lines,
 )
 from prbench.errors import UsageError
-from prbench.harness.benchmark import Benchmark
-from prbench.harness.run_folder.means import intervals_of_means
-from prbench.harness.run_folder.record import CONTROL
-from prbench.harness.run_folder.summary import EDGE_ARRIVAL
+from prbench.harness.benchmark import Benchmark, load_benchmark
+from prbench.harness.run_folder.record import CONTROL, RunRecord
+from prbench.harness.run_folder.summary import EDGE_ARRIVAL, DatasetSummary
 from prbench.metrics import MetricInfo, exported_unit, printed_scale, printed_unit
 from prbench.protocol.benchmarks import default_benchmark
 from prbench.shown import csv_text, markdown, markdown_code
@@ -57,7 +56,6 @@ _CSV_COLUMNS: tuple[str, ...] = (
     "parameters",
 )
 _TEXT_COLUMNS = ("dataset", "condition", "method", "variant", "metric", "note")
-_JSON_VERSION = 1
 
 
 def export(leaderboard: Leaderboard, format: str) -> str:
@@ -145,10 +143,11 @@ def _csv_cost(cost: MotionCost) -> dict[str, str]:
 
 
 def _csv_macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
+    benchmark = load_benchmark(macro.benchmark)
     about = ["mean over datasets", *(["synthetic"] if macro.synthetic else [])]
-    if not macro.benchmark.about.default:
-        about.append(f"benchmark {macro.benchmark.name}")
-    infos = _infos(macro.benchmark)
+    if not benchmark.about.default:
+        about.append(f"benchmark {benchmark.name}")
+    infos = _infos(benchmark)
     if macro.earlier_version is not None:
         about.append(f"protocol version {macro.earlier_version}")
     for row in macro.rows:
@@ -188,100 +187,124 @@ def _csv_number(value: float) -> str:
     return "0" if text == "-0" else text
 
 
+class BoardRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One run in the table of a dataset."""
+
+    run: str
+    """Name of the run folder."""
+    record: RunRecord
+    """The content of its ``run.json``: method, version, weights, condition, seed."""
+    summary: DatasetSummary
+    """Its scores, as in ``summary.json``; of the table's sequences alone."""
+    cost: MotionCost
+    """Cost of a motion, on the machine of the run."""
+    origin: str
+    """Whose method it is, in words; a record that claims a method for prbench without right is not believed."""
+    mark: str
+    """A remark about its motions that readers must know; empty if there is none."""
+    unverified: str
+    """Why the scores were not held against the motions; empty if they were."""
+    variant: str
+    """Control, weights, options and the like, by which rows of one method differ."""
+    ranks: dict[str, int]
+    """Maps ids of metrics to ranks: one more than the number of methods that are better by a supported difference."""
+    leads: list[str]
+    """Ids of metrics in which it is better than every other method, each by a supported difference."""
+    says_nothing: list[str]
+    """Ids of metrics that say nothing about this method, because it stands still."""
+
+
+class BoardTable(msgspec.Struct, frozen=True, kw_only=True):
+    """Runs on one dataset that compare: protocol, table, split and sequences agree."""
+
+    dataset: str
+    """Name of the dataset."""
+    title: str
+    """The same for readers; holds the word "synthetic" where the data are."""
+    benchmark: str
+    """Name of the benchmark."""
+    synthetic: bool
+    """Whether the data are synthetic."""
+    redistribution: str
+    """Whether the licence lets recorded motion be passed on."""
+    split: str
+    """Split of the table."""
+    digests: dict[str, str]
+    """Of the ``protocol``, of the table's ``identity`` and ``content``, and of the ``selection`` of sequences."""
+    own_protocol: str
+    """Name and version of a protocol of the user's own; empty for prbench's."""
+    sequences: int
+    """Number of sequences."""
+    recordings: int
+    """Number of recordings that they come from."""
+    chosen_sequences: int
+    """Number of the chosen sequences; above ``sequences`` where the table is of those that every method generated."""
+    left_sequences_out: tuple[str, ...]
+    """Methods that left chosen sequences out, with how many."""
+    undecided: tuple[str, ...]
+    """Sentences on what the data cannot decide, and the smallest differences that they can."""
+    rows: list[BoardRow]
+    """The runs, sorted by condition, controls last."""
+
+
+class Board(msgspec.Struct, frozen=True, kw_only=True):
+    """A leaderboard; ``--format json`` writes the same."""
+
+    schema_version: int = 2
+    """Version of this shape."""
+    tables: list[BoardTable]
+    """One table for each dataset and way of scoring it."""
+    macro_means: tuple[MacroTable, ...]
+    """Means over datasets, for each protocol with two datasets or more."""
+    notes: tuple[str, ...]
+    """What was left out, and which tables must not be compared."""
+
+
+def as_board(leaderboard: Leaderboard) -> Board:
+    """Return what a leaderboard is in JSON."""
+    tables = []
+    for table in leaderboard.tables:
+        protocol, identity, content, split, selection = table.key
+        rows = [
+            BoardRow(
+                run=row.entry.run,
+                record=row.entry.record,
+                summary=row.entry.summary,
+                cost=row.entry.cost,
+                origin=row.entry.origin,
+                mark=row.entry.mark,
+                unverified=row.entry.unverified,
+                variant=row.variant,
+                ranks=row.ranks,
+                leads=sorted(row.leads),
+                says_nothing=[info.id for info in table.benchmark.metrics if hides(row.entry, info)],
+            )
+            for row in table.rows
+        ]
+        shown = BoardTable(
+            dataset=table.dataset,
+            title=table.title,
+            benchmark=table.benchmark.name,
+            synthetic=table.synthetic,
+            redistribution=table.redistribution,
+            split=split,
+            digests={"protocol": protocol, "identity": identity, "content": content, "selection": selection},
+            own_protocol=table.protocol,
+            sequences=table.sequences,
+            recordings=table.recordings,
+            chosen_sequences=table.of or table.sequences,
+            left_sequences_out=table.shortest,
+            undecided=undecided_lines(table),
+            rows=rows,
+        )
+        tables.append(shown)
+    return Board(tables=tables, macro_means=leaderboard.macro, notes=leaderboard.notes)
+
+
 def _as_json(leaderboard: Leaderboard) -> str:
     """Sorted keys, two-space indent."""
-    value = {
-        "schema_version": _JSON_VERSION,
-        "tables": [_json_table(table) for table in leaderboard.tables],
-        "macro_means": [_json_macro(macro) for macro in leaderboard.macro],
-        "notes": list(leaderboard.notes),
-    }
+    value = msgspec.to_builtins(as_board(leaderboard))
     return json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _json_table(table: DatasetTable) -> dict[str, object]:
-    protocol, identity, content, split, chosen = table.key
-    named = {} if table.benchmark.about.default else {"benchmark": table.benchmark.name}
-    return {
-        **named,
-        "dataset": table.dataset,
-        "title": table.title,
-        "synthetic": table.synthetic,
-        "redistribution": table.redistribution,
-        "protocol_digest": protocol,
-        "identity_digest": identity,
-        "content_digest": content,
-        "split": split,
-        "selection_digest": chosen,
-        "own_protocol": table.protocol,
-        "chosen_sequences": table.of or table.sequences,
-        "left_sequences_out": list(table.shortest),
-        "sequences": table.sequences,
-        "recordings": table.recordings,
-        "undecided": list(undecided_lines(table)),
-        "rows": [_json_row(row) for row in table.rows],
-    }
-
-
-def _json_row(row: TableRow) -> dict[str, object]:
-    entry = row.entry
-    return {
-        "run": entry.run,
-        "method": entry.method,
-        "kind": entry.record.method.kind,
-        "package": entry.record.method.package,
-        "isolation": entry.record.method.isolation,
-        "mark": entry.mark,
-        "version": entry.record.method.version,
-        "weights_digest": entry.record.method.weights_digest,
-        "condition": entry.record.condition,
-        "control": entry.record.control,
-        "variant": row.variant,
-        "seed": entry.record.seed,
-        "samples": entry.record.samples,
-        "best_of": entry.record.best_of,
-        "gaze": entry.record.method.gaze,
-        "obstacles": entry.record.method.wants_obstacles,
-        "carry_on": entry.record.carry_on,
-        "scored": entry.scored,
-        "verified": not entry.unverified,
-        "why_unverified": entry.unverified,
-        "unsupported": entry.summary.unsupported,
-        "ranks": row.ranks,
-        "leads": sorted(row.leads),
-        "metrics": msgspec.to_builtins(entry.summary.metrics),
-        "cost": {
-            "seconds_per_motion": entry.cost.seconds,
-            "passes_per_motion": entry.cost.network_passes,
-            "memory_mebibytes": entry.cost.memory_mebibytes,
-            "parameters": entry.cost.parameters,
-        },
-        "says_nothing": [info.id for info in entry.benchmark.metrics if hides(entry, info)],
-    }
-
-
-def _json_macro(macro: MacroTable) -> dict[str, object]:
-    named = {} if macro.benchmark.about.default else {"benchmark": macro.benchmark.name}
-    return {
-        **named,
-        "datasets": list(macro.datasets),
-        "synthetic": macro.synthetic,
-        "rows": [
-            {
-                "method": row.method,
-                "kind": row.origin,
-                "mark": row.mark,
-                "condition": row.condition,
-                "variant": row.variant,
-                "means": {name: mean.mean for name, mean in row.means.items()},
-                "intervals": intervals_of_means(row.means),
-                "ranks": row.ranks,
-                "verified": not row.unverified,
-                "missing": list(row.missing),
-            }
-            for row in macro.rows
-        ],
-    }
 
 
 _DASH = "–"
@@ -432,11 +455,12 @@ def _groups(table: DatasetTable) -> Iterable[str]:
 
 
 def _macro_blocks(macro: MacroTable, *, with_benchmark: bool) -> list[str]:
-    metrics = macro.benchmark.main_metrics
+    benchmark = load_benchmark(macro.benchmark)
+    metrics = benchmark.main_metrics
     word = " (synthetic data among them)" if macro.synthetic else ""
     title = f"## Mean over datasets: {', '.join(map(markdown, macro.datasets))}{word}"
     if with_benchmark:
-        title += f", {macro.benchmark.about.title.lower()}"
+        title += f", {benchmark.about.title.lower()}"
     if macro.earlier_version is not None:
         title += f", protocol version {macro.earlier_version}"
     header = ["Condition", "Method", "Variant", *(_column(info) for info in metrics), "Missing", "Kind"]

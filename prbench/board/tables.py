@@ -92,23 +92,30 @@ class DatasetTable:
 
 @dataclass(frozen=True)
 class MacroRow:
-    """Means of one method over the datasets; empty if it lacks one."""
+    """Means of one method over the datasets."""
 
     method: str
+    """Name of the method."""
     origin: str
     """Origin of the method, in words."""
     mark: str
-    """See :attr:`LeaderboardRow.mark`; of the first dataset that has one."""
+    """A remark about its motions that readers must know, of the first dataset that has one; empty without."""
     symbols: str
     """The signs of the mark."""
     is_control: bool
+    """Made by the harness: shown, never ranked."""
     condition: str
+    """What the method was given."""
     variant: str
+    """Control, weights, options and the like, by which rows of one method differ."""
     means: dict[str, MeanOverDatasets]
+    """Maps ids of metrics to means, each dataset counting alike; empty if the method lacks a dataset."""
     ranks: dict[str, int]
+    """Maps ids of metrics to ranks, from 1; empty where nothing is ranked."""
     missing: tuple[str, ...]
+    """Datasets that the method lacks."""
     unverified: bool
-    """On one of the datasets or more."""
+    """Scores on one of the datasets or more were not held against the motions."""
 
 
 @dataclass(frozen=True)
@@ -116,11 +123,15 @@ class MacroTable:
     """Methods over all datasets of one protocol."""
 
     datasets: tuple[str, ...]
+    """Names of the datasets."""
     synthetic: bool
+    """One of them is synthetic."""
     rows: tuple[MacroRow, ...]
-    benchmark: Benchmark
+    """The methods."""
+    benchmark: str
+    """Name of the benchmark."""
     earlier_version: int | None = None
-    """See :attr:`DatasetTable.earlier_version`."""
+    """Version of prbench's own protocol where it is not the present one."""
 
 
 @dataclass(frozen=True)
@@ -320,7 +331,9 @@ def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
         if len(datasets) < 2 or len(set(datasets)) < len(datasets):
             continue
         synthetic = any(table.synthetic for table in under)
-        yield MacroTable(datasets, synthetic, tuple(_macro_rows(under)), under[0].benchmark, under[0].earlier_version)
+        yield MacroTable(
+            datasets, synthetic, tuple(_macro_rows(under)), under[0].benchmark.name, under[0].earlier_version
+        )
 
 
 def _kind(table: DatasetTable) -> tuple[str, bool]:

@@ -40,10 +40,11 @@ from prbench.errors import UsageError, did_you_mean
 if TYPE_CHECKING:
     from prbench.board.audit import ControlMeans, TableAudit
     from prbench.board.collect import LeaderboardRow
-    from prbench.board.comparison import ComparedMetric
-    from prbench.board.tables import Leaderboard
+    from prbench.board.comparison import ComparedMetric, RunComparison
+    from prbench.board.export import Board
     from prbench.metrics import MetricInfo
     from prbench.viewing.pareto import ScoredMethod
+    from prbench.workflows.study.beside import Difference
 
 
 EXAMPLE = "prbench leaderboard export runs/static runs/ground-truth --format md --out leaderboard.md"
@@ -62,276 +63,6 @@ leaderboard = Group(
 )
 
 
-class BoardMetric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One metric of one row of a leaderboard.
-
-    Attributes:
-        metric: Id of the metric, such as ``prime_success``.
-        title: Its name in tables.
-        unit: ``rate`` (from 0 to 1), ``ratio``, or a unit such as ``m``.
-        mean: Mean over sequences.
-        low: Lower bound of the interval of the mean; null where the data support none.
-        high: Upper bound of the interval.
-        level: Confidence level of the interval, such as 0.95.
-        interval: Name of the estimator of the interval.
-        sequences: Number of sequences behind the mean.
-        recordings: Number of recordings that they come from.
-        marks: What a reader of the interval needs to know: ``few_recordings``, ``one_recording``, ``all_equal``.
-        flags: Number of motions that carry each remark.
-        detectable: Smallest difference to an unrelated method of the same spread that is found with 80 % power, among
-            the metrics that are compared; null where nothing can be tested.
-        uncertainty: Shares of the mean's variance that come from ``recordings``, ``sequences`` and ``samples``.
-    """
-
-    metric: str
-    title: str
-    unit: str
-    mean: float | None
-    low: float | None
-    high: float | None
-    level: float
-    interval: str
-    sequences: int
-    recordings: int
-    marks: list[str]
-    flags: dict[str, int]
-    detectable: float | None
-    uncertainty: dict[str, float]
-
-
-class BoardCost(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The cost of a motion, on the machine of the run; null where nothing was measured or declared.
-
-    Attributes:
-        seconds_per_motion: Seconds a motion, batched as the run was.
-        passes_per_motion: Network passes a motion, as the method declares.
-        memory_mebibytes: Largest memory of the device, else of the process, in MiB.
-        parameters: Parameters of the method's networks.
-    """
-
-    seconds_per_motion: float | None
-    passes_per_motion: float | None
-    memory_mebibytes: float | None
-    parameters: int | None
-
-
-class BoardRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One run in the table of a dataset.
-
-    Attributes:
-        run: Name of the run folder.
-        method: Name of the method.
-        kind: ``built-in``, ``package``, ``program``, ``file``, ``control`` or ``unknown``: how it was reached.
-        package: Package that the method was installed from, the program's command, or the name of the motions' file.
-        isolation: How the method was kept apart (``process``, ``bubblewrap`` or ``container``); null if it was not.
-        mark: A remark about its motions that readers must know; empty if there is none.
-        version: Version of the package.
-        weights_digest: Digest of its weights; null without weights.
-        condition: What the method was given.
-        control: ``shuffled-goal`` if it was given other sequences' goals; null if not.
-        variant: Control, weights, options and the like, by which rows of one method differ.
-        seed: Seed of the run.
-        samples: Number of motions kept of each sequence.
-        best_of: Number of motions drawn for each that was kept.
-        gaze: Whether the motions bring gaze that the method generated.
-        obstacles: Whether the method was given the solid boxes around each sequence.
-        carry_on: Whether every put starts where the generated pick before it ends.
-        scored: Number of sequences behind the numbers.
-        verified: Whether the scores were held against the motions.
-        why_unverified: The reason why not; empty if they were.
-        unsupported: Number of sequences that are longer than the method can generate.
-        ranks: Maps ids of metrics to ranks: one more than the number of methods that are better by a supported
-            difference; empty where nothing is ranked.
-        leads: Ids of metrics in which it is better than every other method, each by a supported difference.
-        metrics: The scores.
-        cost: Cost of a motion.
-        says_nothing: Ids of metrics that say nothing about this method, because it stands still.
-    """
-
-    run: str
-    method: str
-    kind: str
-    package: str
-    isolation: str | None
-    mark: str
-    version: str
-    weights_digest: str | None
-    condition: str
-    control: str | None
-    variant: str
-    seed: int
-    samples: int
-    best_of: int
-    gaze: bool
-    obstacles: bool
-    carry_on: bool
-    scored: int
-    verified: bool
-    why_unverified: str
-    unsupported: int
-    ranks: dict[str, int]
-    leads: list[str]
-    metrics: list[BoardMetric]
-    cost: BoardCost
-    says_nothing: list[str]
-
-
-class BoardTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Runs on one dataset that compare: protocol, table, split and sequences agree.
-
-    Attributes:
-        dataset: Name of the dataset.
-        title: The same for readers; holds the word "synthetic" where the data are.
-        synthetic: Whether the data are synthetic.
-        redistribution: Whether the licence lets recorded motion be passed on.
-        protocol_digest: Digest of the rules by which the rows were scored.
-        identity_digest: Digest of the table's sequences and their ids.
-        content_digest: Digest of the table's content.
-        split: Split of the table.
-        selection_digest: Digest of the chosen sequences.
-        own_protocol: Name and version of a protocol of the user's own; empty for prbench's.
-        chosen_sequences: Number of the chosen sequences; above ``sequences`` where the table is of those alone that
-            every method generated.
-        left_sequences_out: Methods that left chosen sequences out, with how many.
-        sequences: Number of sequences.
-        recordings: Number of recordings that they come from.
-        undecided: Sentences on what the data cannot decide, and the smallest differences that they can.
-        rows: The runs, sorted by condition, controls last.
-        benchmark: Name of the benchmark; absent for prime-and-reach.
-    """
-
-    dataset: str
-    title: str
-    synthetic: bool
-    redistribution: str
-    protocol_digest: str
-    identity_digest: str
-    content_digest: str
-    split: str
-    selection_digest: str
-    own_protocol: str
-    chosen_sequences: int
-    left_sequences_out: list[str]
-    sequences: int
-    recordings: int
-    undecided: list[str]
-    rows: list[BoardRow]
-    benchmark: str = ""
-
-
-class MacroMean(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Means of one method over several datasets, each dataset counting alike.
-
-    Attributes:
-        method: Name of the method.
-        kind: Whose method it is, in words.
-        mark: A remark about its motions that readers must know; empty if there is none.
-        condition: What the method was given.
-        variant: Control, weights, options and the like, by which rows of one method differ.
-        means: Maps ids of metrics to means; empty if the method lacks a dataset.
-        intervals: Maps ids of metrics to the two bounds of the mean's 95 % interval, where each dataset has one.
-        ranks: Maps ids of metrics to ranks, from 1; empty where nothing is ranked.
-        verified: Whether the scores on all datasets were held against the motions.
-        missing: Datasets that the method lacks.
-    """
-
-    method: str
-    kind: str
-    mark: str
-    condition: str
-    variant: str
-    means: dict[str, float | None]
-    intervals: dict[str, list[float]]
-    ranks: dict[str, int]
-    verified: bool
-    missing: list[str]
-
-
-class MacroMeans(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Methods over all datasets of one protocol.
-
-    Attributes:
-        datasets: Names of the datasets.
-        synthetic: Whether one of them is synthetic.
-        rows: The methods.
-        benchmark: Name of the benchmark; absent for prime-and-reach.
-    """
-
-    datasets: list[str]
-    synthetic: bool
-    rows: list[MacroMean]
-    benchmark: str = ""
-
-
-class PublishedDifference(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A measured number beside the one that the study prints: rates in %, lengths in metres.
-
-    Attributes:
-        table: Table of the study, such as ``2``.
-        dataset: Name of the dataset.
-        condition: What the method was given.
-        method: Name of the method.
-        variant: Of the measured row.
-        published_variant: Of the study's row that it stands beside.
-        metric: Id of the metric.
-        unit: ``%``, ``m`` or ``ratio``.
-        measured: The measured number.
-        published: The study's number.
-        difference: measured - published.
-        low: Lower bound of the difference's 95 % interval; null where the measured number has none.
-        high: Upper bound of the interval.
-        sequences: Number of sequences behind the measured number.
-        published_sequences: Number of sequences in the study's test split.
-        verified: Whether the measured scores were held against the motions.
-        assumptions: Ids of what the study leaves open and could explain the difference.
-        remarks: What else could.
-        source: Where the study prints the number.
-    """
-
-    table: str
-    dataset: str
-    condition: str
-    method: str
-    variant: str
-    published_variant: str
-    metric: str
-    unit: str
-    measured: float
-    published: float
-    difference: float
-    low: float | None
-    high: float | None
-    sequences: int
-    published_sequences: int
-    verified: bool
-    assumptions: list[str]
-    remarks: list[str]
-    source: str
-
-
-class Board(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A leaderboard; ``--format json`` writes the same.
-
-    Attributes:
-        schema_version: Version of this shape.
-        tables: One table for each dataset and way of scoring it.
-        macro_means: Means over datasets, for each protocol with two datasets or more.
-        notes: What was left out, and which tables must not be compared.
-        published: With ``--with-published``: differences to the study's numbers, on real recordings only; absent if
-            there are none.
-        assumptions: Maps the ids that they name to what the study leaves open; absent if there are none.
-        not_beside_published: A sentence for each run beside which no published number stands; absent without.
-    """
-
-    schema_version: int
-    tables: list[BoardTable]
-    macro_means: list[MacroMeans]
-    notes: list[str]
-    published: list[PublishedDifference] = []
-    assumptions: dict[str, str] = {}
-    not_beside_published: list[str] = []
-
-
 class BoardReport(msgspec.Struct, frozen=True, kw_only=True):
     """An exported leaderboard.
 
@@ -339,20 +70,21 @@ class BoardReport(msgspec.Struct, frozen=True, kw_only=True):
         format: ``md``, ``csv`` or ``json``: what ``out`` is written in.
         out: The file; null if the leaderboard was printed.
         board: The leaderboard.
+        published: With ``--with-published``: differences to the study's numbers, on real recordings only.
+        not_beside_published: With ``--with-published``: a sentence for each run beside which no number stands.
     """
 
     format: str
     out: Path | None
     board: Board
+    published: list[Difference] = []
+    not_beside_published: tuple[str, ...] = ()
 
 
 @command("export", example=EXAMPLE, report=BoardReport)
 @click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")
 @click.option(
-    "--format",
-    type=click.Choice(["md", "csv", "json"]),
-    default="md",
-    help="Markdown (default), CSV or JSON.",
+    "--format", type=click.Choice(["md", "csv", "json"]), default="md", help="Markdown (default), CSV or JSON."
 )
 @out_file_option("Write the leaderboard to this file instead of printing it.")
 @click.option(
@@ -370,108 +102,31 @@ def export(
     RUN are run folders, or folders that hold some.
     """
     from prbench import board as boards
+    from prbench.board.export import as_board
     from prbench.files.storage import sole_writer, write_text
+    from prbench.workflows.study.beside import add_published, differences, why_none
 
     board = boards.make_leaderboard(collected_runs(runs, data, workers, any_benchmark=True))
-    text = _exported(board, format, with_published=with_published)
+    text = boards.export(board, format)
+    if with_published:
+        text = add_published(text, board, format)
     if out is not None:
         with sole_writer(out):
             write_text(out, text)
-    exported = msgspec.json.decode(_exported(board, "json", with_published=with_published), type=Board)
-    report = BoardReport(format=format, out=out, board=exported)
+    report = BoardReport(
+        format=format,
+        out=out,
+        board=as_board(board),
+        published=[one for table in board.tables for one in differences(table.rows)] if with_published else [],
+        not_beside_published=why_none(board) if with_published else (),
+    )
     return Answer(report, lambda: print(text, end="") if out is None else print(f"leaderboard: {out}"))
-
-
-def _exported(board: Leaderboard, format: str, *, with_published: bool) -> str:
-    """Write a leaderboard in a format, with the study's numbers behind it if asked for."""
-    from prbench import board as boards
-
-    text = boards.export(board, format)
-    if not with_published:
-        return text
-    from prbench.workflows.study.beside import add_published
-
-    return add_published(text, board, format)
-
-
-class ComparedRun(msgspec.Struct, frozen=True, kw_only=True):
-    """One of two runs.
-
-    Attributes:
-        path: Its folder.
-        method: Name of the method.
-        origin: Whose method it is, in words.
-        marks: Maps datasets to remarks about the motions that readers must know.
-    """
-
-    path: Path
-    method: str
-    origin: str
-    marks: dict[str, str]
-
-
-class MetricDifference(msgspec.Struct, frozen=True, kw_only=True):
-    """The difference of two runs in one metric on one dataset: first minus second, over the same sequences.
-
-    Attributes:
-        dataset: Name of the dataset.
-        metric: Id of the metric, such as ``prime_success``.
-        title: Its name in tables.
-        unit: ``rate`` (differences from -1 to 1), ``ratio``, or a unit such as ``m``.
-        difference: Mean difference over sequences.
-        low: Lower bound of its 95 % interval; null where the data support none.
-        high: Upper bound of its 95 % interval.
-        interval: Name of the estimator of the interval.
-        sequences: Number of sequences.
-        recordings: Number of recordings that they come from.
-        marks: What a reader of the interval needs to know: ``few_recordings``, ``one_recording``, ``all_equal``.
-        p_value: Two-sided, from the spread between recordings; null where it cannot be tested.
-        adjusted_p_value: The same after Holm's correction for everything compared here.
-        detectable: Smallest true difference that is found with 80 % power at Holm's first step; null where it cannot be
-            tested.
-        power: Maps differences in points to the probability that a true one of this size would be found at Holm's first
-            step; empty but for rates that can be tested.
-        conclusion: ``higher``, ``lower``, ``not supported by the data`` or ``cannot be tested``: of the first run.
-    """
-
-    dataset: str
-    metric: str
-    title: str
-    unit: str
-    difference: float | None
-    low: float | None
-    high: float | None
-    interval: str
-    sequences: int
-    recordings: int
-    marks: list[str]
-    p_value: float | None
-    adjusted_p_value: float | None
-    detectable: float | None
-    power: dict[str, float]
-    conclusion: str
-
-
-class CompareReport(msgspec.Struct, frozen=True, kw_only=True):
-    """Two runs, compared sequence by sequence.
-
-    Attributes:
-        first: The first run.
-        second: The second run.
-        differences: One entry for each metric and dataset.
-        unverified: A sentence for each run and dataset whose scores could not be held against the motions.
-    """
-
-    first: ComparedRun
-    second: ComparedRun
-    differences: list[MetricDifference]
-    unverified: list[str]
 
 
 @command(
     "compare",
     example="prbench leaderboard compare runs/static runs/scripted",
-    report=CompareReport,
+    report="prbench.board.comparison:RunComparison",
     writes_report=True,
 )
 @click.argument("first", type=PATH, metavar="RUN")
@@ -485,118 +140,62 @@ def compare(first: Path, second: Path, data: tuple[Path, ...], workers: int) -> 
     compared = compare_runs(first, second, checker=run_checker(data, workers))
     for line in compared.left_out:
         note(line)
-    datasets = sorted({row.dataset for row in compared.metrics})
-    report = CompareReport(
-        first=_compared_run(first, datasets),
-        second=_compared_run(second, datasets),
-        differences=[_metric_difference(row) for row in compared.metrics],
-        unverified=list(compared.unverified),
-    )
-    return Answer(report, lambda: _print_comparison(report))
+    return Answer(compared, lambda: _print_comparison(compared))
 
 
-def _compared_run(path: Path, datasets: list[str]) -> ComparedRun:
-    """Name the method of a run and its origin, and the datasets for which it handed in recorded motions."""
-    from prbench.harness.run_folder import DatasetSummary, RunFolder
-
-    run = RunFolder.open(path, any_benchmark=True)
-    marks = {name: DatasetSummary.read(run.dataset(name).path).mark for name in datasets}
-    return ComparedRun(
-        path=path,
-        method=run.record.method.name,
-        origin=run.record.method.origin,
-        marks={name: mark for name, mark in marks.items() if mark},
-    )
-
-
-def _metric_difference(row: ComparedMetric) -> MetricDifference:
+def _print_comparison(compared: RunComparison) -> None:
     from prbench.harness.comparisons import POINTS
 
-    difference = row.comparison.difference
-    return MetricDifference(
-        dataset=row.dataset,
-        metric=row.info.id,
-        title=row.info.title,
-        unit=row.info.unit,
-        difference=difference.mean,
-        low=difference.low,
-        high=difference.high,
-        interval=difference.method,
-        sequences=difference.n_sequences,
-        recordings=difference.n_recordings,
-        marks=list(difference.marks),
-        p_value=row.comparison.p_value,
-        adjusted_p_value=row.comparison.adjusted_p_value,
-        detectable=row.comparison.detectable,
-        power={str(points): power for points, power in zip(POINTS, row.comparison.power)},
-        conclusion=row.comparison.conclusion,
-    )
-
-
-def _print_comparison(report: CompareReport) -> None:
-    first = report.first.path.name
+    first = compared.first.path.name
     print_table(
-        f"{first} against {report.second.path.name}, sequence by sequence",
+        f"{first} against {compared.second.path.name}, sequence by sequence",
         ("dataset", "metric", "difference", "95 % interval", "p (Holm)", "detectable", "power", ""),
-        [_difference_row(first, row) for row in report.differences],
+        [_difference_row(first, row) for row in compared.metrics],
         numbers=(2, 3, 4, 5, 6),
     )
     print("detectable: smallest true difference that is found in four of five repetitions, at Holm's first step.")
-    if any(row.power for row in report.differences):
-        points = next(", ".join(row.power) for row in report.differences if row.power)
+    if any(row.comparison.power for row in compared.metrics):
+        points = ", ".join(map(str, POINTS))
         print(f"power: in % of repetitions, true differences of {points} points are found there.")
-    for run in (report.first, report.second):
+    for run in (compared.first, compared.second):
         print(f"{run.path.name}: {run.method}, {run.origin}")
         for dataset, mark in run.marks.items():
             print(f"{run.path.name}, {dataset}: {mark}.")
-    for reason in report.unverified:
+    for reason in compared.unverified:
         print(f"unverified: {reason}")
 
 
-def _difference_row(first: str, row: MetricDifference) -> tuple[str, ...]:
-    from prbench.metrics import printed_scale, printed_unit
+def _difference_row(first: str, row: ComparedMetric) -> tuple[str, ...]:
+    from prbench.metrics import printed_unit
 
-    scale = printed_scale(row.unit)
-    unit = " points" if row.unit == "rate" else printed_unit(row.unit)
-    if row.low is None or row.high is None:
-        bounds = "all equal" if "all_equal" in row.marks else "cannot be given"
+    found = row.comparison
+    scale = row.info.scale
+    unit = " points" if row.info.unit == "rate" else printed_unit(row.info.unit)
+    if found.difference.low is None or found.difference.high is None:
+        bounds = "all equal" if "all_equal" in found.difference.marks else "cannot be given"
     else:
-        bounds = f"[{row.low * scale:+.2f}, {row.high * scale:+.2f}]"
+        bounds = f"[{found.difference.low * scale:+.2f}, {found.difference.high * scale:+.2f}]"
     said = f"{first} is {row.conclusion}" if row.conclusion in ("higher", "lower") else row.conclusion
-    change = "–" if row.difference is None else f"{row.difference * scale:+.2f}{unit}"
-    p_value = "–" if row.adjusted_p_value is None else f"{row.adjusted_p_value:.4f}"
-    if row.detectable is None:
+    change = f"{found.difference.mean * scale:+.2f}{unit}"
+    p_value = "–" if found.adjusted_p_value is None else f"{found.adjusted_p_value:.4f}"
+    if found.detectable is None:
         detectable = "–"
-    elif row.unit == "rate" and row.detectable > 1:
+    elif row.info.unit == "rate" and found.detectable > 1:
         detectable = "none"  # no difference of two rates is larger than 100 points
     else:
-        detectable = f"{row.detectable * scale:.2f}{unit}"
-    power = ", ".join(f"{100 * share:.0f}" for share in row.power.values()) or "–"
-    return (row.dataset, row.title, change, bounds, p_value, detectable, power, said)
+        detectable = f"{found.detectable * scale:.2f}{unit}"
+    power = ", ".join(f"{100 * share:.0f}" for share in found.power) or "–"
+    return (row.dataset, row.info.title, change, bounds, p_value, detectable, power, said)
 
 
 _COSTS = {
     "seconds": "seconds a motion",
-    "passes": "network passes a motion",
-    "memory": "memory (MiB)",
+    "network_passes": "network passes a motion",
+    "memory_mebibytes": "memory (MiB)",
     "parameters": "parameters",
 }
-
-
-class ParetoMethod(msgspec.Struct, frozen=True, kw_only=True):
-    """One method of the plot.
-
-    Attributes:
-        name: Its name and variant.
-        score: Mean in the printed unit (rates in %).
-        cost: Cost; null for a control, or where none was measured.
-        on_front: No other method is as cheap and better.
-    """
-
-    name: str
-    score: float
-    cost: float | None
-    on_front: bool
+"""Costs of a motion by the field of the record, as an axis says them."""
+_SHORT_COSTS = {"passes": "network_passes", "memory": "memory_mebibytes"}
 
 
 class ParetoReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -607,13 +206,15 @@ class ParetoReport(msgspec.Struct, frozen=True, kw_only=True):
         metric: Id of the metric.
         against: ``seconds``, ``passes``, ``memory`` or ``parameters``.
         methods: One entry a run.
+        front: Names of the methods than which no other is as cheap and better, the cheapest first.
         out: The picture.
     """
 
     dataset: str
     metric: str
     against: str
-    methods: list[ParetoMethod]
+    methods: list[ScoredMethod]
+    front: list[str]
     out: Path
 
 
@@ -622,9 +223,14 @@ class ParetoReport(msgspec.Struct, frozen=True, kw_only=True):
 )
 @click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")
 @click.option("--metric", default="prime_success", metavar="ID", help="Metric of the score (default prime_success).")
-@click.option("--against", type=click.Choice(list(_COSTS)), default="seconds", help="Which cost (default seconds).")
+@click.option(
+    "--against",
+    type=click.Choice(["seconds", "passes", "memory", "parameters"]),
+    default="seconds",
+    help="Which cost (default seconds).",
+)
 @out_file_option("Write the plot as PNG or SVG.", required=True)
-@data_option(required=False, help="Tables of the runs, on which their scores are checked; the embedded ones are known.")
+@tables_option
 @workers_option()
 def pareto(
     runs: tuple[Path, ...], metric: str, against: str, out: Path, data: tuple[Path, ...], workers: int
@@ -633,58 +239,19 @@ def pareto(
 
     RUN are run folders of the same sequences, or folders that hold some. Controls have no cost and are level lines.
     """
+    from prbench import board as boards
+    from prbench.board.tables import of_all_methods
+    from prbench.metrics import METRICS
     from prbench.viewing.pareto import ParetoAxes, draw_pareto, pareto_front, require_drawable
 
     require_drawable(out)
-    info = _metric(metric)
-    rows, title = _rows(runs, data, workers)
-    methods = [found for row in rows if (found := _scored(row, info, against)) is not None]
-    higher = bool(info.higher_is_better)
-    unit = "%" if info.unit == "rate" else info.unit
-    axes = ParetoAxes(
-        title=title, score=f"{info.title}{info.arrow} ({unit})", cost=_COSTS[against], higher_is_better=higher
-    )
-    draw_pareto(methods, axes, out)
-    front = pareto_front(methods, higher_is_better=higher)
-    report = ParetoReport(
-        dataset=rows[0].summary.dataset,
-        metric=info.id,
-        against=against,
-        methods=[
-            ParetoMethod(name=each.name, score=each.score, cost=each.cost, on_front=each in front) for each in methods
-        ],
-        out=out,
-    )
-
-    def show() -> None:
-        print(f"not beaten in both {info.title} and {_COSTS[against]}: {', '.join(each.name for each in front)}")
-        print("a front of means: whether two methods differ is said by `prbench leaderboard compare`")
-        print(f"plot: {out}")
-
-    return Answer(report, show)
-
-
-def _metric(name: str) -> MetricInfo:
-    from prbench.metrics import METRICS
-
     known = {info.id: info for info in METRICS if info.higher_is_better is not None}
-    if name not in known:
+    if metric not in known:
         raise UsageError(
-            f"--metric: unknown metric '{name}', or one without a better side.{did_you_mean(name, list(known))} Known"
+            f"--metric: unknown metric '{metric}', or one without a better side.{did_you_mean(metric, known)} Known"
             f" ones are: {', '.join(known)}."
         )
-    return known[name]
-
-
-def _rows(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> tuple[list[LeaderboardRow], str]:
-    """Return the rows of the one table that all runs belong to, and its title.
-
-    Raises:
-        UsageError: if the runs do not compare.
-    """
-    from prbench import board as boards
-    from prbench.board.tables import of_all_methods
-
+    info = known[metric]
     board = boards.make_leaderboard(collected_runs(runs, data, workers))
     # Where a method left sequences out, all are shown on those that every one generated.
     tables = of_all_methods(board.tables)
@@ -694,13 +261,26 @@ def _rows(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> tuple
             f" {' '.join(board.notes)} Name runs that compare."
         )
     table = tables[0]
-    for row in table.rows:
-        if row.entry.unverified:
-            note(f"unverified: {row.entry.run}: {row.entry.unverified}")
+    cost = _SHORT_COSTS.get(against, against)
+    methods = [found for row in table.rows if (found := _scored(row.entry, info, cost)) is not None]
     of = f" of {table.of} that every method here generated" if table.of else ""
     own = f", own protocol {table.protocol}" if table.protocol else ""
-    title = f"{table.title}: {table.sequences} sequences{of}, split {table.split}{own}"
-    return [row.entry for row in table.rows], title
+    axes = ParetoAxes(
+        title=f"{table.title}: {table.sequences} sequences{of}, split {table.split}{own}",
+        score=f"{info.title}{info.arrow} ({'%' if info.unit == 'rate' else info.unit})",
+        cost=_COSTS[cost],
+        higher_is_better=bool(info.higher_is_better),
+    )
+    draw_pareto(methods, axes, out)
+    front = [each.name for each in pareto_front(methods, higher_is_better=axes.higher_is_better)]
+    report = ParetoReport(dataset=table.dataset, metric=info.id, against=against, methods=methods, front=front, out=out)
+
+    def show() -> None:
+        print(f"not beaten in both {info.title} and {axes.cost}: {', '.join(front)}")
+        print("a front of means: whether two methods differ is said by `prbench leaderboard compare`")
+        print(f"plot: {out}")
+
+    return Answer(report, show)
 
 
 def _scored(row: LeaderboardRow, info: MetricInfo, against: str) -> ScoredMethod | None:
@@ -710,21 +290,14 @@ def _scored(row: LeaderboardRow, info: MetricInfo, against: str) -> ScoredMethod
     metric = row.metric(info.id)
     if metric is None:
         return None
-    costs = {
-        "seconds": row.cost.seconds,
-        "passes": row.cost.network_passes,
-        "memory": row.cost.memory_mebibytes,
-        "parameters": row.cost.parameters,
-    }
-    cost = None if row.is_control else costs[against]
+    cost = None if row.is_control else getattr(row.cost, against)
     if cost is None and not row.is_control:
         note(f"left out: {row.run}: its {_COSTS[against]} are not known")
         return None
     name = f"{row.method} ({row.record.condition})" if not row.is_control else row.method
     if row.summary.run_marks:
         note(f"{row.run}: {row.mark}")
-        chosen = f", best of {row.record.best_of}" if row.record.best_of > 1 else ""
-        name = f"{name}{chosen} {row.summary.run_symbols}"
+        name = f"{name} {row.summary.run_symbols}"
     # Copies of the recorded motion are no method: they are shown with their mark and stand on no front.
     if row.summary.hands_in_recordings:
         note(f"{row.run}: {row.mark}")

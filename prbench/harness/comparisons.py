@@ -39,6 +39,7 @@ class Comparison:
     """The difference first - second, and whether the data support one."""
 
     difference: Estimate
+    """Mean difference over sequences with its interval."""
     p_value: float | None
     """Two-sided; None where it cannot be tested."""
     adjusted_p_value: float | None

@@ -49,11 +49,15 @@ class Estimate:
     """A mean over sequences with its 95 % interval."""
 
     mean: float
+    """The mean."""
     low: float | None
     """None where the data do not support an interval."""
     high: float | None
+    """Upper bound of the interval."""
     n_sequences: int
+    """Number of sequences."""
     n_recordings: int
+    """Number of recordings that they come from."""
     method: str
     """Name of the interval: one of :data:`INTERVALS`."""
     marks: tuple[str, ...]

@@ -24,11 +24,13 @@ class ScoredMethod:
     """One method in the plot."""
 
     name: str
+    """Its name and condition."""
     score: float
-    """Mean in the printed unit."""
+    """Mean in the printed unit, rates in %."""
     low: float | None
+    """Lower bound of the mean's interval, where there is one."""
     high: float | None
-    """Interval of the mean, where there is one."""
+    """Upper bound of the interval."""
     cost: float | None
     """Cost in the printed unit; None for a control, which is drawn as a level line."""
 

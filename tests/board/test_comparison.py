@@ -110,7 +110,7 @@ def test_the_command_reports_the_comparison_as_json(folder, capsys):
     words = ["leaderboard", "compare", str(folder / "truth"), str(folder / "scripted")]
     report = reported(words, capsys)
     rows = {row.info.id: row.comparison for row in compare_runs(folder / "truth", folder / "scripted").metrics}
-    assert {each.metric: each.difference for each in report.differences} == {
+    assert {each.info.id: each.comparison.difference.mean for each in report.metrics} == {
         name: comparison.difference.mean for name, comparison in rows.items()
     }
     assert (report.first.method, report.second.method) == ("ground-truth", "scripted")
@@ -122,7 +122,7 @@ def test_the_board_is_reported_as_json_in_every_format(folder, tmp_path, capsys)
     runs = [str(folder / "truth"), str(folder / "scripted")]
     report = reported(["leaderboard", "export", *runs], capsys)
     assert report.out is None
-    assert [row.method for row in report.board.tables[0].rows] == ["ground-truth", "scripted"]
+    assert [row.record.method.name for row in report.board.tables[0].rows] == ["ground-truth", "scripted"]
     out = tmp_path / "board.csv"
     written = reported(["leaderboard", "export", *runs, "--format", "csv", "--out", str(out)], capsys)
     assert (written.format, written.out, written.board) == ("csv", out, report.board)

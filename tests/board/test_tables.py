@@ -442,8 +442,8 @@ def test_json_holds_everything_with_rates_from_0_to_1(tmp_path):
     write_run(tmp_path / "a", "one", prime_success=1 / 3)
     table = only(json.loads(export(leaderboard(tmp_path), "json"))["tables"])
     row = only(table["rows"])
-    assert (row["method"], row["scored"], table["split"]) == ("one", 80, "test")
-    assert next(m["mean"] for m in row["metrics"] if m["metric"] == "prime_success") == pytest.approx(1 / 3)
+    assert (row["record"]["method"]["name"], row["summary"]["sequences"], table["split"]) == ("one", 80, "test")
+    assert next(m["mean"] for m in row["summary"]["metrics"] if m["metric"] == "prime_success") == pytest.approx(1 / 3)
 
 
 def test_text_from_a_run_cannot_break_the_table(tmp_path):
@@ -525,7 +525,8 @@ def test_recorded_motion_that_was_handed_in_is_marked_and_never_ranked(tmp_path)
     notes = {row["method"]: row["note"] for row in csv.DictReader(io.StringIO(export(board, "csv")))}
     assert "†† equals the recorded motion in 80 of 80 motions" in notes["copy"]
     assert "††" not in notes["one"]
-    marks = {row["method"]: row["mark"] for row in only(json.loads(export(board, "json"))["tables"])["rows"]}
+    rows = only(json.loads(export(board, "json"))["tables"])["rows"]
+    marks = {row["record"]["method"]["name"]: row["mark"] for row in rows}
     assert marks["copy"].startswith("††")
     assert marks["one"] == ""
 
@@ -554,7 +555,9 @@ def test_every_export_says_whose_a_method_is(tmp_path):
     }
     assert {row["method"]: row["kind"] for row in csv.DictReader(io.StringIO(export(board, "csv")))} == kinds
     rows = only(json.loads(export(board, "json"))["tables"])["rows"]
-    assert {row["method"]: (row["kind"], row["isolation"]) for row in rows}["glide"] == ("package", "bubblewrap")
+    methods = {row["record"]["method"]["name"]: row["record"]["method"] for row in rows}
+    assert (methods["glide"]["kind"], methods["glide"]["isolation"]) == ("package", "bubblewrap")
+    assert {row["record"]["method"]["name"]: row["origin"] for row in rows} == kinds
 
 
 @pytest.mark.parametrize("kind", ["package", "program", "file"])
@@ -624,7 +627,7 @@ def test_arrivals_from_the_edge_are_counted_on_every_board(tmp_path):
     rows = list(csv.DictReader(io.StringIO(export(board, "csv"))))
     assert {row["metric"] for row in rows if said in row["note"]} == {"prime_success_arrival"}
     (row,) = json.loads(export(board, "json"))["tables"][0]["rows"]
-    assert row["metrics"][-1]["flags"] == {"arrived_from_the_edge": 7}
+    assert row["summary"]["metrics"][-1]["flags"] == {"arrived_from_the_edge": 7}
     (table,) = methods_table(board, "2", with_published=False)
     assert any(said in note for note in table.notes)
 

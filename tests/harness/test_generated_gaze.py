@@ -120,7 +120,7 @@ def test_a_leaderboard_shows_it_as_a_row_of_its_own_and_ranks_it_nowhere(table, 
     assert row.ranks == {}
     assert "| made ¶ |" in export(board, "md")
     assert "¶ gaze generated with the head" in export(board, "csv")
-    assert json.loads(export(board, "json"))["tables"][0]["rows"][0]["gaze"] is True
+    assert json.loads(export(board, "json"))["tables"][0]["rows"][0]["record"]["method"]["gaze"] is True
 
 
 def test_finished_motions_with_gaze_are_scored_like_those_of_a_run(table, tmp_path, seeing, capsys):

@@ -210,7 +210,10 @@ def test_without_motions_or_table_every_export_says_unverified(runs: Path, capsy
     assert "unverified" not in markdown["ground-truth"]
     assert "not held against the motions, because its folder holds no motions" in told["md"]
     (table,) = json.loads(told["json"])["tables"]
-    assert {row["method"]: row["verified"] for row in table["rows"]} == {"scripted": False, "ground-truth": True}
+    assert {row["record"]["method"]["name"]: bool(row["unverified"]) for row in table["rows"]} == {
+        "scripted": True,
+        "ground-truth": False,
+    }
     assert {line.split(",")[3]: ",unverified," in line for line in told["csv"].splitlines()[1:]} == {
         "scripted": True,
         "ground-truth": False,

@@ -35,18 +35,24 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
     """A method in a certain version."""
 
     name: str
+    """Its name."""
     kind: str = UNKNOWN
     """One of the kinds above. Names are checked by it: only prbench's own methods and controls bear their names."""
     package: str
     """Package that a method was installed from; of a program its command, without the folders of the machine; of
     motions the name of their file."""
     version: str
+    """Version of the package."""
     weights: str | None
     """Last part of the path of the weights in use, given or bundled, for people."""
     weights_digest: str | None
+    """Digest of its weights; null without weights."""
     options: dict[str, str]
+    """Its options by name."""
     max_frames: int | None
+    """Frames of the longest motion that it can generate; null without a limit."""
     native_fps: float | None
+    """Frames per second at which it generates; null for any rate."""
     motionless: bool
     """The method declares that its motions stand still, so that Foot Skating says nothing about it."""
     gaze: bool = False
@@ -77,7 +83,9 @@ class BatchPlanRecord(msgspec.Struct, frozen=True, kw_only=True):
     """The groups of sequences; floating-point results may depend on them."""
 
     batch_size: int
+    """Sequences a batch at most."""
     batches: int
+    """Number of batches."""
     digest: str
     """Over the sequence ids of every batch, in order."""
 
@@ -86,15 +94,21 @@ class TableRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     """The sequences of a table that a run was made on."""
 
     dataset: str
+    """Name of the dataset."""
     title: str
+    """The same for readers."""
     synthetic: bool
+    """The people are synthetic."""
     redistribution: str
+    """Whether data made from the dataset may be passed on: ``yes``, ``non-commercial`` or ``none``."""
     fold: str | None = None
     """The fold of participants that was tested on, such as ``2/6``; absent for a table that is no fold."""
     whole_table: str | None = None
     """Content digest of the table that the fold is of; absent for a table that is no fold."""
     identity_digest: str
+    """Digest of the ids of its sequences."""
     content_digest: str
+    """Digest of its content."""
     sequences: int
     """Chosen by split and limit."""
     unsupported: int
@@ -102,6 +116,7 @@ class TableRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     selection_digest: str
     """Over the ids of the chosen sequences."""
     batch_plan: BatchPlanRecord
+    """How its sequences were grouped."""
     estimated_bodies: bool = False
     """Bodies were estimated from whole tracks of the head; never enters one mean with captured ones."""
 
@@ -110,17 +125,27 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     """The whole of ``run.json``. Holds no time of day, host, absolute path or worker count."""
 
     schema_version: int
+    """Version of the files of a run folder."""
     prbench_version: str
+    """Version of prbench that made the run."""
     protocol_version: int
+    """Version of the protocol."""
     protocol_digest: str
+    """Digest of the rules by which it was scored."""
     method: MethodRecord
+    """The method."""
     condition: str
+    """What it was given."""
     control: str | None
+    """``shuffled-goal`` if it was given other sequences' goals; null if not."""
     split: str
+    """Split of the tables."""
     limit: int | None
+    """Sequences of each dataset at most; null for all."""
     sequences: tuple[str, ...] = ()
     """Ids, if the run is of single sequences instead of a split's; sorted."""
     seed: int
+    """Seed of the run."""
     samples: int
     """Motions kept of each sequence."""
     best_of: int = 1
@@ -128,10 +153,13 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     carry_on: bool = False
     """Every put starts where the generated pick before it ends (docs/specification/carry-on.md)."""
     device: str
+    """Where networks ran."""
     threads: int
     """Per worker."""
     packages: dict[str, str]
+    """Versions of the packages that it was made with."""
     tables: tuple[TableRecord, ...]
+    """The tables that it was made on."""
     benchmark: str = msgspec.field(default_factory=lambda: default_benchmark().name)
     """Name of the benchmark; not written for the default one, whose runs are older than the key."""
 

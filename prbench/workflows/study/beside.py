@@ -47,28 +47,41 @@ class Difference:
     table: str
     """Table of the study."""
     dataset: str
+    """Name of the dataset."""
     condition: str
+    """What the method was given."""
     method: str
+    """Name of the method."""
     variant: str
     """Of the measured row."""
     published_variant: str
+    """Of the study's row that it stands beside."""
     metric: str
+    """Id of the metric."""
     unit: str
+    """``%``, ``m`` or ``ratio``."""
     measured: float
+    """The measured number."""
     published: float
+    """The study's number."""
     difference: float
     """measured - published."""
     low: float | None
     """Bounds of its 95 % interval; None where the measured number has none."""
     high: float | None
+    """Upper bound of the interval."""
     sequences: int
+    """Number of sequences behind the measured number."""
     published_sequences: int
+    """Number of sequences in the study's test split."""
     verified: bool
+    """Whether the measured scores were held against the motions."""
     assumptions: tuple[str, ...]
     """Ids of what the study leaves open and could explain it (:func:`prbench.protocol.published.load_assumptions`)."""
     remarks: tuple[str, ...]
     """What else could."""
     source: str
+    """Where the study prints the number."""
 
 
 def published_variant(entry: LeaderboardRow, table: str = "2") -> tuple[str, str] | None:

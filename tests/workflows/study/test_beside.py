@@ -208,10 +208,12 @@ def test_names_are_escaped_in_every_format(tmp_path):
 
 
 def test_the_json_report_has_its_documented_shape(tmp_path):
-    from prbench.cli.leaderboard import Board
+    from prbench.board.export import Board
+    from prbench.workflows.study.beside import Difference
 
     write_real(tmp_path / "a")
     board = board_of(tmp_path)
-    read = msgspec.json.decode(add_published(export(board, "json"), board, "json"), type=Board)
-    assert len(read.published) == 6
-    assert "onset" in read.assumptions
+    content = msgspec.json.decode(add_published(export(board, "json"), board, "json"))
+    assert len(msgspec.convert(content["published"], list[Difference])) == 6
+    assert "onset" in content["assumptions"]
+    assert len(msgspec.convert(content, Board).tables) == 1
