@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from prbench.geometry.skeleton import Joint
-from prbench.viewing.event_story import StoryMotion
-from prbench.viewing.explain import explain_event
+from prbench.viewing.explain import StoryMotion, explain_event
 from prbench.viewing.figures import draw_figure, horizontal_direction, new_figure, write_png
 
 if TYPE_CHECKING:

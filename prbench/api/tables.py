@@ -49,7 +49,7 @@ from prbench.shown import html
 if TYPE_CHECKING:
     import pandas as pd
 
-    from prbench.viewing.event_story import EventStory
+    from prbench.viewing.explain import EventStory
     from prbench.viewing.replay.scene import Scene
 
 
@@ -223,7 +223,7 @@ class Sequence(sequences.Sequence):
     def _scene(self, permission: str | Iterable[str], scene: PathLike | None) -> Scene:
         from prbench.sequences.redistribution import require_may_pass_on
         from prbench.viewing.replay.read import scene_of
-        from prbench.viewing.surroundings import Surroundings
+        from prbench.viewing.view import Surroundings
 
         assert self._table is not None, "sequences are made by tables"
         permitted = as_texts(permission)
@@ -418,7 +418,7 @@ class Story:
         return self.picture.save(path)
 
     def _draw(self, path: Path) -> None:
-        from prbench.viewing.event_story import draw_event_story
+        from prbench.viewing.explain import draw_event_story
 
         draw_event_story(self._story, path)
 

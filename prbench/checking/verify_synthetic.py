@@ -21,7 +21,7 @@ from prbench.readers.found import RecordingFiles
 from prbench.sequences import Event
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import TrueEvent
-from prbench.synthetic.truth_files import read_truth
+from prbench.synthetic.write_tree import read_truth
 
 _IN_PROCESS = InProcess()
 _TIMES = {

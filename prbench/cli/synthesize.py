@@ -257,8 +257,13 @@ def _measure_people(layout: str | None, *, seed: int, count: int | None, workers
 def _draw_gallery(file: Path, *, layout: str | None, seed: int) -> None:
     """Draw twelve sequences of all presets, or of the one that was named."""
     from prbench.synthetic.people import perform
-    from prbench.viewing.clip_strips import render_strips, strips_of_activities
-    from prbench.viewing.gallery import render_contact_sheet, render_gallery, sequences_of
+    from prbench.viewing.gallery import (
+        render_contact_sheet,
+        render_gallery,
+        render_strips,
+        sequences_of,
+        strips_of_activities,
+    )
 
     if _is_corpus(layout):
         render_strips(strips_of_activities(seed), file)

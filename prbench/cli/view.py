@@ -120,7 +120,7 @@ def view(
     )
 
     def show_scores() -> None:
-        from prbench.viewing.replay.measures import score_sentence
+        from prbench.viewing.replay.scene import score_sentence
 
         for scene in drawn.scenes:
             print(f"{scene.sequence_id}: {scene.title}")
@@ -213,7 +213,7 @@ def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ..
 
     story = explain_event(data, event, permitted=permission)
     if draw is not None:
-        from prbench.viewing.event_story import draw_event_story
+        from prbench.viewing.explain import draw_event_story
 
         draw_event_story(story, draw)
     here = story.event

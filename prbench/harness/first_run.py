@@ -29,7 +29,7 @@ from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.synthetic import GENERATOR_VERSION
-from prbench.synthetic.people.presets import PRESETS
+from prbench.synthetic.people.person import PRESETS
 
 if TYPE_CHECKING:
     from prbench.harness.synthetic_table import Progress

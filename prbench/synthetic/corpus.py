@@ -26,7 +26,7 @@ from prbench.readers import SYNTHETIC_PREFIX, described_options
 from prbench.readers.options import ReaderOptions, parse_options
 from prbench.synthetic import GENERATOR_VERSION, humanml3d, nymeria
 from prbench.synthetic.activities import identity_of, narrated_recording
-from prbench.synthetic.defects import defect
+from prbench.synthetic.layouts import defect
 from prbench.synthetic.nymeria import sense_nymeria
 from prbench.synthetic.write_tree import WrittenRecording, WrittenTree, require_free, write_mark
 

@@ -17,9 +17,9 @@ from prbench.metrics.foot_skating import contact_share, foot_skating
 from prbench.metrics.smoothness import jitter
 from prbench.protocol.manifests import load_protocol
 from prbench.synthetic.activities import NarratedMotion
+from prbench.synthetic.behaviour import FPS, true_clips
 from prbench.synthetic.people.kinematics import forward_of
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.statistics import FPS, true_clips
 
 _HIPS = [Joint.LEFT_HIP, Joint.RIGHT_HIP]
 _KNEES = [Joint.LEFT_KNEE, Joint.RIGHT_KNEE]

@@ -1,9 +1,7 @@
-"""A whole synthetic tree on disk: native files, their mark, and the truth beside them.
+"""The truth record of synthetic recordings as Parquet (docs/specification/synthetic-recordings.md#truth-record).
 
-Sources: docs/specification/synthetic-recordings.md#truth-record,
-docs/specification/synthetic-recordings.md#determinism-splits-sizes and
-docs/specification/synthetic-recordings.md#native-layouts. Recording i depends on seed, preset and world alone, so
-neither the number of recordings nor the number of workers changes a byte of it.
+It lies in ``truth/`` beside the native files. Readers and curation never open it; only comparisons do. Times are
+seconds from the recording's first frame: add ``clock_offset_s`` of its stream to get the times of the native files.
 """
 
 from __future__ import annotations
@@ -15,24 +13,207 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
+from scipy.spatial.transform import Rotation
 
 import prbench
 from prbench.engine import engine_for
-from prbench.errors import UsageError
-from prbench.files.storage import atomic_folder, sole_writer, write_json
+from prbench.errors import InputFileError, UsageError
+from prbench.files.storage import atomic_folder, atomic_path, sole_writer, write_json
 from prbench.synthetic import GENERATOR_VERSION
-from prbench.synthetic.defects import defect
-from prbench.synthetic.layouts import SHARED_PARTS, layout_for
+from prbench.synthetic.layouts import SHARED_PARTS, defect, layout_for
 from prbench.synthetic.people import perform
-from prbench.synthetic.truth_files import (
-    events_table,
-    fixations_table,
-    joints_table,
-    objects_table,
-    recordings_table,
-    write_truth,
-)
+from prbench.synthetic.performance import Performance
+from prbench.synthetic.sensors import Switches
+
+_TRUTH_FOLDER = "truth"
+_TRUTH_SCHEMA = 1
+_TruthTable = Literal["recordings", "events", "fixations", "joints", "objects"]
+
+_STREAMS = ("glasses", "gaze", "objects", "body")
+_METADATA = {"prbench.truth_schema": str(_TRUTH_SCHEMA)}
+_DECIMALS = 5  # 10 micrometres; keeps digests equal where the last bits of a sine differ
+_POINT = pa.list_(pa.float64(), 3)
+
+
+def recordings_table(performance: Performance, *, noise: float = 1.0) -> pa.Table:
+    """Return the one row of a recording: who, where, which clock and which constant errors."""
+    layout = layout_for(performance.preset)
+    yaw, pitch = np.rad2deg(layout.gaze_bias(performance, noise=noise, switches=Switches()))
+    person = performance.person
+    return _table(
+        {
+            "recording_id": [performance.recording_id],
+            "preset": [performance.preset],
+            "room_id": [performance.room_id],
+            "participant_id": [person.participant_id],
+            "split": [performance.split],
+            "seed": pa.array([performance.seed], pa.int64()),
+            "duration_s": [performance.duration],
+            "stature_m": [person.stature],
+            "neck_tilt_deg": [person.neck_tilt_deg],
+            "style": [dict(sorted(person.parameters.items()))],
+            "clock_offset_s": [dict.fromkeys(_STREAMS, layout.clock_start(performance))],
+            "clock_drift_ppm": [dict.fromkeys(_STREAMS, 0.0)],
+            "gaze_bias_yaw_deg": [float(yaw)],
+            "gaze_bias_pitch_deg": [float(pitch)],
+            "world_from_native": pa.array([np.eye(4).ravel().tolist()], pa.list_(pa.float64(), 16)),
+        }
+    )
+
+
+def events_table(performance: Performance) -> pa.Table:
+    """Return one row a pick, put or provocation of one recording."""
+    layout = layout_for(performance.preset)
+    events = layout.events(performance)
+    return _table(
+        {
+            "recording_id": pa.array([performance.recording_id] * len(events), pa.string()),
+            "event_id": pa.array([event.event_id for event in events], pa.string()),
+            "kind": pa.array([event.action for event in events], pa.string()),
+            "tag": pa.array([event.tag for event in events], pa.string()),
+            "object_id": pa.array([layout.object_id(event.object_id) for event in events], pa.string()),
+            "object_name": pa.array([event.object_name for event in events], pa.string()),
+            "hand": pa.array([event.hand for event in events], pa.string()),
+            "contact_s": pa.array([event.contact_time for event in events], pa.float64()),
+            "event_s": pa.array([event.event_time for event in events], pa.float64()),
+            "release_s": pa.array([event.release_time for event in events], pa.float64()),
+            "goal": pa.array([event.goal.tolist() for event in events], _POINT),
+            "box_min": pa.array([event.box_min.tolist() for event in events], _POINT),
+            "box_max": pa.array([event.box_max.tolist() for event in events], _POINT),
+            "prime_planned_s": pa.array([event.prime_planned for event in events], pa.float64()),
+            "prime_s": pa.array([event.prime_time for event in events], pa.float64()),
+            "prime_first_s": pa.array([event.prime_first for event in events], pa.float64()),
+            "prime_kind": pa.array([event.prime_kind for event in events], pa.string()),
+            "motor_start_s": pa.array([event.motor_start for event in events], pa.float64()),
+            "reach_start_s": pa.array([event.reach_start for event in events], pa.float64()),
+            "expected": pa.array([event.expected for event in events], pa.string()),
+            "thin": pa.array([event.thin for event in events], pa.bool_()),
+        }
+    )
+
+
+def fixations_table(performance: Performance) -> pa.Table:
+    """Return one row a planned look."""
+    looks = performance.fixations
+    return _table(
+        {
+            "recording_id": pa.array([performance.recording_id] * len(looks), pa.string()),
+            "start_s": pa.array([look.start for look in looks], pa.float64()),
+            "end_s": pa.array([look.end for look in looks], pa.float64()),
+            "target": pa.array([np.asarray(look.target).tolist() for look in looks], _POINT),
+            "kind": pa.array([look.kind for look in looks], pa.string()),
+            "event_id": pa.array([look.event_id for look in looks], pa.string()),
+        }
+    )
+
+
+def joints_table(performance: Performance, *, rate: float) -> pa.Table:
+    """Return one row a frame: body, segment rotations, eyes, gaze, the head's own direction, planted feet.
+
+    Args:
+        performance: The truth.
+        rate: Frames a second that are kept; a divisor of the performance's rate.
+    """
+    rows = slice(None, None, round(performance.rate / rate))
+    forward = Rotation.from_quat(performance.head_rotation[rows], scalar_first=True).apply((0.0, 0.0, 1.0))
+    times = performance.times[rows]
+    return _table(
+        {
+            "recording_id": _repeated(performance.recording_id, len(times)),
+            "t": times,
+            "joints": _rows(performance.joints[rows]),
+            "rotations": _rows(performance.rotations[rows]),
+            "eye": _rows(performance.eye[rows]),
+            "gaze": _rows(performance.gaze[rows]),
+            "head_forward": _rows(forward),
+            "planted": _rows(performance.planted[rows]),
+        }
+    )
+
+
+def objects_table(performance: Performance) -> pa.Table:
+    """Return the poses of every object's box centre: rows while it moves, and its first and last."""
+    tables = []
+    layout = layout_for(performance.preset)
+    for motion in performance.objects:
+        # Rows at rest repeat the one before; without them the file of a long recording stays small.
+        kept = _moving_rows(motion.position, motion.rotation)
+        times = performance.times[: len(motion.position)][kept]
+        tables.append(
+            _table(
+                {
+                    "recording_id": _repeated(performance.recording_id, len(times)),
+                    "object_id": _repeated(layout.object_id(motion.object_id), len(times)),
+                    "t": times,
+                    "position": _rows(motion.position[kept]),
+                    "quaternion": _rows(motion.rotation[kept]),
+                    "held_by": motion.held_by[kept].astype(np.int8),
+                }
+            )
+        )
+    return pa.concat_tables(tables)
+
+
+def write_truth(table: pa.Table, tree: Path, name: _TruthTable, *, part: str | None = None) -> None:
+    """Write one table, or one recording's part of it, below ``truth/``; equal tables give equal bytes."""
+    folder = tree / _TRUTH_FOLDER
+    path = folder / f"{name}.parquet" if part is None else folder / name / f"{part}.parquet"
+    with atomic_path(path) as temporary:
+        pq.write_table(table, temporary, compression="zstd", compression_level=1)
+
+
+def read_truth(tree: Path, name: _TruthTable) -> pa.Table:
+    """Read one table of a tree's truth.
+
+    Raises:
+        InputFileError: if the tree has none, or it is of an unknown schema version.
+    """
+    folder = tree / _TRUTH_FOLDER
+    path = folder / f"{name}.parquet" if (folder / f"{name}.parquet").is_file() else folder / name
+    if not path.exists():
+        raise InputFileError(
+            path, "", expected="a truth record", found="no such file", remedy="Synthesise the tree again."
+        )
+    table = pq.read_table(path)
+    version = (table.schema.metadata or {}).get(b"prbench.truth_schema", b"none").decode()
+    if version != str(_TRUTH_SCHEMA):
+        raise InputFileError(
+            path,
+            "schema version",
+            expected=str(_TRUTH_SCHEMA),
+            found=version,
+            remedy="It was written by another version of prbench; synthesise the tree again.",
+        )
+    return table
+
+
+def _moving_rows(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    changes = (np.diff(position, axis=0) != 0).any(axis=1) | (np.diff(rotation, axis=0) != 0).any(axis=1)
+    kept = np.zeros(len(position), dtype=bool)
+    kept[:-1] |= changes
+    kept[1:] |= changes
+    kept[[0, -1]] = True
+    return kept
+
+
+def _rows(values: np.ndarray) -> pa.Array:
+    """Return one fixed-size list a row: float32 rounded to 10 micrometres, or booleans."""
+    flat = values.reshape(len(values), -1)
+    if flat.dtype == bool:
+        return pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])
+    return pa.FixedSizeListArray.from_arrays(np.round(flat, _DECIMALS).astype(np.float32).ravel(), flat.shape[1])
+
+
+def _repeated(text: str, count: int) -> pa.Array:
+    return pa.array([text], pa.string()).take(pa.array(np.zeros(count, dtype=np.int64)))
+
+
+def _table(columns: dict[str, object]) -> pa.Table:
+    return pa.table(columns).replace_schema_metadata(_METADATA)
+
 
 SYNTHETIC_FILE = "synthetic.json"
 Size = Literal["tiny", "default", "large"]
@@ -107,7 +288,7 @@ def synthesize_tree(
         bystander_objects: Objects that never move; 3 to 12 if None.
         provocations: See :func:`prbench.synthetic.people.perform`.
         noise: Multiplies every sensor error; 0 for ideal sensors.
-        defects: Names of defects that are done to the first recording (:mod:`prbench.synthetic.defects`).
+        defects: Names of defects that are done to the first recording (:mod:`prbench.synthetic.layouts`).
         estimates: Write bodies as EgoAllo estimates them, beside the layout's own.
         on_written: Called after each recording, in their order.
 

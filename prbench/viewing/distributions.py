@@ -12,8 +12,8 @@ from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.protocol.published import Spread, load_table_one
 from prbench.sequences.table_one import TableStatistics
 from prbench.shown import figure_text
+from prbench.synthetic.behaviour import TARGETS, clips_of
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.statistics import TARGETS, clips_of
 from prbench.viewing.figures import new_figure, require_drawable, write_figure, write_png
 
 if TYPE_CHECKING:

@@ -24,8 +24,8 @@ from prbench.sequences import SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice, require_may_pass_on
 from prbench.sequences.table import find_sequence_id
 from prbench.viewing.fan import Fan, FanGroup
-from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
 from prbench.viewing.replay.read import RunMotions, run_labels
+from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED_COLOUR
 
 Progress = Callable[[int, int, str], None]
 """Called with finished sequences, all of them, and the dataset."""

@@ -23,8 +23,8 @@ from prbench.sequences.redistribution import notice, require_may_pass_on
 from prbench.sequences.table import find_sequence_id
 from prbench.viewing.figures import FORMATS
 from prbench.viewing.futures import MOST_ROWS, Fan, ShownWindow, draw_futures
-from prbench.viewing.replay.parts import METHOD_COLOURS
-from prbench.viewing.replay.write import file_kind
+from prbench.viewing.replay.scene import METHOD_COLOURS
+from prbench.viewing.replay.sheet import file_kind
 from prbench.workflows.prediction_tables.predictors import predictor_of, samples_of
 
 DEFAULT_SAMPLES = 10

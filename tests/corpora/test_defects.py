@@ -10,7 +10,7 @@ import pytest
 from prbench.corpora import CorpusOptions, build_corpus
 from prbench.errors import UsageError
 from prbench.synthetic.corpus import synthesize_corpus_tree
-from prbench.synthetic.defects import Defect, defects_of
+from prbench.synthetic.layouts import Defect, defects_of
 
 
 def _damaged(tree, tmp_path, defect: Defect):

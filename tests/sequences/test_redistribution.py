@@ -20,8 +20,7 @@ from prbench.sequences.redistribution import (
     run_notice,
     strictest,
 )
-from prbench.viewing.event_story import draw_event_story
-from prbench.viewing.explain import explain_event
+from prbench.viewing.explain import draw_event_story, explain_event
 from tests.fakes import fake_dataset, fake_info
 
 

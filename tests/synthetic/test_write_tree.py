@@ -14,8 +14,7 @@ from prbench.readers import read_synthetic_tree, reader_for
 from prbench.readers.adt.synthetic import LAYOUT, sense
 from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.people import perform
-from prbench.synthetic.truth_files import objects_table, read_truth
-from prbench.synthetic.write_tree import WrittenTree, synthesize_tree
+from prbench.synthetic.write_tree import WrittenTree, objects_table, read_truth, synthesize_tree
 from tests.comparing import differences
 
 TRUTH_OF_A_FRAME = ("recording_id", "t", "joints", "rotations", "eye", "gaze", "head_forward", "planted")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from prbench.synthetic.activities.patterns import PATTERNS
-from prbench.viewing import clip_strips
-from prbench.viewing.clip_strips import Strip, render_strips, strips_of_activities
+from prbench.synthetic.activities.narrate import PATTERNS
+from prbench.viewing import gallery as clip_strips
+from prbench.viewing.gallery import Strip, render_strips, strips_of_activities
 from tests.fakes import smooth_motion
 
 

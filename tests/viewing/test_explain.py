@@ -12,8 +12,7 @@ import pytest
 from prbench.curation import BuildOptions, CurationOptions, build_from_sources
 from prbench.errors import UsageError
 from prbench.recording import Occluder
-from prbench.viewing.event_story import EventStory, draw_event_story
-from prbench.viewing.explain import explain_event
+from prbench.viewing.explain import EventStory, draw_event_story, explain_event
 from tests.curation.scenes import LOOK_A, PLACE_A, clock, gaze, scene, stranger
 from tests.curation.sources import SceneSource
 from tests.fakes import fake_dataset

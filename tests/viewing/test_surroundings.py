@@ -19,10 +19,9 @@ from prbench.geometry.axes import Y_UP_FROM_Z_UP
 from prbench.geometry.skeleton import invert_rigid, transform_points
 from prbench.sequences import SequenceChunk, SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
-from prbench.viewing.replay.parts import METHOD_COLOURS
 from prbench.viewing.replay.read import scene_of
-from prbench.viewing.replay.scene import ShownMotion
-from prbench.viewing.surroundings import Surroundings
+from prbench.viewing.replay.scene import METHOD_COLOURS, ShownMotion
+from prbench.viewing.view import Surroundings
 from tests.fakes import fake_dataset
 
 needs_open3d = pytest.mark.skipif(importlib.util.find_spec("open3d") is None, reason="needs the extra open3d")

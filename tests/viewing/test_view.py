@@ -15,8 +15,7 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import Predictions, RunFolder, read_scores
 from prbench.sequences import DatasetInfo, SequenceTable
-from prbench.viewing.replay.measures import score_row
-from prbench.viewing.replay.scene import RECORDED
+from prbench.viewing.replay.scene import RECORDED, score_row
 from prbench.viewing.view import ViewRequest, scenes_of, view
 from tests.fakes import fake_dataset
 

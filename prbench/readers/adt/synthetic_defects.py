@@ -14,7 +14,7 @@ from typing import Any
 from prbench.files.storage import write_json
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps import format as mps
-from prbench.synthetic.defects import Damage, Defect, Row, change_json, changed_rows, cut_in_half, missing, removed
+from prbench.synthetic.layouts import Damage, Defect, Row, change_json, changed_rows, cut_in_half, missing, removed
 
 
 def _truncated(name: str) -> Damage:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.synthetic import pickled_tensors
-from prbench.synthetic.defects import Defect, removed
+from prbench.synthetic.layouts import Defect, removed
 
 _SHORT_GAP = 3  # frames
 _LONG_GAP = 15

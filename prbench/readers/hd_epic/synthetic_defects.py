@@ -12,7 +12,7 @@ from typing import Any
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import format as ego
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.synthetic.defects import Defect, Row, change_cells, change_json, changed_rows, cut_in_half, removed
+from prbench.synthetic.layouts import Defect, Row, change_cells, change_json, changed_rows, cut_in_half, removed
 
 _GAZE_FILE = "general_eye_gaze.csv"
 

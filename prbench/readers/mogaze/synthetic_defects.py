@@ -12,7 +12,7 @@ import numpy as np
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.body import STATE_COLUMNS
 from prbench.readers.mogaze.synthetic import GOGGLES_ID
-from prbench.synthetic.defects import Damage, Defect, cut_in_half, removed
+from prbench.synthetic.layouts import Damage, Defect, cut_in_half, removed
 
 HUMAN, OBJECTS, GAZE, SEGMENTS = mogaze.PARTS
 _BODY_ROWS = mogaze.HUMAN_DATASET

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from prbench.randomness import named_generator
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.people.kinematics import UP
-from prbench.synthetic.people.presets import ObjectKind, Preset, SurfaceKind
+from prbench.synthetic.people.person import ObjectKind, Preset, SurfaceKind
 
 _SEATED_TABLE_HEIGHT = 0.74
 _DEEPEST_SPOT = 0.38

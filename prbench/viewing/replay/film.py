@@ -17,26 +17,32 @@ from prbench.files.storage import sole_file
 from prbench.geometry.skeleton import Joint
 from prbench.shown import figure_text
 from prbench.viewing.figures import new_figure
-from prbench.viewing.replay.measures import gaze_distance, measure, phase, verdict
-from prbench.viewing.replay.parts import (
+from prbench.viewing.replay.scene import (
     GAZE_COLOUR,
     MARK_COLOUR,
     METHOD_COLOURS,
+    Goal,
+    Progress,
+    Scene,
+    ShownMotion,
     beside,
     bone_segments,
     draw_bodies,
     draw_dots,
     draw_goal,
     extent,
+    gaze_distance,
     gaze_style,
     head_rays,
     limit_top_view,
     mark_times,
+    measure,
+    phase,
     rays,
     side_view,
     top_view,
+    verdict,
 )
-from prbench.viewing.replay.scene import Goal, Progress, Scene, ShownMotion
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

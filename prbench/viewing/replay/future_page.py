@@ -23,10 +23,18 @@ from prbench.viewing.futures import (
     Fan,
     ShownWindow,
 )
-from prbench.viewing.replay.page import HOLD, Act, overlay_box, recorded_page, swatch, viewer, with_box
-from prbench.viewing.replay.page_stage import place_camera, set_up_floor
-from prbench.viewing.replay.parts import rgb
-from prbench.viewing.replay.scene import Progress
+from prbench.viewing.replay.page import (
+    HOLD,
+    Act,
+    overlay_box,
+    place_camera,
+    recorded_page,
+    set_up_floor,
+    swatch,
+    viewer,
+    with_box,
+)
+from prbench.viewing.replay.scene import Progress, rgb
 
 if TYPE_CHECKING:
     from viser import ViserServer

@@ -18,8 +18,7 @@ from prbench.metrics import UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets,
 from prbench.protocol.manifests import MetricConstants, load_protocol
 from prbench.sequences import DatasetInfo, SequenceChunk, SequenceTable
 from prbench.sequences.redistribution import may_pass_on, notice, require_may_pass_on
-from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
-from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotion
+from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED, RECORDED_COLOUR, Gaze, Goal, Scene, ShownMotion
 
 _SIDES = {"left": 0, "right": 1}
 _Around = Callable[[SequenceChunk], Float[np.ndarray, "k 3"]]

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.geometry.skeleton import Joint
+from prbench.geometry.skeleton import BONES, WRISTS, Joint, head_forward
+from prbench.metrics import STUDY_METRICS, MetricInfo
+from prbench.metrics.ray_track import ray_distance
 from prbench.protocol.manifests import MetricConstants
-from prbench.viewing.figures import horizontal_direction
+from prbench.viewing.figures import draw_box, horizontal_direction
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import LineCollection
+    from matplotlib.lines import Line2D
 
 RECORDED = "ground truth"
 """Label of the recorded motion."""
@@ -118,3 +126,303 @@ class Scene:
         if self.goal is None:
             return horizontal_direction(pelvis[-1] - pelvis[0])
         return horizontal_direction(self.goal.location - pelvis[-1])
+
+
+# Rates are shown as yes or no, metres as lengths; a ratio such as Foot Skating says little of one sequence.
+_SHOWN = sorted((info for info in STUDY_METRICS if info.unit in ("rate", "m")), key=lambda i: i.unit != "rate")
+_OF_ONE_MOTION = tuple(info for info in _SHOWN if not info.compares_with_recorded)
+_OF_TWO_MOTIONS = tuple(info for info in _SHOWN if info.compares_with_recorded)
+HEADER = (
+    "",
+    *(info.title.replace(" ", "\n") for info in _OF_ONE_MOTION),
+    "nearest\nwrist",
+    *(info.title.replace(" ", "\n") for info in _OF_TWO_MOTIONS),
+)
+"""Header of the table of scores; "nearest wrist" is the smallest distance between a wrist and the goal."""
+_UNKNOWN = "–"
+
+
+@dataclass(frozen=True, eq=False)
+class Measures:
+    """Measurements of one motion against the goal, one value a frame."""
+
+    head_distance: Float[np.ndarray, " n"]
+    """From the goal to the head-forward ray, metres; Prime Success compares it with its threshold."""
+    head_angle: Float[np.ndarray, " n"]
+    """Between the head-forward ray and the direction to the goal, degrees."""
+    wrist_distance: Float[np.ndarray, " n"]
+    """From the goal to the nearer wrist, metres."""
+
+    @property
+    def reach_distance(self) -> float:
+        """The smallest distance of a wrist, metres; Reach Success compares it with its threshold."""
+        return float(self.wrist_distance.min())
+
+
+def measure(motion: ShownMotion, goal: Goal, head_tilt_deg: float) -> Measures:
+    """Measure one motion.
+
+    Sources: docs/specification/humanml3d.md#head-forward-vector, docs/specification/metrics.md#prime-success and
+    docs/specification/metrics.md#reach-success.
+    """
+    head = motion.joints[:, Joint.HEAD]
+    forward, _ = head_forward(motion.joints, head_tilt_deg)
+    wrists = np.linalg.norm(motion.joints[:, list(WRISTS)] - goal.location, axis=2)
+    return Measures(
+        head_distance=ray_distance(head, forward, goal.location[None]),
+        head_angle=_angle_deg(forward, goal.location - head),
+        wrist_distance=wrists.min(axis=1),
+    )
+
+
+def gaze_distance(gaze: Gaze, goal: Goal) -> Float[np.ndarray, " n"]:
+    """Return the distance of the goal from the recorded gaze ray, metres; NaN where the gaze is not valid."""
+    distance = ray_distance(gaze.origin, gaze.direction, goal.location[None])
+    return np.where(gaze.valid, distance, np.nan)
+
+
+def gaze_angle(gaze: Gaze, goal: Goal) -> Float[np.ndarray, " n"]:
+    """Return the angle of the recorded gaze to the direction of the goal, degrees; NaN where the gaze is not valid."""
+    return np.where(gaze.valid, _angle_deg(gaze.direction, goal.location - gaze.origin), np.nan)
+
+
+def _angle_deg(one: Float[np.ndarray, "n 3"], other: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    # The arc tangent stays exact for small angles, where an arc cosine loses half of its digits.
+    sine = np.linalg.norm(np.cross(one, other), axis=1)
+    return np.rad2deg(np.arctan2(sine, (one * other).sum(axis=1)))
+
+
+def score_row(scene: Scene, motion: ShownMotion) -> tuple[str, ...]:
+    """Return one row of the table, in the order of :data:`HEADER`; an en dash stands for an unknown value.
+
+    The recorded motion gets no scores that would compare it with itself.
+    """
+    wrist = None if scene.goal is None else measure(motion, scene.goal, scene.head_tilt_deg).reach_distance
+    recorded = motion is scene.motions[0] and scene.shows_recorded
+    return (
+        motion.label,
+        *(_cell(info, motion) for info in _OF_ONE_MOTION),
+        _length(wrist),
+        *(_UNKNOWN if recorded else _cell(info, motion) for info in _OF_TWO_MOTIONS),
+    )
+
+
+def score_sentence(scene: Scene, motion: ShownMotion) -> str:
+    """Return the known scores of a motion in one line."""
+    names = (name.replace("\n", " ") for name in HEADER[1:])
+    values = score_row(scene, motion)[1:]
+    return ", ".join(f"{name} {value}" for name, value in zip(names, values, strict=True) if value != _UNKNOWN)
+
+
+def verdict(scene: Scene, motion: ShownMotion) -> str:
+    """Return the two main scores in a few words."""
+    _, *cells = score_row(scene, motion)
+    if cells[0] == _UNKNOWN:
+        return "not scored"
+    scores = ", ".join(f"{info.title} {cell}" for info, cell in zip(_OF_ONE_MOTION, cells))
+    return f"{scores} ({cells[len(_OF_ONE_MOTION)]})"
+
+
+def phase(scene: Scene, frame: int) -> str:
+    """Name prime and event at the frames where they happen; the prime for a quarter of a second, so that it is seen."""
+    if frame == scene.n_frames - 1:
+        return f"{scene.action}  "
+    since = frame / scene.fps - scene.prime_time
+    return "prime  " if abs(since) <= 0.125 else ""
+
+
+def _cell(info: MetricInfo, motion: ShownMotion) -> str:
+    value = motion.scores.get(info.id)
+    if info.unit != "rate" or value is None:
+        return _length(value)
+    return "yes" if value >= 0.5 else "no"
+
+
+def _length(metres: float | None) -> str:
+    if metres is None:
+        return _UNKNOWN
+    return f"{metres * 100:.0f} cm" if metres < 0.995 else f"{metres:.2f} m"
+
+
+RECORDED_COLOUR = "#303030"
+METHOD_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#999933", "#882255")
+"""Colours of the runs in the order in which they are named; more could not be told apart."""
+GAZE_COLOUR = "#e69f00"
+GOAL_COLOUR = "#56b4e9"
+BOX_COLOUR = "#1b6f9c"
+MARK_COLOUR = "#555555"
+SURROUNDINGS_COLOUR = "#b8b8b8"
+IS_THICK = np.array([not Joint(child).name.startswith("LEFT") for _, child in BONES])
+"""True for right limbs and the trunk, in the order of ``skeleton.BONES``; left limbs are drawn thin."""
+SLICE = 0.6
+"""Metres before and behind a body within which a side view shows the surroundings."""
+
+_BONES = np.array(BONES)
+_LINE_WIDTHS = np.where(IS_THICK, 2.1, 0.9)  # points
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Return red, green and blue, 0 to 255, of ``#rrggbb``."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def gaze_style(motion: ShownMotion) -> dict[str, Any]:
+    """Return how the gaze of one of several motions is drawn in a panel that they share."""
+    if motion.label == RECORDED:
+        return {"color": GAZE_COLOUR}
+    return {"color": motion.colour, "linestyle": ":"}
+
+
+def bone_segments(points: Float[np.ndarray, "*poses 22 k"]) -> Float[np.ndarray, "*poses 21 2 k"]:
+    """Return both ends of every bone, in the order of ``skeleton.BONES``."""
+    return points[..., _BONES, :]
+
+
+def draw_bodies(
+    axes: Axes, points: Float[np.ndarray, "poses 22 2"], colour: str, *, alpha: float = 1.0
+) -> tuple[LineCollection, Line2D]:
+    """Draw poses that are already flat.
+
+    Returns:
+        The lines, one a bone, pose after pose, and the markers of the heads; a film moves both.
+    """
+    from matplotlib.collections import LineCollection
+
+    lines = LineCollection(
+        list(bone_segments(points).reshape(-1, 2, 2)),
+        colors=colour,
+        linewidths=np.tile(_LINE_WIDTHS, len(points)),
+        capstyle="round",
+        alpha=alpha,
+        zorder=3,
+    )
+    axes.add_collection(lines)
+    (heads,) = axes.plot(*points[:, Joint.HEAD].T, "o", color=colour, markersize=4.5, alpha=alpha, zorder=3)
+    return lines, heads
+
+
+def side_view(
+    points: Float[np.ndarray, "*n 3"], axis: Float[np.ndarray, "3"], around: Float[np.ndarray, "*m 3"] | None = None
+) -> Float[np.ndarray, "*n 2"]:
+    """Project points onto a horizontal axis, counted from ``around``, and onto the vertical; metres."""
+    across = points @ axis
+    if around is not None:
+        across = across - around @ axis
+    return np.stack([across, points[..., 1]], axis=-1)
+
+
+def top_view(points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
+    """Return ground coordinates (x, z), metres; :func:`limit_top_view` lets x grow to the left, as seen from above."""
+    return points[..., [0, 2]]
+
+
+def head_rays(
+    joints: Float[np.ndarray, "n 22 3"], head_tilt_deg: float, goal: Float[np.ndarray, "3"] | None, longest: float
+) -> Float[np.ndarray, "n 2 3"]:
+    """Return head-forward rays from the head joint (docs/specification/humanml3d.md#head-forward-vector).
+
+    Args:
+        joints: Canonical frame, metres.
+        head_tilt_deg: See :func:`prbench.geometry.skeleton.head_forward`.
+        goal: See :func:`rays`.
+        longest: See :func:`rays`.
+    """
+    forward, _ = head_forward(joints, head_tilt_deg)
+    return rays(joints[:, Joint.HEAD], forward, goal, longest)
+
+
+def rays(
+    origin: Float[np.ndarray, "n 3"],
+    direction: Float[np.ndarray, "n 3"],
+    goal: Float[np.ndarray, "3"] | None,
+    longest: float,
+) -> Float[np.ndarray, "n 2 3"]:
+    """Return segments from ``origin`` along the unit ``direction``, metres.
+
+    A segment is as long as the distance to the goal, so that a ray that meets the goal ends there; ``longest`` where
+    the goal is farther away or unknown.
+    """
+    length = np.full(len(origin), longest)
+    if goal is not None:
+        length = np.minimum(np.linalg.norm(goal - origin, axis=1), longest)
+    return np.stack([origin, origin + length[:, None] * direction], axis=1)
+
+
+def extent(scene: Scene, flat: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least and greatest coordinates of what must be seen: pelvis paths, last poses and the goal.
+
+    Args:
+        scene: The sequence.
+        flat: Maps points (..., 3) to the picture's coordinates.
+    """
+    points = [flat(motion.joints[:, Joint.PELVIS]) for motion in scene.motions]
+    points += [flat(motion.joints[-1]) for motion in scene.motions]
+    if scene.goal is not None:
+        points.append(flat(scene.goal.box_corners))
+    everything = np.concatenate(points)
+    return everything.min(axis=0), everything.max(axis=0)
+
+
+def limit_top_view(axes: Axes, scene: Scene, *, least: float, margin: float) -> None:
+    """Let a square panel show everything from above, x to the left, as one who looks down sees it.
+
+    Args:
+        axes: The panel.
+        scene: The sequence.
+        least: Smallest side of the square without its margins, metres.
+        margin: Metres around it.
+    """
+    low, high = extent(scene, top_view)
+    x, z = (low + high) / 2
+    half = max(float((high - low).max()), least) / 2 + margin
+    # x grows to the left, as for somebody who looks down on a body that faces away from them.
+    axes.set(xlim=(x + half, x - half), ylim=(z - half, z + half))
+    axes.set_aspect("equal", adjustable="box")
+
+
+def draw_goal(
+    axes: Axes,
+    corners: Float[np.ndarray, "8 2"],
+    location: Float[np.ndarray, "2"],
+    *,
+    linewidth: float,
+    markersize: float,
+    zorder: int,
+) -> None:
+    """Draw the flat edges of a goal's box and a square at its location."""
+    draw_box(axes, corners, color=BOX_COLOUR, linewidth=linewidth, zorder=zorder)
+    axes.plot(*location, "s", color=GOAL_COLOUR, markersize=markersize, zorder=zorder)
+
+
+def mark_times(axes: Axes, scene: Scene) -> None:
+    """Mark prime window, prime time and event on a panel whose x axis is time, seconds."""
+    window = scene.thresholds.prime_window
+    axes.axvspan(scene.prime_time - window, scene.prime_time + window, color="0.92", zorder=0, linewidth=0)
+    axes.axvline(scene.prime_time, color=MARK_COLOUR, linewidth=1.0, linestyle="--", zorder=1)
+    axes.axvline(scene.event_time, color=MARK_COLOUR, linewidth=1.4, zorder=1)
+
+
+def draw_dots(axes: Axes, points: Float[np.ndarray, "k 2"]) -> None:
+    """Draw flat points of the surroundings behind everything else."""
+    axes.scatter(*points.T, s=0.7, color=SURROUNDINGS_COLOUR, linewidths=0, zorder=0)
+
+
+def beside(
+    points: Float[np.ndarray, "k 3"],
+    body: Float[np.ndarray, "3"],
+    axis: Float[np.ndarray, "3"],
+    *,
+    reach: float,
+) -> Float[np.ndarray, "m 3"]:
+    """Return the points of a slice around a body that a side view shows.
+
+    Args:
+        points: Canonical frame, metres.
+        body: The pelvis.
+        axis: Horizontal unit vector that points to the right in the view.
+        reach: Metres to both sides.
+    """
+    offset = points - body
+    # The axis and the vertical span the picture; what is left is the distance from its plane.
+    depth = offset @ np.cross([0.0, 1.0, 0.0], axis)
+    return points[(np.abs(offset @ axis) < reach) & (np.abs(depth) < SLICE)]

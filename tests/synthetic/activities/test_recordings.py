@@ -10,10 +10,8 @@ import pytest
 
 from prbench.geometry.skeleton import WRISTS, Joint
 from prbench.synthetic.activities import NarratedMotion, identity_of, narrated_recording
-from prbench.synthetic.activities.acts import SITTING, STANDING
-from prbench.synthetic.activities.narrate import spoken_name
-from prbench.synthetic.activities.patterns import PATTERNS
-from prbench.synthetic.activities.wording import amount_word, speed_word
+from prbench.synthetic.activities.narrate import PATTERNS, amount_word, speed_word, spoken_name
+from prbench.synthetic.activities.script import SITTING, STANDING
 from prbench.synthetic.people import PRESETS
 from prbench.synthetic.plausibility import Limit, limits, measure_motions
 

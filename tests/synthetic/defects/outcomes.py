@@ -6,7 +6,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from prbench.curation import BuildReport
-from prbench.synthetic.defects import Defect
+from prbench.synthetic.layouts import Defect
 
 
 def assert_outcome(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from prbench.curation import build_dataset
-from prbench.synthetic.defects import defects_of
+from prbench.synthetic.layouts import defects_of
 from tests.readers import gimo_sample as sample
 
 DEFECTS = {defect.name: defect for defect in defects_of("gimo")}

@@ -9,7 +9,7 @@ import pytest
 
 from prbench.curation import BuildReport, build_dataset
 from prbench.sequences import DatasetInfo, SequenceTable
-from prbench.synthetic.defects import defects_of
+from prbench.synthetic.layouts import defects_of
 from prbench.synthetic.people.perform import name_of_recording
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.synthetic.defects.outcomes import assert_outcome

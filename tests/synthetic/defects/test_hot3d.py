@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from prbench.curation import BuildReport, build_dataset
-from prbench.synthetic.defects import defects_of
+from prbench.synthetic.layouts import defects_of
 from prbench.synthetic.write_tree import synthesize_tree
 
 DEFECTS = {defect.name: defect for defect in defects_of("hot3d")}

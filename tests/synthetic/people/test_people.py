@@ -11,8 +11,6 @@ import pytest
 from prbench.geometry.skeleton import bone_lengths
 from prbench.randomness import named_generator
 from prbench.synthetic.people import PRESETS
-from prbench.synthetic.people.base import BasePose, plan_segment, sample_base
-from prbench.synthetic.people.grasp import kept_away, solve_posture, take_hold
 from prbench.synthetic.people.kinematics import (
     blend,
     eased_trapezoid,
@@ -25,11 +23,11 @@ from prbench.synthetic.people.kinematics import (
     two_bone,
     wobble,
 )
-from prbench.synthetic.people.legs import place_feet, plan_steps
-from prbench.synthetic.people.motion import Generators, Motion, synthesise
+from prbench.synthetic.people.perform import Generators, Motion, synthesise
 from prbench.synthetic.people.person import Body, Person, draw_person
-from prbench.synthetic.people.plan import Plan
-from prbench.synthetic.people.planner import plan_recording
+from prbench.synthetic.people.plan import Plan, plan_recording
+from prbench.synthetic.people.reaching import kept_away, solve_posture, take_hold
+from prbench.synthetic.people.walking import BasePose, place_feet, plan_segment, plan_steps, sample_base
 from prbench.synthetic.people.world import draw_room
 
 ADT = PRESETS["adt"]

@@ -11,7 +11,7 @@ import pytest
 
 import prbench.synthetic
 from prbench.geometry.rays import near_miss, slab_test
-from prbench.synthetic.people.sight import first_sight, meets_box, passing_distance, slab_interval
+from prbench.synthetic.people.truth import first_sight, meets_box, passing_distance, slab_interval
 
 LOW = [-1.0, -1.0, -1.0]
 HIGH = [1.0, 1.0, 1.0]

@@ -6,8 +6,7 @@ import msgspec
 import numpy as np
 
 from prbench.protocol.manifests import load_protocol
-from prbench.viewing.replay.parts import METHOD_COLOURS, RECORDED_COLOUR
-from prbench.viewing.replay.scene import RECORDED, Gaze, Goal, Scene, ShownMotion
+from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED, RECORDED_COLOUR, Gaze, Goal, Scene, ShownMotion
 from tests.fakes import STANDING
 
 N_FRAMES = 61

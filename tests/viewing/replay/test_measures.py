@@ -9,9 +9,18 @@ from prbench.geometry.skeleton import Joint
 from prbench.metrics import MotionBatch
 from prbench.metrics.reach_success import reach_success
 from prbench.protocol.manifests import load_protocol
-from prbench.viewing.replay.measures import gaze_angle, gaze_distance, measure, phase, score_row, score_sentence
-from prbench.viewing.replay.parts import RECORDED_COLOUR
-from prbench.viewing.replay.scene import Gaze, Goal, ShownMotion
+from prbench.viewing.replay.scene import (
+    RECORDED_COLOUR,
+    Gaze,
+    Goal,
+    ShownMotion,
+    gaze_angle,
+    gaze_distance,
+    measure,
+    phase,
+    score_row,
+    score_sentence,
+)
 from tests.fakes import STANDING, smooth_motion
 from tests.viewing.replay.scenes import a_scene
 

@@ -8,9 +8,8 @@ import re
 import numpy as np
 import pytest
 
-from prbench.viewing.replay.page import HOLD, viewer, with_overlay, write_page
-from prbench.viewing.replay.page_stage import camera_of, lane_offsets
-from prbench.viewing.replay.parts import bone_segments
+from prbench.viewing.replay.page import HOLD, camera_of, lane_offsets, viewer, with_overlay, write_page
+from prbench.viewing.replay.scene import bone_segments
 from tests.viewing.replay.scenes import a_scene
 
 pytest.importorskip("viser")

@@ -9,7 +9,7 @@ import numpy as np
 
 from prbench.viewing.replay.film import FilmStage
 from prbench.viewing.replay.page import write_page
-from prbench.viewing.replay.parts import SLICE, SURROUNDINGS_COLOUR, beside, rgb
+from prbench.viewing.replay.scene import SLICE, SURROUNDINGS_COLOUR, beside, rgb
 from prbench.viewing.replay.sheet import draw_sheet
 from tests.viewing.replay.scenes import a_scene
 

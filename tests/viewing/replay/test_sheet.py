@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 
 from prbench.errors import StorageError
-from prbench.viewing.replay.parts import GAZE_COLOUR, GOAL_COLOUR, METHOD_COLOURS, RECORDED_COLOUR, rgb
+from prbench.viewing.replay.scene import GAZE_COLOUR, GOAL_COLOUR, METHOD_COLOURS, RECORDED_COLOUR, rgb
 from prbench.viewing.replay.sheet import WIDTH, Block, block_height, chosen_frames, draw_scene, draw_sheet
 from tests.viewing.replay.scenes import a_scene
 

@@ -1,0 +1,574 @@
+"""Head and eyes that follow one list of fixations (docs/specification/synthetic-recordings.md#eye-head-trunk)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.synthetic.people.gaze_plan import GazePlan, Look
+from prbench.synthetic.people.kinematics import (
+    UP,
+    add_bump,
+    blend,
+    direction,
+    frame_of_bone,
+    minimum_jerk,
+    smooth,
+    turn,
+    two_bone,
+    two_pole_low_pass,
+    unit,
+    wobble,
+    wrap,
+    yaw_and_pitch,
+)
+from prbench.synthetic.people.person import Body, Habits, Preset, Trunk, pose_trunk, standing_pelvis_height
+from prbench.synthetic.people.plan import DOOR, Plan, Reach
+from prbench.synthetic.people.reaching import Posture, pelvis_setback
+from prbench.synthetic.people.walking import BasePath, Feet, Step, lowered_pelvis
+
+_HEAD_YAW = np.deg2rad(100.0)
+_HEAD_UP = np.deg2rad(-34.0)
+_HEAD_DOWN = np.deg2rad(66.0)
+_FASTEST_HEAD = np.deg2rad(270.0)
+_FASTEST_PURSUIT = np.deg2rad(120.0)
+_EYE_YAW = np.deg2rad(45.0)
+_EYE_UP = np.deg2rad(-32.0)
+_EYE_DOWN = np.deg2rad(40.0)
+_LONGEST_SACCADE = 0.3  # s
+_SHORT_FILL = 0.35  # s; the head does not follow shorter looks
+_SHORT_GOAL_LOOK = 0.5
+
+
+@dataclass(frozen=True)
+class Head:
+    """True head orientation, radians: yaw in the world (not wrapped) and pitch (> 0 down)."""
+
+    yaw: Float[np.ndarray, " n"]
+    pitch: Float[np.ndarray, " n"]
+
+
+@dataclass
+class _Command:
+    """One head movement: towards a point until the fixation ends, then frozen relative to the heading."""
+
+    first: int
+    frozen: int
+    start: float
+    duration: float
+    target: Float[np.ndarray, "m 2"]
+    """Yaw relative to the heading, and pitch, for frames ``first`` to ``frozen``."""
+
+
+def move_head(
+    preset: Preset,
+    habits: Habits,
+    gaze: GazePlan,
+    heading: Float[np.ndarray, " n"],
+    eye: Float[np.ndarray, "n 3"],
+    times: Float[np.ndarray, " n"],
+    rng: np.random.Generator,
+) -> Head:
+    """Return the head's orientation over time.
+
+    Args:
+        preset: Gains.
+        habits: Gains, lag and eye-only range of the person.
+        gaze: Fixations.
+        heading: Of the base, radians, unwrapped.
+        eye: About where the eyes are.
+        times: Frame times, seconds.
+        rng: For the tremor.
+    """
+    rate = 1.0 / (times[1] - times[0])
+    commands, channel = _plan_commands(preset, habits, gaze.looks, heading, eye, times)
+    for _ in range(6):
+        speed = np.abs(np.gradient(heading + channel[:, 0], times))
+        fast = times[speed > _FASTEST_HEAD]
+        slowed = [
+            command
+            for command in commands
+            if _any_inside(fast, command.start - 0.02, command.start + command.duration + 0.02)
+        ]
+        if not slowed:
+            break
+        for command in slowed:
+            command.duration *= 1.35
+        channel = _follow(commands, times)
+    tremor = np.stack([wobble(times, np.deg2rad(0.5), 0.2, 1.5, rng) for _ in range(2)], axis=-1)
+    steady = smooth(channel, 0.030, rate) + tremor
+    return Head(heading + steady[:, 0], steady[:, 1])
+
+
+def _any_inside(sorted_times: np.ndarray, begin: float, end: float) -> bool:
+    first, last = np.searchsorted(sorted_times, [begin, end])
+    return bool(last > first)
+
+
+def _plan_commands(
+    preset: Preset,
+    habits: Habits,
+    looks: tuple[Look, ...],
+    heading: np.ndarray,
+    eye: np.ndarray,
+    times: np.ndarray,
+) -> tuple[list[_Command], np.ndarray]:
+    channel = np.zeros((times.size, 2))
+    turn_rate = np.abs(np.gradient(heading, times))
+    commands: list[_Command] = []
+    frame_time = float(times[1] - times[0])
+    for look in looks:
+        start = look.start + habits.head_lag
+        first, frozen = np.searchsorted(times, [start, look.end])
+        if first >= times.size:
+            break
+        frozen = max(int(frozen), int(first) + 1)
+        relative = _relative_direction(
+            look.point, eye[first:frozen], heading[first:frozen], channel[first, 0], frame_time
+        )
+        present = channel[first]
+        away = np.hypot(*(relative[0] - present))
+        length = look.end - look.start
+        if not look.is_goal and (length < _SHORT_FILL or away < habits.eye_only_range + np.deg2rad(6.0)):
+            continue
+        target = relative * _gains(preset, habits, look)
+        amplitude = float(np.hypot(*(target[0] - present)))
+        if commands and start - commands[-1].start < 0.7:
+            amplitude = max(amplitude, float(np.hypot(*(target[0] - commands[-1].target[0]))))
+        degrees = np.rad2deg(amplitude)
+        # A head that turns together with the body takes longer, up to 1.6 times.
+        slower = 1.0 + min(float(np.rad2deg(turn_rate[first])) / 250.0, 0.6)
+        duration = max(0.28 + 0.0048 * degrees, degrees / 117.0) * slower
+        commands.append(_Command(int(first), frozen, start, duration, target))
+        _obey(channel, commands[-1], times)
+    return commands, channel
+
+
+def _relative_direction(
+    point: np.ndarray, eye: np.ndarray, heading: np.ndarray, present: float, frame_time: float
+) -> np.ndarray:
+    """Return the direction of a point against the heading; wrapped once, at the first frame, then continuous.
+
+    The bearing of a point right below the eyes swings around with every step; the head does not.
+    """
+    yaw, pitch = yaw_and_pitch(point - eye)
+    relative = np.unwrap(yaw) - heading
+    relative += wrap(relative[0] - 0.3 * present) + 0.3 * present - relative[0]
+    step = _FASTEST_PURSUIT * frame_time
+    relative[1:] = relative[0] + np.cumsum(np.clip(np.diff(relative), -step, step))
+    return np.stack([np.clip(relative, -_HEAD_YAW, _HEAD_YAW), np.clip(pitch, _HEAD_UP, _HEAD_DOWN)], axis=-1)
+
+
+def _gains(preset: Preset, habits: Habits, look: Look) -> np.ndarray:
+    goal = preset.head_gain * np.array([habits.goal_gain, habits.goal_gain_vertical])
+    fill = np.array([habits.fill_gain, habits.fill_gain_vertical])
+    if not look.is_goal:
+        return fill
+    return goal if look.end - look.start >= _SHORT_GOAL_LOOK else 0.5 * (goal + fill)
+
+
+def _follow(commands: list[_Command], times: np.ndarray) -> np.ndarray:
+    channel = np.zeros((times.size, 2))
+    for command in commands:
+        _obey(channel, command, times)
+    return channel
+
+
+def _obey(channel: np.ndarray, command: _Command, times: np.ndarray) -> None:
+    first = command.first
+    last = int(np.searchsorted(times, command.start + command.duration))
+    until = min(max(last, command.frozen), times.size)
+    target = np.empty((until - first, 2))
+    count = min(len(command.target), until - first)
+    target[:count] = command.target[:count]
+    target[count:] = command.target[-1]
+    progress = minimum_jerk((times[first:until] - command.start) / command.duration)[:, None]
+    channel[first:until] = np.where(progress < 1.0, channel[first:until] * (1.0 - progress) + progress * target, target)
+    channel[until:] = command.target[-1]
+
+
+def move_eyes(
+    looks: tuple[Look, ...],
+    head: Head,
+    eye: Float[np.ndarray, "n 3"],
+    times: Float[np.ndarray, " n"],
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "n 3"]:
+    """Return the unit gaze directions: saccades, fixation of points in the world, limits of the eye in the head.
+
+    Args:
+        looks: Fixations without gaps.
+        head: True head orientation.
+        eye: True eye positions.
+        times: Frame times, seconds.
+        rng: For the drift during fixation.
+    """
+    drift = np.stack([wobble(times, np.deg2rad(0.3), 0.3, 3.0, rng) for _ in range(2)], axis=-1)
+    gaze = np.stack([head.yaw, head.pitch], axis=-1)
+    low = np.stack([head.yaw - _EYE_YAW, head.pitch + _EYE_UP], axis=-1)
+    high = np.stack([head.yaw + _EYE_YAW, head.pitch + _EYE_DOWN], axis=-1)
+    for look in looks:
+        first, last = np.searchsorted(times, [look.start, look.end + _LONGEST_SACCADE])
+        if first >= times.size:
+            break
+        yaw, pitch = yaw_and_pitch(look.point - eye[first:last])
+        yaw = np.unwrap(yaw)
+        yaw += wrap(yaw[0] - head.yaw[first]) + head.yaw[first] - yaw[0]
+        target = np.stack([yaw, pitch], axis=-1) + drift[first:last]
+        amplitude = float(np.rad2deg(np.hypot(*(target[0] - gaze[first]))))
+        # 21 ms and 2.2 ms a degree: the duration of saccades grows linearly with their amplitude.
+        saccade = 0.021 + 0.0022 * amplitude
+        progress = minimum_jerk((times[first:last] - look.start) / saccade)[:, None]
+        blended = np.where(progress < 1.0, gaze[first:last] + progress * (target - gaze[first:last]), target)
+        gaze[first:last] = np.clip(blended, low[first:last], high[first:last])
+    return direction(gaze[:, 0], gaze[:, 1])
+
+
+_CHEST_LIMIT = np.deg2rad(49.0)
+_PELVIS_LIMIT = np.deg2rad(17.0)
+_LEAN_PER_SPEED = 0.03  # radians per m/s
+_CHEST_SWING = 0.06  # radians
+_PELVIS_SWING = 0.05
+_FULL_SWING_SPEED = 1.1  # m/s
+
+
+@dataclass(frozen=True)
+class Sway:
+    """Small movements of somebody who stands or walks; drawn once, whatever the reaches need."""
+
+    lateral: Float[np.ndarray, " n"]
+    """Pelvis to the left, metres."""
+    forward: Float[np.ndarray, " n"]
+    lean: Float[np.ndarray, " n"]
+    """Radians."""
+    arm_swing: Float[np.ndarray, " n"]
+    """-1.1 to 1.1: left arm forward, right arm back."""
+    hands: Float[np.ndarray, "n 2 3"]
+    """Tremor of the resting hands, metres."""
+
+
+def draw_sway(plan: Plan, base: BasePath, steps: tuple[Step, ...], times: np.ndarray, rng: np.random.Generator) -> Sway:
+    """Draw the wobbles of a recording, and the swing of pelvis and arms over its steps."""
+    rate = 1.0 / (times[1] - times[0])
+    lateral = np.zeros(times.size)
+    swing = np.zeros(times.size)
+    for step in steps:
+        first, last = np.searchsorted(times, [step.lift, step.landing])
+        towards_stance = -1.0 if step.foot == 0 else 1.0
+        lateral[first:last] += 0.018 * towards_stance * np.sin(np.pi * (times[first:last] - step.lift) / step.swing)
+        if step.walking:
+            first, last = np.searchsorted(times, [step.lift, step.lift + step.period])
+            swing[first:last] = -towards_stance * np.cos(np.pi * (times[first:last] - step.lift) / step.period)
+    swing *= np.minimum(_FULL_SWING_SPEED, base.speed / _FULL_SWING_SPEED)
+    hand_wobble = _hand_wobble(plan, times, rng)
+    return Sway(
+        lateral=smooth(lateral, 0.060, rate) + wobble(times, 0.006, 0.05, 0.4, rng),
+        forward=wobble(times, 0.005, 0.05, 0.5, rng),
+        lean=_LEAN_PER_SPEED * smooth(base.speed, 0.10, rate) + wobble(times, np.deg2rad(0.6), 0.05, 0.4, rng),
+        arm_swing=smooth(swing, 0.060, rate),
+        hands=hand_wobble,
+    )
+
+
+def _hand_wobble(plan: Plan, times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Draw the tremble of hanging hands, or the movements of hands at work."""
+    if plan.preset.work_pose is None:
+        size = float(rng.uniform(0.006, 0.010))
+        low = 0.05
+        high = 0.5
+    else:
+        size = 0.03
+        low = 0.2
+        high = 1.0
+    waves = [wobble(times, size / np.sqrt(3.0), low, high, rng) for _ in range(6)]
+    return np.stack(waves, axis=-1).reshape(times.size, 2, 3)
+
+
+@dataclass(frozen=True)
+class Bending:
+    """Bending of the trunk that the reaches ask for, at every frame."""
+
+    lean: Float[np.ndarray, " n"]
+    crouch: Float[np.ndarray, " n"]
+    chest_turn: Float[np.ndarray, " n"]
+
+
+def bend(plan: Plan, postures: list[Posture], times: np.ndarray) -> Bending:
+    """Blend from reach to reach: down before the event, up again after it."""
+    channels = np.zeros((times.size, 3))
+    for reach, posture in zip(plan.reaches, postures, strict=True):
+        begin = reach.reach_start - 0.1
+        end = reach.event - 0.05
+        blend(channels, times, begin, end - begin, np.array([posture.lean, posture.crouch, posture.chest_turn]))
+        if np.isfinite(reach.dwell):
+            release = reach.event + 0.12 + max(reach.dwell - 0.18, 0.0) * (not reach.carries)
+            blend(channels, times, release, 0.8 + 1.25 * posture.crouch, np.zeros(3))
+    return Bending(channels[:, 0], channels[:, 1], channels[:, 2])
+
+
+def move_trunk(
+    plan: Plan,
+    base: BasePath,
+    bending: Bending,
+    sway: Sway,
+    feet: Feet,
+    steps: tuple[Step, ...],
+    times: Float[np.ndarray, " n"],
+    head: Head | None,
+) -> Trunk:
+    """Return the pelvis, spine and shoulders at every frame.
+
+    Args:
+        plan: Person and preset.
+        base: Base pose at every frame.
+        bending: Of the reaches.
+        sway: Small movements.
+        feet: Contacts that limit the pelvis height.
+        steps: Foot falls.
+        times: Frame times, seconds.
+        head: True head orientation that the trunk follows; None leaves the trunk along the heading.
+    """
+    body = plan.person.body
+    habits = plan.person.habits
+    rate = 1.0 / (times[1] - times[0])
+    chest_follow = np.zeros(times.size)
+    pelvis_follow = np.zeros(times.size)
+    if head is not None:
+        chest_follow, pelvis_follow = _follow_head(plan, head.yaw - base.heading, rate)
+    pelvis_yaw = base.heading + pelvis_follow + 0.3 * bending.chest_turn + _PELVIS_SWING * sway.arm_swing
+    chest_yaw = base.heading + chest_follow + 0.5 * bending.chest_turn - _CHEST_SWING * sway.arm_swing
+    lean = bending.lean + sway.lean
+
+    forward = np.stack([np.sin(base.heading), np.zeros(times.size), np.cos(base.heading)], axis=-1)
+    left = np.stack([forward[:, 2], np.zeros(times.size), -forward[:, 0]], axis=-1)
+    ahead = sway.forward - pelvis_setback(body, bending.lean, bending.crouch)
+    pelvis = base.points + ahead[:, None] * forward + sway.lateral[:, None] * left
+    if plan.pelvis_height is not None:
+        pelvis[:, 1] = plan.pelvis_height
+        return pose_trunk(body, habits.stoop, pelvis, pelvis_yaw, chest_yaw, lean)
+    pelvis[:, 1] = standing_pelvis_height(body) - bending.crouch * body.leg - 0.02 * lean
+    upright = pose_trunk(body, habits.stoop, pelvis, pelvis_yaw, chest_yaw, lean)
+    pelvis[:, 1] = lowered_pelvis(body, pelvis[:, 1], np.stack(upright.hips, axis=1), feet, steps, times, rate)
+    return pose_trunk(body, habits.stoop, pelvis, pelvis_yaw, chest_yaw, lean)
+
+
+def _follow_head(plan: Plan, turned: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the turns of chest and pelvis against the heading: low-passed shares of the head's turn."""
+    habits = plan.person.habits
+    extra = plan.preset.chest_gain
+    chest = two_pole_low_pass((habits.chest_share + extra) * turned, habits.trunk_time, rate)
+    share = habits.pelvis_share + 0.3 * max(0.0, extra)
+    pelvis = two_pole_low_pass(share * turned, 1.4 * habits.trunk_time, rate)
+    return _soft_clip(chest, _CHEST_LIMIT), _soft_clip(pelvis, _PELVIS_LIMIT)
+
+
+def _soft_clip(values: np.ndarray, limit: float) -> np.ndarray:
+    """Clip without a corner: straight up to 80 % of the limit."""
+    size = np.abs(values)
+    begin = 0.8 * limit
+    soft = begin + 0.2 * limit * np.tanh((size - begin) / (0.2 * limit))
+    return np.where(size > begin, np.sign(values) * soft, values)
+
+
+_ARM_LIMIT = (0.95, 0.995)
+_HANGING = 0.96
+_OUTSIDE_SHOULDER = 0.032  # of the stature
+_CARRY_AFTER = 0.75
+_BACK_WITHIN = 0.8
+# Hands that grasp are fastest before the middle of their way and slow from three quarters of it on (Jeannerod 1984).
+_REACH_SKEW = 0.25
+_HUMP_UP = 0.06
+_HUMP_FORWARD = 0.09
+
+_SLIDE_TIME = 0.15
+"""Seconds that a nudged object slides."""
+_OPENING_TIME = 1.0
+"""Seconds in which a door is opened."""
+MEETING_TIME = 0.5
+"""Seconds in which the hands meet for a hand-over."""
+HANDING_TIME = 0.6
+"""Seconds in which the object goes from hand to hand."""
+_DOOR_WIDTH_HALF = float(cast(tuple[float, float, float], DOOR.half_extents)[0])
+
+
+@dataclass(frozen=True)
+class Arms:
+    """Joints of both arms; index 1 is the side."""
+
+    elbow: Float[np.ndarray, "n 2 3"]
+    wrist: Float[np.ndarray, "n 2 3"]
+    hinge: Float[np.ndarray, "n 2 3"]
+    """Unit normal of the arm plane: the elbow's axis, pointing left at neutral."""
+
+
+def move_wrists(plan: Plan, trunk: Trunk, sway: Sway, times: np.ndarray) -> Float[np.ndarray, "n 2 3"]:
+    """Return where the wrists are meant to be: waiting, reaching, carrying. Commands are applied in time order."""
+    rest = [_resting_wrist(plan, trunk, sway, hand) for hand in (0, 1)]
+    carry = [_offset_from_shoulder(plan, trunk, hand, plan.preset.carry_pose) for hand in (0, 1)]
+    wrists = [waiting.copy() for waiting in rest]
+    for reach in plan.reaches:
+        if reach.twist.handed_over is not None:
+            _hand_over(plan, wrists, rest, carry, reach, trunk, times)
+        _reach(wrists[reach.hand], reach, np.zeros(3), times)
+        _leave(wrists[reach.hand], reach, rest[reach.hand], carry[reach.hand], times)
+        if reach.twist.second_hand:
+            _second_hand(wrists[1 - reach.hand], reach, rest[1 - reach.hand], carry[reach.hand], trunk, times)
+    return np.stack(wrists, axis=1)
+
+
+def _reach(wrist: np.ndarray, reach: Reach, beside: np.ndarray, times: np.ndarray) -> None:
+    """Move a wrist to the grasp, on a path that bulges up and forward: past the table's edge and the own shoulder."""
+    duration = reach.contact - reach.reach_start
+    blend(wrist, times, reach.reach_start, duration, reach.grasp.wrist + beside, skew=_REACH_SKEW)
+    add_bump(wrist, times, reach.reach_start, duration, _HUMP_UP * UP + _HUMP_FORWARD * reach.base.forward)
+
+
+def _leave(wrist: np.ndarray, reach: Reach, rest: np.ndarray, carry: np.ndarray, times: np.ndarray) -> None:
+    """Carry away what was picked; else stay a little, with what slides or turns, and go back."""
+    if reach.carries:
+        blend(wrist, times, reach.event, _CARRY_AFTER, carry)
+        return
+    if reach.twist.slide is not None or reach.twist.opening:
+        first = int(np.searchsorted(times, reach.event))
+        wrist[first:] = moved_along(reach, reach.grasp.wrist, times[first:])
+    if np.isfinite(reach.dwell):
+        blend(wrist, times, reach.event + reach.dwell, _BACK_WITHIN, rest)
+
+
+def moved_along(
+    reach: Reach, point: Float[np.ndarray, "3"], times: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 3"]:
+    """Return where a point fixed to a nudged or hinged object is after the event."""
+    if reach.twist.slide is not None:
+        return point + minimum_jerk((times - reach.event) / _SLIDE_TIME)[:, None] * reach.twist.slide
+    axis = reach.centre + turn(reach.yaw, 0.0, np.array([_DOOR_WIDTH_HALF, 0.0, 0.0]))
+    return axis + turn(opened(reach, times), 0.0, point - axis)
+
+
+def opened(reach: Reach, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Return the angle of a door that is pulled towards the person, radians."""
+    return -reach.twist.opening * minimum_jerk((times - reach.event) / _OPENING_TIME)
+
+
+def _second_hand(
+    wrist: np.ndarray, reach: Reach, rest: np.ndarray, carry: np.ndarray, trunk: Trunk, times: np.ndarray
+) -> None:
+    """Let the other hand join after the lift, some way beside the first, and help to put down."""
+    towards_other = 1.0 if reach.hand == 1 else -1.0
+    beside = np.array([towards_other * reach.twist.second_hand, 0.0, 0.0])
+    if reach.action == "pick":
+        joined = carry + turn(trunk.yaws[3], 0.0, beside)
+        blend(wrist, times, reach.event + 0.2, _CARRY_AFTER - 0.2, joined)
+        return
+    _reach(wrist, reach, turn(reach.base.heading, 0.0, beside), times)
+    blend(wrist, times, reach.event + reach.dwell, _BACK_WITHIN, rest)
+
+
+def _hand_over(
+    plan: Plan,
+    wrists: list[np.ndarray],
+    rest: list[np.ndarray],
+    carry: list[np.ndarray],
+    put: Reach,
+    trunk: Trunk,
+    times: np.ndarray,
+) -> None:
+    """Let both hands meet before the chest; one leaves, the other carries on."""
+    begin = put.twist.handed_over
+    assert begin is not None  # the caller asks for it only then
+    middle = 0.5 * (trunk.shoulders[0] + trunk.shoulders[1])
+    stature = plan.person.body.stature
+    for hand in (0, 1):
+        offset = np.array([0.08 if hand == 0 else -0.08, -0.18 * stature, 0.21 * stature])
+        blend(wrists[hand], times, begin, MEETING_TIME, middle + turn(trunk.yaws[3], 0.0, offset))
+    handed = begin + MEETING_TIME + HANDING_TIME
+    blend(wrists[1 - put.hand], times, handed, _BACK_WITHIN, rest[1 - put.hand])
+    blend(wrists[put.hand], times, handed, 0.5, carry[put.hand])
+
+
+def _resting_wrist(plan: Plan, trunk: Trunk, sway: Sway, hand: int) -> np.ndarray:
+    if plan.preset.work_pose is not None:
+        return _offset_from_shoulder(plan, trunk, hand, plan.preset.work_pose) + sway.hands[:, hand]
+    body = plan.person.body
+    side = 1.0 if hand == 0 else -1.0
+    outside = _OUTSIDE_SHOULDER * body.stature
+    length = np.sqrt((_HANGING * body.arm) ** 2 - outside**2)
+    angle = side * plan.person.habits.arm_swing * sway.arm_swing
+    hanging = np.stack([np.full(angle.size, side * outside), -length * np.cos(angle), length * np.sin(angle)], axis=-1)
+    return trunk.shoulders[hand] + turn(trunk.yaws[3], 0.0, hanging) + sway.hands[:, hand]
+
+
+def _offset_from_shoulder(plan: Plan, trunk: Trunk, hand: int, offset: tuple[float, float, float]) -> np.ndarray:
+    """Return a place relative to the shoulder: outwards, up, forward; fractions of the stature."""
+    side = 1.0 if hand == 0 else -1.0
+    scaled = plan.person.body.stature * np.array([side * offset[0], offset[1], offset[2]])
+    return trunk.shoulders[hand] + turn(trunk.yaws[3], 0.0, scaled)
+
+
+def elbow_poles(flare: float, trunk: Trunk, wrists: Float[np.ndarray, "n 2 3"]) -> Float[np.ndarray, "n 2 3"]:
+    """Return where the elbows point, in the chest's frame; follows the direction of the arm.
+
+    A fixed pole would be antiparallel to an arm that reaches up and forward, and the elbow would flip. Upward is the
+    chest's: in a deep bend, the world's would leave the pole antiparallel to an arm that hangs in front of the face.
+    """
+    chest_up = turn(trunk.yaws[3], trunk.pitches[3], np.array([0.0, 1.0, 0.0]))
+    poles = []
+    for hand in (0, 1):
+        side = 1.0 if hand == 0 else -1.0
+        upward = np.sum(unit(wrists[:, hand] - trunk.shoulders[hand]) * chest_up, axis=-1)
+        raised = minimum_jerk((upward + 0.3) / 0.8)
+        outward = side * (flare + 0.6 * raised)
+        poles.append(np.stack([outward, np.full(upward.size, -0.85), -0.65 * (1.0 - raised)], axis=-1))
+    return np.stack(poles, axis=1)
+
+
+def pose_arms(
+    body: Body,
+    flare: float,
+    trunk: Trunk,
+    wrists: Float[np.ndarray, "n 2 3"],
+    poles: Float[np.ndarray, "n 2 3"] | None = None,
+) -> Arms:
+    """Find the elbows by two-bone kinematics.
+
+    Args:
+        body: Bone lengths.
+        flare: How far the elbows stand out.
+        trunk: Shoulders and chest.
+        wrists: Wanted wrists.
+        poles: Where the elbows point, chest frame; :func:`elbow_poles` if None.
+    """
+    elbows = []
+    reached = []
+    hinges = []
+    poles = elbow_poles(flare, trunk, wrists) if poles is None else poles
+    for hand in (0, 1):
+        shoulder = trunk.shoulders[hand]
+        pole = turn(trunk.yaws[3], trunk.pitches[3], poles[:, hand])
+        elbow, wrist = two_bone(shoulder, wrists[:, hand], (body.upper_arm, body.forearm), pole, _ARM_LIMIT)
+        elbows.append(elbow)
+        reached.append(wrist)
+        hinges.append(unit(np.cross(wrist - elbow, elbow - shoulder)))
+    return Arms(np.stack(elbows, axis=1), np.stack(reached, axis=1), np.stack(hinges, axis=1))
+
+
+def turn_hands(plan: Plan, arms: Arms, times: np.ndarray) -> Float[np.ndarray, "n 2 3 3"]:
+    """Return world from hand: y from wrist to finger base along the forearm, turned into the grasp around an event."""
+    frames = []
+    for hand in (0, 1):
+        forearm = unit(arms.wrist[:, hand] - arms.elbow[:, hand])
+        neutral = np.stack([arms.hinge[:, hand], forearm], axis=1)
+        axes = neutral.copy()
+        for reach in plan.reaches:
+            if reach.hand != hand:
+                continue
+            begin = reach.reach_start
+            blend(axes, times, begin, reach.contact - begin, reach.grasp.hand.T[:2])
+            leave = reach.event + (0.0 if reach.carries else reach.dwell)
+            if np.isfinite(leave):
+                blend(axes, times, leave, _BACK_WITHIN, neutral)
+        frames.append(frame_of_bone(axes[:, 1], axes[:, 0]))
+    return np.stack(frames, axis=1)
