@@ -10,8 +10,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import Distribution, distributions
+from importlib.metadata import Distribution, EntryPoint, distributions
+from typing import Any
 
+from prbench.errors import UsageError
 from prbench.shown import quoted
 
 ADAPTERS = "prbench.adapters"
@@ -22,6 +24,8 @@ COMMANDS = "prbench.commands"
 """The group of commands: a word, and the :class:`prbench.cli.commands.Command` or ``Group`` that it runs."""
 STUDY_ITEMS = "prbench.study_items"
 """The group of tables of the study that stand with their benchmark: a name, and the function that makes the table."""
+CORPORA = "prbench.corpora"
+"""The group of what text-motion corpora add to other commands: ``find``, ``merge``, ``synthesize`` and ``windows``."""
 _OURS = "prbench"  # the distribution whose plug-ins are built in
 _UNKNOWN = "unknown"
 _TARGET = re.compile(r"[A-Za-z_][\w.]*\s*:\s*[A-Za-z_][\w.]*\s*(\[.*\])?")
@@ -67,6 +71,18 @@ def installed_entries(group: str, *, kind: str = "callable") -> Iterator[Install
             elif not _TARGET.fullmatch(target):
                 problem = f"entry point: expected 'module:{kind}', found '{quoted(target, longest=60)}'"
             yield InstalledEntry(name, package, version, target, problem, ours)
+
+
+def load_built_in(group: str, name: str) -> Any:
+    """Import what prbench's own package offers in a group under a name.
+
+    Raises:
+        UsageError: if the installed package lacks it.
+    """
+    for entry in installed_entries(group):
+        if entry.built_in and entry.name == name and not entry.problem:
+            return EntryPoint(entry.name, entry.target, group).load()
+    raise UsageError(f"nothing named '{name}' in the group '{group}'. Install prbench again: its metadata is too old.")
 
 
 def _distributions() -> Iterator[Distribution]:

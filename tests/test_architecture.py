@@ -14,14 +14,14 @@ ROOT = Path(__file__).parents[1]
 
 LAYERS = {
     **dict.fromkeys(("limits", "shown", "randomness"), 0),
-    **dict.fromkeys(("entry_points", "errors"), 1),
-    **dict.fromkeys(("geometry", "progress_bar", "datasets"), 2),
-    "files": 3,
+    "errors": 1,
+    **dict.fromkeys(("entry_points", "geometry", "progress_bar"), 2),
+    **dict.fromkeys(("datasets", "files"), 3),
     "protocol": 4,
     **dict.fromkeys(("engine", "recording"), 5),
     **dict.fromkeys(("metrics", "object_stores", "sequences", "representation", "text"), 6),
     **dict.fromkeys(("contract", "prediction", "readers", "tables"), 7),
-    **dict.fromkeys(("curation", "corpora", "release"), 8),
+    **dict.fromkeys(("curation", "release"), 8),
     "synthetic": 9,
     "harness": 10,
     "viewing": 11,

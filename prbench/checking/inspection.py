@@ -6,9 +6,9 @@ import fnmatch
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from prbench.corpora.sources import CORPUS_MODULES, CorpusOptions, CorpusRecording, corpus_for
+from prbench.entry_points import CORPORA, load_built_in
 from prbench.errors import InputFileError, PrbenchError
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
@@ -28,47 +28,13 @@ from prbench.sequences.table_one import table_statistics
 State = Literal["complete", "cut short", "incomplete", "damaged", "left out", "unreadable"]
 
 
-@dataclass(frozen=True)
-class FoundCorpus:
-    """One corpus in a folder."""
-
-    corpus: str
-    """Name under which it is built."""
-    root: Path
-    recordings: tuple[CorpusRecording, ...]
-
-    @property
-    def name(self) -> str:
-        """Name that a build gives it: ``synthetic-`` stands before that of synthetic people."""
-        return self.recordings[0].identity.dataset
-
-
-def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:
-    """Look for each corpus in the folder itself, and one folder below where there is nothing."""
-    found = []
-    for name in CORPUS_MODULES:
-        # The corpus of synthetic people is generated on the spot.
-        if corpus_for(name).manifest is None:
-            continue  # generated on the spot; no folder holds it
-        below = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
-        for folder in (root, *below):
-            try:
-                recordings = corpus_for(name).find(folder, CorpusOptions())
-            except PrbenchError:
-                continue
-            if recordings:
-                found.append(FoundCorpus(name, folder, recordings))
-                break
-    return tuple(found)
-
-
-def look(root: Path) -> tuple[Discovery, tuple[FoundCorpus, ...]]:
-    """Look for datasets and corpora below a folder.
+def look(root: Path) -> tuple[Discovery, tuple[Any, ...]]:
+    """Look for datasets and corpora (``prbench_adapters.corpora.sources.FoundCorpus``) below a folder.
 
     Raises:
         InputFileError: if there is neither.
     """
-    corpora = find_corpora(root) if root.is_dir() else ()
+    corpora = load_built_in(CORPORA, "find")(root) if root.is_dir() else ()
     try:
         return discover(root), corpora
     except InputFileError:
@@ -232,7 +198,7 @@ def inspect_folder(
     return Inspection((*datasets, *(_inspect_corpus(corpus) for corpus in corpora)), discovery.broken)
 
 
-def _inspect_corpus(found: FoundCorpus) -> InspectedDataset:
+def _inspect_corpus(found: Any) -> InspectedDataset:
     """Corpora tell while they are searched which of their recordings cannot be used."""
     recordings = tuple(
         InspectedRecording(

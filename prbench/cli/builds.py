@@ -35,7 +35,6 @@ from prbench.cli.options import (
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
-    from prbench.corpora import CorpusPlan, CorpusReport
     from prbench.curation import BuildPlan, BuildReport
     from prbench.curation.options import BuildOptions
     from prbench.curation.provenance import FunnelRow
@@ -156,11 +155,11 @@ class BuildsReport(msgspec.Struct, frozen=True, kw_only=True):
     proposed: list[ProposedPick] = []
 
 
-def planned(plan: BuildPlan | CorpusPlan, workers: int, *, dataset: str, root: Path | None) -> Plan:
+def planned(plan: BuildPlan | Any, workers: int, *, dataset: str, root: Path | None) -> Plan:
     """Put the plan of one dataset into its documented shape.
 
     Args:
-        plan: What would be read.
+        plan: What would be read; a corpus' plan has the same fields.
         workers: Processes to use.
         dataset: Name of the dataset.
         root: Its folder.
@@ -207,11 +206,11 @@ def made_shard(report: ShardReport[Any], *, made_of: int) -> MadeShard:
     )
 
 
-def built_table(report: BuildReport | CorpusReport, stages: Iterable[FunnelRow]) -> BuiltTable:
+def built_table(report: BuildReport | Any, stages: Iterable[FunnelRow]) -> BuiltTable:
     """Put the report of one build into its documented shape.
 
     Args:
-        report: Of the build.
+        report: Of the build; a corpus' report has the same fields.
         stages: From its files to its rows.
     """
     return BuiltTable(

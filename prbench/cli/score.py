@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from prbench.cli.build_corpus import WindowsBuilt, corpus_answer, windows_answer
+from prbench.cli.build_windows import WindowsBuilt, windows_answer
 from prbench.cli.builds import BuiltTable, table_answer
 from prbench.cli.commands import Answer, command, note, progress
 from prbench.cli.options import (
@@ -44,6 +44,7 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.summaries import MadeRun, print_agreement, print_scene, print_summary, run_answer
+from prbench.entry_points import CORPORA, load_built_in
 from prbench.errors import UsageError
 from prbench.protocol.benchmarks import default_benchmark
 
@@ -446,9 +447,7 @@ def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: b
         answer = table_answer(merge_dataset_shards(opened, out, replace=replace))
         report = msgspec.structs.replace(report, table=answer.report.built[0])
     elif kind == "corpus":
-        from prbench.corpora.build import merge_corpus_shards
-
-        answer = corpus_answer(merge_corpus_shards(opened, out, replace=replace))
+        answer = load_built_in(CORPORA, "merge")(opened, out, replace=replace)
         report = msgspec.structs.replace(report, table=answer.report.built[0])
     elif kind == "windows":
         from prbench.curation.window_building import merge_windows_shards

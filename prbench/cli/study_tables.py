@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -20,7 +19,7 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.study_answers import StudyReport, require_formats, runs_arguments, study_answer
-from prbench.entry_points import STUDY_ITEMS, installed_entries
+from prbench.entry_points import STUDY_ITEMS, load_built_in
 from prbench.errors import RunError, UsageError
 
 if TYPE_CHECKING:
@@ -175,7 +174,9 @@ def _ablation_command(number: str) -> Command:
         folder: Path, data: tuple[Path, ...], with_published: bool, files: tuple[Path, ...], workers: int
     ) -> Answer:
         require_formats(files)
-        tables = study_item("ablation")(number, folder, run_checker(data, workers).check, with_published=with_published)
+        tables = load_built_in(STUDY_ITEMS, "ablation")(
+            number, folder, run_checker(data, workers).check, with_published=with_published
+        )
         _say_unverified(tables)
         return study_answer(tables, files)
 
@@ -206,22 +207,10 @@ def table_s8(reports: tuple[Path, ...], with_published: bool, files: tuple[Path,
     FILE are what `prbench evaluate-text` has written.
     """
     require_formats(files)
-    return study_answer([study_item("table-s8")(reports, with_published=with_published)], files)
+    return study_answer([load_built_in(STUDY_ITEMS, "table-s8")(reports, with_published=with_published)], files)
 
 
 # What the tables share.
-
-
-def study_item(name: str) -> Callable[..., Any]:
-    """Load what makes a table that stands with its benchmark, from the group ``prbench.study_items`` of prbench itself.
-
-    Raises:
-        UsageError: if the installed package lacks it.
-    """
-    for entry in installed_entries(STUDY_ITEMS):
-        if entry.built_in and entry.name == name and not entry.problem:
-            return EntryPoint(entry.name, entry.target, STUDY_ITEMS).load()
-    raise UsageError(f"no table '{name}' in the group '{STUDY_ITEMS}'. Install prbench again: its metadata is too old.")
 
 
 def _board(runs: Sequence[Path], data: Sequence[Path], workers: int) -> Leaderboard:

@@ -22,6 +22,7 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.terminal import print_table
+from prbench.entry_points import CORPORA, load_built_in
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
@@ -35,6 +36,10 @@ _RECORDINGS_OF_PEOPLE = 20
 _FEWEST_VERIFIED = 4
 """Recordings on which each noise level is verified at least."""
 _FILES = "these files"
+_CORPUS_LAYOUTS = ("nymeria", "humanml3d")
+"""Layouts of text and motion, which stand with their corpora."""
+_CORPUS_RECORDINGS = 4
+"""Recordings of such a layout if no number is named."""
 
 
 class SynthesizeReport(msgspec.Struct, kw_only=True):
@@ -150,7 +155,7 @@ def synthesize(
             tree = _write_tree(layout, out, asked, native)
             report.folder = tree.root
             report.recordings = tree.recordings
-            if not (no_verify or defects or _is_corpus(layout)):
+            if not (no_verify or defects or layout in _CORPUS_LAYOUTS):
                 report.checks = _compare_with_truth(tree, layout, seed, workers)
     if gallery is not None:
         _draw_gallery(gallery, layout=layout, seed=seed)
@@ -161,20 +166,13 @@ def synthesize(
     return Answer(report, lambda: _print(report, layout))
 
 
-def _is_corpus(layout: str | None) -> bool:
-    from prbench.synthetic.corpus import CORPUS_LAYOUTS
-
-    return layout in CORPUS_LAYOUTS
-
-
 def _write_tree(layout: str, out: Path, asked: dict[str, Any], native: dict[str, Any]) -> WrittenTree:
     """Write synthetic people in the layout of a dataset, or of text and motion, which has no ``native`` options."""
-    from prbench.synthetic.corpus import DEFAULT_RECORDINGS, synthesize_corpus_tree
     from prbench.synthetic.write_tree import planned_recordings, synthesize_tree
 
     done = itertools.count(1)
-    if _is_corpus(layout):
-        planned = asked["recordings"] or DEFAULT_RECORDINGS
+    if layout in _CORPUS_LAYOUTS:
+        planned = asked["recordings"] or _CORPUS_RECORDINGS
     else:
         planned = planned_recordings(native["size"], asked["recordings"])
     with progress(f"writing {layout}") as tell:
@@ -182,8 +180,9 @@ def _write_tree(layout: str, out: Path, asked: dict[str, Any], native: dict[str,
         def tell_written(written: WrittenRecording) -> None:
             tell(next(done), planned, written.recording_id)
 
-        if _is_corpus(layout):
-            return synthesize_corpus_tree(layout, out, **{**asked, "recordings": planned}, on_written=tell_written)
+        if layout in _CORPUS_LAYOUTS:
+            write = load_built_in(CORPORA, "synthesize")
+            return write(layout, out, **{**asked, "recordings": planned}, on_written=tell_written)
         return synthesize_tree(layout, out, **asked, **native, on_written=tell_written)
 
 
@@ -265,7 +264,7 @@ def _draw_gallery(file: Path, *, layout: str | None, seed: int) -> None:
         strips_of_activities,
     )
 
-    if _is_corpus(layout):
+    if layout in _CORPUS_LAYOUTS:
         render_strips(strips_of_activities(seed), file)
     elif layout is None:
         render_contact_sheet(file, seed=seed)
@@ -292,7 +291,7 @@ def _draw_histograms(file: Path, *, layout: str | None, seed: int, count: int | 
 
 def _print(report: SynthesizeReport, layout: str | None) -> None:
     if report.recordings:
-        of_corpus = _is_corpus(layout)
+        of_corpus = layout in _CORPUS_LAYOUTS
         counted = ("texts",) if of_corpus else ("events", "objects")
         rows = []
         for each in report.recordings:

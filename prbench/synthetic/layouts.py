@@ -102,7 +102,6 @@ def synthetic_recording(performance: Performance, *, noise: float = 1.0, switche
     return layout.recording(layout.sense(performance, noise=noise, switches=switches))
 
 
-_CORPORA = {name: f"prbench.synthetic.{name}" for name in ("nymeria", "humanml3d")}
 Damage = Callable[[Path, str], None]
 """Damages the recording of that id below the tree's root; deterministic."""
 Row = dict[str, str]
@@ -126,17 +125,21 @@ class Defect:
 
 def defects_of(preset: str) -> tuple[Defect, ...]:
     """Return all defects of a preset's layout."""
-    module = _CORPORA.get(preset, f"prbench.readers.{preset.replace('-', '_')}.synthetic_defects")
-    return importlib.import_module(module).DEFECTS
+    return importlib.import_module(f"prbench.readers.{preset.replace('-', '_')}.synthetic_defects").DEFECTS
 
 
-def defect(preset: str, name: str) -> Defect:
+def defect(preset: str, name: str, offered: Iterable[Defect] | None = None) -> Defect:
     """Return one defect by name.
+
+    Args:
+        preset: Name of the layout.
+        name: Name of the defect.
+        offered: The layout's defects; those of its reader's folder if None.
 
     Raises:
         UsageError: for an unknown one, naming those there are.
     """
-    known = {each.name: each for each in defects_of(preset)}
+    known = {each.name: each for each in offered or defects_of(preset)}
     if name not in known:
         hint = did_you_mean(name, known)
         raise UsageError(f"{preset} has no defect '{name}'.{hint} It has: {', '.join(known) or 'none'}.")

@@ -5,11 +5,11 @@ import pytest
 
 from prbench.checking.catalogue import catalogue, citation_text
 from prbench.checking.inspection import inspect_folder
-from prbench.corpora import build_corpus
 from prbench.errors import InputFileError, TableError, UsageError
 from prbench.protocol.manifests import dataset_names, load_manifest
 from prbench.sequences import SequenceTable
-from prbench.synthetic.corpus import synthesize_corpus_tree
+from prbench_adapters.corpora import build_corpus
+from prbench_adapters.corpora.synthetic import synthesize_corpus_tree
 from tests.fakes import fake_dataset
 
 

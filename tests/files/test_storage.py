@@ -16,7 +16,6 @@ from prbench.board.comparison import compare_runs
 from prbench.checking.doctor.examine_file import DoctorRequest
 from prbench.checking.inspection import inspect_folder
 from prbench.contract import Condition
-from prbench.corpora import build_corpus, plan_corpus
 from prbench.curation import build_dataset, plan_build
 from prbench.curation.build_all import build_all, plan_all
 from prbench.curation.differences import compare_builds
@@ -48,6 +47,7 @@ from prbench.release.importing import import_release
 from prbench.sequences import CorpusInfo, CorpusTable, DatasetInfo, SequenceTable
 from prbench.viewing.explain import explain_event
 from prbench.viewing.view import ViewRequest
+from prbench_adapters.corpora import build_corpus, plan_corpus
 
 
 def write_half(path):

@@ -16,14 +16,14 @@ import pyarrow.parquet as pq
 
 from prbench.checking.inspection import inspect_folder
 from prbench.cli import main
-from prbench.corpora.sources import CorpusOptions, corpus_for, find_groups
 from prbench.curation.options import BuildOptions
 from prbench.curation.sources import native_sources
 from prbench.errors import PrbenchError, UnforeseenInput
 from prbench.harness.methods.programs.description import read_description
 from prbench.harness.offline import ConditionsFile, read_conditions, read_conditions_file
-from prbench.synthetic.corpus import synthesize_corpus_tree
 from prbench.synthetic.write_tree import synthesize_tree
+from prbench_adapters.corpora.sources import CorpusOptions, corpus_for, find_groups
+from prbench_adapters.corpora.synthetic import synthesize_corpus_tree
 from prbench_adapters.training.configuration import load_configuration
 from prbench_adapters.training.weights import read_weights
 from tests.fakes import fake_dataset

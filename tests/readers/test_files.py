@@ -11,7 +11,6 @@ import h5py
 import numpy as np
 import pytest
 
-from prbench.corpora.humanml3d.files import read_joints
 from prbench.curation import build_dataset
 from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
 from prbench.readers import reader_for
@@ -25,6 +24,7 @@ from prbench.readers.integrity import damage
 from prbench.readers.mogaze.arrays import dataset, numbers, opened
 from prbench.readers.mogaze.synthetic import write
 from prbench.sequences import SequenceTable
+from prbench_adapters.corpora.humanml3d.files import read_joints
 from tests.bombs import empty_rows
 from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, still_life
 

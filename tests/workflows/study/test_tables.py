@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from prbench.cli import main
-from prbench.cli.study_tables import study_item
+from prbench.entry_points import STUDY_ITEMS, load_built_in
 from prbench.errors import UsageError
 from prbench.protocol.published import load_published, load_table_one
 from prbench.sequences import SequenceTable
@@ -185,9 +185,9 @@ def test_the_command_finds_the_tables_that_stand_with_their_benchmark(tmp_path, 
     path.write_bytes(msgspec.json.encode(evaluation()))
     assert main(["study", "table-s8", str(path)]) == 0
     assert "70.00 ± 1.00" in capsys.readouterr().out
-    assert study_item("ablation") is ablation_table
+    assert load_built_in(STUDY_ITEMS, "ablation") is ablation_table
     with pytest.raises(UsageError, match="no table 'table-99'"):
-        study_item("table-99")
+        load_built_in(STUDY_ITEMS, "table-99")
 
 
 def test_the_number_of_test_sequences_of_the_study_stands_in_the_csv_rows(tmp_path):

@@ -1,0 +1,169 @@
+"""The official folder of HumanML3D: joints, texts, mirrored copies, split lists.
+
+Source: docs/specification/humanml3d.md#text-files.
+
+Features (``new_joint_vecs``) are not written: nothing reads them yet.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from prbench.files.storage import atomic_path, write_text
+from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
+from prbench.synthetic.activities import NarratedMotion
+from prbench.synthetic.layouts import Damage, Defect, removed
+from prbench_adapters.corpora.humanml3d import files as layout
+
+_LONGEST = 9.9
+"""Seconds of a motion in the dataset."""
+_SHORTEST = 2.05
+_PAIRS = ((1, 2), (4, 5), (7, 8), (10, 11), (13, 14), (16, 17), (18, 19), (20, 21))
+_SIDES = {"left": "right", "right": "left"}
+
+
+@dataclass(frozen=True)
+class CaptionedMotion:
+    """One motion of the dataset, at 20 frames a second, with its text lines."""
+
+    joints: Float[np.ndarray, "n 22 3"]
+    lines: tuple[tuple[str, float, float], ...]
+    """Caption, from, to; both 0 for the whole motion."""
+
+
+def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
+    """Return neighbouring actions two by two: a caption for both together, and one for each part."""
+    rows = sorted(
+        (row for row in motion.narrations if row.kind == "atomic_action"), key=lambda row: (row.start, row.end)
+    )
+    stride = round(motion.rate / layout.RATE)
+    motions = []
+    for number in range(0, len(rows) - 1, 2):
+        first = rows[number]
+        second = rows[number + 1]
+        if second.end - first.start > _LONGEST or min(row.end - row.start for row in (first, second)) < _SHORTEST:
+            continue
+        begin, stop = (round(time * motion.rate) for time in (first.start, second.end))
+        joints = motion.joints[begin : stop + 1 : stride]
+        clauses = [row.texts[0].removesuffix(".").split(" ", 1)[1] for row in (first, second)]
+        clauses = [clause.removeprefix("person ") for clause in clauses]
+        lines = (
+            (f"a person {clauses[0]} and then {clauses[1]}.", 0.0, 0.0),
+            (f"someone {clauses[0]}, after that the person {clauses[1]}.", 0.0, 0.0),
+            (f"a person {clauses[0]}.", 0.0, round(first.end - first.start, 3)),
+            (f"a person {clauses[1]}.", round(second.start - first.start, 3), round(second.end - first.start, 3)),
+        )
+        motions.append(CaptionedMotion(_canonical(joints), lines))
+    return tuple(motions)
+
+
+def mirrored(motion: CaptionedMotion) -> CaptionedMotion:
+    """Exchange left and right, in joints and words."""
+    joints = motion.joints * np.array([-1.0, 1.0, 1.0])
+    swapped = joints.copy()
+    for left, right in _PAIRS:
+        swapped[:, left], swapped[:, right] = joints[:, right], joints[:, left]
+    lines = tuple((_other_side(text), start, end) for text, start, end in motion.lines)
+    return CaptionedMotion(swapped, lines)
+
+
+def write_motion(root: Path, name: str, motion: CaptionedMotion) -> None:
+    """Write joints and texts of one motion.
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    with atomic_path(root / layout.JOINTS_FOLDER / f"{name}.npy") as temporary:
+        np.save(temporary, motion.joints.astype(np.float32), allow_pickle=False)
+    lines = [f"{text}#{_tokens(text)}#{start}#{end}\n" for text, start, end in motion.lines]
+    write_text(root / layout.TEXTS_FOLDER / f"{name}.txt", "".join(lines))
+
+
+def write_lists(root: Path, splits: dict[str, str]) -> None:
+    """Write ``train.txt``, ``val.txt`` and ``test.txt``."""
+    for split, name in layout.SPLIT_FILES.items():
+        members = "".join(f"{motion}\n" for motion, chosen in sorted(splits.items()) if chosen == split)
+        write_text(root / name, members)
+
+
+def _canonical(joints: np.ndarray) -> np.ndarray:
+    return transform_points(invert_rigid(canonical_frame(joints)), joints)
+
+
+def _other_side(text: str) -> str:
+    return re.sub(r"\b(left|right)\b", lambda found: _SIDES[found[1]], text)
+
+
+def _tokens(text: str) -> str:
+    """Return ``word/POS``; no tagger here, so every part of speech is X, the universal tag for others."""
+    return " ".join(f"{word}/X" for word in re.findall(r"[a-z]+", text.lower()))
+
+
+def _joints(root: Path, name: str) -> Path:
+    return root / layout.JOINTS_FOLDER / f"{name}.npy"
+
+
+def _texts(root: Path, name: str) -> Path:
+    return root / layout.TEXTS_FOLDER / f"{name}.txt"
+
+
+def _on_joints(change: Callable[[np.ndarray], np.ndarray]) -> Damage:
+    def apply(root: Path, name: str) -> None:
+        joints = change(np.load(_joints(root, name), allow_pickle=False))
+        with atomic_path(_joints(root, name)) as temporary:
+            np.save(temporary, joints, allow_pickle=False)
+
+    return apply
+
+
+def _with_nan(joints: np.ndarray) -> np.ndarray:
+    joints[5, 3, 1] = np.nan
+    return joints
+
+
+def _features_only(root: Path, name: str) -> None:
+    """Remove the joints, which were never made or deleted to save space, and leave features."""
+    n = len(np.load(_joints(root, name), allow_pickle=False))
+    _joints(root, name).unlink()
+    with atomic_path(root / layout.FEATURES_FOLDER / f"{name}.npy") as temporary:
+        np.save(temporary, np.zeros((n, 263), dtype=np.float32), allow_pickle=False)
+
+
+def _cut_line(root: Path, name: str) -> None:
+    content = _texts(root, name).read_text()
+    _texts(root, name).write_text(content[: len(content) // 2].rsplit("#", 2)[0])
+
+
+def _not_listed(root: Path, name: str) -> None:
+    for file in layout.SPLIT_FILES.values():
+        names = (root / file).read_text().split()
+        (root / file).write_text("".join(f"{other}\n" for other in names if other != name))
+
+
+def _nan_times(root: Path, name: str) -> None:
+    """Write nan where newer text files hold 0.0."""
+    path = _texts(root, name)
+    path.write_text(path.read_text().replace("#0.0#0.0", "#nan#nan"))
+
+
+DEFECTS = (
+    Defect("nan-joints", "a joint of one frame is NaN", _on_joints(_with_nan), "failed", "frame 5"),
+    Defect("millimetres", "joints in millimetres", _on_joints(lambda joints: joints * 1e3), "failed", "metres"),
+    Defect(
+        "flat", "joints of another shape", _on_joints(lambda joints: joints.reshape(len(joints), -1)), "failed", "22, 3"
+    ),
+    Defect(
+        "features-only", "the features are there, the joints are not", _features_only, "failed", "263 features only"
+    ),
+    Defect("missing-texts", "the text file is missing", removed(_texts), "failed", ".txt"),
+    Defect("cut-texts", "the text file is cut", _cut_line, "failed", "caption#tokens#from#to"),
+    Defect("not-listed", "the motion stands in no split list", _not_listed, "skipped", "not listed"),
+    Defect("nan-times", "nan instead of 0.0 for whole motions", _nan_times, "read", ""),
+)
+"""All defects of the layout."""

@@ -1,0 +1,203 @@
+"""Find the sequences of Nymeria, however the download groups were unpacked, and read their narrations.
+
+Source: docs/specification/nymeria.md#narrations.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+
+from prbench.errors import InputFileError
+from prbench.files.bounded import require_size
+from prbench.readers import SYNTHETIC_PREFIX, InputFile, RecordingFiles, synthetic_tree_around
+from prbench.readers.found import input_file
+from prbench.readers.synthetic_tree import require_marked
+from prbench_adapters.corpora.nymeria import format as nymeria
+from prbench_adapters.corpora.nymeria.format import Narration
+
+SUIT = "suit"
+SMPL = "smpl"
+METADATA = "metadata"
+TRAJECTORY = "trajectory"
+OFFSET = "time_offset"
+"""Roles of the files; narrations have the role of their kind."""
+
+_ROLES = {
+    nymeria.SUIT_FILE: SUIT,
+    nymeria.SMPL_FILE: SMPL,
+    nymeria.METADATA_FILE: METADATA,
+    nymeria.TRAJECTORY_FILE: TRAJECTORY,
+    nymeria.OFFSET_FILE: OFFSET,
+    **{name: kind for kind, name in nymeria.NARRATION_FILES.items()},
+}
+_INNER_FOLDERS = ("body", "narration", "mps", "slam", nymeria.HEAD_FOLDER)
+
+
+def find_sequences(root: Path) -> tuple[RecordingFiles, ...]:
+    """Find all sequences with a suit, a fit or a text.
+
+    A file belongs to the sequence whose name stands in its path, so that trees of one group each (all bodies, all
+    narrations) and sequences nested a level deeper are found alike.
+
+    Raises:
+        InputFileError: if there is none.
+    """
+    root = root.expanduser().resolve()
+    found: dict[str, dict[str, Path]] = {}
+    shared: Path | None = None
+    for path in _interesting_files(root):
+        role = _ROLES[path.name]
+        if role == OFFSET and path.parent == root:
+            shared = path
+            continue
+        if role == TRAJECTORY and nymeria.HEAD_FOLDER not in path.parts:
+            continue
+        found.setdefault(_sequence_of(path, root), {}).setdefault(role, path)
+    wanted = {SUIT, SMPL, *nymeria.NARRATION_FILES}
+    sequences = {name: files for name, files in found.items() if wanted & files.keys()}
+    if not sequences:
+        raise InputFileError(
+            root,
+            "",
+            expected=f"sequence folders with body/{nymeria.SUIT_FILE}",
+            found="none",
+            remedy="Give the folder that holds <date>_<session>_<name>_<act>_<uid> folders.",
+        )
+    recordings = tuple(_files(root, name, sequences[name], shared) for name in sorted(sequences))
+    require_marked(root, {recording.recording_id: recording.dataset for recording in recordings})
+    return recordings
+
+
+def _interesting_files(root: Path) -> list[Path]:
+    """List the files of known names in a fixed order; links to folders are followed, each folder is entered once."""
+    paths: list[Path] = []
+    entered: set[str] = set()
+    for folder, inner, names in os.walk(root, followlinks=True):
+        real = os.path.realpath(folder)
+        if real in entered:
+            inner.clear()
+            continue
+        entered.add(real)
+        videos = Path(folder).name.startswith("recording_")
+        inner[:] = sorted(name for name in inner if not name.startswith(".") and not (videos and name == "data"))
+        # A folder or a dead link that bears a file's name is listed too: reading it says what stands there.
+        paths += [Path(folder) / name for name in sorted({*names, *inner} & _ROLES.keys())]
+    return paths
+
+
+def _sequence_of(path: Path, root: Path) -> str:
+    """The folder on the way that is named like a sequence, else the one that holds the group's folder."""
+    folders = [root.name, *path.relative_to(root).parts[:-1]]
+    for name in reversed(folders):
+        if nymeria.SEQUENCE_NAME.fullmatch(name):
+            return name
+    outer = [name for name in folders if name not in _INNER_FOLDERS]
+    return outer[-1] if outer else root.name
+
+
+def _files(root: Path, name: str, files: dict[str, Path], shared: Path | None) -> RecordingFiles:
+    if shared is not None:
+        files = {OFFSET: shared, **files}
+    inputs: list[InputFile] = [input_file(role, files[role]) for role in sorted(files)]
+    suit = files.get(SUIT)
+    folder = root / name if suit is None else suit.parent.parent
+    tree = next(filter(None, (synthetic_tree_around(file.path.parent, root) for file in inputs)), None)
+    dataset, splits = ("nymeria", {}) if tree is None else (f"{SYNTHETIC_PREFIX}nymeria", tree.split)
+    return RecordingFiles(dataset, name, folder, tuple(inputs), split=splits.get(name))
+
+
+_LONGEST_DURATION = 1000.0  # where every duration is longer, the unit is no second
+
+
+def read_narrations(path: Path, kind: str) -> tuple[Narration, ...]:
+    """Read one narration file, rows in file order.
+
+    Empty answers are kept as empty texts, so that they can be counted; an empty file has no rows.
+
+    Args:
+        path: CSV, with or without byte order mark.
+        kind: Key of :data:`prbench_adapters.corpora.nymeria.format.NARRATION_FILES`.
+
+    Raises:
+        InputFileError: if a time column or every answer column is missing, a time is no number, a line is cut, or the
+            times are milliseconds.
+    """
+    try:
+        require_size(path)
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            rows = list(csv.reader(file))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputFileError(path, "", expected="comma-separated text in UTF-8", found=str(error)) from error
+    rows = [(number, row) for number, row in enumerate(rows, start=1) if any(cell.strip() for cell in row)]
+    if not rows:
+        return ()
+    header = [name.strip() for name in rows[0][1]]
+    start, end, annotator, answers = _columns(path, header)
+    narrations = []
+    for number, row in rows[1:]:
+        if len(row) < len(header):
+            raise InputFileError(
+                path,
+                f"row {number}",
+                expected=f"{len(header)} cells",
+                found=str(len(row)),
+                remedy="The file may be truncated; download it again.",
+            )
+        texts = tuple((name, row[column].strip()) for name, column in answers)
+        times = (_seconds(path, number, row[start]), _seconds(path, number, row[end]))
+        narrations.append(Narration(kind, *times, texts, "" if annotator is None else row[annotator].strip()))
+    _require_seconds(path, narrations)
+    return tuple(narrations)
+
+
+def _columns(path: Path, header: list[str]) -> tuple[int, int, int | None, list[tuple[str, int]]]:
+    """Columns of start, end, annotator and answers; answers by the name that follows "Describe my"."""
+    lower = [name.lower() for name in header]
+    for name in (nymeria.START_COLUMN, nymeria.END_COLUMN):
+        if name not in lower:
+            raise _missing(path, f"a column '{name}'", header)
+    answers = [
+        (header[column][len(nymeria.ANSWER_PREFIX) :].strip(), column)
+        for column, name in enumerate(lower)
+        if name.startswith(nymeria.ANSWER_PREFIX)
+    ]
+    if not answers:
+        raise _missing(path, "a column whose name begins with 'Describe my'", header)
+    annotator = lower.index(nymeria.ANNOTATOR_COLUMN) if nymeria.ANNOTATOR_COLUMN in lower else None
+    return lower.index(nymeria.START_COLUMN), lower.index(nymeria.END_COLUMN), annotator, answers
+
+
+def _missing(path: Path, expected: str, header: list[str]) -> InputFileError:
+    return InputFileError(
+        path,
+        "header",
+        expected=expected,
+        found=f"the columns {', '.join(header)}",
+        remedy="This is another file, or another version of the format.",
+    )
+
+
+def _seconds(path: Path, number: int, cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < float("inf"):
+        raise InputFileError(
+            path, f"row {number}", expected="a time in seconds", found=f"'{cell}'", remedy="Download the file again."
+        )
+    return value
+
+
+def _require_seconds(path: Path, narrations: list[Narration]) -> None:
+    durations = [row.end - row.start for row in narrations]
+    if durations and min(durations) > _LONGEST_DURATION:
+        raise InputFileError(
+            path,
+            "start_time, end_time",
+            expected="seconds",
+            found=f"{min(durations):,.0f} or more from start to end in every row",
+            remedy="These look like milliseconds; divide both columns by 1,000.",
+        )

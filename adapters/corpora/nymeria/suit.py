@@ -1,0 +1,203 @@
+"""The suit's file: read by key, checked, cleaned, and cut where its clock jumps.
+
+Source: docs/specification/nymeria.md#the-suits-file.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from prbench.errors import InputFileError
+from prbench.files.arrays import Archive
+from prbench.geometry.joint_names import XSENS_SEGMENTS
+from prbench_adapters.corpora.nymeria.format import N_SEGMENTS, SUIT_RATE, Suit
+
+_DOWNLOAD = "The file may be truncated or another version; download it again."
+_NEEDED = ("timestamps_us", "segment_tXYZ", "segment_qWXYZ")
+_LARGE = ("segment_tXYZ", "segment_qWXYZ")
+_OPTIONAL = ("frameRate", "frameCount", "tpose_segment_tXYZ")
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of the suit's frames without a jump of its clock and without a missing position."""
+
+    first: int
+    stop: int
+    start: float
+    """TIME_CODE of the first frame, seconds; frame i of the piece is ``start + i / 240``."""
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first to the last frame."""
+        return (self.stop - self.first - 1) / SUIT_RATE
+
+
+@dataclass(frozen=True)
+class CleanSuit:
+    """A suit recording that can be used: pieces of steady time and whole rotations."""
+
+    suit: Suit
+    pelvis_rotation: Float[np.ndarray, "n 4"]
+    """Unit quaternions, w x y z, segment to world."""
+    head_rotation: Float[np.ndarray, "n 4"]
+    pieces: tuple[Piece, ...]
+    messages: tuple[str, ...]
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last TIME_CODE of the usable motion, seconds."""
+        last = self.pieces[-1]
+        return self.pieces[0].start, max(piece.start + piece.duration for piece in (last, *self.pieces))
+
+
+def read_suit(path: Path) -> Suit:
+    """Read ``xdata.npz``.
+
+    Raises:
+        InputFileError: if the file is no archive of plain arrays, a key is missing, a shape does not fit the others,
+            or the rate is not 240 Hz.
+    """
+    arrays = _load(path)
+    time = np.asarray(arrays["timestamps_us"]).ravel()
+    n = len(time)
+    if n < 2:
+        raise InputFileError(path, "timestamps_us", expected="at least two frames", found=str(n), remedy=_DOWNLOAD)
+    if not np.isfinite(time.astype(np.float64)).all():
+        raise InputFileError(path, "timestamps_us", expected="finite times", found="NaN", remedy=_DOWNLOAD)
+    _require_number(path, arrays, "frameRate", SUIT_RATE, "Other rates than 240 Hz are not known to exist.")
+    _require_number(path, arrays, "frameCount", float(n), _DOWNLOAD)
+    tpose = arrays.get("tpose_segment_tXYZ")
+    if tpose is not None and tpose.dtype.kind not in "fiu":
+        raise InputFileError(
+            path, "tpose_segment_tXYZ", expected="numbers", found=f"an array of {tpose.dtype}", remedy=_DOWNLOAD
+        )
+    return Suit(
+        time_us=np.rint(time).astype(np.int64),
+        position=_vectors(path, arrays, "segment_tXYZ", n, 3),
+        rotation=_vectors(path, arrays, "segment_qWXYZ", n, 4),
+        tpose=None if tpose is None or tpose.size != N_SEGMENTS * 3 else tpose.reshape(N_SEGMENTS, 3).astype(float),
+    )
+
+
+def _load(path: Path) -> dict[str, np.ndarray]:
+    archive = Archive(path, remedy=_DOWNLOAD)
+    archive.require(_NEEDED)
+    arrays: dict[str, np.ndarray] = {}
+    for key in (*_NEEDED, *_OPTIONAL):  # one after the other: the large ones halve before the next is unpacked
+        arrays |= {name: _small(array) if name in _LARGE else array for name, array in archive.load([key]).items()}
+    return arrays
+
+
+def _small(values: np.ndarray) -> np.ndarray:
+    """Single precision (8 micrometres a hundred metres away): an hour of both arrays then fits below a gigabyte."""
+    return values.astype(np.float32, copy=False) if values.dtype == np.float64 else values
+
+
+def _require_number(path: Path, arrays: Mapping[str, np.ndarray], key: str, wanted: float, remedy: str) -> None:
+    if key in arrays and (arrays[key].size != 1 or abs(float(arrays[key].ravel()[0]) - wanted) > 1e-6):
+        found = str(arrays[key].ravel()[:3].tolist())
+        raise InputFileError(path, key, expected=f"{wanted:g}", found=found, remedy=remedy)
+
+
+def _vectors(path: Path, arrays: Mapping[str, np.ndarray], key: str, n: int, size: int) -> np.ndarray:
+    """Values of the shape (F, 23 * size) or (F, 23, size), as the latter."""
+    values = arrays[key]
+    shapes = ((n, N_SEGMENTS * size), (n, N_SEGMENTS, size))
+    if values.shape not in shapes or not np.issubdtype(values.dtype, np.floating):
+        raise InputFileError(
+            path,
+            key,
+            expected=f"numbers of the shape {shapes[0]} or {shapes[1]}, for the {n} times",
+            found=f"{values.dtype} of the shape {values.shape}",
+            remedy=_DOWNLOAD,
+        )
+    return values.reshape(n, N_SEGMENTS, size)
+
+
+def clean_suit(suit: Suit, thresholds: Mapping[str, float], *, path: Path | str) -> CleanSuit:
+    """Fill missing rotations, cut at jumps, and check that up is up and left is left.
+
+    Args:
+        suit: As read.
+        thresholds: Of the manifest.
+        path: The file, for messages.
+
+    Raises:
+        InputFileError: if no piece is long enough, the body stands on its head, or left and right are swapped.
+    """
+    missing = _missing_rotations(suit.rotation, thresholds["smallest_quaternion"])
+    pelvis, head = (
+        _filled(suit.rotation[:, segment], missing[:, segment])
+        for segment in (XSENS_SEGMENTS.index(name) for name in ("Pelvis", "Head"))
+    )
+    filled = int(missing.sum())
+    finite = np.asarray(np.isfinite(suit.position).all(axis=(1, 2)))
+    jumps = _jumps(suit, thresholds["clock_tolerance"])
+    pieces = _pieces(suit, finite, jumps, thresholds["shortest_piece"])
+    if not pieces:
+        raise InputFileError(
+            path,
+            "timestamps_us",
+            expected=f"at least {thresholds['shortest_piece']:g} s of steady 240 Hz with all positions",
+            found=f"{int(jumps.sum())} time steps off 240 Hz and {int((~finite).sum())} frames without position",
+            remedy="The recording is damaged; leave it out.",
+        )
+    _require_upright(suit, pieces, path)
+    messages = [
+        f"{filled} missing segment rotations repeat the frame before" if filled else "",
+        f"cut at {int(jumps.sum())} jumps of the clock" if jumps.any() else "",
+        f"{int((~finite).sum())} frames without position are left out" if not finite.all() else "",
+    ]
+    return CleanSuit(suit, pelvis, head, pieces, tuple(message for message in messages if message))
+
+
+def _missing_rotations(rotation: np.ndarray, smallest: float) -> Bool[np.ndarray, "n 23"]:
+    """Quaternions that are none: too short, or NaN."""
+    # Not "less than": a comparison with NaN is false, and NaN has to count as missing.
+    return ~(np.einsum("nsk,nsk->ns", rotation, rotation) >= smallest**2)
+
+
+def _filled(rotation: np.ndarray, missing: np.ndarray) -> Float[np.ndarray, "n 4"]:
+    """Unit quaternions; a missing one repeats the last one before it, or is the identity at the beginning."""
+    source = np.maximum.accumulate(np.where(missing, -1, np.arange(len(rotation))))
+    filled = np.where(source[:, None] < 0, [1.0, 0.0, 0.0, 0.0], rotation[np.maximum(source, 0)].astype(np.float64))
+    return filled / np.linalg.norm(filled, axis=-1, keepdims=True)
+
+
+def _jumps(suit: Suit, tolerance: float) -> Bool[np.ndarray, " steps"]:
+    """Steps of the clock that are not 1/240 s."""
+    return np.abs(np.diff(suit.time_us) - 1e6 / SUIT_RATE) > tolerance * 1e6
+
+
+def _pieces(suit: Suit, finite: np.ndarray, jumps: np.ndarray, shortest: float) -> tuple[Piece, ...]:
+    """Stretches between jumps and missing frames, in file order, that are long enough."""
+    joined = ~jumps & finite[1:] & finite[:-1]
+    borders = np.flatnonzero(np.concatenate([[True], ~joined, [True]]))
+    pieces = [
+        Piece(int(first), int(stop), float(suit.time_us[first]) / 1e6)
+        for first, stop in itertools.pairwise(borders)
+        if finite[first]
+    ]
+    return tuple(piece for piece in pieces if piece.duration >= shortest)
+
+
+def _require_upright(suit: Suit, pieces: tuple[Piece, ...], path: Path | str) -> None:
+    head = XSENS_SEGMENTS.index("Head")
+    feet = [XSENS_SEGMENTS.index(name) for name in ("R_Foot", "L_Foot")]
+    part = np.concatenate([suit.position[piece.first : piece.stop : 24] for piece in pieces])
+    height = float(np.median(part[:, head, 2] - part[:, feet, 2].mean(axis=1)))
+    if not height > 0.0:
+        raise InputFileError(
+            path,
+            "segment_tXYZ",
+            expected="Z up: the head above the feet",
+            found=f"the head {height:.2f} m above the feet in z",
+            remedy="Other axes than the suit's own are not supported.",
+        )

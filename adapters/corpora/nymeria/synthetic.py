@@ -1,0 +1,404 @@
+"""Native files of Nymeria (docs/specification/nymeria.md): suit, narrations, metadata, and the glasses' trajectory."""
+
+from __future__ import annotations
+
+import csv
+import io
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from prbench.files.storage import atomic_path, write_bytes, write_json
+from prbench.geometry.axes import Y_UP_FROM_Z_UP, z_up
+from prbench.geometry.joint_names import XSENS_SEGMENTS
+from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths
+from prbench.protocol.manifests import load_manifest
+from prbench.randomness import named_generator
+from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.synthetic import split_columns, write_csv
+from prbench.synthetic import GENERATOR_VERSION
+from prbench.synthetic.activities import NarratedMotion
+from prbench.synthetic.layouts import Damage, Defect, change_cells, cut_in_half, removed
+from prbench.synthetic.people.kinematics import matrix_of, quaternion, rotation_quaternion, wobble
+from prbench_adapters.corpora.nymeria import format as nymeria
+from prbench_adapters.corpora.nymeria.format import SUIT_RATE, Narration, NymeriaRecording, Suit
+
+_GLASSES_STRIDE = 1
+"""Suit frames for one pose of the glasses: 240 Hz instead of the real 1 kHz, which nothing here needs."""
+_DRIFT = (0.02, 0.005, 0.02)  # m r.m.s., Hz: the suit's world drifts slowly
+_SLIP = (np.deg2rad(0.3), 0.01, 0.05)  # rad r.m.s., Hz: the glasses against the head
+_OFFSET = (0.1, 0.3)  # s, suit clock minus glasses' clock
+_DEVICE_START = (100.0, 60_000.0)  # s
+_ROUNDED = 1e5  # 10 micrometres
+
+_Z_UP_FROM_Y_UP = Y_UP_FROM_Z_UP[:3, :3].T
+_OURS_FROM_SEGMENT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+"""Segments: x forward, y left, z up; ours: x left, y up, z forward."""
+_JOINT_OF_SEGMENT = {
+    "Pelvis": Joint.PELVIS,
+    **dict(zip(load_manifest("nymeria").body.joint_mapping, Joint, strict=True)),
+}
+"""Whose position and rotation a segment takes; the Pelvis segment lies between the hips."""
+
+
+@dataclass(frozen=True)
+class GlassesPoses:
+    """Poses of the glasses, device clock, Z up."""
+
+    time_us: Int[np.ndarray, " m"]
+    position: Float[np.ndarray, "m 3"]
+    rotation: Float[np.ndarray, "m 4"]
+    """w x y z, device to world."""
+
+
+@dataclass(frozen=True)
+class NymeriaReadings:
+    """All that is written of one recording, and the offset that must be found again."""
+
+    recording: NymeriaRecording
+    glasses: GlassesPoses
+    offset: float
+    """TIME_CODE minus device time, seconds."""
+
+
+def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> NymeriaReadings:
+    """Put a motion into the suit's world and its texts onto the glasses' clock.
+
+    Args:
+        motion: The truth, at 240 Hz.
+        seed: Of the corpus.
+        noise: Multiplies drift and slip; 0 for ideal sensors.
+    """
+
+    def generator(purpose: str) -> np.random.Generator:
+        return named_generator("prbench-synth", GENERATOR_VERSION, seed, "corpus", motion.recording_id, purpose)
+
+    clock = generator("clock")
+    device_start_us, offset_us = (round(1e6 * float(clock.uniform(*span))) for span in (_DEVICE_START, _OFFSET))
+    ticks = np.rint(np.arange(len(motion.joints)) * 1e6 / SUIT_RATE).astype(np.int64)
+    suit = Suit(
+        time_us=device_start_us + offset_us + ticks,
+        position=_positions(motion, generator("drift"), noise),
+        rotation=_rotations(motion),
+        tpose=_calibration_pose(motion),
+    )
+    device_start = device_start_us / 1e6
+    texts = tuple(
+        Narration(
+            row.kind,
+            round(device_start + row.start, 6),
+            round(device_start + row.end, 6),
+            tuple(zip(_answers_of(row.kind), row.texts, strict=True)),
+            "annotator_1",
+        )
+        for row in motion.narrations
+    )
+    recording = NymeriaRecording(motion.recording_id, suit, texts)
+    return NymeriaReadings(
+        recording, _glasses(motion, device_start_us + ticks, generator("slip"), noise), offset_us / 1e6
+    )
+
+
+def _answers_of(kind: str) -> tuple[str, ...]:
+    """Names of the answers of a kind, without "Describe my"."""
+    return tuple(name[len(nymeria.ANSWER_PREFIX) :].strip() for name in nymeria.ANSWER_COLUMNS[kind])
+
+
+def _positions(motion: NarratedMotion, rng: np.random.Generator, noise: float) -> Float[np.ndarray, "n 23 3"]:
+    joints = motion.joints
+    points = np.stack([joints[:, _JOINT_OF_SEGMENT[name]] for name in XSENS_SEGMENTS], axis=1)
+    points[:, 0] = 0.5 * (joints[:, Joint.LEFT_HIP] + joints[:, Joint.RIGHT_HIP])
+    drift = np.stack([wobble(motion.times, noise * _DRIFT[0], *_DRIFT[1:], rng) for _ in range(2)], axis=-1)
+    points[..., [0, 2]] += drift[:, None]
+    return (np.rint(z_up(points) * _ROUNDED) / _ROUNDED).astype(np.float32)
+
+
+def _rotations(motion: NarratedMotion) -> Float[np.ndarray, "n 23 4"]:
+    joints = [int(_JOINT_OF_SEGMENT[name]) for name in XSENS_SEGMENTS]
+    turned = matrix_of(motion.rotations[:, joints])
+    return quaternion(_Z_UP_FROM_Y_UP @ turned @ _OURS_FROM_SEGMENT).astype(np.float32)
+
+
+def _glasses(motion: NarratedMotion, time_us: np.ndarray, rng: np.random.Generator, noise: float) -> GlassesPoses:
+    """Return the eyes and head of the wearer; the frame of the glasses on the head is of no consequence here."""
+    slip = [wobble(motion.times, noise * _SLIP[0], *_SLIP[1:], rng) for _ in range(2)]
+    on_head = matrix_of(rotation_quaternion(slip[0], slip[1]))
+    turned = _Z_UP_FROM_Y_UP @ matrix_of(motion.head_rotation) @ on_head
+    every = slice(None, None, _GLASSES_STRIDE)
+    position = np.rint(z_up(motion.eye) * _ROUNDED) / _ROUNDED
+    return GlassesPoses(time_us[every], position[every], np.round(quaternion(turned), 8)[every])
+
+
+def _calibration_pose(motion: NarratedMotion) -> Float[np.ndarray, "23 3"]:
+    """Return the wearer in a T-pose: upright, arms out to the sides; Z up, metres."""
+    lengths = dict(zip(range(1, len(PARENTS)), bone_lengths(motion.joints[0]), strict=True))
+    tilt = np.deg2rad(motion.neck_tilt_deg)
+    directions = {
+        Joint.LEFT_HIP: (0.6, -0.8, 0.0),
+        Joint.HEAD: (0.0, np.cos(tilt), np.sin(tilt)),
+        Joint.LEFT_COLLAR: (0.7, 0.7141428, 0.0),
+        Joint.LEFT_KNEE: (0.0, -1.0, 0.0),
+        Joint.LEFT_ANKLE: (0.0, -1.0, 0.0),
+        Joint.LEFT_FOOT: (0.0, -0.4, 0.9165151),
+        **dict.fromkeys((Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST), (1.0, 0.0, 0.0)),
+        **dict.fromkeys((Joint.SPINE1, Joint.SPINE2, Joint.SPINE3, Joint.NECK), (0.0, 1.0, 0.0)),
+    }
+    for joint, direction in tuple(directions.items()):
+        if joint.name.startswith("LEFT"):
+            directions[Joint[joint.name.replace("LEFT", "RIGHT")]] = (-direction[0], *direction[1:])
+    joints = np.zeros((len(PARENTS), 3))
+    joints[0, 1] = 1.0
+    for child in range(1, len(PARENTS)):
+        joints[child] = joints[PARENTS[child]] + lengths[child] * np.array(directions[Joint(child)])
+    points = np.stack([joints[_JOINT_OF_SEGMENT[name]] for name in XSENS_SEGMENTS])
+    points[0] = 0.5 * (joints[Joint.LEFT_HIP] + joints[Joint.RIGHT_HIP])
+    return z_up(points)
+
+
+_SCALAR_LAST = ("qx_world_device", "qy_world_device", "qz_world_device", "qw_world_device")
+_GRAVITY = (0.0, 0.0, -9.81)
+_CREATED = "2000-01-01T00:00:00"
+
+
+def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) -> None:
+    """Write one sequence folder.
+
+    Args:
+        readings: All that the files say.
+        root: Folder of the dataset.
+        trajectory: Whether the glasses' trajectory was downloaded; without it, clocks can be aligned by starts only.
+
+    Raises:
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    recording = readings.recording
+    folder = root / recording.name
+    _write_suit(folder / "body" / nymeria.SUIT_FILE, readings)
+    for kind, name in nymeria.NARRATION_FILES.items():
+        rows = [row for row in recording.narrations if row.kind == kind]
+        if rows:
+            _write_narrations(folder / "narration" / name, kind, rows)
+    parts = recording.name.split("_")
+    write_json(
+        folder / nymeria.METADATA_FILE,
+        {
+            "date": parts[0],
+            "session_id": parts[1],
+            "fake_name": nymeria.participant_of(recording.name),
+            "act_id": parts[-2],
+            "uid": parts[-1],
+            "script": "invented",
+            "location": "nowhere",
+        },
+    )
+    if trajectory:
+        slam = folder / nymeria.HEAD_FOLDER / "mps" / "slam"
+        write_csv(slam / nymeria.TRAJECTORY_FILE, _trajectory_columns(readings.glasses))
+
+
+def _write_suit(path: Path, readings: NymeriaReadings) -> None:
+    """Write ``xdata.npz``; equal readings give equal bytes."""
+    suit = readings.recording.suit
+    n = len(suit.time_us)
+    arrays = {
+        "timestamps_us": suit.time_us,
+        "frameCount": np.array([n]),
+        "frameRate": np.array([round(nymeria.SUIT_RATE)]),
+        "segmentCount": np.array([nymeria.N_SEGMENTS]),
+        "segment_tXYZ": suit.position.reshape(n, -1),
+        "segment_qWXYZ": suit.rotation.reshape(n, -1),
+    }
+    if suit.tpose is not None:
+        arrays["tpose_segment_tXYZ"] = suit.tpose.ravel()
+    with atomic_path(path) as temporary:
+        np.savez(temporary, **arrays)
+
+
+def _write_narrations(path: Path, kind: str, rows: list[Narration], *, byte_order_mark: bool = True) -> None:
+    """Write one narration file, with the byte order mark that the release has."""
+    text = io.StringIO()
+    writer = csv.writer(text, quoting=csv.QUOTE_ALL, lineterminator="\r\n")
+    writer.writerow([*nymeria.NARRATION_HEADER, *nymeria.ANSWER_COLUMNS[kind]])
+    for number, row in enumerate(rows):
+        times = (f"{row.start:.6f}", f"{row.end:.6f}")
+        writer.writerow([number, number, *times, row.annotator, _CREATED, *(answer for _, answer in row.texts)])
+    write_bytes(path, text.getvalue().encode("utf-8-sig" if byte_order_mark else "utf-8"))
+
+
+def _trajectory_columns(glasses: GlassesPoses) -> dict[str, object]:
+    n = len(glasses.time_us)
+    return {
+        mps.GRAPH_COLUMN: ["00000000-0000-0000-0000-000000000000"] * n,
+        mps.TIME_COLUMN: glasses.time_us,
+        "utc_timestamp_ns": np.full(n, -1),
+        **split_columns(mps.POSITION_COLUMNS, glasses.position),
+        **split_columns(_SCALAR_LAST, glasses.rotation[:, [1, 2, 3, 0]]),
+        **split_columns(mps.GRAVITY_COLUMNS, np.tile(_GRAVITY, (n, 1))),
+        mps.QUALITY_COLUMN: np.ones(n),
+    }
+
+
+_ATOMIC = nymeria.NARRATION_FILES["atomic_action"]
+Arrays = dict[str, np.ndarray]
+
+
+def _suit(root: Path, recording: str) -> Path:
+    return root / recording / "body" / nymeria.SUIT_FILE
+
+
+def _narration(root: Path, recording: str, name: str = _ATOMIC) -> Path:
+    return root / recording / "narration" / name
+
+
+def _on_arrays(change: Callable[[Arrays], None]) -> Damage:
+    """Return a damage that changes arrays of the suit's file."""
+
+    def apply(root: Path, recording: str) -> None:
+        path = _suit(root, recording)
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {key: archive[key] for key in archive.files}
+        change(arrays)
+        with atomic_path(path) as temporary:
+            np.savez(temporary, **arrays)
+
+    return apply
+
+
+def _on_rows(change: Callable[[list[list[str]]], list[list[str]]]) -> Damage:
+    """Return a damage that changes the rows below the header of the atomic actions."""
+
+    def apply(root: Path, recording: str) -> None:
+        path = _narration(root, recording)
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            header, *rows = list(csv.reader(file))
+        with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8-sig", newline="") as file:
+            csv.writer(file, quoting=csv.QUOTE_ALL).writerows([header, *change(rows)])
+
+    return apply
+
+
+def _jump(arrays: Arrays) -> None:
+    arrays["timestamps_us"][len(arrays["timestamps_us"]) // 2 :] += 24_003_000_000
+
+
+def _back_and_forth(arrays: Arrays) -> None:
+    """Let the clock jump there and back, which a test of the end point alone lets pass."""
+    third = len(arrays["timestamps_us"]) // 3
+    arrays["timestamps_us"][third : 2 * third] -= 61_400
+
+
+def _no_rotation(arrays: Arrays) -> None:
+    arrays["segment_qWXYZ"][100:140, 24:28] = 0.0
+
+
+def _no_position(arrays: Arrays) -> None:
+    n = len(arrays["segment_tXYZ"])
+    arrays["segment_tXYZ"][n // 4 : n // 4 + 30, 9] = np.nan
+
+
+def _without(key: str) -> Callable[[Arrays], None]:
+    def change(arrays: Arrays) -> None:
+        del arrays[key]
+
+    return change
+
+
+def _another_rate(arrays: Arrays) -> None:
+    arrays["frameRate"] = np.array([60])
+
+
+def _fewer_frames(arrays: Arrays) -> None:
+    arrays["segment_qWXYZ"] = arrays["segment_qWXYZ"][:-7]
+
+
+def _y_up(arrays: Arrays) -> None:
+    """Turn another axis up, with the head where the suit has the feet."""
+    position = arrays["segment_tXYZ"].reshape(-1, nymeria.N_SEGMENTS, 3)
+    arrays["segment_tXYZ"] = position[..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0])
+    arrays["segment_tXYZ"][..., 2] -= position[..., 2]
+
+
+def _swapped(arrays: Arrays) -> None:
+    for key, size in (("segment_tXYZ", 3), ("segment_qWXYZ", 4)):
+        values = arrays[key].reshape(-1, nymeria.N_SEGMENTS, size)
+        turned = values.copy()
+        for right, name in enumerate(XSENS_SEGMENTS):
+            if name.startswith("R_"):
+                left = XSENS_SEGMENTS.index(f"L_{name[2:]}")
+                turned[:, right], turned[:, left] = values[:, left], values[:, right]
+        arrays[key] = turned.reshape(len(values), -1)
+
+
+def _empty_texts(root: Path, recording: str) -> None:
+    for name in nymeria.NARRATION_FILES.values():
+        path = _narration(root, recording, name)
+        if path.exists():
+            path.write_bytes(b"")
+
+
+def _milliseconds(rows: list[list[str]]) -> list[list[str]]:
+    return [[*row[:2], f"{float(row[2]) * 1e3:.3f}", f"{float(row[3]) * 1e3:.3f}", *row[4:]] for row in rows]
+
+
+def _repeated(rows: list[list[str]]) -> list[list[str]]:
+    return [*rows, rows[0]]
+
+
+def _one_deeper(root: Path, recording: str) -> None:
+    inner = root / recording / "unpacked"
+    inner.mkdir()
+    for path in list((root / recording).iterdir()):
+        if path != inner:
+            shutil.move(path, inner / path.name)
+
+
+def _by_group(root: Path, recording: str) -> None:
+    for group, part in (("body_motion", "body"), ("narration", "narration")):
+        (root / group / recording).mkdir(parents=True)
+        shutil.move(root / recording / part, root / group / recording / part)
+
+
+def _no_mark(root: Path, recording: str) -> None:
+    path = _narration(root, recording)
+    path.write_bytes(path.read_bytes().removeprefix(b"\xef\xbb\xbf"))
+
+
+def _another_head(root: Path, recording: str) -> None:
+    """Replace the trajectory by one of another recording: the same poses backwards in time."""
+    path = root / recording / nymeria.HEAD_FOLDER / "mps" / "slam" / nymeria.TRAJECTORY_FILE
+    change_cells(path, lambda rows: [[*row[:2], *other[2:]] for row, other in zip(rows, reversed(rows), strict=True)])
+
+
+DEFECTS = (
+    Defect("clock-jump", "the suit's clock jumps by 24,003 s", _on_arrays(_jump), "read", "cut at 1 jumps"),
+    Defect("clock-there-and-back", "jumps that cancel out", _on_arrays(_back_and_forth), "read", "cut at 2 jumps"),
+    Defect("zero-quaternions", "a segment loses its rotation", _on_arrays(_no_rotation), "read", "repeat the frame"),
+    Defect("nan-positions", "positions of 30 frames are NaN", _on_arrays(_no_position), "read", "30 frames without"),
+    Defect("missing-suit", "the suit's file is missing", removed(_suit), "failed", "xdata.npz"),
+    Defect("no-timestamps", "the suit has no times", _on_arrays(_without("timestamps_us")), "failed", "timestamps_us"),
+    Defect("frames-mismatch", "fewer rotations than times", _on_arrays(_fewer_frames), "failed", "of the shape"),
+    Defect("wrong-rate", "the suit ran at 60 Hz", _on_arrays(_another_rate), "failed", "frameRate"),
+    Defect("upside-down", "another axis is up", _on_arrays(_y_up), "failed", "Z up"),
+    Defect("swapped-sides", "left and right are exchanged", _on_arrays(_swapped), "failed", "Left and right"),
+    Defect("cut-archive", "the suit's file is cut in half", cut_in_half(_suit), "failed", "xdata.npz"),
+    Defect("empty-narrations", "text files without a byte", _empty_texts, "read", "no texts of the chosen kinds"),
+    Defect(
+        "no-narrations",
+        "no text files",
+        lambda root, name: shutil.rmtree(root / name / "narration"),
+        "read",
+        "no texts",
+    ),
+    Defect("milliseconds", "text times in milliseconds", _on_rows(_milliseconds), "failed", "milliseconds"),
+    Defect("unsorted-rows", "text rows in reverse order", _on_rows(lambda rows: rows[::-1]), "read", ""),
+    Defect("repeated-row", "the first text row stands twice", _on_rows(_repeated), "read", ""),
+    Defect("no-byte-order-mark", "text without byte order mark", _no_mark, "read", ""),
+    Defect("nested", "the sequence lies one level deeper", _one_deeper, "read", ""),
+    Defect("by-group", "one folder for each downloaded group", _by_group, "read", ""),
+    Defect("another-trajectory", "the glasses' trajectory is of another recording", _another_head, "read", "agree by"),
+)
+"""All defects of the layout."""

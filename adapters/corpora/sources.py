@@ -1,0 +1,263 @@
+"""The options of a corpus build, and the sources of its recordings.
+
+A new corpus is a new module with a ``CORPUS`` and one line here. All options are recorded in ``corpus.json``.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import importlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol, runtime_checkable
+
+from prbench.errors import InputFileError, PrbenchError, UsageError
+from prbench.files.storage import text_digest
+from prbench.protocol.manifests import Manifest, load_protocol
+from prbench.sequences.corpus import Annotation, Clip
+
+CORPUS_MODULES = {
+    "nymeria": "prbench_adapters.corpora.nymeria",
+    "humanml3d": "prbench_adapters.corpora.humanml3d",
+    "synthetic": "prbench_adapters.corpora.synthetic",
+}
+
+
+@dataclass(frozen=True)
+class CorpusOptions:
+    """Choices about a whole build."""
+
+    fps: float | None = None
+    """Frames a second of the clips; None = the protocol's 20."""
+    max_frames: int | None = None
+    """Frames at which longer clips are cut; None = the manifest's longest clip."""
+    recordings: str = "*"
+    """Glob over recording ids."""
+    limit: int | None = None
+    """Only the first so many recordings, by name."""
+    source: tuple[tuple[str, str], ...] = ()
+    """Options of the corpus' own reader as name and value, sorted by name."""
+    on_error: Literal["skip", "fail"] = "skip"
+    """``skip`` reports a recording that cannot be read while the others go on, ``fail`` ends the build."""
+    replace: bool = False
+    """Replace a corpus that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
+
+    def __post_init__(self) -> None:
+        if self.max_frames is not None and self.max_frames < 2:
+            raise UsageError(f"--max-frames must be at least 2, found {self.max_frames}.")
+        if self.fps is not None and self.fps <= 0:
+            raise UsageError(f"--fps must be greater than 0, found {self.fps}.")
+
+    @property
+    def rate(self) -> float:
+        """Frames a second."""
+        return load_protocol().fps if self.fps is None else self.fps
+
+
+@dataclass(frozen=True)
+class ClipLimits:
+    """Lengths of clips, in frames of the corpus."""
+
+    fps: float
+    shortest: int
+    longest: int
+
+    @classmethod
+    def of(cls, options: CorpusOptions, thresholds: dict[str, float]) -> ClipLimits:
+        """Take the limits from the options, else from the manifest: a longest clip of 12 s at 20 fps has 241 frames."""
+        fps = options.rate
+        longest = options.max_frames or int(thresholds["longest_clip"] * fps + 1e-6) + 1
+        return cls(fps, int(thresholds["shortest_clip"] * fps + 1e-6), longest)
+
+
+@dataclass(frozen=True)
+class RecordingIdentity:
+    """The identity of a recording, known before it is read."""
+
+    dataset: str
+    """Name that the clips will carry; ``synthetic-`` before it for synthetic people."""
+    recording_id: str
+    participant_id: str
+    split: str
+    split_group: str
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The cost of one recording, for the dry run; rates were measured on synthetic files, one core."""
+
+    input_bytes: int
+    seconds: float
+    disk_bytes: float
+    """Bytes of its rows in the table and in the parts that the table is made from."""
+
+
+@dataclass(frozen=True)
+class ReadRecording:
+    """The result of reading one recording."""
+
+    clips: tuple[Clip, ...]
+    annotations: tuple[Annotation, ...]
+    duration: float
+    """Seconds of usable motion."""
+    clock_method: str = "same"
+    """Method that brought text and motion onto one clock; ``same`` where they share one."""
+    clock_quality: float | None = None
+    message: str = ""
+    measured: tuple[tuple[str, str], ...] = ()
+
+
+@runtime_checkable
+class CorpusRecording(Protocol):
+    """One recording that can be read, here or in another process; instances are picklable."""
+
+    @property
+    def identity(self) -> RecordingIdentity:
+        """Name, participant and split."""
+        ...
+
+    @property
+    def skip_reason(self) -> str | None:
+        """The reason why the recording must not be read; None for all that are fine."""
+        ...
+
+    @property
+    def cost(self) -> Cost:
+        """About what reading it takes."""
+        ...
+
+    def input_digest(self) -> str:
+        """Digest of everything that reading depends on, apart from the options."""
+        ...
+
+    def read(self) -> ReadRecording:
+        """Read it."""
+        ...
+
+    def without_places(self, message: str) -> str:
+        """A message without the folders of this machine."""
+        ...
+
+
+@dataclass(frozen=True)
+class RecordingGroup:
+    """Recordings that are worked on and kept together: tiny ones by the hundred, large ones alone."""
+
+    name: str
+    recordings: tuple[CorpusRecording, ...]
+
+    def input_digest(self) -> str:
+        """Digest of all members that are read."""
+        return text_digest(*(recording.input_digest() for recording in self.recordings if not recording.skip_reason))
+
+
+@runtime_checkable
+class Corpus(Protocol):
+    """One kind of corpus."""
+
+    @property
+    def manifest(self) -> Manifest | None:
+        """Origin and licence; None for what prbench itself invents."""
+        ...
+
+    def described(self, options: CorpusOptions) -> dict[str, str]:
+        """The corpus' own options as text, without places of this machine.
+
+        Raises:
+            UsageError: for an option that it does not know, or a rate that it cannot give.
+        """
+        ...
+
+    def find(self, root: Path | None, options: CorpusOptions) -> tuple[CorpusRecording, ...]:
+        """Find all recordings below a folder.
+
+        Raises:
+            UsageError: for an option that the corpus does not know.
+            InputFileError: if there is nothing to read.
+        """
+        ...
+
+    def group_of(self, recording_id: str) -> str:
+        """Name of the group to which a recording belongs."""
+        ...
+
+
+def without_folders(message: str, root: Path) -> str:
+    """A message without the dataset's folder and the one around it: equal inputs give equal corpora anywhere."""
+    root = root.expanduser().resolve()
+    for folder in (root, root.parent):
+        message = message.replace(f"{folder}{os.sep}", "")
+    return message
+
+
+def corpus_for(name: str) -> Corpus:
+    """The corpus of one name.
+
+    Raises:
+        UsageError: for an unknown one, naming those there are.
+    """
+    if name not in CORPUS_MODULES:
+        raise UsageError(f"unknown corpus '{name}'; known ones are: {', '.join(CORPUS_MODULES)}.")
+    return importlib.import_module(CORPUS_MODULES[name]).CORPUS
+
+
+def find_groups(corpus: Corpus, root: Path | None, options: CorpusOptions) -> tuple[RecordingGroup, ...]:
+    """The recordings that the options choose, in table order, by groups.
+
+    Raises:
+        InputFileError: if there is no recording, or none that matches the glob.
+    """
+    found = {each.identity.recording_id: each for each in corpus.find(root, options)}
+    groups: dict[str, list[CorpusRecording]] = {}
+    for name in _chosen(list(found), options, where=root or "invented people"):
+        groups.setdefault(corpus.group_of(name), []).append(found[name])
+    return tuple(RecordingGroup(name, tuple(members)) for name, members in groups.items())
+
+
+def _chosen(names: Sequence[str], options: CorpusOptions, *, where: Path | str) -> list[str]:
+    chosen = sorted(name for name in names if fnmatch.fnmatchcase(name, options.recordings))
+    if not chosen:
+        shown = ", ".join(sorted(names)[:5]) + (" …" if len(names) > 5 else "")
+        raise InputFileError(
+            where,
+            "",
+            expected=f"recordings whose name matches '{options.recordings}'",
+            found=f"{len(names)} others: {shown}",
+            remedy="Change the glob of --recordings.",
+        )
+    return chosen[: options.limit]
+
+
+@dataclass(frozen=True)
+class FoundCorpus:
+    """One corpus in a folder."""
+
+    corpus: str
+    """Name under which it is built."""
+    root: Path
+    recordings: tuple[CorpusRecording, ...]
+
+    @property
+    def name(self) -> str:
+        """Name that a build gives it: ``synthetic-`` stands before that of synthetic people."""
+        return self.recordings[0].identity.dataset
+
+
+def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:
+    """Look for each corpus in the folder itself, and one folder below where there is nothing."""
+    found = []
+    for name in CORPUS_MODULES:
+        if corpus_for(name).manifest is None:
+            continue  # generated on the spot; no folder holds it
+        below = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
+        for folder in (root, *below):
+            try:
+                recordings = corpus_for(name).find(folder, CorpusOptions())
+            except PrbenchError:
+                continue
+            if recordings:
+                found.append(FoundCorpus(name, folder, recordings))
+                break
+    return tuple(found)

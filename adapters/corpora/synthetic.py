@@ -1,0 +1,227 @@
+"""Synthetic people as text-motion corpora: in the layouts of Nymeria and HumanML3D, or generated when they are read.
+
+Those that are acted out wear the suit of the Nymeria layout, so that a corpus built here and one built from written
+files hold the same joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from prbench.engine import engine_for
+from prbench.errors import UsageError
+from prbench.files.storage import atomic_folder, sole_writer, text_digest, write_json
+from prbench.protocol.manifests import Manifest, load_manifest
+from prbench.readers import SYNTHETIC_PREFIX, described_options
+from prbench.readers.options import ReaderOptions, parse_options
+from prbench.synthetic import GENERATOR_VERSION
+from prbench.synthetic.activities import identity_of, narrated_recording
+from prbench.synthetic.layouts import defect
+from prbench.synthetic.write_tree import WrittenRecording, WrittenTree, require_free, write_mark
+from prbench_adapters.corpora.humanml3d import synthetic as humanml3d
+from prbench_adapters.corpora.humanml3d.files import MIRROR_PREFIX
+from prbench_adapters.corpora.humanml3d.synthetic import DEFECTS as HUMANML3D_DEFECTS
+from prbench_adapters.corpora.nymeria import synthetic as nymeria
+from prbench_adapters.corpora.nymeria.body import suit_motion
+from prbench_adapters.corpora.nymeria.clock import ClockOffset
+from prbench_adapters.corpora.nymeria.format import SUIT_RATE
+from prbench_adapters.corpora.nymeria.source import NymeriaOptions, recording_clips
+from prbench_adapters.corpora.nymeria.suit import clean_suit
+from prbench_adapters.corpora.nymeria.synthetic import DEFECTS as NYMERIA_DEFECTS
+from prbench_adapters.corpora.nymeria.synthetic import sense_nymeria
+from prbench_adapters.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
+
+DATASET = f"{SYNTHETIC_PREFIX}corpus"
+_COST = Cost(0, 1.2, 0.5e6)
+POSE_SOURCE = "invented-xsens"
+
+
+class SyntheticOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Options of a corpus that is generated when it is read."""
+
+    recordings: int = 40
+    """How many; about 13 atomic actions each."""
+    seed: int = 0
+    """Of everything; recording i depends on it and on i alone."""
+    noise: float = 1.0
+    """Multiplies every sensor error."""
+    kinds: str = "atomic_action,motion_narration"
+    """Which texts become clips."""
+
+
+@dataclass(frozen=True)
+class SyntheticSource:
+    """One recording that is acted out when it is read (see ``CorpusRecording`` in ``sources.py``)."""
+
+    index: int
+    identity: RecordingIdentity
+    options: SyntheticOptions
+    limits: ClipLimits
+    skip_reason: None = None
+    cost: Cost = _COST
+
+    def input_digest(self) -> str:
+        """Return the digest of what the recording is made from."""
+        return text_digest("corpus", str(GENERATOR_VERSION), str(self.options.seed), str(self.index))
+
+    def without_places(self, message: str) -> str:
+        """Return the message itself: nothing of this machine is in it."""
+        return message
+
+    def read(self) -> ReadRecording:
+        """Act it out, and cut the clips that its texts describe."""
+        motion = narrated_recording(self.options.seed, self.index)
+        readings = sense_nymeria(motion, seed=self.options.seed, noise=self.options.noise)
+        manifest = load_manifest("nymeria")
+        kinds = NymeriaOptions(kinds=self.options.kinds).chosen_kinds
+        clean = clean_suit(readings.recording.suit, manifest.thresholds, path=motion.recording_id)
+        body = suit_motion(
+            clean,
+            manifest.body.joint_mapping,
+            POSE_SOURCE,
+            manifest.body.head_tilt_deg,
+            manifest.thresholds,
+            path=motion.recording_id,
+        )
+        texts = tuple(row for row in readings.recording.narrations if row.kind in kinds)
+        offset = ClockOffset("known", readings.offset)
+        return recording_clips(self.identity, body, texts, offset, self.limits, manifest.thresholds)
+
+
+class SyntheticCorpus:
+    """See :class:`prbench_adapters.corpora.sources.Corpus`."""
+
+    @property
+    def manifest(self) -> Manifest | None:
+        """Return None: synthetic people are under nobody's licence."""
+        return None
+
+    def described(self, options: CorpusOptions) -> dict[str, str]:
+        """Return the rate, lengths, seed and generator."""
+        limits = self._limits(options)
+        chosen = self._options(options)
+        return {
+            "fps": f"{limits.fps:g}",
+            "max_frames": str(limits.longest),
+            "generator": str(GENERATOR_VERSION),
+            **{f"reader.{name}": text for name, text in described_options(chosen).items()},
+        }
+
+    def find(self, root: Path | None, options: CorpusOptions) -> tuple[SyntheticSource, ...]:
+        """Return as many recordings as were asked for."""
+        if root is not None:
+            raise UsageError("a synthetic corpus reads no files; leave --root away, or name the corpus of the files.")
+        chosen = self._options(options)
+        limits = self._limits(options)
+        sources = []
+        for index in range(chosen.recordings):
+            identity = identity_of(chosen.seed, index)
+            source = RecordingIdentity(
+                DATASET, identity.recording_id, identity.participant_id, identity.split, identity.participant_id
+            )
+            sources.append(SyntheticSource(index, source, chosen, limits))
+        return tuple(sources)
+
+    def group_of(self, recording_id: str) -> str:
+        """Return the recording itself: recordings do not influence one another."""
+        return recording_id
+
+    def _options(self, options: CorpusOptions) -> SyntheticOptions:
+        chosen = parse_options(SyntheticOptions, dict(options.source), dataset="the synthetic corpus")
+        if chosen.recordings < 1:
+            raise UsageError(f"a synthetic corpus needs at least one recording, not {chosen.recordings}.")
+        _ = NymeriaOptions(kinds=chosen.kinds).chosen_kinds  # refuses an unknown kind before anything is generated
+        return chosen
+
+    def _limits(self, options: CorpusOptions) -> ClipLimits:
+        if (SUIT_RATE / options.rate) % 1.0 > 1e-9:
+            raise UsageError(f"--fps must divide the suit's 240 Hz (20, 24, 30, 40 …), found {options.rate:g}.")
+        return ClipLimits.of(options, load_manifest("nymeria").thresholds)
+
+
+CORPUS = SyntheticCorpus()
+
+
+_DEFECTS = {"nymeria": NYMERIA_DEFECTS, "humanml3d": HUMANML3D_DEFECTS}
+"""The layouts that can be written, and what can be done to their files."""
+_TRUTH_FILE = "truth/clock_offsets.json"
+"""Of each sequence: TIME_CODE minus device time. Readers never open it."""
+_WITHOUT_TRAJECTORY = 3
+"""Every so many-th sequence comes without the glasses' trajectory."""
+
+
+@dataclass(frozen=True)
+class _Done:
+    recording: WrittenRecording
+    offset: float
+    splits: tuple[tuple[str, str], ...]
+
+
+def synthesize_corpus_tree(
+    layout: str,
+    out: Path,
+    *,
+    recordings: int,
+    seed: int = 0,
+    workers: int = 1,
+    noise: float = 1.0,
+    defects: Sequence[str] = (),
+    on_written: Callable[[WrittenRecording], None] | None = None,
+) -> WrittenTree:
+    """Write native files of narrated recordings, complete or not at all; bytes depend on layout, seed and index alone.
+
+    Args:
+        layout: ``nymeria`` or ``humanml3d``.
+        out: Folder of the tree; an older synthetic tree there is replaced.
+        recordings: How many.
+        seed: Of the whole tree.
+        workers: Processes.
+        noise: Multiplies every sensor error.
+        defects: Names of defects that are done to the first recording.
+        on_written: Called after each recording, in their order.
+
+    Raises:
+        UsageError: for an unknown layout or defect, or a folder that holds something else.
+        StorageError: if the disk is full or the folder cannot be written.
+    """
+    if layout not in _DEFECTS:
+        raise UsageError(f"unknown corpus layout '{layout}'; known ones are: {', '.join(_DEFECTS)}.")
+    damages = [defect(layout, name, _DEFECTS[layout]) for name in defects]
+    require_free(out)
+    with sole_writer(out), atomic_folder(out) as root:
+        done: list[_Done] = []
+        write_one = partial(_write, layout=layout, root=root, seed=seed, noise=noise)
+        for result in engine_for(workers).map(write_one, range(recordings)):
+            done.append(result)
+            if on_written:
+                on_written(result.recording)
+        splits = dict(item for result in done for item in result.splits)
+        if layout == "humanml3d":
+            humanml3d.write_lists(root, splits)
+        else:
+            write_json(root / _TRUTH_FILE, {result.recording.recording_id: result.offset for result in done})
+        for damage in damages:
+            damage.apply(root, done[0].splits[0][0])
+        write_mark(root, layout, seed, "default", splits)
+    return WrittenTree(out, tuple(result.recording for result in done))
+
+
+def _write(index: int, *, layout: str, root: Path, seed: int, noise: float) -> _Done:
+    motion = narrated_recording(seed, index)
+    n_texts = sum(row.kind == "atomic_action" for row in motion.narrations)
+    recording = WrittenRecording(motion.recording_id, motion.split, motion.duration, n_texts, 0)
+    if layout == "nymeria":
+        readings = sense_nymeria(motion, seed=seed, noise=noise)
+        with_trajectory = index % _WITHOUT_TRAJECTORY != _WITHOUT_TRAJECTORY - 1
+        nymeria.write_nymeria(readings, root, trajectory=with_trajectory)
+        return _Done(recording, readings.offset, ((motion.recording_id, motion.split),))
+    splits = []
+    for number, captioned in enumerate(humanml3d.captioned_motions(motion)):
+        name = f"{index * 100 + number:06d}"
+        humanml3d.write_motion(root, name, captioned)
+        humanml3d.write_motion(root, f"{MIRROR_PREFIX}{name}", humanml3d.mirrored(captioned))
+        splits += [(name, motion.split), (f"{MIRROR_PREFIX}{name}", motion.split)]
+    return _Done(recording, 0.0, tuple(splits))

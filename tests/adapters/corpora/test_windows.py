@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from prbench.curation.window_building import build_planned_windows
+from prbench.engine import InProcess
+from prbench.errors import InputFileError, UsageError
+from prbench.geometry.axes import y_up
+from prbench.geometry.joint_names import XSENS_SEGMENTS
+from prbench.prediction.batch import Condition
+from prbench.prediction.table import WindowsTable
+from prbench.readers.aria_mps import format as mps
+from prbench_adapters.corpora.nymeria.windows import plan_windows
+from tests.adapters.corpora.suits import START_US, walking_suit, write_arrays
+from tests.readers.mps_files import COLUMNS, WORLD, write_lines
+
+NAME = "20230607_s0_james_johnson_act0_e72nhq"
+
+
+def build(root, out, **changes):
+    """Build windows of everything, and stop at the first error."""
+    given = {"joints": None, "recordings": "*", "limit": None, "reader": ()} | changes
+    plan = plan_windows("nymeria", root, **given)
+    return build_planned_windows(plan, out, on_error="fail", engine=InProcess(), progress=None)
+
+
+@pytest.fixture
+def root(tmp_path):
+    folder = tmp_path / "nymeria" / NAME / "body"
+    folder.mkdir(parents=True)
+    write_arrays(folder / "xdata.npz", walking_suit(240 * 4))
+    return tmp_path / "nymeria"
+
+
+def test_a_suit_becomes_windows_on_the_22_joints_without_gaze_where_there_is_none(root, tmp_path):
+    report = build(root, tmp_path / "w")
+    assert (report.info.joint_set, report.info.has_gaze, report.info.outcomes) == ("smpl22", False, {"window": 3})
+    table = WindowsTable.open(tmp_path / "w")
+    assert table.runs["participant_id"].to_pylist() == ["james_johnson"]
+    batch, truth = next(table.batches(Condition.POSE, table.chosen()))
+    # The body glides at 0.8 m/s, and faces where it goes: +Z in the frame of its last pose.
+    assert truth.joints[0, 29, 0, 2] == pytest.approx(0.8, abs=1e-3)
+    with pytest.raises(UsageError, match="recorded gaze"):
+        next(table.batches(Condition.POSE_GAZE, table.chosen()))
+    assert batch.fps == 30.0
+
+
+MOUNTED = Rotation.from_euler("xyz", [20.0, -70.0, 110.0], degrees=True)  # head from glasses
+OTHER_WORLD = Rotation.from_euler("z", 40.0, degrees=True)  # the glasses' world has another heading
+OFFSET = 2.5  # s that the suit's clock is ahead of the glasses'
+
+
+def _with_glasses(folder, suit):
+    """Trajectory, gaze at 10 Hz on a far point, and the clocks' offset; returns the direction of that point, Y up."""
+    seconds = (suit.time_us - START_US) / 1e6
+    about = np.stack([0.2 * np.sin(2 * seconds), 0.3 * np.sin(1.3 * seconds + 1), 0.3 * np.sin(0.9 * seconds)], axis=1)
+    head = Rotation.from_rotvec(about)
+    rotation = suit.rotation.copy()
+    rotation[:, XSENS_SEGMENTS.index("Head")] = head.as_quat(scalar_first=True)
+    write_arrays(folder / "body" / "xdata.npz", replace(suit, rotation=rotation))
+    glasses = (OTHER_WORLD * head * MOUNTED).as_quat(scalar_first=True)
+    times = suit.time_us - round(OFFSET * 1e6)
+    lines = [",".join(COLUMNS)]
+    for row in range(0, len(times), 2):
+        cells = [WORLD, times[row], -1, 0.0, 0.0, 1.6, *glasses[row], 0.0, 0, 0, -9.81, 1.0, 0]
+        lines.append(",".join(str(cell) for cell in cells))
+    mps_folder = folder / "recording_head" / "mps"
+    write_lines(mps_folder / "slam" / "closed_loop_trajectory.csv", lines)
+    cpf = mps.device_from_cpf("DVT-S")[:3, :3]
+    target = (head[0] * MOUNTED).apply(cpf @ [0.0, 0.0, 1.0])
+    rows = np.arange(0, len(times), 24)
+    yaw, pitch = mps.gaze_angles((Rotation.from_rotvec(about[rows]) * MOUNTED).inv().apply(target) @ cpf)
+    gaze = [f"{mps.TIME_COLUMN},{mps.YAW},{mps.PITCH},{mps.DEPTH}"]
+    gaze += [f"{times[row]},{yaw[place]},{pitch[place]}," for place, row in enumerate(rows)]
+    write_lines(mps_folder / "eye_gaze" / "general_eye_gaze.csv", gaze)
+    (folder / "time_offset.json").write_text(json.dumps({NAME: OFFSET}))
+    return y_up(target)
+
+
+def test_a_suit_with_glasses_becomes_windows_with_gaze_in_the_bodys_world(root, tmp_path):
+    target = _with_glasses(root / NAME, walking_suit(240 * 14))
+    report = build(root, tmp_path / "w")
+    assert report.info.has_gaze
+    table = WindowsTable.open(tmp_path / "w")
+    batch, _ = next(table.batches(Condition.POSE_GAZE, table.chosen(), frame="room"))
+    assert len(batch) >= 20
+    assert batch.gaze_valid is not None
+    assert batch.gaze is not None
+    assert batch.gaze_valid.mean() > 0.95
+    assert np.allclose(batch.gaze[batch.gaze_valid], target, atol=2e-3)
+    assert np.ptp(batch.observed_joints[:, -1, 0, 0]) > 5  # the body walks on meanwhile
+
+
+def test_native_joints_and_names_that_do_not_exist_are_refused(root, tmp_path):
+    with pytest.raises(UsageError, match="native"):
+        build(root, tmp_path / "w", joints="native")
+    with pytest.raises(InputFileError, match="matches 'x'"):
+        build(root, tmp_path / "w", recordings="x")
