@@ -416,8 +416,6 @@ def run(
     control: Literal["shuffled-goal"] | None = None,
     seed: int = 0,
     samples: int | None = None,
-    best_of: int = 1,
-    carry_on: bool = False,
     batch_size: int | None = None,
     isolate: bool = False,
     timeout: float | None = None,
@@ -450,10 +448,6 @@ def run(
         control: ``shuffled-goal`` gives every sequence another one's goal.
         seed: Seed of the run.
         samples: Motions for each sequence: 1 by default, 50 futures of each window for motion prediction.
-        best_of: Motions drawn for each of these, of which the one is kept whose own head ray and wrist serve the given
-            goal best; such runs are marked in tables and never ranked.
-        carry_on: Run pairs of a pick and the put that follows it, which starts where the generated pick ends; marked
-            and never ranked, too.
         batch_size: Sequences a batch; 64 by default, 5 without ``data``, 16 windows for motion prediction.
         isolate: Run the method in a process that is given neither paths, objects nor environment.
         timeout: Seconds for each batch of a program or an isolated method; 600 by default.
@@ -485,7 +479,7 @@ def run(
         )
     if (split == "participants") != (fold is not None):
         raise UsageError("split 'participants' and fold 'K/N' belong together.")
-    require_positive(limit=limit, threads=threads, samples=samples, best_of=best_of)
+    require_positive(limit=limit, threads=threads, samples=samples)
     require_positive(batch_size=batch_size)
     sequences = as_texts(sequence)
     folders = table_folders(data)
@@ -509,8 +503,6 @@ def run(
         sequences=sequences,
         seed=seed,
         samples=samples or about.samples,
-        best_of=best_of,
-        carry_on=carry_on,
         batch_size=batch_size or about.batch_size,
         device=device,
         threads=threads,

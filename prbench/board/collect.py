@@ -132,13 +132,9 @@ class LeaderboardRow:
 
     @property
     def variant(self) -> str:
-        """Control, choice, weights and options: the settings that distinguish runs of one method."""
+        """Control, weights and options: the settings that distinguish runs of one method."""
         method = self.record.method
         parts = [self.record.control] if self.record.control else []
-        if self.record.best_of > 1:
-            parts.append(f"best of {self.record.best_of}")
-        if self.record.carry_on:
-            parts.append("carried on")
         if method.weights:
             parts.append(f"weights {method.weights}")
         parts += [f"{key}={value}" for key, value in sorted(method.options.items())]

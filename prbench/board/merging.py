@@ -216,10 +216,8 @@ def _design(record: RunRecord) -> dict[str, object]:
         "condition": record.condition,
         "control": record.control,
         "samples": record.samples,
-        "best of": record.best_of,
         "gaze": record.method.gaze,
         "obstacles": record.method.wants_obstacles,
-        "carry on": record.carry_on,
         "split": record.split,
         "limit": record.limit,
     }

@@ -88,7 +88,6 @@ class DiversityReport(msgspec.Struct, frozen=True, kw_only=True):
         run: The run folder.
         method: Name of the method.
         condition: What it was given.
-        best_of: Motions drawn for each that was kept; above one the kept ones are alike by choice.
         datasets: One entry a dataset.
         fan: The picture; null if none was asked for.
         fan_sequence: Id of the sequence in it; null likewise.
@@ -97,7 +96,6 @@ class DiversityReport(msgspec.Struct, frozen=True, kw_only=True):
     run: Path
     method: str
     condition: str
-    best_of: int
     datasets: list[DiversityOfDataset]
     fan: Path | None
     fan_sequence: str | None
@@ -144,7 +142,6 @@ def diversity(
         run=run,
         method=record.method.name,
         condition=record.condition,
-        best_of=record.best_of,
         datasets=[_dataset(each) for each in found],
         fan=fan,
         fan_sequence=None if drawn is None else drawn.sequence_id,
@@ -205,8 +202,6 @@ def _print(report: DiversityReport, notice: str) -> None:
             print("Few recordings (below ten): the intervals say little.")
         if each.synthetic:
             print("Synthetic people: this says nothing about real ones.")
-    if report.best_of > 1:
-        print(f"The motions are the best of {report.best_of} each: alike by choice.")
     if notice:
         print(notice)
     if report.fan is not None:

@@ -129,20 +129,6 @@ _FIRST_RUN_WORKERS = 2
     help=f"Answers to each case: motions a sequence, futures a window (default {usual_number('samples')}).",
 )
 @click.option(
-    "--best-of",
-    type=POSITIVE,
-    default=1,
-    metavar="K",
-    help="Draw K motions for each and keep the one whose own head ray and wrist serve the given goal best (default 1);"
-    " such rows are marked and never ranked.",
-)
-@click.option(
-    "--carry-on",
-    is_flag=True,
-    help="Run pairs of a pick and the put of the same object that follows it; each put starts where the generated pick"
-    " ends (docs/specification/carry-on.md). Such rows are marked and never ranked.",
-)
-@click.option(
     "--batch-size",
     type=POSITIVE,
     metavar="N",
@@ -440,8 +426,6 @@ _SHARED = (
     "fold",
     "limit",
     "samples",
-    "best_of",
-    "carry_on",
     "batch_size",
     "device",
     "threads",

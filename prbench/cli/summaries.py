@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from prbench.harness.run_folder import RunFolder
     from prbench.harness.run_folder.agreement import DatasetAgreement
     from prbench.harness.run_folder.means import MeanOverDatasets
-    from prbench.harness.run_folder.rates_of_people import CarriedOn, RateAgreement
+    from prbench.harness.run_folder.rates_of_people import RateAgreement
     from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
     from prbench.metrics import MetricInfo
 
@@ -71,32 +71,6 @@ def print_scene(summaries: Sequence[DatasetSummary], agreements: Sequence[Datase
         print(f"scene: joints more than {limit:g} cm inside a solid box (means over sequences; never ranked)")
         for line in lines:
             print(line)
-
-
-def print_carried_on(found: Sequence[CarriedOn]) -> None:
-    """Print the scores of picks and puts in which a motion carries on, and how continuous the seam is.
-
-    Args:
-        found: One a dataset; nothing is printed without any.
-    """
-    from prbench.metrics import MAIN_METRICS, printed_scale
-
-    for one in found:
-        rows = [
-            (_with_unit(info), *(f"{half[info.id] * printed_scale(info.unit):.2f}" for half in (one.picks, one.puts)))
-            for info in MAIN_METRICS
-            if info.id in one.picks and info.id in one.puts
-        ]
-        print_table(
-            f"{one.dataset}: {one.pairs} pairs, half by half", ("metric", "picks", "puts"), rows, numbers=(1, 2)
-        )
-        recorded = one.recorded_speed_change
-        beside = "" if recorded is None else f" (recorded people {recorded:.2f} m/s)"
-        print(
-            f"seam: largest step {1000 * one.largest_step:.1f} mm, change of velocity {one.speed_change:.2f} m/s"
-            f"{beside}; {100 * one.share_of_picks:.0f} % of the split's picks have such a put,"
-            f" {one.median_gap:+.1f} s later in median, {100 * one.overlapping:.0f} % overlap"
-        )
 
 
 def phi_cell(rate: RateAgreement) -> str:
@@ -416,7 +390,6 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
             ``agreement.json``; empty for merged folds and for benchmarks without recorded people.
         means: Mean of each metric over the datasets; without metrics that a dataset lacks, and empty for a single
             dataset.
-        carried_on: Seams and halves of each dataset, where puts carry on from generated picks; empty for other runs.
     """
 
     folder: Path
@@ -429,7 +402,6 @@ class MadeRun(msgspec.Struct, frozen=True, kw_only=True):
     datasets: tuple[DatasetSummary, ...]
     agreements: list[DatasetAgreement]
     means: dict[str, MeanOverDatasets]
-    carried_on: list[CarriedOn]
 
 
 class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
@@ -507,16 +479,7 @@ def _made(report: RunReport) -> MadeRun:
         datasets=report.summaries,
         agreements=[found for summary in report.summaries if (found := _agreement(report, summary.dataset))],
         means=means_over_datasets(report.summaries) if several else {},
-        carried_on=_carried_on(report),
     )
-
-
-def _carried_on(report: RunReport) -> list[CarriedOn]:
-    if not report.folder.record.carry_on:
-        return []
-    from prbench.harness.run_folder.carry_on import read_carried_on
-
-    return [read_carried_on(report.folder.dataset(summary.dataset).path) for summary in report.summaries]
 
 
 def _agreement(report: RunReport, dataset: str) -> DatasetAgreement | None:
@@ -551,7 +514,6 @@ def _print_run(report: RunReport, *, single: bool) -> None:
             one_mean=share_a_mean(record.tables),
         )
     print_scene(report.summaries, agreements)
-    print_carried_on(_carried_on(report))
 
 
 def _print_company(reports: list[RunReport]) -> None:

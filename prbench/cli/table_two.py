@@ -109,7 +109,6 @@ def _table_request(given: Mapping[str, Any], data: tuple[Path, ...], minutes: in
         minutes=minutes or DEFAULT_MINUTES,
         seed=given["seed"],
         samples=given["samples"] or 1,
-        best_of=given["best_of"],
         batch_size=given["batch_size"],
         device=given["device"],
         threads=given["threads"],

@@ -52,8 +52,6 @@ def _request_of(run: RunFolder, table: CaseTable) -> RunRequest:
         sequences=tuple(name for name in record.sequences if name in there),
         seed=record.seed,
         samples=record.samples,
-        best_of=record.best_of,
-        carry_on=record.carry_on,
         batch_size=_of_table(record, table).batch_plan.batch_size or 1,
         control=record.control,
         protocol=own_protocol if own_protocol.is_file() else None,

@@ -160,19 +160,9 @@ class CaseWork(ABC):
         """Return True if the answers are recorded motion, for the notice that the data's terms may ask for."""
         return False
 
-    def round_of(self, batch: int) -> int:
-        """Return the round in which a batch is made: those of round 1 need what those of round 0 have answered."""
-        del batch
-        return 0
-
     @abstractmethod
-    def questions(self, wanted: frozenset[int], files: DatasetFolder) -> Iterator[tuple[int, Question]]:
-        """Yield some batches with their numbers, in the order of the plan.
-
-        Args:
-            wanted: Numbers of the batches; all of one round.
-            files: Where the answers of earlier rounds are.
-        """
+    def questions(self, wanted: frozenset[int]) -> Iterator[tuple[int, Question]]:
+        """Yield some batches with their numbers, in the order of the plan."""
 
     @abstractmethod
     def scores(self, files: DatasetFolder, engine: Engine) -> Iterator[pa.Table]:
@@ -297,14 +287,6 @@ class Benchmark(ABC, Generic[Table, Chosen]):
         Raises:
             UsageError: if a table follows other rules.
         """
-
-    def require_condition(self, request: RunRequest, condition: StrEnum) -> None:
-        """Refuse a request that its condition does not allow.
-
-        Raises:
-            UsageError: naming the conditions that do.
-        """
-        del request, condition
 
     @abstractmethod
     def choose(self, request: RunRequest, tables: Sequence[Table]) -> list[Chosen]:

@@ -73,10 +73,6 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Each is a run of its own."""
     samples: int | None = None
     """Motions kept of each sequence; absent for the benchmark's usual number."""
-    best_of: int = 1
-    """Motions drawn for each that is kept."""
-    carry_on: bool = False
-    """Run pairs of a pick and the put that follows it, which starts where the generated pick ends."""
     batch_size: int | None = None
     """Sequences a batch; absent for the benchmark's usual number."""
     device: str = "cpu"
@@ -139,8 +135,6 @@ class Experiment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
             sequences=self.sequences,
             seed=seed,
             samples=self.samples or about.samples,
-            best_of=self.best_of,
-            carry_on=self.carry_on,
             batch_size=self.batch_size or about.batch_size,
             device=self.device,
             threads=self.threads,
@@ -247,8 +241,6 @@ def experiment_of_run(run: RunFolder, *, data: tuple[Path, ...], weights: Path |
         sequences=record.sequences,
         seeds=(record.seed,),
         samples=record.samples,
-        best_of=record.best_of,
-        carry_on=record.carry_on,
         batch_size=record.tables[0].batch_plan.batch_size,
         device=record.device,
         threads=record.threads,

@@ -140,7 +140,6 @@ def companions(request: RunRequest) -> Iterator[RunRequest]:
             condition=condition or request.condition,
             weights=None,
             options={},
-            best_of=1,
             out=None,
             isolate=False,
             timeout=None,

@@ -18,8 +18,6 @@ from jaxtyping import Int
 from prbench.errors import TableError, UsageError
 from prbench.files.storage import text_digest
 from prbench.harness.methods.motions import native_frames
-from prbench.harness.pairs import COLUMNS as PAIR_COLUMNS
-from prbench.harness.pairs import Pair, require_pairs
 from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.table import SPLITS, SequenceTable, by_share, find_sequence_id
 
@@ -108,19 +106,18 @@ def open_tables(folders: Iterable[Path]) -> list[SequenceTable]:
     return tables
 
 
-def select(table: SequenceTable, *, split: str, limit: int | None, carry_on: bool = False) -> Selection:
+def select(table: SequenceTable, *, split: str, limit: int | None) -> Selection:
     """Choose the sequences of a split; with ``limit`` every recording's share (:func:`by_share`).
 
     Args:
         table: The table.
         split: The split.
         limit: Number of sequences at most; None for all.
-        carry_on: Only picks that are followed by a put, and these puts; a limit takes whole pairs, one at least.
 
     Raises:
         UsageError: for an unknown split or a limit below one.
         TableError: if the split is empty, the table is not sorted, repeats an id or mixes frame rates, or must not be
-            scored; or if pairs are wanted and there is none.
+            scored.
     """
     if split not in SPLITS:
         raise UsageError(f"unknown split '{split}'; the splits are: {', '.join(SPLITS)}.")
@@ -129,9 +126,6 @@ def select(table: SequenceTable, *, split: str, limit: int | None, carry_on: boo
     if table.info.why_not_scored is not None:
         raise TableError(f"{table.folder}: cannot be scored: {table.info.why_not_scored}.")
     everything = _of_split(table, split)
-    if carry_on:
-        rows = table.scalars(split=split, columns=list(PAIR_COLUMNS))
-        return _of_pairs(everything, require_pairs(rows, where=str(table.folder), split=split), limit)
     if limit is None:
         return everything
     kept = set(by_share(everything.sequence_ids, everything.recording_ids)[:limit])
@@ -172,17 +166,6 @@ def _of_split(table: SequenceTable, split: str) -> Selection:
     if len(rates) > 1:
         raise TableError(f"{table.folder}: expected one frame rate, found {sorted(rates)}. Build the dataset again.")
     return Selection(table, split, tuple(ids), n_frames, tuple(recordings), rates.pop())
-
-
-def _of_pairs(everything: Selection, pairs: SequenceOf[Pair], limit: int | None) -> Selection:
-    recording_of = dict(zip(everything.sequence_ids, everything.recording_ids, strict=True))
-    puts = [pair.put for pair in pairs]
-    chosen = by_share(puts, [recording_of[name] for name in puts])
-    if limit is not None:
-        chosen = chosen[: max(limit // 2, 1)]
-    pick_of = {pair.put: pair.pick for pair in pairs}
-    kept = {*chosen, *(pick_of[name] for name in chosen)}
-    return everything.chosen(np.array([name in kept for name in everything.sequence_ids]))
 
 
 def supported(selection: Selection, *, max_frames: int | None, native_fps: float | None) -> Selection:

@@ -89,8 +89,7 @@ def prepare_run(request: RunRequest) -> PreparedRun:
         AdapterError: if the method is unknown, cannot be loaded, does not take the condition, or can generate none of
             the sequences.
         TableError: if a table is missing, empty, changed or of an unknown version.
-        UsageError: if datasets repeat, a path or split does not exist, a table follows another protocol, or motions are
-            to be chosen by a goal that the condition does not give.
+        UsageError: if datasets repeat, a path or split does not exist, or a table follows another protocol.
         InputFileError: if the user's own protocol lacks a key or has one too many.
     """
     # A method that an earlier run of this process has loaded may hold its state.
@@ -101,7 +100,6 @@ def prepare_run(request: RunRequest) -> PreparedRun:
     rules = benchmark.rules(request, tables)
     spec = None if request.is_control else _spec(request, benchmark)
     condition = _condition(request, benchmark, spec)
-    benchmark.require_condition(request, condition)
     method = _control(request) if spec is None else _method(request, spec, condition)
     datasets = tuple(
         _dataset(benchmark, request, chosen, spec, method, condition, rules)
@@ -261,8 +259,6 @@ def run_record(
         else (),
         seed=request.seed,
         samples=request.samples,
-        best_of=request.best_of,
-        carry_on=request.carry_on,
         device=request.device,
         threads=request.threads,
         packages=package_versions(_RECORDED_PACKAGES),
@@ -324,6 +320,5 @@ def _default_folder(record: RunRecord) -> Path:
     # Five names would make a folder's name too long to be typed; the digest tells which datasets they are.
     several = len(record.tables) > _NAMED_DATASETS
     datasets = f"{len(record.tables)}-datasets" if several else "+".join(table.dataset for table in record.tables)
-    best_of = f"-best-of-{record.best_of}" if record.best_of > 1 else ""
-    name = f"{record.method.name}{control}-{record.condition}{best_of}-{datasets}-{record.short_digest}"
+    name = f"{record.method.name}{control}-{record.condition}-{datasets}-{record.short_digest}"
     return DEFAULT_PARENT / re.sub(r"[^\w.+-]", "_", name)

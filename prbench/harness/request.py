@@ -9,10 +9,8 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from prbench.contract import Condition
 from prbench.errors import UsageError
 from prbench.files.storage import turn_into_paths
-from prbench.harness.best_of import require_goal
 from prbench.harness.methods.names import METHOD_CONTROLS, SHUFFLED_GOAL
 from prbench.harness.methods.programs.words import short_name
 from prbench.harness.run_folder.record import RunRecord
@@ -52,12 +50,6 @@ class RunRequest:
     seed: int = 0
     samples: int = 1
     """Motions kept of each sequence."""
-    best_of: int = 1
-    """Motions drawn for each that is kept, chosen by their own head ray and wrist
-    (:mod:`prbench.harness.best_of`)."""
-    carry_on: bool = False
-    """Run pairs of a pick and the put that follows it, which starts where the generated pick ends
-    (:mod:`prbench.harness.carry_on`)."""
     batch_size: int = DEFAULT_BATCH_SIZE
     device: str = "cpu"
     threads: int = 1
@@ -82,7 +74,6 @@ class RunRequest:
             raise UsageError("a run needs one dataset folder or more (--data DIR).")
         for name, value in (
             ("--samples", self.samples),
-            ("--best-of", self.best_of),
             ("--batch-size", self.batch_size),
             ("--threads", self.threads),
         ):
@@ -98,16 +89,6 @@ class RunRequest:
             raise UsageError(f"--method {self.method} takes neither --weights nor --option.")
         if self.is_control and (self.isolate or self.timeout is not None):
             raise UsageError(f"--method {self.method} is part of the harness; leave --isolate and --timeout out.")
-        if self.best_of > 1 and self.is_control:
-            raise UsageError(f"--method {self.method} draws nothing to choose from; leave --best-of out.")
-        if self.best_of > 1 and self.condition is not None and self.benchmark == PROTOCOL_NAME:
-            require_goal(Condition(self.condition), best_of=self.best_of)
-        if self.carry_on and (self.is_control or self.control is not None):
-            raise UsageError("--carry-on: controls make no motion that could go on; leave it out.")
-        if self.carry_on and self.sequences:
-            raise UsageError(
-                "--carry-on: runs pairs of sequences; leave --sequence out, and take --limit 2 for one pair."
-            )
         if self.timeout is not None and not 0 < self.timeout < math.inf:
             raise UsageError(f"--timeout: expected seconds above 0, found {self.timeout:g}.")
 

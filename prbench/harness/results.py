@@ -160,14 +160,10 @@ class ScoredSet:
     control: str | None
     split: str
     samples: int
-    best_of: int
-    """Motions drawn for each that was kept."""
     gaze: bool
     """The motions bring gaze that a method generated."""
     obstacles: bool
     """The method was given the solid boxes around each sequence."""
-    carry_on: bool
-    """Every put starts where the generated pick before it ends."""
 
 
 def summarise(scores: CodedScores | pa.Table, scored: ScoredSet) -> DatasetSummary:
@@ -192,10 +188,8 @@ def summarise(scores: CodedScores | pa.Table, scored: ScoredSet) -> DatasetSumma
         unsupported=scored.chosen - len(scored.recording_of),
         recordings=len(set(scored.recording_of.values())),
         samples=scored.samples,
-        best_of=scored.best_of,
         gaze=scored.gaze,
         obstacles=scored.obstacles,
-        carry_on=scored.carry_on,
         length_mismatches=mismatched,
         metrics=metrics,
     )
@@ -217,10 +211,8 @@ def summary_of(
             control=record.control,
             split=record.split,
             samples=record.samples,
-            best_of=record.best_of,
             gaze=record.method.gaze,
             obstacles=record.method.wants_obstacles,
-            carry_on=record.carry_on,
         ),
     )
 

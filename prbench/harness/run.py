@@ -146,14 +146,9 @@ def generate_all(parts: list[RunPart], folder: RunFolder, engine: Engine) -> lis
     try:
         missing = [part.missing() for part in parts]
         done = {part.dataset.name: len(part.batches) - len(own) for part, own in zip(parts, missing, strict=True)}
-        numbers = {part.dataset.work.round_of(index) for part, own in zip(parts, missing, strict=True) for index in own}
-        for number in sorted(numbers):
-            rounds = [
-                [index for index in wanted if part.dataset.work.round_of(index) == number]
-                for part, wanted in zip(parts, missing, strict=True)
-            ]
-            tasks = (part.tasks(frozenset(wanted)) for part, wanted in zip(parts, rounds, strict=True) if wanted)
-            owners = [part for part, wanted in zip(parts, rounds, strict=True) for _ in wanted]
+        tasks = (part.tasks(frozenset(own)) for part, own in zip(parts, missing, strict=True) if own)
+        owners = [part for part, own in zip(parts, missing, strict=True) for _ in own]
+        if owners:
             owners[0].tell(done)
             # One stream of work for all datasets, so that every worker starts once and loads the method once.
             for _, part in zip(engine.map(run_batch, itertools.chain.from_iterable(tasks)), owners, strict=True):
@@ -217,7 +212,7 @@ class RunPart:
 
     def tasks(self, wanted: frozenset[int]) -> Iterator[BatchTask]:
         """The work on some batches, in the order of the plan."""
-        for index, question in self.dataset.work.questions(wanted, self.files):
+        for index, question in self.dataset.work.questions(wanted):
             yield BatchTask(
                 index=index,
                 sequence_ids=self.dataset.ids(self.plan[index]),

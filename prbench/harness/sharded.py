@@ -15,7 +15,7 @@ import msgspec
 
 from prbench.engine import Engine, InProcess
 from prbench.engine.shards import FILE_NAME, Shard, ShardRecord, begin_shard, require_settings
-from prbench.errors import ShardError, UsageError
+from prbench.errors import ShardError
 from prbench.files.storage import atomic_path, remove_half_written, remove_leftovers, require_replaceable, sole_writer
 from prbench.harness.methods.loaded_methods import forget_loaded_methods
 from prbench.harness.preparation import DEFAULT_PARENT, PreparedRun, prepare_recorded, prepare_run
@@ -63,12 +63,7 @@ def run_shard(
 
     Raises:
         ShardError: if the folder holds another shard.
-        UsageError: if puts carry on from generated picks, which other shards may make.
     """
-    if request.carry_on:
-        raise UsageError(
-            "--carry-on: a put starts where a generated pick ends, which another shard may make; leave --shard out."
-        )
     engine = engine or InProcess()
     with contextlib.ExitStack() as held:
         try:
@@ -221,7 +216,6 @@ def _request(folder: Path, shard: ShardRecord, record: RunRecord, data: Sequence
         sequences=record.sequences,
         seed=record.seed,
         samples=record.samples,
-        best_of=record.best_of,
         batch_size=record.tables[0].batch_plan.batch_size,
         device=record.device,
         threads=record.threads,

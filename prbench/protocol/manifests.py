@@ -207,12 +207,6 @@ class SceneConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     passable: float
 
 
-class CarryOnConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Numbers of puts that carry on from generated picks, seconds (docs/specification/carry-on.md)."""
-
-    longest_gap: float
-
-
 class Citations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """BibTeX that belongs to every result of the benchmark, whatever the dataset."""
 
@@ -292,12 +286,6 @@ def load_protocol() -> BenchmarkProtocol:
 def load_scene_constants() -> SceneConstants:
     """Load the numbers of the scene's boxes as obstacles."""
     return read_toml("prbench_benchmarks.prime_and_reach", "scene.toml", SceneConstants)
-
-
-@cache
-def load_carry_on_constants() -> CarryOnConstants:
-    """Load the numbers of puts that carry on from generated picks."""
-    return read_toml("prbench_benchmarks.prime_and_reach", "carry_on.toml", CarryOnConstants)
 
 
 @cache

@@ -18,7 +18,7 @@ from prbench.board import collect_runs, compare_runs, export, make_leaderboard
 from prbench.board.comparison import separate_by_comparison, sequence_scores
 from prbench.board.tables import FEWEST_RANKED, of_all_methods
 from prbench.errors import RunError, UsageError
-from prbench.harness.prime_and_reach.benchmark import PRIME_AND_REACH
+from prbench.harness.prime_and_reach import PRIME_AND_REACH
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.folder import RunFolder

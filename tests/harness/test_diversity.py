@@ -10,9 +10,33 @@ from prbench.harness.diversity import SPREADS, MotionsToGoal, average_pairwise_d
 from prbench.harness.similar_tasks import Tasks
 from prbench.protocol.manifests import load_protocol
 from tests.fakes import STANDING, fake_dataset
-from tests.harness.test_best_of import FRAMES, GOAL, TILT, arriving, reaching, turned
 
 CONSTANTS = load_protocol().metrics
+FRAMES = 81  # 4 s: the prime time of the protocol is in the middle
+TILT = float(np.rad2deg(np.arctan2(0.06, 0.09)))  # of the standing body's head, which then looks straight ahead
+GOAL = np.array([0.0, 1.6, 2.0])  # before the body, at the height of its head
+
+
+def turned(yaw: np.ndarray) -> np.ndarray:
+    """The standing body, turned about the vertical by an angle a frame; radians, 0 faces the goal."""
+    turn = np.zeros((len(yaw), 3, 3))
+    turn[:, 0, 0] = turn[:, 2, 2] = np.cos(yaw)
+    turn[:, 0, 2] = np.sin(yaw)
+    turn[:, 2, 0] = -np.sin(yaw)
+    turn[:, 1, 1] = 1.0
+    return np.einsum("tij,kj->tki", turn, STANDING).astype(np.float32)
+
+
+def arriving(frame: int = 40) -> np.ndarray:
+    """A body that turns from the side to the goal, ever slower until it faces it in a frame."""
+    left = np.clip((frame - np.arange(FRAMES)) / 20, 0, 1)
+    return turned(1.5 * left**2)
+
+
+def reaching(motion: np.ndarray) -> np.ndarray:
+    reached = motion.copy()
+    reached[-1, Joint.RIGHT_WRIST] = GOAL
+    return reached
 
 
 def motions(*each: np.ndarray) -> MotionsToGoal:

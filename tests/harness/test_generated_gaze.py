@@ -81,10 +81,10 @@ def test_another_process_sends_the_same_gaze(table, tmp_path, seeing):
     assert (tmp_path / "here/scores.parquet").read_bytes() == (tmp_path / "apart/scores.parquet").read_bytes()
 
 
-def test_a_finished_run_with_gaze_is_verified_and_a_choice_keeps_the_rays_of_the_chosen_motion(table, tmp_path, seeing):
+def test_a_finished_run_with_gaze_is_verified_and_keeps_the_rays_of_its_motions(table, tmp_path, seeing):
     for _ in range(2):  # the second finds everything, and holds scores and summary against the motions
-        run_method(request(table, tmp_path / "best", best_of=3))
-    predictions = Predictions.open(tmp_path / "best/predictions")
+        run_method(request(table, tmp_path / "run"))
+    predictions = Predictions.open(tmp_path / "run/predictions")
     rows = predictions.motions(predictions.ids[:2], 0)
     assert rows.gaze is not None
     assert np.allclose(rows.gaze[:, 0], rows.values[:, 15] + (0, 0, 0.1), atol=1e-5)

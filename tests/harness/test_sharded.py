@@ -11,7 +11,7 @@ import pytest
 from prbench.contract import Condition
 from prbench.engine import ProcessPool
 from prbench.engine.shards import Shard, require_whole
-from prbench.errors import AdapterError, PrbenchError, RunError, ShardError, StorageError, UsageError
+from prbench.errors import AdapterError, PrbenchError, RunError, ShardError, StorageError
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder
@@ -62,7 +62,7 @@ def test_any_number_of_shards_gives_the_same_bytes(table, tmp_path, install, cou
         {"method": "nearest-neighbour"},
         {"method": "scripted", "control": "shuffled-goal"},
         {"method": "scripted", "condition": Condition.GOAL_POSE, "limit": 7},
-        {"method": "made", "condition": Condition.GOAL_LOCATION, "best_of": 2},
+        {"method": "made", "condition": Condition.GOAL_LOCATION, "samples": 2},
         {"method": "made", "fold": "1/2"},
     ],
     ids=lambda changes: "-".join(map(str, changes.values())),
@@ -267,12 +267,6 @@ def test_a_merge_finds_a_table_at_the_url_that_its_shards_name(table, tmp_path, 
     run_shard(request(SequenceTable.open(moved), tmp_path / "shard", "ground-truth"), Shard(1, 1), tables_at=[url])
     shutil.rmtree(moved)
     assert run_bytes(merged([tmp_path / "shard"], tmp_path / "merged")) == run_bytes(tmp_path / "whole")
-
-
-def test_puts_that_carry_on_are_not_sharded(table, tmp_path):
-    asked = request(table, tmp_path / "shard", "scripted-method", condition=Condition.GOAL_POSE, carry_on=True)
-    with pytest.raises(UsageError, match="--carry-on: a put starts where a generated pick ends"):
-        run_shard(asked, Shard(1, 2))
 
 
 def test_workers_change_nothing_of_a_shard(table, tmp_path):

@@ -59,8 +59,6 @@ class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
         unknown = {
             f"--method {request.method}": request.is_control,
             "--control": request.control is not None,
-            "--best-of": request.best_of > 1,
-            "--carry-on": request.carry_on,
             "--fold": request.fold is not None,
             "--protocol": request.protocol is not None,
         }

@@ -64,9 +64,8 @@ class FutureWork(CaseWork):
         size = self._request.batch_size
         return [np.arange(start, min(start + size, len(self._cases))) for start in range(0, len(self._cases), size)]
 
-    def questions(self, wanted: frozenset[int], files: DatasetFolder) -> Iterator[tuple[int, FutureQuestion]]:
+    def questions(self, wanted: frozenset[int]) -> Iterator[tuple[int, FutureQuestion]]:
         """See :meth:`CaseWork.questions`."""
-        del files
         for index, batch, _ in self._batches(self._condition, sorted(wanted)):
             yield index, FutureQuestion(batch, self._request.samples)
 

@@ -75,32 +75,3 @@ class SceneOfPeople(msgspec.Struct, frozen=True, kw_only=True):
     depth: float
     boxes: int
     solid: int
-
-
-class CarriedOn(msgspec.Struct, frozen=True, kw_only=True):
-    """Seams and halves of one dataset.
-
-    Attributes:
-        dataset: Name of the dataset.
-        pairs: Number of pairs of a pick and the put that follows it.
-        share_of_picks: Share of the picks of the split that have such a put.
-        median_gap: Median of the seconds from the pick's event to the put's first recorded frame; below 0 in overlaps.
-        overlapping: Share of the pairs whose recorded sequences overlap.
-        largest_step: Largest way of a joint from the last frame of a pick to the first of its put, metres.
-        speed_change: Change of a joint's velocity across the seam, mean over joints and pairs, m/s.
-        recorded_speed_change: The same of recorded people, from one frame to the next at the pick's event; null where
-            no frame after it was recorded.
-        picks: Mean of each metric over the picks, by id.
-        puts: Mean of each metric over the puts, by id.
-    """
-
-    dataset: str
-    pairs: int
-    share_of_picks: float
-    median_gap: float
-    overlapping: float
-    largest_step: float
-    speed_change: float
-    recorded_speed_change: float | None
-    picks: dict[str, float]
-    puts: dict[str, float]

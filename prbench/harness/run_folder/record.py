@@ -149,9 +149,9 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
     samples: int
     """Motions kept of each sequence."""
     best_of: int = 1
-    """Motions drawn for each that is kept (docs/specification/protocol.md#best-of-k)."""
+    """Above 1 in runs up to 0.10 whose motions were chosen among several; those are never ranked."""
     carry_on: bool = False
-    """Every put starts where the generated pick before it ends (docs/specification/carry-on.md)."""
+    """True in runs up to 0.10 whose puts started where generated picks ended; those are never ranked."""
     device: str
     """Where networks ran."""
     threads: int

@@ -23,14 +23,10 @@ _BY_ACCIDENT = 1
 """Recorded motions that say nothing of a method: in a run of few sequences one is already more than that share."""
 TWICE_DAGGER = "††"
 """Mark of a method that handed in recorded motions."""
-SECTION = "§"
-"""Mark of motions that were chosen among several."""
 PILCROW = "¶"
 """Mark of motions that bring gaze, which the study's methods do not generate."""
 LOZENGE = "◊"
 """Mark of a method that was given the scene's boxes."""
-PARALLEL = "∥"
-"""Mark of puts that carry on from generated picks."""
 
 
 class MetricSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -96,14 +92,10 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Number of recordings that they come from."""
     samples: int
     """Motions kept of each sequence."""
-    best_of: int = 1
-    """Motions drawn for each that was kept."""
     gaze: bool = False
     """The motions bring gaze that the method generated."""
     obstacles: bool = False
     """The method was given the solid boxes around each sequence."""
-    carry_on: bool = False
-    """Every put starts where the generated pick before it ends."""
     length_mismatches: int
     """Number of motions whose length is not the recorded one's."""
     metrics: tuple[MetricSummary, ...]
@@ -133,13 +125,6 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         return f"{TWICE_DAGGER} equals the recorded motion in {self.recorded_motions} of {self._motions} motions{rank}"
 
     @property
-    def best_of_mark(self) -> str:
-        """Remark of tables on motions that were chosen among several; empty if none were."""
-        if self.best_of == 1:
-            return ""
-        return f"{SECTION} best of {self.best_of} motions, chosen by their own head ray and wrist; never ranked"
-
-    @property
     def gaze_mark(self) -> str:
         """Remark of tables on motions that bring gaze; empty if they bring none."""
         return f"{PILCROW} gaze generated with the head, beyond the study; never ranked" if self.gaze else ""
@@ -152,16 +137,9 @@ class DatasetSummary(msgspec.Struct, frozen=True, kw_only=True):
         return f"{LOZENGE} was given the scene's boxes, which other methods are not; never ranked"
 
     @property
-    def carry_on_mark(self) -> str:
-        """Remark of tables on puts that carry on from generated picks; empty if they do not."""
-        if not self.carry_on:
-            return ""
-        return f"{PARALLEL} each put starts where the generated pick before it ends; never ranked"
-
-    @property
     def run_marks(self) -> tuple[str, ...]:
         """Remarks on how the motions were made, the same on every dataset of a run."""
-        marks = (self.best_of_mark, self.gaze_mark, self.obstacles_mark, self.carry_on_mark)
+        marks = (self.gaze_mark, self.obstacles_mark)
         return tuple(mark for mark in marks if mark)
 
     @property

@@ -87,9 +87,7 @@ def _scored(
         method=record.method.name,
         condition=record.condition,
         control=record.control,
-        best_of=record.best_of,
         obstacles=record.method.wants_obstacles,
-        carry_on=record.carry_on,
     )
     return Scored.of(
         chosen, selection, predictions, samples=samples, rules=rules, protocol=protocol, about=about, work=work
@@ -109,7 +107,7 @@ def _require_plain(request: ScoreRequest) -> None:
 def _selections(request: ScoreRequest, record: RunRecord, table: SequenceTable) -> tuple[Selection, Selection]:
     """The chosen sequences, and those of them that have to be there."""
     limit = record.limit if request.limit is None else request.limit
-    chosen = select(table, split=request.split or record.split, limit=limit, carry_on=record.carry_on)
+    chosen = select(table, split=request.split or record.split, limit=limit)
     if record.sequences and request.limit is None:
         chosen = chosen.chosen(np.isin(chosen.sequence_ids, record.sequences))
     return chosen, supported(chosen, max_frames=record.method.max_frames, native_fps=record.method.native_fps)

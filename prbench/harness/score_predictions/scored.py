@@ -53,12 +53,8 @@ class About:
     method: str
     condition: str
     control: str | None
-    best_of: int = 1
-    """Motions drawn for each that was kept, as far as a run's record says."""
     obstacles: bool = False
     """The method was given the solid boxes around each sequence, as far as a run's record says."""
-    carry_on: bool = False
-    """Every put starts where the generated pick before it ends, as far as a run's record says."""
 
 
 @dataclass(frozen=True)
@@ -103,10 +99,8 @@ class Scored:
             control=about.control,
             split=selection.split,
             samples=len(samples),
-            best_of=about.best_of,
             gaze=predictions.has_gaze,
             obstacles=about.obstacles,
-            carry_on=about.carry_on,
         )
         return cls(chosen, selection, scores, summarise(scores, scored), agreement)
 

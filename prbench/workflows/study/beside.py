@@ -149,8 +149,6 @@ def why_not_beside(entry: LeaderboardRow) -> str | None:
         return "its numbers on the common sequences, since those on all of them stand beside the study's"
     if entry.is_control:
         return "a control of the harness"
-    if entry.record.best_of > 1:
-        return f"the best of {entry.record.best_of} motions, where the study draws one"
     if entry.record.method.gaze:
         return "a method that generates gaze, which the study's do not"
     if not entry.record.is_usual:

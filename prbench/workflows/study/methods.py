@@ -172,10 +172,6 @@ def _study_label(study: Row, row: TableRow, placed: Sequence[tuple[Row, TableRow
     """Return the study's label, with what tells runs apart where several stand for one row or options were given."""
     several = sum(other == study for other, _ in placed) > 1
     options = dict(row.entry.record.method.options)
-    if row.entry.record.best_of > 1:
-        options["best of"] = str(row.entry.record.best_of)
-    if row.entry.record.carry_on:
-        options["carry on"] = "yes"
     if several:
         return f"{study.label} ({row.variant})"
     if options:

@@ -131,7 +131,7 @@ def _value(one: Sweep, i: int, j: int) -> StudyValue:
 def _selection(run: GenuineRun) -> Selection:
     """The sequences of a run that have motions."""
     record = run.run.record
-    chosen = select(run.table, split=record.split, limit=record.limit, carry_on=record.carry_on)
+    chosen = select(run.table, split=record.split, limit=record.limit)
     scored = set(read_scores(run.run.dataset(run.record.dataset).scores)["sequence_id"].to_pylist())
     return chosen.chosen(np.array([name in scored for name in chosen.sequence_ids]))
 

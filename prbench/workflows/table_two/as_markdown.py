@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 
 from prbench.board.tables import FEWEST_RANKED
-from prbench.harness.run_folder.summary import LOZENGE, PILCROW, SECTION
+from prbench.harness.run_folder.summary import LOZENGE, PILCROW
 from prbench.metrics import STUDY_METRICS, exported_unit
 from prbench.shown import markdown
 from prbench.workflows.table_two.layout import (
@@ -75,11 +75,6 @@ def notes(layout: TableLayout) -> Iterable[str]:
     lines = [line for block in layout.datasets[0].blocks for line in block.lines]
     if any(line.label[-1] in _MARKS for line in lines):
         yield "; ".join(f"{mark}: {meaning}" for mark, meaning in _MARKS.items()) + "; no mark: fine-tuned."
-    for best_of in sorted({line.best_of for line in lines if line.best_of > 1}):
-        yield (
-            f"{SECTION}: the best of {best_of} motions of each sequence, chosen by their own head ray and wrist; costs"
-            " are those of all. Never ranked."
-        )
     if any(line.gaze for line in lines):
         yield f"{PILCROW}: gaze is generated with the head, beyond the study. Never ranked."
     if any(line.obstacles for line in lines):
@@ -139,9 +134,8 @@ def _rows(block: BlockLayout) -> Iterable[Sequence[str]]:
 
 
 def shown_label(line: Line) -> str:
-    """The label of a line, with the signs of motions that were chosen, bring gaze, or knew of the scene's boxes."""
+    """The label of a line, with the signs of motions that bring gaze, or knew of the scene's boxes."""
     marks = (
-        SECTION if line.best_of > 1 else "",
         PILCROW if line.gaze else "",
         LOZENGE if line.obstacles else "",
     )

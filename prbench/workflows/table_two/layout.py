@@ -95,8 +95,6 @@ class Line:
     """Maps each of the study's metrics to its cell; None is a dash."""
     arrival: Cell | None
     """The cell of :data:`ARRIVAL`, which is no column of the study's table."""
-    best_of: int
-    """Motions drawn for each that was kept; a line of more than one is marked and never ranked."""
     gaze: bool
     """The motions bring gaze; such a line is marked and never ranked."""
     obstacles: bool
@@ -267,7 +265,6 @@ def _line(outcome: RowOutcome, row: TableRow | None) -> Line:
         reason=outcome.reason,
         cells={info.id: _cell(row, info) for info in STUDY_METRICS},
         arrival=_cell(row, ARRIVAL),
-        best_of=planned.run.best_of,
         gaze=row is not None and row.entry.record.method.gaze,
         obstacles=row is not None and row.entry.summary.obstacles,
         unsupported=row.entry.table.unsupported if row is not None else 0,

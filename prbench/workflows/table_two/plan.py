@@ -81,7 +81,6 @@ def _planned(request: TableRequest, row: Row, data: tuple[Path, ...], folder: Pa
         condition=row.condition,
         weights=weights,
         options=request.options_of(row.method),
-        best_of=request.best_of,
         out=folder / _ROWS_FOLDER / row.name,
     )
     reason = _why_skipped(row, run, own=own is not None)

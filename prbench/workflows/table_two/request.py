@@ -17,7 +17,6 @@ from prbench.contract import Condition
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import UsageError, did_you_mean
 from prbench.files.storage import text_digest
-from prbench.harness.best_of import require_goal
 from prbench.harness.cheats import CHEATS
 from prbench.harness.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
 from prbench.harness.methods.names import NEAREST_NEIGHBOUR
@@ -163,8 +162,6 @@ class TableRequest:
     minutes: int = DEFAULT_MINUTES
     seed: int = 0
     samples: int = 1
-    best_of: int = 1
-    """Motions drawn for each that is kept; above one for tables of a single condition with a goal."""
     batch_size: int | None = None
     """Sequences of a batch; None for a number that follows from the number of sequences."""
     device: str = "cpu"
@@ -182,13 +179,6 @@ class TableRequest:
         if not self.data:
             raise UsageError("a table needs one dataset folder or more (--data DIR).")
         load_table_two().chosen(self.method, self.condition)
-        if self.best_of > 1:
-            if self.condition is None:
-                raise UsageError(
-                    f"--best-of {self.best_of}: motions are chosen by a given goal, which not every condition of the"
-                    " table gives. Choose --condition goal-loc or --condition goal-pose."
-                )
-            require_goal(self.condition, best_of=self.best_of)
         if self.weights is not None and not any(self._weights_named(name) for name in load_table_two().weights):
             found = "a folder without any" if self.weights.is_dir() else "no folder"
             raise UsageError(
@@ -267,7 +257,6 @@ class TableRequest:
             "--minutes": str(self.minutes) if self.limit is None else "",
             "--seed": str(self.seed),
             "--samples": str(self.samples),
-            "--best-of": str(self.best_of) if self.best_of > 1 else "",
             "--batch-size": "" if self.batch_size is None else str(self.batch_size),
             "--device": self.device,
             "--threads": str(self.threads),

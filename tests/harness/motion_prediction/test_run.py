@@ -211,8 +211,6 @@ def test_a_failure_names_method_and_windows(windows, tmp_path, predictor):
         ({"condition": "text"}, "expected one of the benchmark motion-prediction: pose"),
         ({"method": "ground-truth", "condition": None}, "--method ground-truth: the benchmark motion-prediction"),
         ({"control": "shuffled-goal"}, "--control"),
-        ({"best_of": 2, "condition": None}, "--best-of"),
-        ({"carry_on": True}, "--carry-on"),
         ({"method": "nearest-past", "isolate": True}, "learns from the table, which it is not shown"),
         ({"method": "mdm"}, "'mdm' is a method of the benchmark prime-and-reach"),
         ({"method": "nearest-pest"}, "'nearest-pest' is not installed"),

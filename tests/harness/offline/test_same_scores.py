@@ -17,9 +17,9 @@ from prbench.board.export import export as export_board
 from prbench.contract import GIVEN, Condition, ConditionBatch
 from prbench.errors import PredictionsError, RunError, UsageError
 from prbench.harness import planning
+from prbench.harness import prime_and_reach as question
 from prbench.harness.conditions import opaque_ids, run_salt
 from prbench.harness.offline import ExportRequest, export_conditions, read_conditions_file, write_conditions
-from prbench.harness.prime_and_reach import question
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder, read_scores

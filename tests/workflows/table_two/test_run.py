@@ -15,7 +15,7 @@ from prbench.board.tables import FEWEST_RANKED
 from prbench.contract import Condition
 from prbench.errors import AdapterError, PrbenchError, RunError, StorageError, UsageError
 from prbench.files.storage import sole_writer
-from prbench.harness.run_folder import RunFolder, read_scores
+from prbench.harness.run_folder import read_scores
 from prbench.workflows.table_two import TableRequest, plan, run, run_table
 from prbench.workflows.table_two import state as subset
 from prbench.workflows.table_two.budget import RowCost
@@ -437,19 +437,3 @@ def test_options_reach_their_method_only(small_tables, tmp_path):
         for name in ("goal-loc-reacher-finetuned", "none-static-mean-training-pose")
     }
     assert recorded == {"goal-loc-reacher-finetuned": {"spread": "0.5"}, "none-static-mean-training-pose": {}}
-
-
-def test_rows_of_the_best_of_several_motions_are_marked_and_cost_all(small_tables, made_up, tmp_path):
-    with pytest.raises(UsageError, match=r"--best-of 3: .* Choose --condition goal-loc or --condition goal-pose"):
-        request(small_tables[0], out=tmp_path / "t", method="reacher", best_of=3)
-    wanted = request(
-        small_tables[0], out=tmp_path / "t", method="reacher", condition=Condition.GOAL_LOCATION, best_of=3
-    )
-    report = run_table(wanted)
-    assert {line.best_of for line in lines(report).values() if line.method == "reacher"} == {3}
-    assert lines(report)["ground-truth"].best_of == 1
-    text = (tmp_path / "t" / "table_2.md").read_text(encoding="utf-8")
-    assert "| Reacher § |" in text
-    assert "§: the best of 3 motions of each sequence, chosen by their own head ray and wrist; costs are those" in text
-    record = RunFolder.open(tmp_path / "t/rows/goal-loc-reacher-finetuned").record
-    assert record.best_of == 3

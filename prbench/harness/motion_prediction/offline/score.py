@@ -109,7 +109,7 @@ def score_futures(
         dataset = prepared.datasets[0]
         files = folder.dataset(dataset.name)
         row_of = {key: row for row, key in enumerate(windows.batch.key)}
-        for index, question in dataset.work.questions(frozenset(range(len(dataset.work.plan))), files):
+        for index, question in dataset.work.questions(frozenset(range(len(dataset.work.plan)))):
             batch = question.batch  # type: ignore[attr-defined]  # the benchmark's own kind of question
             part = joints[[row_of[key] for key in batch.key]]
             n_frames = np.full(len(batch), batch.n_future)

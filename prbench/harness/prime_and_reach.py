@@ -1,0 +1,271 @@
+"""The value of the prime-and-reach benchmark: its tables and rules, the work on one table, the question to a method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float, Int
+
+from prbench.contract import Condition, ConditionBatch, Motions
+from prbench.engine import Engine
+from prbench.errors import AdapterError
+from prbench.files.storage import in_turn
+from prbench.harness.agreement import agreement_with_people, require_agreement
+from prbench.harness.benchmark import Answer, Benchmark, CaseWork
+from prbench.harness.conditions import ConditionSource, ConditionStream, derangement, run_salt
+from prbench.harness.controls import (
+    HOLDS_RECORDINGS,
+    NEAREST_NEIGHBOUR,
+    RECORDED_MOTION,
+    SHUFFLED_GOAL,
+    control_motions,
+)
+from prbench.harness.methods.groups import MOTIONS, MethodGroup
+from prbench.harness.methods.loaded_methods import LoadedMethod, MethodSpec
+from prbench.harness.methods.methods import fitted_to
+from prbench.harness.methods.motions import generate_checked
+from prbench.harness.planning import Selection, open_tables, plan_batches, select, select_sequences, supported
+from prbench.harness.request import RunRequest
+from prbench.harness.run_folder.coded_scores import CodedScores
+from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
+from prbench.harness.run_folder.predictions import PredictionRows
+from prbench.harness.run_folder.record import MethodRecord
+from prbench.harness.scoring import ScoringRules, score_selection
+from prbench.metrics import METRICS, MetricInfo
+from prbench.protocol.manifests import PROTOCOL_NAME, BenchmarkProtocol, load_protocol
+from prbench.protocol.own_protocol import protocol_for
+from prbench.sequences import SequenceTable
+from prbench.sequences.dataset_info import FILE_NAME
+from prbench.sequences.folds import fold_table
+from prbench.sequences.ids import names_its_recording, recording_key
+
+
+@dataclass(frozen=True)
+class MotionQuestion:
+    """See :class:`prbench.harness.benchmark.Question`; the method sees nothing but ``conditions``."""
+
+    conditions: tuple[ConditionBatch, ...]
+    """One batch for each sample; they differ in their noise seeds only."""
+    given: Motions | None
+    """Motions that the harness itself supplies (controls), instead of the method's."""
+
+    def ask(
+        self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...], measure: Callable[[], None]
+    ) -> Answer:
+        """See :class:`prbench.harness.benchmark.Question`."""
+        seeds = [batch.noise_seed for batch in self.conditions]
+        if method is None:
+            assert self.given is not None
+            return Answer([_rows(self.given)] * len(seeds), seeds)
+        samples: list[PredictionRows] = []
+        passes: list[int] = []
+        halvings = 0
+        for batch in self.conditions:
+            motions, halved = generate_checked(
+                method.adapter, batch, seed=seed, method=method.name, sequence_ids=sequence_ids
+            )
+            samples.append(_rows(motions))
+            halvings += halved
+            if motions.cost is not None:
+                passes.append(motions.cost.network_passes)
+            measure()
+        return Answer(samples, seeds, halvings, sum(passes) if passes else None)
+
+
+def _rows(motions: Motions) -> PredictionRows:
+    rays = None
+    if motions.gaze is not None:
+        rays = np.stack((motions.gaze.origin, motions.gaze.direction), axis=2)
+    return PredictionRows.from_padded(motions.joints, motions.n_frames, gaze=rays)
+
+
+class MotionWork(CaseWork):
+    """See :class:`prbench.harness.benchmark.CaseWork`."""
+
+    def __init__(
+        self,
+        request: RunRequest,
+        selection: Selection,
+        *,
+        method: MethodRecord,
+        condition: Condition,
+        protocol: BenchmarkProtocol,
+    ) -> None:
+        self._request = request
+        self._selection = selection
+        self._method = method
+        self._condition = condition
+        self._protocol = protocol
+        self._source: ConditionSource | ConditionStream = ConditionStream(selection, obstacles=method.wants_obstacles)
+        self._scored_goals: Float[np.ndarray, "n 3"] | None = None
+        # These put conditions of sequences together that lie anywhere in the table.
+        if request.control == SHUFFLED_GOAL or request.method == NEAREST_NEIGHBOUR:
+            whole = ConditionSource.read(selection, obstacles=method.wants_obstacles)
+            if request.control == SHUFFLED_GOAL:
+                whole = whole.with_goals_of(derangement(selection, seed=request.seed))
+                if request.method in RECORDED_MOTION:
+                    self._scored_goals = whole.goal_location
+            self._source = whole
+
+    @property
+    def holds_recordings(self) -> bool:
+        """See :attr:`CaseWork.holds_recordings`."""
+        return self._request.method in HOLDS_RECORDINGS
+
+    @cached_property
+    def plan(self) -> list[Int[np.ndarray, "_"]]:
+        """Batches of similar length."""
+        return plan_batches(self._selection.n_frames, self._request.batch_size)
+
+    def questions(self, wanted: frozenset[int]) -> Iterator[tuple[int, MotionQuestion]]:
+        """See :meth:`CaseWork.questions`."""
+        request = self._request
+        salt = run_salt(request.seed, self._selection.table.identity)
+        given = None
+        if request.is_control:
+            given = control_motions(request.method, self._selection, self._source, self.plan)
+        for index, rows in enumerate(self.plan):
+            # Controls come in order: those of finished batches are made and passed over.
+            motions = next(given) if given is not None else None
+            if index not in wanted:
+                continue
+            source, places = self._source.around(rows)
+            first = source.batch(places, self._condition, seed=request.seed, salt=salt, sample=0)
+            samples = range(1, request.samples)
+            others = (source.redrawn(first, places, seed=request.seed, sample=sample) for sample in samples)
+            yield index, MotionQuestion((first, *others), motions)
+
+    def scores(self, files: DatasetFolder, engine: Engine) -> Iterator[pa.Table]:
+        """See :meth:`CaseWork.scores`."""
+        rules = ScoringRules(
+            self._protocol.metrics,
+            recorded_motion=self._request.method in RECORDED_MOTION,
+            other_goals=self._scored_goals,
+            run_of=self._method.name,
+        )
+        samples = range(self._request.samples)
+        yield from score_selection(self._selection, files.predictions, samples=samples, rules=rules, engine=engine)
+
+    def write_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
+        """Write the agreement with recorded people."""
+        agreement_with_people(self._selection, scores, protocol=self._protocol).write(files.path)
+
+    def require_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
+        """Compare the agreement with what follows from the scores; written anew where an earlier version wrote none."""
+        agreement = agreement_with_people(self._selection, scores, protocol=self._protocol)
+        require_agreement(files, agreement)
+        if not files.agreement.is_file():
+            agreement.write(files.path)
+
+
+class PrimeAndReach(Benchmark[SequenceTable, Selection]):
+    """See :class:`prbench.harness.benchmark.Benchmark`."""
+
+    name = PROTOCOL_NAME
+
+    @property
+    def metrics(self) -> tuple[MetricInfo, ...]:
+        """The study's metrics and their variants."""
+        return METRICS
+
+    @property
+    def methods(self) -> MethodGroup:
+        """Methods that generate motions."""
+        return MOTIONS
+
+    @property
+    def present_rules(self) -> BenchmarkProtocol:
+        """See :attr:`Benchmark.present_rules`."""
+        return load_protocol()
+
+    def rules_of(self, run: RunFolder) -> BenchmarkProtocol | None:
+        """The user's own protocol, or prbench's."""
+        return run.protocol
+
+    def copied_rules(self, rules: BenchmarkProtocol) -> BenchmarkProtocol:
+        """See :meth:`Benchmark.copied_rules`; a copy of prbench's own is never written."""
+        return rules
+
+    def settled(self, request: RunRequest) -> RunRequest:
+        """Turn a fold of participants into the tables that it makes."""
+        if request.fold is None:
+            return request
+        folds = tuple(fold_table(folder, request.fold).folder for folder in request.data)
+        return replace(request, data=folds, fold=None)
+
+    @property
+    def table_file(self) -> str:
+        """See :attr:`Benchmark.table_file`."""
+        return FILE_NAME
+
+    def open_table(self, folder: Path) -> SequenceTable:
+        """See :meth:`Benchmark.open_table`."""
+        return SequenceTable.open(folder)
+
+    def open_tables(self, request: RunRequest) -> list[SequenceTable]:
+        """See :meth:`Benchmark.open_tables`."""
+        return open_tables(request.data)
+
+    def rules(self, request: RunRequest, tables: Sequence[SequenceTable]) -> BenchmarkProtocol:
+        """The user's own protocol, or prbench's."""
+        return protocol_for(request.protocol, (table.described_protocol for table in tables))
+
+    def choose(self, request: RunRequest, tables: Sequence[SequenceTable]) -> list[Selection]:
+        """Select sequences of each table; where single ones are asked for, only of the tables that hold one."""
+        if request.sequences:
+            return select_sequences(tables, request.sequences, split=request.split)
+        return [select(table, split=request.split, limit=request.limit) for table in tables]
+
+    def answerable(self, request: RunRequest, cases: Selection, method: MethodRecord) -> Selection:
+        """The sequences that are no longer than the method can generate."""
+        del request
+        selection = supported(cases, max_frames=method.max_frames, native_fps=method.native_fps)
+        if not len(selection):
+            raise AdapterError(
+                f"adapter '{method.name}' generates at most {method.max_frames} frames; all {len(cases)} chosen"
+                f" sequences of {cases.table.info.dataset} are longer."
+            )
+        return selection
+
+    def fitted(self, spec: MethodSpec, table: SequenceTable, condition: StrEnum) -> MethodSpec:
+        """See :meth:`Benchmark.fitted`."""
+        del condition
+        spec = fitted_to(spec, table)
+        with nullcontext() if spec.fit_folder is None else in_turn(spec.fit_folder):
+            spec.load()  # a fit is made here, once, and found by every worker
+        return spec
+
+    def work(
+        self,
+        request: RunRequest,
+        cases: Selection,
+        *,
+        method: MethodRecord,
+        condition: StrEnum,
+        rules: BenchmarkProtocol,
+    ) -> MotionWork:
+        """See :meth:`Benchmark.work`."""
+        return MotionWork(request, cases, method=method, condition=Condition(condition), protocol=rules)
+
+    def recording_key(self, sequence_id: str) -> str:
+        """Dataset and recording of a sequence."""
+        return recording_key(sequence_id)
+
+    def recordings_of(self, table: SequenceTable) -> dict[str, str]:
+        """See :meth:`Benchmark.recordings_of`."""
+        rows = table.scalars(columns=["sequence_id", "recording_id"])
+        return dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
+
+    def ids_tell_recordings(self, sequence_ids: Sequence[str]) -> bool:
+        """Return True where ids have all six parts; those of an imported release have three."""
+        return names_its_recording(sequence_ids)
+
+
+PRIME_AND_REACH = PrimeAndReach()

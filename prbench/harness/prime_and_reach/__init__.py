@@ -1,1 +1,0 @@
-"""Prime-and-reach as a benchmark: its cases, what a method may know of them, and what judges its motions."""
