@@ -15,8 +15,7 @@ from prbench.engine import engine_for
 from prbench.errors import UsageError
 from prbench.files.storage import atomic_folder, sole_writer, text_digest, write_json
 from prbench.protocol.manifests import Manifest, load_manifest
-from prbench.readers import SYNTHETIC_PREFIX, described_options
-from prbench.readers.options import ReaderOptions, parse_options
+from prbench.readers import SYNTHETIC_PREFIX, ReaderOptions, described_options, parse_options
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities import identity_of, narrated_recording
 from prbench.synthetic.layouts import defect

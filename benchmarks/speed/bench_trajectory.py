@@ -25,8 +25,7 @@ from rich.table import Table
 
 from benchmarks.speed.peak_memory import peak_megabytes
 from benchmarks.speed.trajectory_files import write_recording
-from prbench.readers.aria_mps.find import find_mps_files
-from prbench.readers.aria_mps.readings import read_mps
+from prbench.readers.aria_mps.files import find_mps_files, read_mps
 from prbench.readers.aria_mps.trajectory import check_trajectory, read_trajectory
 from prbench.readers.found import RecordingFiles
 

@@ -13,13 +13,11 @@ from prbench.errors import InputFileError, PrbenchError
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
 from prbench.protocol.published import QUANTITIES, Spread
-from prbench.readers import RecordingFiles, reader_for
+from prbench.readers import SYNTHETIC_FILE, RecordingFiles, cut_short, lacks_mark, reader_for
 from prbench.readers.aria_mps.trajectory import check_trajectory
-from prbench.readers.cut_short import cut_short
 from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, discover
-from prbench.readers.integrity import damage
-from prbench.readers.synthetic_tree import SYNTHETIC_FILE, lacks_mark
-from prbench.readers.zipped import source_of
+from prbench.readers.extents import damage
+from prbench.readers.files import source_of
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.table import why_no_sequences

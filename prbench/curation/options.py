@@ -162,7 +162,7 @@ class BuildOptions:
     limit: int | None = None
     """Only the first so many recordings, by name."""
     reader: tuple[tuple[str, str], ...] = ()
-    """Options of the dataset's reader as name and value, sorted by name (:mod:`prbench.readers.options`)."""
+    """Options of the dataset's reader as name and value, sorted by name (:mod:`prbench.readers`)."""
     on_error: Literal["skip", "fail"] = "skip"
     """``skip`` reports a recording that cannot be read while the others go on, ``fail`` ends the build."""
     protocol: BenchmarkProtocol | None = None

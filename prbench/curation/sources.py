@@ -18,14 +18,14 @@ from prbench.protocol.manifests import load_manifest
 from prbench.readers import (
     Reader,
     RecordingFiles,
+    cut_short,
     described_options,
     read_synthetic_tree,
     reader_for,
+    require_marked,
     require_one_origin,
 )
-from prbench.readers.cut_short import cut_short
 from prbench.readers.parse_cache import remembered_digest
-from prbench.readers.synthetic_tree import require_marked
 from prbench.recording import Recording
 
 

@@ -2,48 +2,56 @@
 
 All that knows a dataset lies in its folder here, and its numbers in its manifest. Each folder has the same files:
 
-=====================  =================================================================================================
-``__init__.py``        the reader (:class:`Reader`): finds recordings, reads one, and says what else it can do
-``format.py``          names of files, columns and joints, axes, and the data classes that hold what the files say
-``layouts.py``         where the files of each recording lie (also ``layout``, ``places``, ``segments``); the options
-``readings.py``        files → readings, checked, in the dataset's own units and axes
-``to_recording.py``    readings → ``Recording``: metres, Y up, seconds, 22 joints; the only place where units change
-others                 what one dataset has besides: annotated events, hand models, skeletons
-=====================  =================================================================================================
+====================  ==================================================================================================
+``__init__.py``       the reader (:class:`Reader`): finds recordings, reads one, and says what else it can do
+``format.py``         names of files, columns and joints, axes, and the data classes that hold what the files say
+``files.py``          finds the files of each recording and reads them, checked, in the dataset's own units and axes;
+                      the options
+``to_recording.py``   readings → ``Recording``: metres, Y up, seconds, 22 joints; the only place where units change
+others                what one dataset has besides: tables of segments, hand models, skeletons, pickles, annotations
+``synthetic*.py``     the same files of invented people
+====================  ==================================================================================================
 
-``aria_mps`` and ``egoallo`` serve several datasets. ``files``, ``pose_table``, ``found``, ``zipped`` and ``extents``
-help any. The entry-point group ``prbench.readers`` lists the readers, ours and those of other packages
-(docs/adding-a-dataset.md); :func:`reader_for` finds one by its dataset's name.
+``aria_mps`` and ``egoallo`` serve several datasets. ``files``, ``found`` and ``extents`` help any. The entry-point
+group ``prbench.readers`` lists the readers, ours and those of other packages (docs/adding-a-dataset.md);
+:func:`reader_for` finds one by its dataset's name.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Literal,
+    Protocol,
+    TypeVar,
+    get_args,
+    get_origin,
+    get_type_hints,
+    runtime_checkable,
+)
+
+import msgspec
 
 from prbench.datasets import ENTRY_POINT_GROUP, SYNTHETIC_PREFIX, find_reader, origin_of
 from prbench.entry_points import InstalledEntry
-from prbench.errors import UsageError
-from prbench.readers.found import InputFile, RecordingFiles
-from prbench.readers.options import ReaderOptions, described_options, parse_options
-from prbench.readers.synthetic_tree import (
-    SyntheticTree,
-    read_synthetic_tree,
-    require_one_origin,
-    synthetic_tree_around,
-)
+from prbench.errors import InputFileError, PrbenchError, UsageError, did_you_mean
+from prbench.files.storage import file_digest
+from prbench.readers.extents import Extent, shortfalls
+from prbench.readers.files import Source, decode_json
+from prbench.readers.found import InputFile, RecordingFiles, is_present
 from prbench.recording import Recording
 from prbench.recording.published_tracks import PublishedTrack
 from prbench.shown import quoted
 
 if TYPE_CHECKING:
-    from prbench.readers.egoallo.inputs import EgoalloInputs
-    from prbench.readers.extents import Extent
-    from prbench.readers.zipped import Source
+    from prbench.readers.egoallo.files import EgoalloInputs
 
 __all__ = [
     "SYNTHETIC_PREFIX",
@@ -57,12 +65,167 @@ __all__ = [
     "ReaderOptions",
     "RecordingFiles",
     "SyntheticTree",
+    "cut_short",
     "described_options",
     "read_synthetic_tree",
     "reader_for",
     "require_one_origin",
     "synthetic_tree_around",
 ]
+
+
+class ReaderOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of every reader's options; this one has none.
+
+    Fields are ``bool``, ``int``, ``float``, ``str``, ``Literal`` or ``Path | None``, each with a default and a
+    docstring. What a field changes must show in the recording, never only in a log.
+    """
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """Names of all options."""
+        return tuple(field.name for field in msgspec.structs.fields(cls))
+
+
+Options = TypeVar("Options", bound=ReaderOptions)
+
+
+def parse_options(form: type[Options], given: Mapping[str, str], *, dataset: str) -> Options:
+    """Options of a reader from texts.
+
+    Raises:
+        UsageError: for a name that the reader does not know, or a value that is none of its kind.
+    """
+    for name in given:
+        if name not in form.names():
+            hint = did_you_mean(name, form.names())
+            known = ", ".join(form.names()) or "none"
+            raise UsageError(f"the reader of {dataset} has no option '{name}'.{hint} Its options are: {known}.")
+    try:
+        return msgspec.convert(dict(given), form, strict=False, dec_hook=_path)
+    except msgspec.ValidationError as error:
+        raise UsageError(
+            f"an option of the reader of {dataset} has a wrong value: {error}.{_allowed(form, str(error))}"
+        ) from error
+
+
+def _allowed(form: type[ReaderOptions], message: str) -> str:
+    """The values that the blamed option may have, where they are a list."""
+    blamed = re.search(r"`\$\.(\w+)`", message)
+    hints = get_type_hints(form)
+    if blamed is None or get_origin(hints.get(blamed[1])) is not Literal:
+        return ""
+    return f" {blamed[1]} is one of: {', '.join(map(str, get_args(hints[blamed[1]])))}."
+
+
+def described_options(options: ReaderOptions) -> dict[str, str]:
+    """Options as text without places of this machine: of a file its digest, of a folder its name."""
+    return {name: _described(getattr(options, name)) for name in options.names()}
+
+
+def _described(value: Any) -> str:
+    if isinstance(value, Path):
+        value = value.expanduser()
+        return file_digest(value) if value.is_file() else value.name
+    if value is None:
+        return ""
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _path(kind: type, value: Any) -> Any:
+    if kind is Path:
+        return Path(value)
+    raise NotImplementedError(f"options of the type {kind}")
+
+
+SYNTHETIC_FILE = "synthetic.json"
+_SYNTHETIC_NAME = re.compile(r"_synthetic_seed\d+_|_invented_a\d+_")
+"""Stands in the name of every invented recording."""
+
+
+class SyntheticTree(msgspec.Struct, frozen=True, kw_only=True):
+    """Origin and splits of a synthetic tree."""
+
+    generator: str
+    version: int
+    seed: int
+    preset: str
+    world: Literal["default", "large"]
+    split: dict[str, Literal["train", "validation", "test"]]
+    """Split of each recording, by id."""
+
+
+_TREE = msgspec.json.Decoder(SyntheticTree)
+
+
+def read_synthetic_tree(root: Path) -> SyntheticTree | None:
+    """The mark of a synthetic tree: in ``root``, or beside it if ``root`` is one of its recordings.
+
+    Returns:
+        None for a folder of real recordings.
+
+    Raises:
+        InputFileError: if the mark is damaged.
+    """
+    for folder in (root, root.parent):
+        if is_present(folder / SYNTHETIC_FILE):
+            return decode_json(folder / SYNTHETIC_FILE, _TREE)
+    return None
+
+
+def synthetic_tree_around(folder: Path, root: Path) -> SyntheticTree | None:
+    """The mark that a recording's folder lies under: the nearest one on the way up to ``root``, or beside it.
+
+    Roots may be given one level too high; what is invented has to keep its name and splits there, too.
+
+    Raises:
+        InputFileError: if the mark is damaged.
+    """
+    way = [place for place in (folder, *folder.parents) if place.is_relative_to(root)]
+    return next((tree for tree in map(read_synthetic_tree, (*way, root)) if tree is not None), None)
+
+
+def lacks_mark(recording_id: str, dataset: str) -> bool:
+    """Return True for an invented recording that would pass as a real one, because its mark was not copied."""
+    return _SYNTHETIC_NAME.search(recording_id) is not None and not dataset.startswith(SYNTHETIC_PREFIX)
+
+
+def require_marked(root: Path, recordings: Mapping[str, str]) -> None:
+    """Refuse invented recordings that were copied without their mark: they would pass as real ones.
+
+    Args:
+        root: The folder that was searched.
+        recordings: Name of the dataset of each recording, by the recording's name.
+
+    Raises:
+        InputFileError: naming one of them.
+    """
+    for name, dataset in recordings.items():
+        if lacks_mark(name, dataset):
+            raise InputFileError(
+                root,
+                "",
+                expected=f"{SYNTHETIC_FILE} beside recordings whose names say that they are invented",
+                found=f"{name} without it",
+                remedy=f"Copy {SYNTHETIC_FILE} of the tree that they come from, too.",
+            )
+
+
+def require_one_origin(root: Path, datasets: Iterable[str]) -> None:
+    """Refuse a folder in which real and invented recordings lie together: one table may not mix them.
+
+    Raises:
+        InputFileError: if the names of the recordings' datasets differ.
+    """
+    names = sorted(set(datasets))
+    if len(names) > 1:
+        raise InputFileError(
+            root,
+            "",
+            expected="recordings that are all real or all invented",
+            found=f"{' and '.join(names)} together",
+            remedy=f"Give a folder that holds one of them; {SYNTHETIC_FILE} marks what is invented.",
+        )
 
 
 @runtime_checkable
@@ -232,3 +395,23 @@ def _imported(installed: InstalledEntry) -> Reader:
     if reader.dataset != installed.name:
         raise UsageError(f"{origin_of(installed)}: it reads '{quoted(reader.dataset)}'; both names must be the same.")
     return reader
+
+
+def cut_short(found: RecordingFiles, recording: Recording | None = None) -> tuple[str, ...]:
+    """Compare the ends of all streams of a recording with its span.
+
+    Args:
+        found: The recording's files; only their ends are looked at.
+        recording: What reading it gave, where somebody has: it tells what the ends of files in archives do not.
+
+    Returns:
+        One message a stream that ends early or begins late. None of a recording whose files cannot be made out
+        (reading it says why), or whose reader does not know the ends.
+    """
+    reader = reader_for(found.dataset)
+    if not isinstance(reader, KnowsEnds):
+        return ()
+    try:
+        return shortfalls(reader.extents(found, recording))
+    except (PrbenchError, OSError):
+        return ()

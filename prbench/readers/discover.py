@@ -9,9 +9,8 @@ from prbench.datasets import installed_readers, origin_of, readable_datasets
 from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
-from prbench.readers import Reader, RecordingFiles, read_synthetic_tree, reader_for
+from prbench.readers import SYNTHETIC_FILE, Reader, RecordingFiles, read_synthetic_tree, reader_for
 from prbench.readers.found import names_in
-from prbench.readers.synthetic_tree import SYNTHETIC_FILE
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,20 @@
-"""CSV and JSON files of native recordings: read by name, checked, refused with place and remedy."""
+"""Files of native recordings, plain or in zip archives: CSV and JSON by name, checked, refused with place and remedy.
+
+Nothing is unpacked to the disk.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import io
 import re
-from collections.abc import Iterator, Mapping
+import zipfile
+import zlib
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -15,9 +23,196 @@ import pyarrow.csv
 from jaxtyping import Bool, Float, Int
 
 from prbench.errors import InputFileError
-from prbench.files.bounded import foreign_input, open_regular, require_size, too_long_line, whole_lines
-from prbench.limits import LARGEST_FILE, LARGEST_JSON, LARGEST_TABLE, LONGEST_LINE
-from prbench.readers.zipped import RememberingTail, Source, opened, read_all, require_whole_last_line, shown
+from prbench.files.bounded import (
+    foreign_input,
+    open_regular,
+    read_end,
+    read_whole,
+    require_size,
+    require_unpackable,
+    too_long_line,
+    whole_lines,
+)
+from prbench.limits import LARGEST_ARCHIVE, LARGEST_FILE, LARGEST_JSON, LARGEST_TABLE, LARGEST_UNPACKED, LONGEST_LINE
+from prbench.readers.found import InputFile
+
+_PIECE = 2**20
+_COPY_ARCHIVE_AGAIN = "The archive may be truncated; copy or download it again."
+
+
+@dataclass(frozen=True)
+class ZippedFile:
+    """One file inside a zip archive."""
+
+    archive: Path
+    member: str
+
+    def __str__(self) -> str:
+        return str(self.shown)
+
+    @property
+    def shown(self) -> Path:
+        """Return its name in messages."""
+        return self.archive / self.member
+
+    @property
+    def name(self) -> str:
+        """Its own name, without folders."""
+        return self.member.rpartition("/")[2]
+
+
+Source = Path | ZippedFile
+
+
+def source_of(file: InputFile) -> Source:
+    """Return what to read of an input file: itself, or its member of an archive."""
+    return ZippedFile(file.path, file.member) if file.member else file.path
+
+
+def shown(source: Source) -> Path:
+    """Return a source's name in messages."""
+    return source if isinstance(source, Path) else source.shown
+
+
+def archive_members(archive: Path) -> dict[str, int]:
+    """Names of the files in an archive, with their sizes in bytes when unpacked.
+
+    Raises:
+        InputFileError: if it is no zip archive, or its table of contents is damaged.
+    """
+    require_size(archive, largest=LARGEST_ARCHIVE)
+    try:
+        with zipfile.ZipFile(archive) as opened:
+            return {entry.filename: entry.file_size for entry in opened.infolist() if not entry.is_dir()}
+    except zipfile.BadZipFile as error:
+        raise InputFileError(
+            archive, "", expected="a whole zip archive", found=str(error), remedy=_COPY_ARCHIVE_AGAIN
+        ) from error
+
+
+@contextmanager
+def opened(source: Source) -> Iterator[io.BufferedIOBase]:
+    """The bytes of a source as a stream; a damaged archive becomes an error that says what to do.
+
+    Raises:
+        InputFileError: if there is no such file or member, it is too large, or the archive is damaged or encrypted.
+            Damage shows where it is reached: the checksum of a member is compared at its end.
+        FileNotFoundError: if a plain file is missing.
+    """
+    if isinstance(source, Path):
+        require_size(source, largest=LARGEST_UNPACKED)
+        with open(source, "rb") as file:
+            yield file
+        return
+    with ExitStack() as stack:
+        file = _opened_member(source, stack)
+        try:
+            yield file
+        except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+            raise _damaged(source, error) from error
+
+
+def _opened_member(source: ZippedFile, stack: ExitStack) -> io.BufferedIOBase:
+    require_size(source.archive, largest=LARGEST_ARCHIVE)
+    try:
+        archive = stack.enter_context(zipfile.ZipFile(source.archive))
+        member = archive.getinfo(source.member)
+        require_unpackable(source.shown, member)
+        return cast(io.BufferedIOBase, stack.enter_context(archive.open(member)))
+    except KeyError as error:
+        raise InputFileError(source.archive, "", expected=f"the file {source.member} in it", found="none") from error
+    except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError) as error:  # the latter two: encrypted
+        raise _damaged(source, error) from error
+
+
+def _damaged(source: ZippedFile, error: Exception) -> InputFileError:
+    return InputFileError(
+        source.shown, "", expected="a file that can be unpacked", found=str(error), remedy=_COPY_ARCHIVE_AGAIN
+    )
+
+
+def read_all(source: Source, *, largest: int = LARGEST_FILE) -> bytes:
+    """All bytes of a source (see :func:`opened` for what it raises).
+
+    Args:
+        source: A plain file, or one in an archive.
+        largest: Bytes beyond which it is refused.
+
+    Raises:
+        InputFileError: see :func:`opened`, or if the source is larger.
+    """
+    if isinstance(source, Path):
+        return read_whole(source, largest=largest)
+    content = bytearray()
+    with opened(source) as file:
+        # By pieces: one call for everything would unpack all that is there, however little the archive declares.
+        while piece := file.read(_PIECE):
+            content += piece
+            if len(content) > largest:
+                raise InputFileError(source.shown, "", expected=f"at most {largest:,} bytes", found="more")
+    return bytes(content)
+
+
+class RememberingTail(io.RawIOBase):
+    """A stream that passes on what another one reads and remembers the end of it."""
+
+    LENGTH = 80
+
+    def __init__(self, stream: io.BufferedIOBase) -> None:
+        self._stream = stream
+        self.tail = b""
+
+    def readable(self) -> bool:
+        """It can be read."""
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        """See :class:`io.RawIOBase`."""
+        content = self._stream.read(size)
+        if content:
+            self.tail = (self.tail + content[-self.LENGTH :])[-self.LENGTH :]
+        return content
+
+
+_HARMLESS = re.compile(rb"-?(0|\d\d+)\.\d{6,}|-?\d(\.\d+)?e-\d\d+")
+"""Numbers that are the same to a millionth whatever may have been cut off: six decimals or more behind a 0 or behind
+several digits, or a whole negative exponent. One digit before the point could be the mantissa of a lost exponent."""
+
+
+def require_whole_last_line(
+    path: Path, wanted: Collection[str], header: list[str], *, tail: bytes | None = None
+) -> None:
+    """Refuse a file whose last number may have been cut: a cut number still looks like one.
+
+    A file that ends in a line break is whole. Without one it is taken as it is where nothing that is read could have
+    changed: the last column is not read, or its last number does not depend on what may be missing. Lines that lack
+    whole columns are found elsewhere.
+
+    Args:
+        path: The file.
+        wanted: Columns that are read from it.
+        header: All its columns.
+        tail: Its last 80 bytes, where they are known; else they are read.
+
+    Raises:
+        InputFileError: saying what to do.
+    """
+    tail = read_end(path, RememberingTail.LENGTH) if tail is None else tail
+    if tail.endswith((b"\n", b"\r")):
+        return
+    last = tail.splitlines()[-1] if tail else b""
+    if header[-1] not in wanted or _HARMLESS.fullmatch(last.rpartition(b",")[2].strip()):
+        return
+    found = f"'…{last[-40:].decode(errors='replace')}'" if last else "nothing"
+    raise InputFileError(
+        path,
+        "last line",
+        expected=f"a line break at its end (without one, the last '{header[-1]}' may have been cut)",
+        found=found,
+        remedy="Compare its size with the original: if it is smaller, the file is truncated; copy or download it again."
+        " If it is complete, append one line break to the file.",
+    )
+
 
 Nanoseconds = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]
 """A time in a JSON file; NumPy has no larger integers."""
@@ -311,3 +506,71 @@ def _parse_naming_row(path: Source, types: Mapping[str, pa.DataType]) -> tuple[p
             found=f"'{found[:160]}'",
             remedy=_COPY_AGAIN,
         ) from error
+
+
+Poses = tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]]
+"""Times, positions and rotations of one body."""
+
+
+def read_poses_by_body(
+    path: Path,
+    *,
+    body: Mapping[str, Column],
+    time: str,
+    position: tuple[str, ...],
+    rotation: tuple[str, ...],
+    static_time: int | None = None,
+) -> dict[Any, Poses]:
+    """Poses of every body of a file, each in the order of time.
+
+    Args:
+        path: CSV with a header line.
+        body: Name and type of the column that tells the body.
+        time: Name of the column of times, integers in nanoseconds.
+        position: Names of its three columns.
+        rotation: Names of its four columns.
+        static_time: Stands for a time in the only row of a body that never moves.
+
+    Raises:
+        InputFileError: if the file or a column is missing, a pose is no pose, or the clock of a body stands still (a
+            repeated row) or runs backwards.
+    """
+    (key,) = body
+    table = read_columns(path, {**body, time: int, **dict.fromkeys((*position, *rotation), float)})
+    positions = column_vectors(table, position)
+    rotations = column_vectors(table, rotation)
+    require_poses(path, positions, rotations)
+    encoded = table[key].combine_chunks().dictionary_encode()
+    codes = encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)
+    times = table[time].to_numpy()
+    # Sorted by body alone: rows of one body keep the order of the file, which must be that of time.
+    order = np.argsort(codes, kind="stable")
+    _require_clock(path, codes[order], times[order], order, static_time)
+    bounds = np.searchsorted(codes[order], np.arange(1, len(encoded.dictionary)))
+    bodies = zip(encoded.dictionary.to_pylist(), np.split(order, bounds), strict=True) if len(table) else ()
+    return {name: (times[rows], positions[rows], rotations[rows]) for name, rows in bodies}
+
+
+def _require_clock(
+    path: Path,
+    codes: Int[np.ndarray, " n"],
+    times: Int[np.ndarray, " n"],
+    order: Int[np.ndarray, " n"],
+    static_time: int | None,
+) -> None:
+    """Refuse a body whose rows are not in the order of time; rows are grouped by body here."""
+    same_body = np.diff(codes) == 0
+    mixed = np.flatnonzero(same_body & ((times[:-1] == static_time) | (times[1:] == static_time)))
+    if mixed.size:
+        raise InputFileError(
+            path,
+            f"line {int(order[mixed[0] + 1]) + 2}",
+            expected=f"one row of time {static_time} for an object that never moves, or rows with times",
+            found=f"both, or two rows of time {static_time}, for one object",
+            remedy="Remove one of the rows, or download the file again.",
+        )
+    backwards = np.flatnonzero(same_body & (np.diff(times) <= 0))
+    if backwards.size:
+        earlier = backwards[0]
+        later = backwards[0] + 1
+        require_increasing(path, times[earlier : later + 1], unit="ns", first=int(order[later]) + 1)

@@ -24,7 +24,7 @@ import pyarrow.ipc
 
 from prbench.errors import StorageError, UsageError
 from prbench.files.storage import cache_folder, file_digest, sole_file, sole_writer, text_digest, write_json
-from prbench.readers.zipped import Source, ZippedFile
+from prbench.readers.files import Source, ZippedFile
 
 CACHE_VARIABLE = "PRBENCH_PARSE_CACHE"
 _DEFAULT_MEGABYTES = 2048

@@ -30,7 +30,7 @@ from prbench.harness.run_folder import RunFolder
 from prbench.harness.verification import RunChecker
 from prbench.limits import LARGEST_FILE
 from prbench.readers import AriaGlasses, RecordingFiles, reader_for
-from prbench.readers.zipped import Source, opened, shown
+from prbench.readers.files import Source, opened, shown
 from prbench.recording import ObjectTrack, Recording
 from prbench.sequences import SequenceChunk, SequenceTable
 from prbench.sequences.table import by_share, find_sequence_id

@@ -17,9 +17,8 @@ from prbench.harness.run_folder.predictions.predictions import index_numbered
 from prbench.harness.run_folder.predictions.rows import Numbering
 from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LONGEST_LINE, LONGEST_MESSAGE
 from prbench.readers import files
-from prbench.readers.files import decode_json, read_columns
+from prbench.readers.files import ZippedFile, decode_json, read_all, read_columns, require_whole_last_line
 from prbench.readers.parse_cache import remembered_digest
-from prbench.readers.zipped import ZippedFile, read_all, require_whole_last_line
 from tests.bombs import MEGABYTE, declaring, encrypted, zipped
 
 

@@ -12,7 +12,7 @@ from prbench.errors import InputFileError, PredictionsError, UnforeseenInput
 from prbench.files.arrays import Archive, load_array
 from prbench.harness.run_folder.predictions import Predictions
 from prbench.limits import LARGEST_ARRAYS
-from prbench.readers.zipped import archive_members
+from prbench.readers.files import archive_members
 from tests.bombs import encrypted, npy_header, npz, zipped
 
 

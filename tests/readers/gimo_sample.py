@@ -13,8 +13,7 @@ from prbench.geometry.skeleton import PARENTS
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
-from prbench.readers.gimo.readings import read_readings
-from prbench.readers.gimo.segments import GimoOptions, find_segments
+from prbench.readers.gimo.files import GimoOptions, find_segments, read_readings
 from prbench.readers.gimo.synthetic import (
     DEPTH_FIRST,
     LAYOUT,

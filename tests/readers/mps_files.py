@@ -10,8 +10,8 @@ import numpy as np
 
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.format import rows_around
-from prbench.readers.aria_mps.sparse_rows import NearGaze
-from prbench.readers.zipped import ZippedFile
+from prbench.readers.aria_mps.search import NearGaze
+from prbench.readers.files import ZippedFile
 
 WORLD, OTHER_WORLD = "ea7288b8-b6a0-012d-8156-257aba6bd796", "short"
 COLUMNS = (

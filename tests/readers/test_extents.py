@@ -12,11 +12,10 @@ import h5py
 import numpy as np
 import pytest
 
-from prbench.readers import RecordingFiles, reader_for
-from prbench.readers.cut_short import cut_short
+from prbench.readers import RecordingFiles, cut_short, reader_for
 from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent, csv_extent, json_extent, shortfalls
 from prbench.readers.found import input_file
-from prbench.readers.hd_epic.places import extents as hd_epic_extents
+from prbench.readers.hd_epic.files import extents as hd_epic_extents
 from prbench.synthetic.write_tree import synthesize_tree
 
 WHOLE = Extent("glasses", "poses.csv", 100.0, 160.0)

@@ -15,13 +15,13 @@ from prbench.curation import build_dataset
 from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
 from prbench.readers import reader_for
 from prbench.readers.discover import discover
+from prbench.readers.extents import damage
 from prbench.readers.gimo.bvh import read_bvh
-from prbench.readers.gimo.dataset_csv import read_segments
 from prbench.readers.gimo.gaze import read_vertices
-from prbench.readers.hot3d import hands_umetrack as umetrack
-from prbench.readers.hot3d.hands_umetrack import read_profile
-from prbench.readers.integrity import damage
-from prbench.readers.mogaze.arrays import dataset, numbers, opened
+from prbench.readers.gimo.table import read_segments
+from prbench.readers.hot3d import hands as umetrack
+from prbench.readers.hot3d.hands import read_profile
+from prbench.readers.mogaze.files import dataset, numbers, opened
 from prbench.readers.mogaze.synthetic import write
 from prbench.sequences import SequenceTable
 from prbench_adapters.corpora.humanml3d.files import read_joints

@@ -10,8 +10,8 @@ import h5py
 import numpy as np
 import pytest
 
+from prbench.readers.extents import damage
 from prbench.readers.found import InputFile, input_file
-from prbench.readers.integrity import damage
 
 
 def write_csv(path) -> None:

@@ -16,10 +16,10 @@ from prbench.files.storage import file_digest
 from prbench.readers import parse_cache
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps import trajectory
-from prbench.readers.aria_mps.sparse_rows import NearGaze
+from prbench.readers.aria_mps.search import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near
+from prbench.readers.files import ZippedFile
 from prbench.readers.parse_cache import remembered_digest
-from prbench.readers.zipped import ZippedFile
 from tests.readers.mps_files import NearTimes, trajectory_lines, write_lines, zipped
 
 START = 5_000_000_000

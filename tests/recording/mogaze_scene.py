@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prbench.readers.mogaze import format as mogaze
-from prbench.readers.mogaze.body import OFFSET_KEYS, STATE_COLUMNS
+from prbench.readers.mogaze.format import OFFSET_KEYS, STATE_COLUMNS
 
 N = 480
 PICK, PUT = 120, 240

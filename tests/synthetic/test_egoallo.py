@@ -14,10 +14,9 @@ from prbench.geometry.skeleton import Joint, bone_lengths, head_forward, invert_
 from prbench.geometry.timelines import interpolate, slerp
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.aria_mps.format import AriaTrajectory, device_from_cpf
-from prbench.readers.egoallo.bodies import read_bodies
+from prbench.readers.egoallo.bodies import read_bodies, read_smplh_rest
+from prbench.readers.egoallo.files import find_outputs
 from prbench.readers.egoallo.format import EgoAlloBody
-from prbench.readers.egoallo.joints import read_smplh_rest
-from prbench.readers.egoallo.places import find_outputs
 from prbench.readers.egoallo.synthetic import (
     NATIVE_FROM_WORLD,
     sense_egoallo,

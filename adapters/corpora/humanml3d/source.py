@@ -11,8 +11,7 @@ from prbench.errors import InputFileError, UsageError
 from prbench.files.bounded import foreign_input, read_text
 from prbench.files.storage import file_digest, text_digest
 from prbench.protocol.manifests import Manifest, load_manifest
-from prbench.readers import SYNTHETIC_PREFIX, read_synthetic_tree
-from prbench.readers.options import ReaderOptions, parse_options
+from prbench.readers import SYNTHETIC_PREFIX, ReaderOptions, parse_options, read_synthetic_tree
 from prbench_adapters.corpora.humanml3d import files as layout
 from prbench_adapters.corpora.humanml3d.clips import clips_of
 from prbench_adapters.corpora.humanml3d.files import read_joints, read_texts

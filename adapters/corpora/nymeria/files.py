@@ -11,9 +11,8 @@ from pathlib import Path
 
 from prbench.errors import InputFileError
 from prbench.files.bounded import require_size
-from prbench.readers import SYNTHETIC_PREFIX, InputFile, RecordingFiles, synthetic_tree_around
+from prbench.readers import SYNTHETIC_PREFIX, InputFile, RecordingFiles, require_marked, synthetic_tree_around
 from prbench.readers.found import input_file
-from prbench.readers.synthetic_tree import require_marked
 from prbench_adapters.corpora.nymeria import format as nymeria
 from prbench_adapters.corpora.nymeria.format import Narration
 

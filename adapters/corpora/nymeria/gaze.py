@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from prbench.geometry.axes import y_up
 from prbench.geometry.timelines import slerp
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.find import find_gaze_file
+from prbench.readers.aria_mps.files import find_gaze_file
 from prbench_adapters.corpora.nymeria.clock import ClockOffset
 from prbench_adapters.corpora.nymeria.format import SUIT_RATE
 from prbench_adapters.corpora.nymeria.suit import CleanSuit

@@ -12,8 +12,8 @@ from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, text_digest
 from prbench.geometry.skeleton import Joint
 from prbench.protocol.manifests import load_manifest
-from prbench.readers.aria_mps.readings import read_gaze_angles
-from prbench.readers.aria_mps.sparse_rows import NearGaze
+from prbench.readers.aria_mps.files import read_gaze_angles
+from prbench.readers.aria_mps.search import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.recording.streams import BodyStream, GazeStream, PoseStream, Recording
 from prbench_adapters.corpora.nymeria.body import BodyMotion

@@ -15,11 +15,10 @@ from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, read_json, text_digest
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.randomness import hash_fraction
-from prbench.readers import RecordingFiles, described_options, require_one_origin
-from prbench.readers.aria_mps.sparse_rows import NearGaze
+from prbench.readers import ReaderOptions, RecordingFiles, described_options, parse_options, require_one_origin
+from prbench.readers.aria_mps.search import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.readers.extents import SEVERAL_SENSORS
-from prbench.readers.options import ReaderOptions, parse_options
 from prbench_adapters.corpora.nymeria import format as nymeria
 from prbench_adapters.corpora.nymeria.body import BodyMotion, read_smpl_fit, smpl_motion, suit_motion
 from prbench_adapters.corpora.nymeria.clips import clips_of

@@ -18,8 +18,8 @@ from prbench.errors import InputFileError
 from prbench.files.bounded import foreign_input, read_text
 from prbench.limits import HARMLESS_SIZE
 from prbench.readers.egoallo import format as ego
-from prbench.readers.egoallo.inputs import Need
-from prbench.readers.egoallo.joints import HOW_TO_GET
+from prbench.readers.egoallo.bodies import HOW_TO_GET
+from prbench.readers.egoallo.files import Need
 
 _PLACEHOLDERS = {
     "python": "the interpreter named in the config",

@@ -18,9 +18,8 @@ from prbench.errors import InputFileError, PrbenchError, StorageError
 from prbench.files.storage import atomic_folder, lock_file, sole_writer
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import format as ego
-from prbench.readers.egoallo.inputs import EgoalloInputs
-from prbench.readers.egoallo.joints import read_window
-from prbench.readers.egoallo.places import find_model, poses_folder
+from prbench.readers.egoallo.bodies import read_window
+from prbench.readers.egoallo.files import EgoalloInputs, find_model, poses_folder
 
 _LOG_FILE = "egoallo.log"
 _WORK = "input.partial"

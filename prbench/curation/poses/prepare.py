@@ -18,13 +18,13 @@ from prbench.errors import InputFileError
 from prbench.files.storage import atomic_path
 from prbench.limits import LARGEST_FILE
 from prbench.readers.aria_mps import format as mps
+from prbench.readers.aria_mps.files import read_first_calibration
 from prbench.readers.aria_mps.format import AriaTrajectory
-from prbench.readers.aria_mps.readings import read_first_calibration
 from prbench.readers.aria_mps.to_recording import part_poses
 from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.readers.egoallo import format as ego
-from prbench.readers.egoallo.inputs import POINT_FILES, EgoalloInputs
-from prbench.readers.zipped import Source, opened
+from prbench.readers.egoallo.files import POINT_FILES, EgoalloInputs
+from prbench.readers.files import Source, opened
 from prbench.recording import PoseStream
 
 _FPS = 30.0

@@ -18,8 +18,7 @@ from prbench.readers import SYNTHETIC_PREFIX, AriaGlasses, RecordingFiles, reade
 from prbench.readers.discover import discover, usable_readers
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.bodies import check_output
-from prbench.readers.egoallo.inputs import EgoalloInputs
-from prbench.readers.egoallo.places import OUTPUT_ROLE, poses_folder
+from prbench.readers.egoallo.files import OUTPUT_ROLE, EgoalloInputs, poses_folder
 from prbench.recording import PoseStream
 
 _STEP = 0.033  # seconds between the instants that are asked about

@@ -7,14 +7,12 @@ from pathlib import Path
 
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
-from prbench.readers.adt.for_egoallo import adt_inputs, point_cloud
-from prbench.readers.adt.layouts import AdtOptions, extents, find_recordings
-from prbench.readers.adt.readings import read_readings
-from prbench.readers.adt.to_recording import recording_from_adt
-from prbench.readers.egoallo.inputs import EgoalloInputs
+from prbench.readers.adt.files import AdtOptions, extents, find_recordings, read_readings
+from prbench.readers.adt.to_recording import adt_inputs, point_cloud, recording_from_adt
+from prbench.readers.egoallo.files import EgoalloInputs
 from prbench.readers.extents import Extent
+from prbench.readers.files import Source
 from prbench.readers.found import RecordingFiles
-from prbench.readers.zipped import Source
 from prbench.recording import Recording
 
 __all__ = ["READER", "AdtOptions", "AdtReader", "find_recordings", "read_readings", "read_recording"]

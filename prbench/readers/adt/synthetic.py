@@ -22,8 +22,7 @@ from prbench.files.storage import atomic_folder, write_bytes, write_json
 from prbench.geometry.skeleton import Joint
 from prbench.geometry.timelines import interpolate, slerp
 from prbench.readers.adt import format as adt
-from prbench.readers.adt.for_egoallo import prepared_trajectory
-from prbench.readers.adt.to_recording import recording_from_adt
+from prbench.readers.adt.to_recording import prepared_trajectory, recording_from_adt
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.synthetic import device_poses, gaze_bias, gaze_rows, split_columns, write_csv
 from prbench.readers.egoallo import format as ego

@@ -18,21 +18,24 @@ from jaxtyping import Bool
 from prbench.errors import InputFileError
 from prbench.files.bounded import foreign_input
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.line_search import NotSearchable
-from prbench.readers.aria_mps.sparse_rows import NearGaze, search_rows
+from prbench.readers.aria_mps.search import NearGaze, NotSearchable, search_rows
 from prbench.readers.files import (
     Column,
+    RememberingTail,
+    Source,
     arrow_types,
     column_vectors,
+    opened,
     read_columns,
     read_header,
     require_column_names,
     require_increasing,
     require_integers,
     require_poses,
+    require_whole_last_line,
+    shown,
 )
 from prbench.readers.parse_cache import keep_parsed, load_parsed
-from prbench.readers.zipped import RememberingTail, Source, opened, require_whole_last_line, shown
 
 _WISH = b"aria trajectory 2 "
 """Begins the key of what is kept of a file; raise the number when other rows or columns are kept."""

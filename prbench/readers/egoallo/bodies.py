@@ -1,23 +1,204 @@
-"""The outputs of one recording as one body: read, checked against the recording, joined."""
+"""The outputs of one recording as one body: read, checked against the recording, joined.
+
+Joints are computed once: later reads take them from the user's cache and need no body model.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import io
+import re
+import zipfile
+import zlib
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.errors import InputFileError
+from prbench.errors import InputFileError, StorageError
+from prbench.files.arrays import Archive
+from prbench.files.bounded import foreign_input, read_whole, require_regular
+from prbench.files.storage import bytes_digest, cache_folder, sole_file
 from prbench.geometry.skeleton import Joint
 from prbench.geometry.timelines import covered
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP
 from prbench.readers.egoallo import format as ego
-from prbench.readers.egoallo.joints import read_window
-from prbench.readers.egoallo.outputs import JointsOnly, read_output
-from prbench.readers.egoallo.places import MODEL_ROLE, OUTPUT_ROLE
-from prbench.readers.egoallo.to_recording import joined_windows
-from prbench.readers.found import RecordingFiles
+from prbench.readers.egoallo.files import MODEL_ROLE, OUTPUT_ROLE, JointsOnly, parse_output, read_output
+from prbench.readers.egoallo.to_recording import joined_windows, window_joints
+from prbench.readers.found import RecordingFiles, is_present
 from prbench.recording.streams import PoseStream
+
+HOW_TO_GET = (
+    "Download the 'Extended SMPL+H model' (16 shape parameters) from https://mano.is.tue.mpg.de/ (free registration)"
+    " and give its smplh/neutral/model.npz with --option smplh_model=FILE, in the environment variable"
+    " PRBENCH_SMPLH_MODEL, or as smplh/neutral/model.npz below the dataset's root. It is needed once: the joints are"
+    " kept."
+)
+_CONVERT = (
+    "Some copies hold Python objects, which prbench never unpickles. If yours is from the official site, convert it"
+    " once: python -c \"import numpy as np; m = np.load('model.npz', allow_pickle=True);"
+    " np.savez('plain.npz', **{k: np.asarray(m[k].todense() if hasattr(m[k], 'todense') else m[k])"
+    " for k in ('J_regressor', 'v_template', 'shapedirs')})\""
+)
+_KEYS = (ego.REGRESSOR, ego.TEMPLATE, ego.SHAPES)
+_GUIDANCE = re.compile(r"^guidance_mode:[ ]*['\"]?(\w+)['\"]?[ ]*$", re.MULTILINE)
+_OPTIONS_BYTES = 65536
+_VERSION = 1  # of what is kept; raise it when the arithmetic changes
+
+
+def read_window(path: Path, model: Path | None) -> tuple[ego.BodyWindow, Float[np.ndarray, "t 3"] | None]:
+    """Joints of one output file, and the head positions that it was made from (None in files with joints only).
+
+    Args:
+        path: The output.
+        model: SMPL-H model; None is enough where the joints of exactly these bytes were computed before.
+
+    Raises:
+        InputFileError: if the output is damaged (docs/specification/egoallo.md#bad-input), or the model is needed and
+        missing or damaged.
+    """
+    content = _content(path)
+    output = parse_output(path, content)
+    if isinstance(output, JointsOnly):
+        return ego.BodyWindow(path.name, output.time_ns, output.joints), None
+    guidance = _read_guidance(path)
+    head = output.world_from_cpf[:, 4:].astype(np.float64)
+    samples = len(output.world_from_root)
+    kept = cache_folder() / "egoallo" / f"{bytes_digest(content)}.npz"
+    wanted = None if model is None else _model_digest(model)
+    joints = _kept_joints(kept, wanted, frames=len(output.time_ns))
+    if joints is None:
+        if model is None or wanted is None:
+            raise InputFileError(
+                path,
+                "",
+                expected="the SMPL-H body model, from which joints are computed",
+                found="no model, and no joints of this file from an earlier run",
+                remedy=HOW_TO_GET,
+            )
+        joints = window_joints(output, read_smplh_rest(model)).joints
+        _keep(kept, joints, wanted)
+    return ego.BodyWindow(path.name, output.time_ns, joints, samples, guidance), head
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return read_whole(path)
+    except FileNotFoundError as error:
+        raise InputFileError(
+            path, "", expected="an output of EgoAllo", found="no such file", remedy="Run `prbench poses egoallo`."
+        ) from error
+
+
+def _read_guidance(path: Path) -> str:
+    """``guidance_mode`` of an output, from the options beside it; empty where they are missing or say nothing.
+
+    The file is YAML that may name Python objects: it is looked at as text and never loaded.
+    """
+    options = path.with_name(f"{path.stem}{ego.ARGUMENTS_SUFFIX}")
+    if not is_present(options):
+        return ""
+    require_regular(options)
+    with open(options, "rb") as file:
+        text = file.read(_OPTIONS_BYTES).decode("utf-8", errors="replace")
+    found = _GUIDANCE.search(text)
+    return found[1] if found else ""
+
+
+def _model_digest(path: Path) -> str:
+    """SHA-256 of the rest joints' template and directions, which tells two models apart.
+
+    Raises:
+        InputFileError: see :func:`read_smplh_rest`.
+    """
+    rest = read_smplh_rest(path)
+    return bytes_digest(np.ascontiguousarray(rest.template).tobytes() + np.ascontiguousarray(rest.directions).tobytes())
+
+
+@foreign_input()
+def read_smplh_rest(path: Path) -> ego.SmplhRest:
+    """Rest joints of the model, linear in the shape; of its 52 joints the first 22.
+
+    Raises:
+        InputFileError: if the file is missing, damaged, lacks a key, or holds arrays of other shapes or objects.
+    """
+    path = path.expanduser()
+    try:
+        state = path.stat()
+    except OSError as error:
+        raise InputFileError(
+            path, "", expected="the SMPL-H body model", found="no such file", remedy=HOW_TO_GET
+        ) from error
+    return _read((path, state.st_size, state.st_mtime_ns))
+
+
+@lru_cache(maxsize=4)
+def _read(state: tuple[Path, int, int]) -> ego.SmplhRest:
+    """Read once a process; size and time of change make a changed file another one."""
+    path = state[0]
+    arrays = _load(path)
+    for key, axes in zip(_KEYS, (2, 2, 3), strict=True):
+        if arrays[key].ndim != axes or arrays[key].dtype.kind not in "fiu":
+            found = f"shape {arrays[key].shape} of {arrays[key].dtype}"
+            raise InputFileError(path, key, expected=f"numbers with {axes} axes", found=found, remedy=HOW_TO_GET)
+    regressor, template, shapes = (arrays[key].astype(np.float64) for key in _KEYS)
+    points = regressor.shape[1]
+    for key, array, shape in (
+        (ego.REGRESSOR, regressor, (ego.N_MODEL_JOINTS, points)),
+        (ego.TEMPLATE, template, (points, 3)),
+        (ego.SHAPES, shapes[..., : ego.N_BETAS], (points, 3, ego.N_BETAS)),
+    ):
+        if array.shape != shape or not np.isfinite(array).all():
+            raise InputFileError(
+                path,
+                key,
+                expected="52 joints, as many points everywhere, at least 16 shapes, finite numbers (SMPL-H, extended)",
+                found=f"the shape {arrays[key].shape}",
+                remedy=HOW_TO_GET,
+            )
+    # The first 22 of the 52 joints are those of the body; the others are fingers.
+    body = regressor[:22]
+    return ego.SmplhRest(body @ template, np.einsum("jv,vkb->jkb", body, shapes[:, :, : ego.N_BETAS]))
+
+
+def _load(path: Path) -> dict[str, np.ndarray]:
+    archive = Archive(path, remedy=f"Copy or download it again. {_CONVERT}")
+    missing = [key for key in _KEYS if key not in archive.members]
+    if missing:
+        raise InputFileError(
+            path,
+            "",
+            expected=f"an array '{missing[0]}'",
+            found=", ".join(archive.members) or "nothing",
+            remedy=f"This is no SMPL-H model. {HOW_TO_GET}",
+        )
+    return archive.load(_KEYS)
+
+
+def _kept_joints(kept: Path, wanted: str | None, *, frames: int) -> np.ndarray | None:
+    """Joints from the cache, if they are whole and of the wanted model (of any model where none is given)."""
+    try:
+        with np.load(io.BytesIO(kept.read_bytes()), allow_pickle=False) as file:
+            version = int(file["version"])
+            model = str(file["model"])
+            joints = file["joints"]
+    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
+        return None if isinstance(error, FileNotFoundError) else _forget(kept)
+    fits = version == _VERSION and joints.shape == (frames, 22, 3) and joints.dtype == np.float32
+    return joints if fits and wanted in (None, model) else None
+
+
+def _forget(kept: Path) -> None:
+    """Drop a damaged entry, where that is possible; it is made again."""
+    with contextlib.suppress(OSError):
+        kept.unlink(missing_ok=True)
+
+
+def _keep(kept: Path, joints: np.ndarray, model: str) -> None:
+    with contextlib.suppress(StorageError), sole_file(kept) as temporary:  # a full cache costs time, not the build
+        np.savez(temporary, version=_VERSION, model=model, joints=joints)
+
 
 _MARGIN = 1.0  # seconds
 _REMEDY = "Move it to the recording it was made from, or delete it and run `prbench poses egoallo` again."

@@ -11,10 +11,9 @@ from prbench.readers import AnnotationLine
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.published import GIMO23, native_joints, published_lengths, published_track
-from prbench.readers.gimo.readings import read_readings
-from prbench.readers.gimo.segments import GimoOptions, extents, find_segments, row_of
-from prbench.readers.gimo.to_recording import recording_from_gimo
+from prbench.readers.gimo.files import GimoOptions, extents, find_segments, read_readings, row_of
+from prbench.readers.gimo.table import published_lengths
+from prbench.readers.gimo.to_recording import published_track, recording_from_gimo
 from prbench.recording import Recording
 from prbench.recording.published_tracks import PublishedTrack
 
@@ -41,13 +40,14 @@ class GimoReader:
     @property
     def native_joints(self) -> str:
         """See :class:`prbench.readers.PublishedForPrediction`; the jaw needs a body model (option smplx_model)."""
-        return native_joints(self.options)
+        has_jaw = self.options.smplx_model is not None and self.options.body != "bvh"
+        return gimo.GIMO23 if has_jaw else "smpl22"
 
     @foreign_input()
     def read_published(self, found: RecordingFiles, *, native: bool) -> tuple[Recording, tuple[PublishedTrack, ...]]:
         """See :class:`prbench.readers.PublishedForPrediction`."""
         readings, recording = self._read(found)
-        has_jaw = native and self.native_joints == GIMO23
+        has_jaw = native and self.native_joints == gimo.GIMO23
         track = published_track(readings, recording, load_manifest("gimo"), with_jaw=has_jaw)
         return recording, (track,)
 

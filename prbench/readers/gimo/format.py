@@ -37,6 +37,10 @@ TEST = 0
 TRAIN = 1
 TRAIN_LATER = 2
 """Values of the column ``training``; the official loader never uses 2."""
+PUBLISHED_SPLITS = {TRAIN: "train", TEST: "test", TRAIN_LATER: "unused"}
+"""Names of these values in a study of motion prediction."""
+GIMO23 = "gimo23"
+"""That study's joint set: the 22 joints and the jaw."""
 
 FRAME_RATE = 30.0
 REST_PELVIS = (0.0031, -0.3514, 0.0120)

@@ -1,4 +1,7 @@
-"""``eye_pc``: where the gaze meets the scan (docs/specification/gimo.md#gaze)."""
+"""Where the gaze meets the scan, the HoloLens files, and the transforms between suit, scan and room.
+
+Sources: docs/specification/gimo.md#gaze and docs/specification/gimo.md#coordinate-chain.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
-from jaxtyping import Float
+import pyarrow as pa
+import pyarrow.csv
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
-from prbench.files.bounded import open_regular, read_whole
-from prbench.readers.files import must_exist
+from prbench.files.bounded import open_regular, read_text, read_whole, require_size
+from prbench.geometry.skeleton import invert_rigid, transform_points
+from prbench.geometry.timelines import covered, interpolate, slerp
+from prbench.limits import HARMLESS_SIZE
+from prbench.readers.files import decode_json, must_exist, require_increasing
 from prbench.readers.gimo import format as gimo
+from prbench.recording.streams import PoseStream
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -173,3 +184,298 @@ def _remarks(damaged: list[InputFileError]) -> tuple[str, ...]:
         f"{len(damaged)} damaged gaze files are left out, first: {first.path.name}: expected {first.expected}, found"
         f" {first.found}",
     )
+
+
+_WIDTH = 861
+_TICK = 0
+_HEAD = 1
+_GAZE_VALID = 851
+_GAZE_ORIGIN = 852
+_GAZE_DIRECTION = 856
+_VIDEO_WIDTH = 18
+_VIDEO_POSE = 2
+_CPF_FROM_HOLOLENS = np.diag([-1.0, 1.0, -1.0])  # x right, y up, z back → x left, y up, z forward
+_CAMERA_FROM_HOLOLENS = np.diag([1.0, -1.0, -1.0])  # → x right, y down, z forward
+_TICKS_A_SECOND = 1e7
+_LONGEST_STEP = 0.1  # seconds between two rows; the recorder runs at about 60 Hz
+_IDENTITY = np.array([[1.0, 0.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class GlassesStreams:
+    """Streams of the glasses in the room; empty where there are no files, or none that fit."""
+
+    head: PoseStream
+    camera: PoseStream
+    eye: PoseStream | None = None
+    """Between the eyes; None without HoloLens files."""
+    messages: tuple[str, ...] = ()
+
+
+def read_hololens(stream: Path, video: Path, transform: Path) -> gimo.HoloLens:
+    """Head, eyes and camera in the world of the glasses.
+
+    Args:
+        stream: ``*_head_hand_eye.csv``.
+        video: ``*_pv.txt``.
+        transform: ``transform_scene2scene``.
+
+    Raises:
+        InputFileError: if a file is missing, or its rows have another width, no numbers, or a clock that stands still.
+    """
+    ticks, rows = _read_stream(stream)
+    require_increasing(stream, ticks, unit="ticks", first=1)
+    video_ticks, frames = _read_video(video)
+    require_increasing(video, video_ticks, unit="ticks")
+    return gimo.HoloLens(
+        ticks=ticks,
+        head=rows[:, _HEAD : _HEAD + 16].reshape(-1, 4, 4),
+        gaze_valid=rows[:, _GAZE_VALID] != 0,
+        gaze_origin=rows[:, _GAZE_ORIGIN : _GAZE_ORIGIN + 3],
+        gaze_direction=rows[:, _GAZE_DIRECTION : _GAZE_DIRECTION + 3],
+        video_ticks=video_ticks,
+        camera=frames[:, _VIDEO_POSE : _VIDEO_POSE + 16].reshape(-1, 4, 4),
+        transform=read_matrix(transform),
+    )
+
+
+def _read_stream(path: Path) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 861"]]:
+    """Ticks, and the columns that are needed, each in its place; the hands stay unread (zeros)."""
+    wanted = [*range(_HEAD, _HEAD + 16), *range(_GAZE_VALID, _WIDTH)]
+    names = [str(column) for column in range(_WIDTH)]
+    types = {names[column]: pa.float64() for column in wanted} | {names[_TICK]: pa.int64()}
+    with must_exist(path):
+        require_size(path)
+    try:
+        table = pyarrow.csv.read_csv(
+            path,
+            read_options=pyarrow.csv.ReadOptions(column_names=names),
+            convert_options=pyarrow.csv.ConvertOptions(include_columns=list(types), column_types=types),
+        )
+    except pa.ArrowInvalid as error:
+        raise InputFileError(
+            path,
+            "",
+            expected=f"rows of {_WIDTH} numbers without header, the first a whole one",
+            found=str(error).splitlines()[0],
+            remedy="The file is cut, or of another recorder.",
+        ) from error
+    rows = np.zeros((len(table), _WIDTH))
+    for column in wanted:
+        rows[:, column] = table[names[column]].to_numpy()
+    return table[names[_TICK]].to_numpy(), rows
+
+
+def _read_video(path: Path) -> tuple[Int[np.ndarray, " f"], Float[np.ndarray, "f 18"]]:
+    """Lines after the first (which holds the principal point and the size): ticks, then focal lengths and pose."""
+    try:
+        with must_exist(path):
+            lines = [line.split(",") for line in read_text(path).splitlines()[1:] if line.strip()]
+        ticks = np.array([int(line[0]) for line in lines], dtype=np.int64)
+        rows = np.array([[float(word) for word in line[1:]] for line in lines])
+    except ValueError as error:
+        raise InputFileError(path, "", expected="rows of equally many numbers", found=str(error)) from error
+    if rows.ndim != 2 or rows.shape[1] != _VIDEO_WIDTH:
+        width = rows.shape[1] + 1 if rows.ndim == 2 else 0
+        raise InputFileError(path, "", expected=f"rows of {_VIDEO_WIDTH + 1} numbers", found=f"{width}")
+    return ticks, rows
+
+
+def glasses_streams(
+    readings: gimo.GimoReadings, head_joint: PoseStream, *, limit: float, required: bool
+) -> GlassesStreams:
+    """The glasses on the frames of the segment.
+
+    Args:
+        readings: With or without HoloLens files.
+        head_joint: Where the body's head is, on the frames of the segment; decides the direction of the transform.
+        limit: Median distance of glasses and head joint that is still believed, metres.
+        required: Whether the user asked for these files.
+
+    Raises:
+        InputFileError: if they are required and missing, or lie further from the head in either direction.
+    """
+    where = f"{readings.segment.scene}/{readings.segment.sequence}"
+    if readings.hololens is None:
+        if required:
+            raise InputFileError(
+                where,
+                "",
+                expected=f"*{gimo.HOLOLENS_SUFFIX}, *{gimo.VIDEO_SUFFIX} and {gimo.HOLOLENS_TRANSFORM_FILES[0]}",
+                found="not all of them",
+                remedy="Use the option gaze_origin=head, or download these files.",
+            )
+        return _none()
+    glasses = _Glasses(readings.hololens, readings.transform, head_joint.times)
+    room_from_glasses, distances = glasses.best_direction(head_joint)
+    if room_from_glasses is None or min(distances) > limit:
+        found = " and ".join(f"{distance:.2f} m" for distance in distances) or "no frame with both"
+        if required:
+            raise InputFileError(
+                f"{where}/{gimo.HOLOLENS_TRANSFORM_FILES[0]}",
+                "",
+                expected=f"a transform that brings the glasses within {limit} m of the head joint",
+                found=f"{found} (as it stands, and inverted)",
+                remedy="Use the option gaze_origin=head.",
+            )
+        return _none(f"HoloLens files not used: glasses {found} from the head joint (transform as it stands, inverted)")
+    return glasses.streams(room_from_glasses)
+
+
+def _none(*messages: str) -> GlassesStreams:
+    empty = PoseStream(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0, dtype=bool))
+    return GlassesStreams(empty, empty, None, messages)
+
+
+class _Glasses:
+    """HoloLens rows on the frames of a segment, still in the world of the glasses."""
+
+    def __init__(self, hololens: gimo.HoloLens, transform: gimo.SceneTransform, times: Float[np.ndarray, " n"]) -> None:
+        self._hololens = hololens
+        self._transform = transform
+        self._times = times
+        frames = np.rint(times * gimo.FRAME_RATE).astype(np.int64)
+        known = frames < len(hololens.video_ticks)
+        self._frames = np.minimum(frames, len(hololens.video_ticks) - 1)
+        # Counted from the first tick: a float does not hold ticks since an epoch exactly.
+        first = int(hololens.ticks[0])
+        self._rows = (hololens.ticks - first) / _TICKS_A_SECOND
+        self._query = (hololens.video_ticks[self._frames] - first) / _TICKS_A_SECOND
+        self._video = known
+        self._tracked = known & self._covered(np.ones(len(self._rows), dtype=bool))
+
+    def _covered(self, usable: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
+        return covered(self._rows, usable, self._query, max_gap=_LONGEST_STEP)
+
+    def best_direction(self, head_joint: PoseStream) -> tuple[Float[np.ndarray, "4 4"] | None, tuple[float, ...]]:
+        """Room from glasses for the direction that brings them nearer to the head, and both median distances."""
+        both = self._tracked & head_joint.valid
+        if not both.any():
+            return None, ()
+        position = interpolate(self._rows, self._hololens.head[:, :3, 3], self._query)[both]
+        given = self._hololens.transform
+        candidates = [self._transform.room_from_scan() @ scan_from for scan_from in (given, invert_rigid(given))]
+        distances = tuple(
+            float(np.median(np.linalg.norm(transform_points(room, position) - head_joint.position[both], axis=1)))
+            for room in candidates
+        )
+        return candidates[int(np.argmin(distances))], distances
+
+    def streams(self, room_from_glasses: Float[np.ndarray, "4 4"]) -> GlassesStreams:
+        """Everything in the room."""
+        hololens = self._hololens
+        position = interpolate(self._rows, hololens.head[:, :3, 3], self._query)
+        rows = Rotation.from_matrix(hololens.head[:, :3, :3]).as_quat(scalar_first=True)
+        rotation = Rotation.from_quat(slerp(self._rows, rows, self._query), scalar_first=True)
+        camera = hololens.camera[self._frames]
+        gazed = hololens.gaze_valid
+        eye = hololens.gaze_origin[gazed] if gazed.any() else hololens.gaze_origin
+        eye_rows = self._rows[gazed] if gazed.any() else self._rows
+        return GlassesStreams(
+            head=self._stream(room_from_glasses, position, rotation, _CPF_FROM_HOLOLENS, self._tracked),
+            camera=self._stream(
+                room_from_glasses,
+                camera[:, :3, 3],
+                Rotation.from_matrix(camera[:, :3, :3]),
+                _CAMERA_FROM_HOLOLENS,
+                self._video,
+            ),
+            eye=PoseStream(
+                self._times,
+                transform_points(room_from_glasses, interpolate(eye_rows, eye, self._query)),
+                np.repeat(_IDENTITY, len(self._times), axis=0),
+                self._video & self._covered(gazed),
+            ),
+        )
+
+    def _stream(
+        self,
+        room_from_glasses: Float[np.ndarray, "4 4"],
+        position: Float[np.ndarray, "n 3"],
+        rotation: Rotation,
+        part_from_own: Float[np.ndarray, "3 3"],
+        valid: Bool[np.ndarray, " n"],
+    ) -> PoseStream:
+        """Poses in the room with the axes of prbench; the shrinking of the scan turns nothing."""
+        # The cube root of the determinant is the scale by which the transform shrinks.
+        room_rotation = room_from_glasses[:3, :3] / np.cbrt(np.linalg.det(room_from_glasses[:3, :3]))
+        turned = Rotation.from_matrix(room_rotation) * rotation * Rotation.from_matrix(part_from_own)
+        return PoseStream(
+            self._times,
+            transform_points(room_from_glasses, position),
+            turned.as_quat(canonical=True, scalar_first=True),
+            valid,
+        )
+
+
+_ROTATION_TOLERANCE = 1e-3
+
+
+class _TransformInfo(msgspec.Struct):
+    scale: float
+    transformation: list[list[float]]
+
+
+_INFO = msgspec.json.Decoder(_TransformInfo)
+_MATRIX = msgspec.json.Decoder(dict[str, list[list[float]]])
+
+
+def read_transform(info: Path, norm: Path) -> gimo.SceneTransform:
+    """Scale and both matrices of a segment.
+
+    Raises:
+        InputFileError: if a file is missing or no 4x4 rigid transform, or there is no positive scale.
+    """
+    content = decode_json(info, _INFO)
+    if not np.isfinite(content.scale) or content.scale <= 0:
+        raise InputFileError(info, "scale", expected="a positive number", found=f"{content.scale}")
+    return gimo.SceneTransform(
+        content.scale,
+        _rigid(info, "transformation", np.array(content.transformation, dtype=object)),
+        read_matrix(norm),
+    )
+
+
+def read_matrix(path: Path) -> Float[np.ndarray, "4 4"]:
+    """A rigid transform from a text file of sixteen numbers, or a JSON file whose first entry is a 4x4 list.
+
+    Raises:
+        InputFileError: if the file is missing, or holds anything else.
+    """
+    if path.suffix == ".json":
+        rows = next(iter(decode_json(path, _MATRIX).values()), [])
+        return _rigid(path, "", np.array(rows, dtype=object))
+    try:
+        with must_exist(path):
+            words = read_text(path, largest=HARMLESS_SIZE).replace(",", " ").split()
+        numbers = np.array([float(word) for word in words])
+    except ValueError as error:
+        raise InputFileError(path, "", expected="a 4x4 matrix of numbers", found=str(error)) from error
+    return _rigid(path, "", numbers)
+
+
+def _rigid(path: Path, where: str, values: np.ndarray) -> Float[np.ndarray, "4 4"]:
+    try:
+        numbers = values.astype(np.float64)
+    except (ValueError, TypeError) as error:
+        raise InputFileError(path, where, expected="a 4x4 matrix of numbers", found="rows of unequal length") from error
+    if numbers.size != 16:
+        raise InputFileError(
+            path,
+            where,
+            expected="a 4x4 matrix",
+            found=f"{numbers.size} numbers",
+            remedy="Copy the file again.",
+        )
+    matrix = numbers.reshape(4, 4)
+    rotation = matrix[:3, :3]
+    if not np.isfinite(matrix).all() or np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROTATION_TOLERANCE:
+        raise InputFileError(
+            path,
+            where,
+            expected="a rotation with a translation (the scale stands apart)",
+            found="a matrix that stretches, or NaN",
+        )
+    if np.linalg.det(rotation) < 0:
+        raise InputFileError(path, where, expected="a rotation with a translation", found="a reflection")
+    return matrix

@@ -12,13 +12,15 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from prbench.errors import InputFileError
 from prbench.geometry.skeleton import WRISTS, Joint, transform_points
 from prbench.geometry.timelines import covered, interpolate
 from prbench.protocol.manifests import Manifest
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.hololens import GlassesStreams, glasses_streams
-from prbench.readers.gimo.suit_skeleton import place_skeleton
+from prbench.readers.gimo.bvh import place_skeleton
+from prbench.readers.gimo.gaze import GlassesStreams, glasses_streams
 from prbench.recording.body_quality import hold_neighbours
+from prbench.recording.published_tracks import PublishedTrack
 from prbench.recording.streams import (
     SIDES,
     AnnotatedEvent,
@@ -240,3 +242,50 @@ def _moving_hand(body: BodyStream, row: int, window: float) -> Side:
 
 def _no_rotation(n: int) -> Float[np.ndarray, "n 4"]:
     return np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+
+
+def published_track(
+    readings: gimo.GimoReadings, recording: Recording, manifest: Manifest, *, with_jaw: bool
+) -> PublishedTrack:
+    """The one row of ``dataset.csv`` that a recording is, every frame of it.
+
+    Args:
+        readings: Of the segment.
+        recording: Of the same.
+        manifest: The longest gap of poses that is filled.
+        with_jaw: Whether the joints are the study's 23 or the 22 of every dataset.
+
+    Raises:
+        InputFileError: if the jaw is asked for, and no body model tells where it is.
+    """
+    assert recording.body is not None
+    body = recording.body
+    posed = readings.body.frames if isinstance(readings.body, gimo.LocalJoints) else readings.body.poses.frames
+    frames = readings.segment.frames
+    has_pose = np.isin(frames, posed)
+    return PublishedTrack(
+        name=readings.segment.name,
+        published_split=gimo.PUBLISHED_SPLITS[readings.segment.training],
+        times=body.times,
+        joints=_and_jaw(readings, body, manifest) if with_jaw else body.joints,
+        valid=body.valid,
+        filled=body.valid & ~has_pose,
+        body=body.joints,
+        gaze=recording.gaze.direction,
+        # A direction needs both ends of its own frame: a gaze point, and the head that it is seen from.
+        gaze_measured=recording.gaze.valid & np.isin(frames, readings.gaze.frames) & has_pose,
+    )
+
+
+def _and_jaw(readings: gimo.GimoReadings, body: BodyStream, manifest: Manifest) -> Float[np.ndarray, "n 23 3"]:
+    if not isinstance(readings.body, gimo.LocalJoints) or readings.body.jaw is None:
+        raise InputFileError(
+            readings.recording_id,
+            "",
+            expected="a jaw: fitted parameters or meshes, and an SMPL-X model with its 23rd joint",
+            found="a body without one",
+            remedy="Build the windows on the 22 joints (--joints smpl22).",
+        )
+    longest = round(manifest.thresholds["longest_filled_gap"])
+    wanted, _ = filled(readings.body.frames, readings.body.jaw[:, None], readings.segment.frames, longest=longest)
+    return np.concatenate([body.joints, transform_points(readings.transform.room_from_body(), wanted)], axis=1)

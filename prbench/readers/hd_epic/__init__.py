@@ -7,11 +7,10 @@ from pathlib import Path
 
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
-from prbench.readers.egoallo.inputs import GlassesWithMps
+from prbench.readers.egoallo.files import GlassesWithMps
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
-from prbench.readers.hd_epic.places import HdEpicOptions, extents, find_recordings
-from prbench.readers.hd_epic.readings import read_readings
+from prbench.readers.hd_epic.files import HdEpicOptions, extents, find_recordings, read_readings
 from prbench.readers.hd_epic.to_recording import recording_from_hd_epic
 from prbench.recording import Recording
 
@@ -27,7 +26,7 @@ class HdEpicReader(GlassesWithMps):
 
     @foreign_input()
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
-        """See :func:`prbench.readers.hd_epic.places.find_recordings`."""
+        """See :func:`prbench.readers.hd_epic.files.find_recordings`."""
         return find_recordings(root, self.options)
 
     @foreign_input()

@@ -7,11 +7,10 @@ from pathlib import Path
 
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
-from prbench.readers.egoallo.inputs import GlassesWithMps
+from prbench.readers.egoallo.files import GlassesWithMps
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
-from prbench.readers.hot3d.layout import Hot3dOptions, extents, find_recordings
-from prbench.readers.hot3d.readings import read_readings
+from prbench.readers.hot3d.files import Hot3dOptions, extents, find_recordings, read_readings
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
 from prbench.recording import Recording
 

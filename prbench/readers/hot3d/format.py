@@ -41,6 +41,10 @@ RGB_STREAM = "214-1"
 SLAM_STREAMS = ("1201-1", "1201-2")
 HAND_KEYS: dict[Side, str] = {"left": "0", "right": "1"}
 
+MANO = "mano"
+MANO_MODEL_PREFIX = "mano model:"
+"""Roles of the MANO poses and of the hand models; a model's is this and its side."""
+
 MaskName = Literal["qa_pass", "headset_pose_available", "object_pose_available", "hand_pose_available"]
 MASK_NAMES: tuple[MaskName, ...] = (
     "qa_pass",

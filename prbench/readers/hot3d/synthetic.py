@@ -35,7 +35,7 @@ from prbench.readers.egoallo.synthetic import (
 )
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d import hands_umetrack as umetrack
+from prbench.readers.hot3d import hands as umetrack
 from prbench.readers.hot3d.format import HandModel
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
 from prbench.synthetic.layouts import SHARED_PARTS, Layout

@@ -7,14 +7,12 @@ from pathlib import Path
 
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
+from prbench.readers import ReaderOptions
 from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.mogaze import format as mogaze
-from prbench.readers.mogaze.layouts import extents, find_recordings
-from prbench.readers.mogaze.published import published_tracks
-from prbench.readers.mogaze.readings import read_readings
-from prbench.readers.mogaze.to_recording import JointMapping, recording_from_mogaze
-from prbench.readers.options import ReaderOptions
+from prbench.readers.mogaze.files import extents, find_recordings, read_readings
+from prbench.readers.mogaze.to_recording import JointMapping, published_tracks, recording_from_mogaze
 from prbench.recording import Recording
 from prbench.recording.published_tracks import PublishedTrack
 
@@ -43,7 +41,7 @@ class MogazeReader:
 
     @foreign_input()
     def find(self, root: Path | str) -> tuple[RecordingFiles, ...]:
-        """See :func:`prbench.readers.mogaze.layouts.find_recordings`."""
+        """See :func:`prbench.readers.mogaze.files.find_recordings`."""
         return find_recordings(root, include_excluded=self.options.include_excluded)
 
     @foreign_input()

@@ -27,7 +27,7 @@ from prbench.geometry.timelines import interpolate, slerp
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.aria_mps.format import gaze_directions_cpf
 from prbench.readers.mogaze import format as mogaze
-from prbench.readers.mogaze.body import LINKS, MODEL_OFFSETS, OFFSET_KEYS, PARENT_LINKS, STATE_COLUMNS
+from prbench.readers.mogaze.format import LINKS, MODEL_OFFSETS, OFFSET_KEYS, PARENT_LINKS, STATE_COLUMNS
 from prbench.readers.mogaze.to_recording import recording_from_mogaze
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
@@ -66,7 +66,7 @@ class SolvedBody:
     """A joint state without noise."""
 
     state: Float[np.ndarray, "n 66"]
-    """Columns as in :data:`prbench.readers.mogaze.body.STATE_COLUMNS`."""
+    """Columns as in :data:`prbench.readers.mogaze.format.STATE_COLUMNS`."""
     fixed: dict[str, float]
     """The 60 scaling values, metres."""
 

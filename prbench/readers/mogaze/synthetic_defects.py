@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 from prbench.readers.mogaze import format as mogaze
-from prbench.readers.mogaze.body import STATE_COLUMNS
+from prbench.readers.mogaze.format import STATE_COLUMNS
 from prbench.readers.mogaze.synthetic import GOGGLES_ID
 from prbench.synthetic.layouts import Damage, Defect, cut_in_half, removed
 

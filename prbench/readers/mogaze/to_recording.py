@@ -5,6 +5,7 @@ Readers call this with what the files hold, synthetic recordings with what their
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 import numpy as np
@@ -14,12 +15,15 @@ from scipy.spatial.transform import Rotation
 from prbench.geometry.axes import Y_UP_FROM_Z_UP
 from prbench.geometry.skeleton import WRISTS, transform_points
 from prbench.protocol.manifests import Manifest
-from prbench.readers.mogaze import body as mogaze_body
 from prbench.readers.mogaze import format as mogaze
-from prbench.readers.mogaze.events import annotated_events
+from prbench.readers.mogaze.format import NULL_LABEL, RATE, Segment
 from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
+from prbench.recording.published_tracks import PublishedTrack
+from prbench.recording.reaching_hand import reaching_hand, wrists_at
 from prbench.recording.streams import (
     SIDES,
+    Action,
+    AnnotatedEvent,
     BodyStream,
     GazeStream,
     HandStream,
@@ -103,14 +107,14 @@ def _body(
     joint_mapping: JointMapping,
 ) -> tuple[BodyStream, Float[np.ndarray, "4 4"], Float[np.ndarray, "n 3 3"]]:
     """The wearer's body, the world that it stands in, and the rotations of its head link."""
-    links, turned = mogaze_body.forward_kinematics(readings.state, mogaze_body.link_offsets(readings.fixed))
+    links, turned = mogaze.forward_kinematics(readings.state, mogaze.link_offsets(readings.fixed))
     named = manifest.body.joint_mapping if joint_mapping == "anatomical" else manifest.body.other_mappings["named"]
-    native_joints = mogaze_body.body_joints(links, named)
+    native_joints = mogaze.body_joints(links, named)
     plausible = plausible_body_frames(times, native_joints)
     # Toes of implausible frames would tell a floor that is not there.
     world_from_source = _world_from_source(links[plausible], manifest)
     joints = hold_neighbours(transform_points(world_from_source, native_joints), plausible)
-    head_link = turned[:, mogaze_body.LINKS.index("head")]
+    head_link = turned[:, mogaze.LINKS.index("head")]
     return BodyStream(times, joints, plausible), world_from_source, head_link
 
 
@@ -118,7 +122,7 @@ def _world_from_source(links: Float[np.ndarray, "n 21 3"], manifest: Manifest) -
     """Z up to Y up; the floor is moved to 0 where the lowest toes tell that it lies elsewhere."""
     world_from_source = np.eye(4)
     world_from_source[:3, :3] = _TO_WORLD
-    toes = [mogaze_body.LINKS.index(name) for name in ("lToe", "rToe")]
+    toes = [mogaze.LINKS.index(name) for name in ("lToe", "rToe")]
     if len(links):
         lowest = float(np.percentile(links[:, toes, 2].min(axis=1), 1.0))
         if abs(lowest) > manifest.thresholds["floor_tolerance"]:
@@ -136,7 +140,7 @@ def _head(
     tracked = seen(goggles.position, goggles.rotation)
     position = hold_neighbours(transform_points(world_from_source, goggles.position), tracked)
     known = np.isfinite(head_link).all(axis=(1, 2))
-    face = np.array(mogaze_body.HEAD_FROM_CPF)
+    face = np.array(mogaze.HEAD_FROM_CPF)
     turned = np.where(np.reshape(known, (-1, 1, 1)), head_link, _TO_WORLD.T @ face.T)
     rotation = Rotation.from_matrix(_TO_WORLD @ turned @ face)
     return PoseStream(times, position, rotation.as_quat(canonical=True, scalar_first=True), tracked & known)
@@ -234,3 +238,191 @@ def _choice_remarks(joint_mapping: JointMapping, *, legacy_gaze: bool) -> tuple[
     """Tell the user about options that change what the recording means."""
     mapping = (f"joint mapping '{joint_mapping}' instead of 'anatomical'",) if joint_mapping != "anatomical" else ()
     return (*mapping, "gaze by the formula of the dataset's player") if legacy_gaze else mapping
+
+
+def annotated_events(
+    segments: Sequence[Segment], tracks: Sequence[ObjectTrack], body: BodyStream, rest_window: int
+) -> tuple[tuple[AnnotatedEvent, ...], tuple[str, ...]]:
+    """Picks at the start, puts at the end of every segment in which an object moves.
+
+    The place of a pick is the object's last pose before it, that of a put the median pose over the ``rest_window``
+    frames after it, clipped to the next movement.
+
+    Args:
+        segments: In the order of the file.
+        tracks: Every object, one sample a frame.
+        body: The wearer, one sample a frame, whose wrists tell the hand of an event.
+        rest_window: Frames.
+
+    Returns:
+        The events in the order of time, and what was left out.
+    """
+    by_name = {track.name: track for track in tracks}
+    carries, remarks = _carries_of(segments, by_name, len(body.times))
+    last = len(body.times) - 1
+    events = []
+    for number, carry in enumerate(carries):
+        track = by_name[carry.label]
+        if carry.start > 0:
+            place = _resting_before(track, carry.start)
+            events.append(_event(f"{number}/pick", "pick", track, carry.start, place, body))
+        if carry.end < last:
+            later = carries[number + 1 :]
+            next_movement = min((other.start for other in later), default=last + 1)
+            moved_again = min((other.start for other in later if other.label == carry.label), default=last + 1)
+            place = _resting_after(track, carry.end, min(carry.end + rest_window, next_movement), moved_again)
+            events.append(_event(f"{number}/put", "put", track, carry.end, place, body))
+    return tuple(events), remarks
+
+
+def _carries_of(
+    segments: Sequence[Segment], labels: dict[str, ObjectTrack], n_frames: int
+) -> tuple[list[Segment], tuple[str, ...]]:
+    """The movements of objects: in order, equal neighbours merged, impossible segments left out with a remark."""
+    remarks = []
+    if not segments:
+        remarks.append("no segments, so no events")
+    ordered = sorted(segments, key=lambda segment: segment.start)
+    if ordered != list(segments):
+        remarks.append("the segments are not in the order of time and are sorted")
+    kept: list[Segment] = []
+    previous = ""
+    merged = 0
+    for segment in ordered:
+        reason = _why_bad(segment, labels, n_frames)
+        if reason:
+            remarks.append(f"segment {segment.start} to {segment.end} ({segment.label}) is left out: {reason}")
+        elif segment.label == previous:
+            merged += 1
+            if segment.label != NULL_LABEL:
+                kept[-1] = Segment(kept[-1].start, max(kept[-1].end, segment.end), segment.label)
+        elif segment.label != NULL_LABEL:
+            kept.append(segment)
+        if segment.end > segment.start:  # an empty one separates nothing
+            previous = segment.label if not reason else ""
+    if merged:
+        remarks.append(f"{merged} segments with the label of the one before them are merged with it")
+    if kept and kept[0].start <= 0:
+        remarks.append(f"{kept[0].label} is in hand when the recording begins: no pick")
+    if kept and kept[-1].end >= n_frames - 1:
+        remarks.append(f"{kept[-1].label} is in hand when the recording ends: no put")
+    return kept, tuple(remarks)
+
+
+def _why_bad(segment: Segment, labels: dict[str, ObjectTrack], n_frames: int) -> str:
+    if segment.end <= segment.start:
+        return "it ends before it begins"
+    if segment.start < 0 or segment.start >= n_frames:
+        return f"it begins outside of the {n_frames} frames"
+    if segment.label == NULL_LABEL:
+        return ""
+    if segment.label not in labels:
+        return "no such object is tracked"
+    return "" if labels[segment.label].valid.any() else "the object is never seen"
+
+
+def _resting_before(track: ObjectTrack, frame: int) -> tuple[np.ndarray, np.ndarray]:
+    """The last pose seen up to a frame, else the first one after it."""
+    seen = np.flatnonzero(track.valid)
+    index = seen[max(int(np.searchsorted(seen, frame, side="right")) - 1, 0)]
+    return track.position[index], track.rotation[index]
+
+
+def _resting_after(track: ObjectTrack, frame: int, stop: int, moved_again: int) -> tuple[np.ndarray, np.ndarray]:
+    """The median pose over ``[frame, stop]``; where the object is not seen then, its next pose at rest or its last."""
+    window = np.arange(frame, min(stop, len(track.valid) - 1) + 1)
+    window = window[track.valid[window]]
+    if len(window) == 0:
+        later = np.flatnonzero(track.valid[frame:moved_again])
+        if len(later) == 0:
+            return _resting_before(track, frame)
+        window = later[:1] + frame
+    turned = Rotation.from_quat(track.rotation[window], scalar_first=True).mean()
+    return np.median(track.position[window], axis=0), turned.as_quat(canonical=True, scalar_first=True)
+
+
+def _event(
+    key: str,
+    action: Action,
+    track: ObjectTrack,
+    frame: int,
+    place: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]],
+    body: BodyStream,
+) -> AnnotatedEvent:
+    low, high = track.world_box(place[0][None], place[1][None])
+    centre = (low[0] + high[0]) / 2
+    hand = reaching_hand(wrists_at((), body, frame / RATE), centre)
+    return AnnotatedEvent(
+        native_key=key,
+        action=action,
+        object_id=track.object_id,
+        object_name=track.name,
+        event_time=frame / RATE,
+        location=centre,
+        box_min=low[0],
+        box_max=high[0],
+        hand=None if hand is None else hand.side,
+        hand_source=None if hand is None else hand.source,
+    )
+
+
+_STEP = 4
+"""120 frames a second become 30."""
+FEWEST_GAZE = 0.8
+"""Share of a segment's frames with confident gaze; the segment is left out below."""
+
+
+def published_tracks(
+    readings: mogaze.MogazeReadings, recording: Recording, *, least_confidence: float
+) -> tuple[PublishedTrack, ...]:
+    """Every row of ``segments`` as a pick or a place, cut to its first and last confident gaze.
+
+    A row without an object in motion is the pick that comes next (``pick_001``), one with an object is the ``place``.
+    Rows that end before they begin, and a row like the one before it, are left out.
+
+    Args:
+        readings: Content of the files.
+        recording: What was made of them.
+        least_confidence: Of a gaze sample.
+    """
+    links, _ = mogaze.forward_kinematics(readings.state, mogaze.link_offsets(readings.fixed))
+    assert recording.body is not None
+    body = recording.body
+    joints = hold_neighbours(transform_points(recording.world_from_source, links), body.valid)
+    confident = recording.gaze.valid & (readings.gaze_confidence >= least_confidence)
+    tracks = []
+    for name, segment in _named(readings.segments):
+        frames = np.arange(max(segment.start, 0), min(segment.end + 1, len(joints)), _STEP)
+        measured = confident[frames]
+        if not len(frames) or measured.mean() < FEWEST_GAZE:
+            continue
+        first, last = np.flatnonzero(measured)[[0, -1]]
+        kept = frames[first : last + 1]
+        tracks.append(
+            PublishedTrack(
+                name=name,
+                published_split="",
+                times=kept / mogaze.RATE,
+                joints=joints[kept],
+                valid=body.valid[kept],
+                filled=np.zeros(len(kept), dtype=bool),
+                body=body.joints[kept],
+                gaze=recording.gaze.direction[kept],
+                gaze_measured=confident[kept],
+            )
+        )
+    return tuple(tracks)
+
+
+def _named(segments: tuple[mogaze.Segment, ...]) -> Iterator[tuple[str, mogaze.Segment]]:
+    """Segments in the order of time with the study's names, without repetitions."""
+    number = 0
+    previous = ""
+    for segment in sorted(segments, key=lambda each: each.start):
+        repeated = segment.label == previous == mogaze.NULL_LABEL
+        previous = segment.label
+        if segment.end <= segment.start or repeated:
+            continue
+        number += 1
+        kind = "pick" if segment.label == mogaze.NULL_LABEL else "place"
+        yield f"{kind}_{number:03d}", segment

@@ -15,10 +15,9 @@ from prbench.geometry.timelines import interpolate
 from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.adt import format as adt
-from prbench.readers.adt.for_egoallo import glasses_z_up, prepared_trajectory
 from prbench.readers.adt.synthetic import estimated_outputs, write
-from prbench.readers.adt.to_recording import recording_from_adt
-from prbench.readers.egoallo.places import poses_folder
+from prbench.readers.adt.to_recording import glasses_z_up, prepared_trajectory, recording_from_adt
+from prbench.readers.egoallo.files import poses_folder
 from prbench.readers.egoallo.synthetic import synthetic_smplh, write_outputs, write_smplh_model
 from prbench.readers.egoallo.to_recording import body_from_outputs
 from prbench.recording import Recording

@@ -11,7 +11,7 @@ import pytest
 from prbench.errors import InputFileError
 from prbench.readers import reader_for
 from prbench.readers.adt import find_recordings, read_readings
-from prbench.readers.adt.layouts import AdtOptions
+from prbench.readers.adt.files import AdtOptions
 from prbench.readers.adt.synthetic import write
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.people import perform

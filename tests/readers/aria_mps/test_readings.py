@@ -13,8 +13,9 @@ import pytest
 
 from prbench.errors import InputFileError
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.find import UNREADABLE, find_mps_files
-from prbench.readers.aria_mps.readings import (
+from prbench.readers.aria_mps.files import (
+    UNREADABLE,
+    find_mps_files,
     read_first_calibration,
     read_gaze_angles,
     read_hand_tracking,
@@ -22,8 +23,8 @@ from prbench.readers.aria_mps.readings import (
     read_wrists,
 )
 from prbench.readers.aria_mps.synthetic import sense_mps, write_mps
+from prbench.readers.files import ZippedFile
 from prbench.readers.found import RecordingFiles
-from prbench.readers.zipped import ZippedFile
 from prbench.synthetic.people import perform
 from tests.readers.mps_files import gaze_lines, write_lines
 

@@ -9,9 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.find import find_mps_files
-from prbench.readers.aria_mps.readings import read_first_calibration, read_gaze_angles, read_hand_tracking, read_wrists
-from prbench.readers.aria_mps.sparse_rows import NearGaze
+from prbench.readers.aria_mps.files import (
+    find_mps_files,
+    read_first_calibration,
+    read_gaze_angles,
+    read_hand_tracking,
+    read_wrists,
+)
+from prbench.readers.aria_mps.search import NearGaze
 from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.aria_mps.trajectory import read_near, read_trajectory
 

@@ -13,11 +13,9 @@ from hypothesis import strategies as st
 
 from prbench.errors import InputFileError
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.line_search import NotSearchable
-from prbench.readers.aria_mps.sparse_rows import NearGaze, search_rows
+from prbench.readers.aria_mps.search import NearGaze, NotSearchable, search_rows
 from prbench.readers.aria_mps.trajectory import COLUMNS, check_trajectory, read_near
-from prbench.readers.files import read_columns
-from prbench.readers.zipped import Source
+from prbench.readers.files import Source, read_columns
 from tests.readers.mps_files import OTHER_WORLD, WORLD, NearTimes, trajectory_lines, write_lines, zipped
 
 START = 5_000_000_000

@@ -10,8 +10,7 @@ import pytest
 from prbench.geometry.axes import Y_UP_FROM_Z_UP
 from prbench.geometry.timelines import interpolate
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.find import find_mps_files
-from prbench.readers.aria_mps.readings import read_first_calibration, read_gaze_angles, read_wrists
+from prbench.readers.aria_mps.files import find_mps_files, read_first_calibration, read_gaze_angles, read_wrists
 from prbench.readers.aria_mps.synthetic import sense_mps, with_slam_gaps
 from prbench.readers.aria_mps.to_recording import MpsStreams, mps_streams
 from prbench.readers.aria_mps.trajectory import read_trajectory

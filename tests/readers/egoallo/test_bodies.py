@@ -7,8 +7,8 @@ import pytest
 
 from prbench.errors import InputFileError
 from prbench.readers.egoallo.bodies import read_bodies
+from prbench.readers.egoallo.files import find_outputs, poses_folder
 from prbench.readers.egoallo.format import EgoAlloBody
-from prbench.readers.egoallo.places import find_outputs, poses_folder
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS
 from prbench.readers.found import RecordingFiles
 from prbench.recording import PoseStream

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from prbench.readers.egoallo.bodies import read_smplh_rest, read_window
+from prbench.readers.egoallo.files import read_output
 from prbench.readers.egoallo.format import EgoAlloOutput, forward_kinematics
-from prbench.readers.egoallo.joints import read_smplh_rest, read_window
-from prbench.readers.egoallo.outputs import read_output
 
 NAME = "egoallo/egoallo_outputs/20240101-120000_0-12.npz"
 MODEL = "egoallo/mock_smplh/neutral/model.npz"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.readers.egoallo.joints import read_smplh_rest
-from prbench.readers.egoallo.outputs import JointsOnly, read_output
+from prbench.readers.egoallo.bodies import read_smplh_rest
+from prbench.readers.egoallo.files import JointsOnly, read_output
 from tests.readers.egoallo_files import model, output, rewrite, times_ns, write
 
 

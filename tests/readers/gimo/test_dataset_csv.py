@@ -9,8 +9,14 @@ import pytest
 from prbench.errors import InputFileError
 from prbench.readers.gimo import READER
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.dataset_csv import overlapping, read_segments
-from prbench.readers.gimo.events import events_of, hints_in_both_splits, read_events, require_one_split
+from prbench.readers.gimo.table import (
+    events_of,
+    hints_in_both_splits,
+    overlapping,
+    read_events,
+    read_segments,
+    require_one_split,
+)
 
 HEADER = "sequence_path,start_frame,end_frame,scene,transformation,training"
 FULL = f"{HEADER},action,,,"

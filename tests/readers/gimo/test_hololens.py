@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from prbench.errors import InputFileError
 from prbench.geometry.skeleton import Joint, invert_rigid
 from prbench.readers import reader_for
-from prbench.readers.gimo.hololens import read_hololens
+from prbench.readers.gimo.gaze import read_hololens
 from tests.readers import gimo_sample as sample
 
 FIRST_TICK = 132_874_000_000_000_123

@@ -17,9 +17,9 @@ import pytest
 import torch
 
 from prbench.errors import InputFileError
-from prbench.readers.gimo import pickled_tensors
+from prbench.readers.gimo import pickles as pickled_tensors
 from prbench.readers.gimo import synthetic as tensor_pickles
-from prbench.readers.gimo.pickled_tensors import load_tensors
+from prbench.readers.gimo.pickles import load_tensors
 
 TRACE: list[str] = []
 

@@ -11,9 +11,9 @@ import pytest
 from prbench.errors import InputFileError
 from prbench.prediction.joint_sets import JOINT_SETS
 from prbench.protocol.manifests import load_manifest
+from prbench.readers.gimo import GimoOptions, GimoReader
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.published import GIMO23, native_joints, published_track
-from prbench.readers.gimo.segments import GimoOptions
+from prbench.readers.gimo.to_recording import published_track
 from tests.readers import gimo_sample
 
 
@@ -53,7 +53,7 @@ def test_the_study_has_a_jaw_where_a_body_model_tells_it():
     body = gimo.LocalJoints(sound.segment.frames[keep], joints, "smplx", jaw)
     recording = gimo_sample.recording(sound)
     track = published_track(replace(sound, body=body), recording, load_manifest("gimo"), with_jaw=True)
-    assert track.joints.shape == (gimo_sample.N_FRAMES, len(JOINT_SETS[GIMO23].names), 3)
+    assert track.joints.shape == (gimo_sample.N_FRAMES, len(JOINT_SETS[gimo.GIMO23].names), 3)
     assert np.array_equal(track.joints[:, :22], track.body)
     # The missing frame lies between its neighbours, and the jaw is carried into the room as the body is.
     steps = np.linalg.norm(np.diff(track.joints[:, 22], axis=0), axis=-1)
@@ -68,6 +68,6 @@ def test_a_suit_has_no_jaw():
 
 def test_which_joints_the_study_has_follows_from_the_options():
     model = Path("SMPLX_NEUTRAL.npz")
-    assert native_joints(GimoOptions()) == "smpl22"
-    assert native_joints(GimoOptions(smplx_model=model)) == GIMO23
-    assert native_joints(GimoOptions(smplx_model=model, body="bvh")) == "smpl22"
+    assert GimoReader(options=GimoOptions()).native_joints == "smpl22"
+    assert GimoReader(options=GimoOptions(smplx_model=model)).native_joints == gimo.GIMO23
+    assert GimoReader(options=GimoOptions(smplx_model=model, body="bvh")).native_joints == "smpl22"

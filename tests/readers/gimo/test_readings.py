@@ -17,8 +17,8 @@ from prbench.errors import InputFileError
 from prbench.geometry.skeleton import Joint, transform_points
 from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
+from prbench.readers.gimo import files as segments
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo import segments
 from prbench.readers.gimo.synthetic import pickled_tensors, write_events
 from prbench.readers.gimo.to_recording import recording_from_gimo
 from tests.comparing import differences

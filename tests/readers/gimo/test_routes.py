@@ -13,8 +13,14 @@ from torch import nn
 from prbench.errors import InputFileError
 from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.body_model import SmplxModel, read_pose_decoder, read_smplx_model
-from prbench.readers.gimo.routes import joints_from_meshes, joints_from_parameters, read_obj
+from prbench.readers.gimo.bodies import (
+    SmplxModel,
+    joints_from_meshes,
+    joints_from_parameters,
+    read_obj,
+    read_pose_decoder,
+    read_smplx_model,
+)
 from tests.fakes import STANDING
 from tests.readers import gimo_sample as sample
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.readers.gimo.bvh import BvhMotion
-from prbench.readers.gimo.suit_skeleton import place_skeleton
+from prbench.readers.gimo.bvh import BvhMotion, place_skeleton
 from tests.fakes import STANDING
 from tests.readers.gimo_sample import LEAD, N_FRAMES, path_of_pelvis, skeleton
 

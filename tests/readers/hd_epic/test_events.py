@@ -14,9 +14,8 @@ from prbench.geometry.skeleton import N_JOINTS, WRISTS
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.aria_mps.to_recording import MpsStreams
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.readers.hd_epic.events import annotated_events, masks_of_sides
 from prbench.readers.hd_epic.format import ObjectMask, ObjectTrack, PublishedSide
-from prbench.readers.hd_epic.priming import MaskedEvent, published_priming
+from prbench.readers.hd_epic.to_recording import MaskedEvent, annotated_events, masks_of_sides, published_priming
 from prbench.recording.streams import BodyStream, GazeStream, HandStream, PoseStream
 
 THRESHOLDS = hd_epic.Thresholds(**load_manifest("hd-epic").thresholds)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import RecordingUnusable
-from prbench.readers.hot3d.clock_match import ClockMatch, match_clocks
+from prbench.readers.hot3d.to_recording import ClockMatch, match_clocks
 
 OFFSET = 56_833_060_899_305  # ns
 START = 56_752_108_188_860

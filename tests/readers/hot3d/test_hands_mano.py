@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.readers.hot3d import hands_mano as mano
-from prbench.readers.hot3d.hands_mano import ManoModel
+from prbench.readers.hot3d import hands as mano
+from prbench.readers.hot3d.hands import ManoModel
 
 RNG = np.random.default_rng(5)
 N = 30
@@ -17,8 +17,8 @@ N = 30
 
 def invented_model(n: int = N, seed: int = 5) -> ManoModel:
     rng = np.random.default_rng(seed)
-    weights = rng.random((n, mano.N_JOINTS)) ** 8
-    regressor = rng.random((mano.N_JOINTS, n)) ** 8
+    weights = rng.random((n, mano.N_MANO_JOINTS)) ** 8
+    regressor = rng.random((mano.N_MANO_JOINTS, n)) ** 8
     return ManoModel(
         template=rng.normal(0.0, 0.05, (n, 3)),
         shape_directions=rng.normal(0.0, 0.002, (n, 3, mano.N_BETAS)),

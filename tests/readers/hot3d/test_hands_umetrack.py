@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.readers.hot3d import hands_umetrack as umetrack
+from prbench.readers.hot3d import hands as umetrack
 from prbench.readers.hot3d.format import HandModel
 from prbench.readers.hot3d.synthetic import finger_angles, synthetic_hand, wrist_rotation
 

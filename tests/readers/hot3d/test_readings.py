@@ -20,7 +20,7 @@ from prbench.errors import InputFileError, PrbenchError, RecordingUnusable
 from prbench.readers import reader_for
 from prbench.readers.hot3d import READER, Hot3dOptions, find_recordings, read_readings
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d.readings import read_mask
+from prbench.readers.hot3d.files import read_mask
 from prbench.readers.hot3d.synthetic import sense
 from prbench.recording import Recording
 from prbench.synthetic.people import perform

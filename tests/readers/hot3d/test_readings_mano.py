@@ -15,7 +15,7 @@ from prbench.errors import InputFileError
 from prbench.geometry.axes import z_up
 from prbench.readers import Reader, reader_for
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d import hands_mano as mano
+from prbench.readers.hot3d import hands as mano
 from prbench.readers.hot3d.synthetic import sense
 from prbench.recording import Recording
 from prbench.synthetic.people import perform

@@ -15,12 +15,12 @@ from prbench.geometry.axes import z_up
 from prbench.geometry.rays import slab_test
 from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
-from prbench.readers.aria_mps.readings import read_gaze_angles
+from prbench.readers.aria_mps.files import read_gaze_angles
 from prbench.readers.hot3d import Hot3dOptions, find_recordings, read_readings
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d import hands_umetrack as umetrack
-from prbench.readers.hot3d.hands_mano import read_mano_rows
-from prbench.readers.hot3d.objects import read_glb
+from prbench.readers.hot3d import hands as umetrack
+from prbench.readers.hot3d.files import read_glb
+from prbench.readers.hot3d.hands import read_mano_rows
 from prbench.readers.hot3d.to_recording import match_clocks, object_track, recording_from_hot3d, umetrack_points
 from prbench.recording import ObjectTrack, Recording
 

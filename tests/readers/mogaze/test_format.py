@@ -12,7 +12,7 @@ from prbench.geometry.axes import Y_UP_FROM_Z_UP
 from prbench.geometry.skeleton import Joint
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.mogaze import format as mogaze
-from prbench.readers.mogaze.body import (
+from prbench.readers.mogaze.format import (
     HEAD_FORWARD,
     HEAD_FROM_CPF,
     LINKS,

@@ -9,10 +9,8 @@ import pytest
 
 from prbench.geometry.skeleton import Joint
 from prbench.protocol.manifests import load_manifest
-from prbench.readers.mogaze.body import LINKS
-from prbench.readers.mogaze.format import MogazeReadings, Segment
-from prbench.readers.mogaze.published import published_tracks
-from prbench.readers.mogaze.to_recording import recording_from_mogaze
+from prbench.readers.mogaze.format import LINKS, MogazeReadings, Segment
+from prbench.readers.mogaze.to_recording import published_tracks, recording_from_mogaze
 from prbench.recording.published_tracks import PublishedTrack
 from tests.recording.mogaze_scene import STANDING_HEIGHT, N, still_life
 

@@ -15,9 +15,8 @@ from prbench.curation import BuildOptions, build_dataset
 from prbench.errors import InputFileError, RecordingUnusable, UsageError
 from prbench.readers import reader_for
 from prbench.readers.mogaze import format as mogaze
-from prbench.readers.mogaze.body import STATE_COLUMNS
-from prbench.readers.mogaze.layouts import extents
-from prbench.readers.mogaze.scene import find_mesh, read_mesh, read_scene
+from prbench.readers.mogaze.files import extents, find_mesh, read_mesh, read_scene
+from prbench.readers.mogaze.format import STATE_COLUMNS
 from prbench.readers.mogaze.synthetic import box_mesh, write
 from prbench.recording import Recording
 from tests.recording.mogaze_scene import CUP, GOGGLES, PLATE, TABLE, N, body, still_life

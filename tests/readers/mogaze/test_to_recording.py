@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.geometry.skeleton import Joint
 from prbench.protocol.manifests import load_manifest
-from prbench.readers.mogaze.body import STATE_COLUMNS
-from prbench.readers.mogaze.format import MogazeReadings, Segment
+from prbench.readers.mogaze.format import STATE_COLUMNS, MogazeReadings, Segment
 from prbench.readers.mogaze.to_recording import held_index, recording_from_mogaze
 from prbench.recording import Recording
 from tests.recording.mogaze_scene import CUP, GOGGLES, PICK, PUT, STANDING_HEIGHT, N, still_life

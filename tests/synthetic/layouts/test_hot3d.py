@@ -15,7 +15,7 @@ from prbench.curation.in_hand import find_holdings
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.hot3d import READER, find_recordings, read_readings
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d.objects import read_glb
+from prbench.readers.hot3d.files import read_glb
 from prbench.readers.hot3d.synthetic import LAYOUT, box_mesh, clock_drift, frame_times, glb_bytes, sense
 from prbench.readers.hot3d.to_recording import recording_from_hot3d
 from prbench.synthetic.layouts import SHARED_PARTS

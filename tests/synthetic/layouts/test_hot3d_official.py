@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.readers.hot3d import READER, read_readings
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d import hands_umetrack as umetrack
+from prbench.readers.hot3d import hands as umetrack
 from prbench.synthetic.write_tree import synthesize_tree
 
 pytest.importorskip("projectaria_tools", reason="the official reader is not installed")

@@ -15,7 +15,7 @@ from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze import read_readings
-from prbench.readers.mogaze.body import MODEL_OFFSETS, body_joints, forward_kinematics, link_offsets
+from prbench.readers.mogaze.format import MODEL_OFFSETS, body_joints, forward_kinematics, link_offsets
 from prbench.readers.mogaze.synthetic import LAYOUT, body_names, gaze_bias, sense, solve_body
 from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.people import perform

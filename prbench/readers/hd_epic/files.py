@@ -1,4 +1,4 @@
-"""Find the files of HD-EPIC videos, zipped or not (docs/specification/hd-epic.md#folder-tree)."""
+"""Find and read the files of HD-EPIC videos, zipped or not (docs/specification/hd-epic.md#folder-tree)."""
 
 from __future__ import annotations
 
@@ -7,17 +7,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
+from prbench.readers import ReaderOptions, read_synthetic_tree
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.find import UNREADABLE, find_mps_files
-from prbench.readers.egoallo.places import body_extent, find_outputs
+from prbench.readers.aria_mps.files import UNREADABLE, find_mps_files, read_mps
+from prbench.readers.aria_mps.format import MpsReadings
+from prbench.readers.egoallo.bodies import read_bodies
+from prbench.readers.egoallo.files import body_extent, find_outputs
+from prbench.readers.egoallo.to_recording import NO_OUTPUTS
 from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent, json_extent
 from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.readers.hd_epic.video_clock import slam_number
-from prbench.readers.options import ReaderOptions
-from prbench.readers.synthetic_tree import read_synthetic_tree
+from prbench.readers.hd_epic.annotations import read_frames, read_priming, read_tracks, read_video_clock, slam_number
+from prbench.readers.hd_epic.to_recording import source_head
 from prbench.recording import Recording
 
 _BoxChoice = Literal["point", "cube"]
@@ -262,3 +267,131 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
     body = body_extent(found)
     everything = streams if body is None else [*streams, body]
     return tuple(replace(stream, slack=SEVERAL_SENSORS) for stream in everything)
+
+
+_UP = (0.0, 0.0, 1.0)
+
+
+def read_readings(found: RecordingFiles, options: HdEpicOptions) -> hd_epic.HdEpicReadings:
+    """Read all that curation needs of one video.
+
+    Raises:
+        InputFileError: for a missing or damaged file; of SLAM it says which archive is missing.
+    """
+    video = found.recording_id
+    participant = found.folder.name
+    associations = _annotation(found, ASSOCIATIONS)
+    masks = _annotation(found, MASKS)
+    tracks, track_remarks = read_tracks(associations, masks, video)
+    priming = found.path(PRIMING)
+    frames = _read_frames(found) if options.source == "intermediate" else None
+    clock, clock_remarks = _read_clock(found, frames)
+    glasses = _read_mps(found) if frames is None else frames
+    body = read_bodies(found, cpf=source_head(glasses))
+    return hd_epic.HdEpicReadings(
+        video=video,
+        participant_id=participant,
+        clock=clock,
+        tracks=tracks,
+        priming=None if priming is None else read_priming(priming, video),
+        glasses=glasses,
+        body=body,
+        messages=(*track_remarks, *clock_remarks, *((NO_OUTPUTS,) if body is None else ())),
+    )
+
+
+def _annotation(found: RecordingFiles, role: str) -> Path:
+    path = found.path(role)
+    if path is not None:
+        return path
+    name = hd_epic.ASSOCIATIONS_FILE if role == ASSOCIATIONS else hd_epic.MASKS_FILE
+    raise InputFileError(
+        f"{hd_epic.ANNOTATIONS_FOLDER}/{hd_epic.MOVEMENTS_FOLDER}/{name}",
+        "",
+        expected="this file of the annotation repository",
+        found="none",
+        remedy=f"Clone the repository beside {hd_epic.DATA_FOLDER}, or name it: --option annotations=DIR.",
+    )
+
+
+def _read_clock(
+    found: RecordingFiles, frames: hd_epic.FrameReadings | None
+) -> tuple[hd_epic.VideoClock, tuple[str, ...]]:
+    """Read the time file; the intermediate data hold the same time of every frame."""
+    path = found.path(TIME)
+    if path is None and frames is not None:
+        return hd_epic.VideoClock(frames.tracking_ns), ("frame times are those of the intermediate data",)
+    name = f"{found.recording_id}{hd_epic.TIME_SUFFIX}"
+    return read_video_clock(found.require(TIME, name), found.path(LOG))
+
+
+def _read_frames(found: RecordingFiles) -> hd_epic.FrameReadings:
+    path = found.path(FRAMES)
+    if path is not None:
+        return read_frames(path, found.path(DEVICE_CALIBRATION))
+    raise InputFileError(
+        f"{hd_epic.INTERMEDIATE_FOLDER}/{found.folder.name}/{found.recording_id}/{hd_epic.FRAMES_FILE}",
+        "",
+        expected="this file, since source=intermediate was chosen",
+        found="none",
+        remedy="Download the intermediate data, or leave the option out to use SLAM-and-Gaze.",
+    )
+
+
+def _read_mps(found: RecordingFiles) -> MpsReadings:
+    """Trajectory, gaze and hands; what is missing is named by the archive that a download by video leaves out."""
+    for file in found.files:
+        if file.role.startswith(UNREADABLE):
+            find_mps_files(file.path)
+    participant = found.folder.name
+    folder = f"{hd_epic.MPS_FOLDER}/{participant}"
+    if found.path(mps.TRAJECTORY) is None:
+        raise _missing_slam(found, participant, folder)
+    if found.path(mps.GAZE) is None:
+        raise InputFileError(
+            f"{folder}/{hd_epic.GAZE_FOLDER}/mps_{found.recording_id}_vrs.zip",
+            "",
+            expected="eye gaze of this video",
+            found="none",
+            remedy="Download GAZE_HAND of this video.",
+        )
+    readings = read_mps(found)
+    if np.linalg.norm(readings.trajectory.up - np.array(_UP)) > 1e-2:
+        raise InputFileError(
+            f"{folder}: {mps.TRAJECTORY_FILE} of {found.recording_id}",
+            "gravity columns",
+            expected="gravity along -Z (the kitchens are Z up)",
+            found=f"up = {(np.round(readings.trajectory.up, 3) + 0.0).tolist()}",
+            remedy="Masks and bodies stand in the world of the original file; use that one.",
+        )
+    return readings
+
+
+def _missing_slam(found: RecordingFiles, participant: str, folder: str) -> InputFileError:
+    slam_map = found.path(SLAM_MAP)
+    if slam_map is None:
+        return InputFileError(
+            f"{folder}/{hd_epic.MULTI_SLAM_FOLDER}/{hd_epic.SLAM_MAP_FILE}",
+            "",
+            expected=f"this file, which tells the SLAM zip of {found.recording_id}",
+            found="none",
+            remedy=f"Download SLAM/multi of {participant}: a download by video fetches gaze only.",
+        )
+    number = slam_number(slam_map).get(found.recording_id)
+    if number is None:
+        return InputFileError(
+            slam_map,
+            f"{participant}/{found.recording_id}.vrs",
+            expected="the number of a SLAM zip",
+            found="no such key",
+            remedy=f"It has no multi-recording SLAM; three videos have {hd_epic.OTHER_SLAM_FOLDER}/*.zip instead.",
+        )
+    archive = f"{folder}/{hd_epic.MULTI_SLAM_FOLDER}/{number}.zip"
+    return InputFileError(
+        archive,
+        "",
+        expected=f"the trajectory of {found.recording_id}",
+        found=f"SLAM zip {number} of {participant} missing",
+        remedy="Download it: a download by video fetches gaze only, not SLAM."
+        " Or use the intermediate data: --option source=intermediate.",
+    )

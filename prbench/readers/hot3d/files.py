@@ -1,0 +1,470 @@
+"""Find and read the files of HOT3D recordings, and say which recordings can be used.
+
+Sources: docs/specification/hot3d.md#folder-tree, docs/specification/hot3d.md#files and
+docs/specification/hot3d.md#usable-recordings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from prbench.datasets import SYNTHETIC_PREFIX
+from prbench.errors import InputFileError
+from prbench.files.bounded import require_size
+from prbench.readers import ReaderOptions, synthetic_tree_around
+from prbench.readers.aria_mps.files import find_mps_files, read_mps
+from prbench.readers.aria_mps.format import GAZE, TIME_COLUMN, TRAJECTORY
+from prbench.readers.aria_mps.to_recording import mps_streams
+from prbench.readers.egoallo.bodies import read_bodies
+from prbench.readers.egoallo.files import body_extent, find_outputs
+from prbench.readers.egoallo.to_recording import NO_OUTPUTS
+from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent, json_extent
+from prbench.readers.files import decode_json, missing_file, read_columns, read_poses_by_body
+from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
+from prbench.readers.hot3d import format as hot3d
+from prbench.readers.hot3d.format import ObjectMesh
+from prbench.readers.hot3d.hands import read_mano_hands, read_profile, read_umetrack
+from prbench.recording import Recording
+
+
+class Hot3dOptions(ReaderOptions, frozen=True, kw_only=True):
+    """Options of the reader of HOT3D."""
+
+    poses: Literal["egoallo"] = "egoallo"
+    """Source of bodies; the dataset has none of its own."""
+    smplh_model: Path | None = None
+    """The licensed body model that EgoAllo's outputs need (``model.npz``)."""
+    poses_root: Path | None = None
+    """Folder of EgoAllo's outputs by recording; beside the recordings by default."""
+    hands: Literal["umetrack", "mano"] = "umetrack"
+    """Hand annotation that gives wrists and vertices."""
+    mano_models: Path | None = None
+    """Folder of ``MANO_LEFT.npz`` and ``MANO_RIGHT.npz``, for ``hands=mano``."""
+    meshes: bool = False
+    """Load the objects' surfaces: for the in-hand rule ``surface``, and to mark what is primed through an object."""
+
+
+METADATA = "metadata"
+OBJECTS = "objects"
+HEADSET = "headset"
+INSTANCES = "instances"
+UMETRACK = "umetrack"
+PROFILE = "hand profile"
+MASK_PREFIX = "mask:"
+MODEL_PREFIX = "model:"
+"""Roles of masks and object models are this and their name or uid."""
+_FILES = {
+    OBJECTS: hot3d.OBJECTS_FILE,
+    HEADSET: hot3d.HEADSET_FILE,
+    UMETRACK: hot3d.UMETRACK_FILE,
+    PROFILE: hot3d.PROFILE_FILE,
+    hot3d.MANO: hot3d.MANO_FILE,
+    **{f"{MASK_PREFIX}{name}": f"{hot3d.MASK_FOLDER}/mask_{name}.csv" for name in hot3d.MASK_NAMES},
+}
+
+
+class _GroundTruth(msgspec.Struct):
+    """Ground truth that a recording has; that of test participants is withheld."""
+
+    object_pose_gt: bool
+    umetrack_hand_pose_gt: bool
+    mano_hand_pose_gt: bool = False
+
+
+class Metadata(msgspec.Struct):
+    """``metadata.json``."""
+
+    headset: str
+    participant_id: str
+    recording_name: str
+    gt_available_status: _GroundTruth
+
+
+METADATA_DECODER = msgspec.json.Decoder(Metadata)
+
+
+def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingFiles, ...]:
+    """List the recordings of a HOT3D folder: the dataset's (recordings in it or one level deeper), or one recording.
+
+    Recordings of Quest 3 and of test participants are listed with the reason why they are skipped.
+
+    Raises:
+        InputFileError: if ``root`` holds none, saying what was looked for and what was found. Damaged metadata is
+            reported when its recording is read, not here.
+    """
+    root = existing_folder(root, "a folder of HOT3D recordings")
+    found = [
+        _recording(root, path.parent, options)
+        for pattern in ("", "*/", "*/*/")
+        for path in sorted(root.glob(f"{pattern}{hot3d.METADATA_FILE}"))
+        if not any(part.startswith(".") for part in path.relative_to(root).parts) and _is_hot3d(path.parent)
+    ]
+    if not found:
+        raise InputFileError(
+            root,
+            "",
+            expected=f"recordings of HOT3D: folders that hold {hot3d.METADATA_FILE}, at most two levels down",
+            found=names_in(root),
+            remedy="Give the folder of the recordings. Clips in tar files (HOT3D-Clips) are another format.",
+        )
+    return tuple(sorted(found, key=lambda recording: recording.recording_id))
+
+
+def _recording(root: Path, folder: Path, options: Hot3dOptions) -> RecordingFiles:
+    tree = synthetic_tree_around(folder, root)
+    files = [input_file(METADATA, folder / hot3d.METADATA_FILE)]
+    files += [input_file(role, folder / name) for role, name in _FILES.items() if is_present(folder / name)]
+    files += find_mps_files(folder / hot3d.MPS_FOLDER)
+    files += _library_files(root, folder)
+    files += _mano_models(options)
+    files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
+    dataset, splits = ("hot3d", {}) if tree is None else (f"{SYNTHETIC_PREFIX}hot3d", tree.split)
+    split = splits.get(folder.name)
+    skip = _skip_reason(folder)
+    return RecordingFiles(dataset, folder.name, folder, tuple(files), split=split, skip_reason=skip)
+
+
+def _library_files(root: Path, folder: Path) -> list[InputFile]:
+    """The table of names, and the models of those objects that this recording tracks."""
+    bases = dict.fromkeys((root, folder.parent, folder.parent.parent))
+    places = [base / name for base in bases for name in hot3d.LIBRARY_FOLDERS]
+    library = next((place for place in places if is_present(place / hot3d.INSTANCES_FILE)), None)
+    if library is None:
+        return []
+    models = [(uid, library / f"{uid}.glb") for uid in _object_ids(folder / hot3d.OBJECTS_FILE)]
+    return [
+        input_file(INSTANCES, library / hot3d.INSTANCES_FILE),
+        *(input_file(f"{MODEL_PREFIX}{uid}", path) for uid, path in models if is_present(path)),
+    ]
+
+
+def _object_ids(path: Path) -> list[str]:
+    """Digits only, so that no uid of a file can name a path; none of a missing or damaged file."""
+    try:
+        table = read_columns(path, {hot3d.OBJECT_ID: str})
+    except InputFileError:
+        return []
+    return sorted(uid for uid in table[hot3d.OBJECT_ID].unique().to_pylist() if uid.isdecimal())
+
+
+def _mano_models(options: Hot3dOptions) -> list[InputFile]:
+    if options.hands != "mano" or options.mano_models is None:
+        return []
+    folder = options.mano_models.expanduser()
+    paths = {side: folder / f"MANO_{side.upper()}.npz" for side in ("left", "right")}
+    return [input_file(f"{hot3d.MANO_MODEL_PREFIX}{side}", path) for side, path in paths.items() if path.is_file()]
+
+
+def _skip_reason(folder: Path) -> str | None:
+    try:
+        return why_unusable(decode_json(folder / hot3d.METADATA_FILE, METADATA_DECODER))
+    except InputFileError:
+        return None  # reported when the recording is read
+
+
+def why_unusable(metadata: Metadata) -> str | None:
+    """Say why a recording cannot be primed, or None: it needs Aria glasses and poses of objects and hands."""
+    if metadata.headset != hot3d.ARIA:
+        return f"recorded with {metadata.headset}, which has no gaze; only Aria recordings can be primed"
+    status = metadata.gt_available_status
+    missing = [
+        what
+        for what, there in (("objects", status.object_pose_gt), ("hands", status.umetrack_hand_pose_gt))
+        if not there
+    ]
+    if missing:
+        return f"the dataset withholds the ground truth of {' and '.join(missing)} (a test participant)"
+    return None
+
+
+def _is_hot3d(folder: Path) -> bool:
+    """Return True for a recording of this dataset: other datasets call their metadata the same."""
+    if any((folder / name).is_file() for name in (hot3d.HEADSET_FILE, hot3d.OBJECTS_FILE, hot3d.UMETRACK_FILE)):
+        return True
+    try:
+        decode_json(folder / hot3d.METADATA_FILE, METADATA_DECODER)
+    except InputFileError:
+        return False
+    return True
+
+
+def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
+    """The streams of one recording, each clock from its own start.
+
+    Ground truth and glasses have different clocks, which only reading all poses relates. The glasses record from the
+    beginning to the end of the ground truth, or longer; so they are at least as long.
+    """
+    device = [
+        _device_stream(file) for file in found.files if file.role in (TRAJECTORY, GAZE) and can_be_looked_at(file)
+    ]
+    body = body_extent(found)
+    truth = [_truth_stream(file) for file in found.files if file.role in (HEADSET, OBJECTS, UMETRACK, hot3d.MANO)]
+    masks = [_truth_stream(file) for file in found.files if file.role.startswith(MASK_PREFIX)]
+    return (*_from_start([*truth, *masks]), *_from_start(device if body is None else [*device, body]))
+
+
+def _device_stream(file: InputFile) -> Extent:
+    stream = "glasses" if file.role == TRAJECTORY else "gaze"
+    return replace(csv_extent(stream, file, TIME_COLUMN, 1e-6), tells_span=False, slack=SEVERAL_SENSORS)
+
+
+def _truth_stream(file: InputFile) -> Extent:
+    """Hands have no row where none was seen, as at the start of many recordings."""
+    if file.role in (UMETRACK, hot3d.MANO):
+        return replace(json_extent("hands", file), may_start_late=True)
+    stream = {HEADSET: "glasses' ground truth", OBJECTS: "objects"}.get(file.role, "mask")
+    return csv_extent(stream, file, hot3d.TIME, 1e-9)
+
+
+def _from_start(streams: Sequence[Extent]) -> tuple[Extent, ...]:
+    """The same with times since the first of all samples."""
+    start = min((stream.first for stream in streams if stream.first is not None), default=0.0)
+    return tuple(
+        replace(
+            stream,
+            first=None if stream.first is None else stream.first - start,
+            last=None if stream.last is None else stream.last - start,
+        )
+        for stream in streams
+    )
+
+
+_METRES = 7
+"""Decimals: float32 millimetres carry no more."""
+
+
+class _Accessor(msgspec.Struct):
+    count: int
+
+
+class _Description(msgspec.Struct):
+    """The JSON part of a binary glTF, as far as it declares sizes."""
+
+    accessors: list[_Accessor] = []
+
+
+class Instance(msgspec.Struct):
+    """One entry of ``instance.json``."""
+
+    instance_name: str
+    instance_type: str
+
+
+_INSTANCES = msgspec.json.Decoder(dict[str, Instance])
+
+
+def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], tuple[str, ...]]:
+    """All objects that a recording tracks, by uid, and remarks.
+
+    An object without a model keeps its poses; without a name it is called by its uid.
+
+    Raises:
+        InputFileError: for a missing or damaged file, a pose that is no pose, a clock that runs backwards, no object.
+    """
+    path = found.require(OBJECTS, hot3d.OBJECTS_FILE)
+    rows = _read_pose_rows(path)
+    instances = read_instances(found.require(INSTANCES, f"../assets/{hot3d.INSTANCES_FILE}"))
+    held = [uid for uid in sorted(rows) if uid not in instances or instances[uid].instance_type == hot3d.LIBRARY_OBJECT]
+    if not held:
+        raise InputFileError(path, hot3d.OBJECT_ID, expected="objects", found="headsets only")
+    models = {uid: found.path(f"{MODEL_PREFIX}{uid}") for uid in held}
+    objects = tuple(
+        hot3d.Hot3dObject(
+            object_id=uid,
+            name=instances[uid].instance_name if uid in instances else uid,
+            rows=rows[uid],
+            mesh=None if model is None else read_glb(model),
+        )
+        for uid, model in models.items()
+    )
+    nameless = [uid for uid in held if uid not in instances]
+    return objects, (f"objects without a name in {hot3d.INSTANCES_FILE}: {', '.join(nameless)}",) if nameless else ()
+
+
+def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
+    """Poses of every body of the file, by uid; uids stay text.
+
+    Raises:
+        InputFileError: if the file or a column is missing, it has no rows, a pose is no pose, or the clock of a body
+            stands still (a repeated row) or runs backwards.
+    """
+    poses = read_poses_by_body(
+        path, body={hot3d.OBJECT_ID: str}, time=hot3d.TIME, position=hot3d.POSITION, rotation=hot3d.ROTATION
+    )
+    if not poses:
+        raise InputFileError(
+            path,
+            "",
+            expected="rows of poses",
+            found="none",
+            remedy="metadata.json says that this ground truth is there; download the recording again.",
+        )
+    return {uid: hot3d.PoseRows(*rows) for uid, rows in poses.items()}
+
+
+def read_instances(path: Path) -> dict[str, Instance]:
+    """Names by uid.
+
+    Raises:
+        InputFileError: if the file is missing, damaged or lacks a key.
+    """
+    return decode_json(path, _INSTANCES)
+
+
+def read_glb(path: Path) -> ObjectMesh:
+    """Read the triangles of a model in the object's frame, metres: node transforms applied, materials left aside.
+
+    Raises:
+        InputFileError: if the file is missing, is no binary glTF, or holds no triangles.
+    """
+    import trimesh  # takes a third of a second, and only models need it
+
+    try:
+        require_size(path)
+        _require_plausible_counts(path)
+        with open(path, "rb") as file:
+            # Whatever a broken file makes the parser stumble over, the user needs its name.
+            scene = trimesh.load_scene(file, file_type="glb", process=False, skip_materials=True)
+        mesh = scene.to_mesh()
+    except FileNotFoundError as error:
+        raise missing_file(path) from error
+    except (InputFileError, MemoryError):
+        raise
+    except Exception as error:
+        raise InputFileError(
+            path,
+            "",
+            expected="a model in binary glTF",
+            found=f"{type(error).__name__}: {str(error)[:120]}",
+            remedy="The file may be truncated; download the object library again.",
+        ) from error
+    vertices = np.round(np.asarray(mesh.vertices, dtype=np.float64), _METRES)
+    if len(vertices) == 0 or len(mesh.faces) == 0 or not np.isfinite(vertices).all():
+        raise InputFileError(path, "", expected="triangles with finite corners", found=f"{len(mesh.faces)} triangles")
+    return ObjectMesh(vertices, np.asarray(mesh.faces, dtype=np.int64))
+
+
+def _require_plausible_counts(path: Path) -> None:
+    """Refuse arrays that declare more entries than the file has bytes, before the parser makes room for them.
+
+    Accessors without values in the file are zeros, so that a few bytes could declare any number of corners.
+    """
+    content = path.read_bytes()
+    length = int.from_bytes(content[12:16], "little")
+    description = msgspec.json.decode(content[20 : 20 + length], type=_Description)
+    largest = max((accessor.count for accessor in description.accessors), default=0)
+    if largest > len(content):
+        raise InputFileError(
+            path,
+            "accessors",
+            expected=f"at most {len(content):,} entries, one a byte of the file",
+            found=f"{largest:,}",
+            remedy="Download the object library again.",
+        )
+
+
+def read_headset(path: Path) -> hot3d.PoseRows:
+    """Poses of the glasses.
+
+    Raises:
+        InputFileError: see :func:`_read_pose_rows`; or if the file holds several headsets.
+    """
+    rows = _read_pose_rows(path)
+    if len(rows) > 1:
+        raise InputFileError(
+            path, hot3d.OBJECT_ID, expected="one headset", found=f"{len(rows)}: {', '.join(sorted(rows)[:3])}"
+        )
+    return next(iter(rows.values()))
+
+
+_TRUTH = {"True": True, "False": False, "true": True, "false": False, "1": True, "0": False}
+_DEFAULTS = Hot3dOptions()
+
+
+def read_readings(found: RecordingFiles, options: Hot3dOptions = _DEFAULTS) -> hot3d.Hot3dReadings:
+    """Read all that curation needs of one recording.
+
+    Raises:
+        InputFileError: for a missing or damaged file, or a world that is not Z up.
+        RecordingUnusable: for a recording of Quest 3, or without ground truth.
+    """
+    participant_id = _read_identity(found)
+    objects, remarks = read_objects(found)
+    headset = read_headset(found.require(HEADSET, hot3d.HEADSET_FILE))
+    hands, hand_remarks = read_umetrack(found.require(UMETRACK, hot3d.UMETRACK_FILE))
+    profile = found.path(PROFILE)
+    mano_hands, mano_remarks = read_mano_hands(found, options.mano_models) if options.hands == "mano" else (None, ())
+    masks = _read_masks(found)
+    mps = read_mps(found, thin=False)
+    _require_z_up(found, mps.trajectory.up)
+    body = read_bodies(found, cpf=mps_streams(mps, world_from_source=np.eye(4)).head)
+    return hot3d.Hot3dReadings(
+        recording_id=found.recording_id,
+        participant_id=participant_id,
+        headset=headset,
+        objects=objects,
+        hands=hands,
+        hand_model=None if profile is None else read_profile(profile),
+        masks=masks,
+        mps=mps,
+        body=body,
+        mano_hands=mano_hands,
+        messages=(*remarks, *hand_remarks, *mano_remarks, *(() if body is not None else (NO_OUTPUTS,))),
+    )
+
+
+def _read_identity(found: RecordingFiles) -> str:
+    """The participant, if the recording can be used."""
+    path = found.require(METADATA, hot3d.METADATA_FILE)
+    metadata = decode_json(path, METADATA_DECODER)
+    found.require_usable(why_unusable(metadata))
+    return metadata.participant_id
+
+
+def _read_masks(found: RecordingFiles) -> dict[hot3d.MaskName, hot3d.MaskRows]:
+    """Those masks that curation honours and the recording has.
+
+    Raises:
+        InputFileError: for a damaged file.
+    """
+    masks: dict[hot3d.MaskName, hot3d.MaskRows] = {}
+    for name in hot3d.MASK_NAMES:
+        path = found.path(f"{MASK_PREFIX}{name}")
+        if path is not None:
+            masks[name] = read_mask(path)
+    return masks
+
+
+def read_mask(path: Path) -> hot3d.MaskRows:
+    """One mask of the RGB stream, in the order of time.
+
+    Raises:
+        InputFileError: if the file or a column is missing, or a value is neither True nor False.
+    """
+    table = read_columns(path, {hot3d.TIME: int, hot3d.STREAM: str, hot3d.MASK: str})
+    values = table[hot3d.MASK].to_numpy()
+    streams = table[hot3d.STREAM].to_numpy()
+    unknown = np.flatnonzero(~np.isin(values, list(_TRUTH)))
+    if len(unknown):
+        row = int(unknown[0])
+        raise InputFileError(path, f"line {row + 2}", expected="True or False", found=f"'{values[row]}'")
+    rgb = streams == hot3d.RGB_STREAM
+    time_ns, first = np.unique(table[hot3d.TIME].to_numpy()[rgb], return_index=True)
+    return hot3d.MaskRows(time_ns, np.isin(values[rgb], [text for text, good in _TRUTH.items() if good])[first])
+
+
+def _require_z_up(found: RecordingFiles, up: np.ndarray) -> None:
+    if np.linalg.norm(up - np.array([0.0, 0.0, 1.0])) > 1e-3:
+        raise InputFileError(
+            found.folder / hot3d.MPS_FOLDER,
+            "gravity columns of the trajectory",
+            expected="gravity along -Z (HOT3D's world is Z up)",
+            found=f"up = {(np.round(up, 3) + 0.0).tolist()}",
+            remedy="This trajectory belongs to another dataset; download the recording's own.",
+        )
