@@ -169,7 +169,7 @@ def _configuration(
     method: str, config: str | None, *, stage: str | None, overrides: Sequence[tuple[str, str]]
 ) -> Answer:
     """Answer with the configuration that a training would have."""
-    from prbench.harness.methods.training_tasks import load_task
+    from prbench.harness.methods.installed import load_task
     from prbench_adapters.training.configuration import as_toml
     from prbench_adapters.training.run import resolved
 

@@ -68,5 +68,5 @@ def test_docstrings_comments_and_blank_lines_are_no_code():
 def test_synthetic_recordings_and_checks_are_not_core():
     assert is_core(ROOT / "prbench/readers/adt/format.py")
     assert not is_core(ROOT / "prbench/readers/adt/synthetic/sensors.py")
-    assert not is_core(ROOT / "prbench/checking/doctor/clock.py")
+    assert not is_core(ROOT / "prbench/checking/doctor/frame_rate.py")
     assert not is_core(ROOT / "adapters/static.py")

@@ -150,7 +150,7 @@ def run(folder: Path, *arguments: object, expected: int | None = 0, said: io.Str
     said = said or io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), pytest.MonkeyPatch.context() as patch:
         if "toy" in arguments:
-            patch.setattr("prbench.harness.methods.training_tasks.entry_points_of", entry_points_of)
+            patch.setattr("prbench.harness.methods.installed.entry_points_of", entry_points_of)
         code = main([str(argument) for argument in arguments])
     if code not in (0, 3, 8) or (expected is not None and code != expected):
         sys.stderr.write(said.getvalue())

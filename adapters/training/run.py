@@ -14,7 +14,7 @@ import torch
 from prbench.engine import Engine, InProcess, close_engine
 from prbench.errors import TrainingStopped, UsageError
 from prbench.files.storage import sole_writer
-from prbench.harness.methods.training_tasks import load_task
+from prbench.harness.methods.installed import load_task
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.folds import fold_table, parse_fold
 from prbench_adapters.training.batches import LengthBatches, load_batches

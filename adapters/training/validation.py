@@ -22,8 +22,7 @@ from prbench.contract import Adapter, Condition
 from prbench.engine import Engine, InProcess
 from prbench.errors import UsageError
 from prbench.harness.conditions import ConditionSource, run_salt
-from prbench.harness.methods.declared import Declared
-from prbench.harness.methods.motions import generate_checked
+from prbench.harness.methods.motions import Declared, generate_checked
 from prbench.harness.planning import Selection, plan_batches, select, supported
 from prbench.harness.run_folder.predictions import PredictionRows, write_part
 from prbench.harness.scoring import ScoringRules, score_selection

@@ -19,7 +19,7 @@ from prbench.contract import Condition
 from prbench.engine import Engine
 from prbench.errors import PrbenchError, StorageError, TrainingStopped, UsageError
 from prbench.files.storage import file_digest
-from prbench.harness.methods.training_tasks import load_task
+from prbench.harness.methods.installed import load_task
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import FILE_NAME as RUN

@@ -16,10 +16,10 @@ import numpy as np
 from benchmarks.speed.timing import Row, print_rows
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions
 from prbench.geometry.skeleton import N_JOINTS
+from prbench.harness.methods.messages import batch_of, motions_payload, read_message, write_message
 from prbench.harness.methods.motions import generate_checked
-from prbench.harness.methods.remote.adapter import RemoteAdapter
-from prbench.harness.methods.remote.messages import batch_of, motions_payload, read_message, write_message
-from prbench.harness.methods.remote.process import Program
+from prbench.harness.methods.process import Program
+from prbench.harness.methods.remote import RemoteAdapter
 
 
 class Standing:

@@ -12,9 +12,8 @@ from jaxtyping import Float
 from prbench.contract import Adapter, Condition, ConditionBatch, Trainable
 from prbench.errors import UsageError
 from prbench.files.storage import text_digest
-from prbench.harness.methods.adapters import chosen_condition, load_adapter, weights_digest
-from prbench.harness.methods.declared import Declared
-from prbench.harness.methods.motions import generate_checked, native_frames
+from prbench.harness.methods.loading import chosen_condition, load_adapter, weights_digest
+from prbench.harness.methods.motions import Declared, generate_checked, native_frames
 from prbench.randomness import noise_seed
 from prbench.representation import encode
 from prbench_benchmarks.text_to_motion.clips import Clip, Draw, longest

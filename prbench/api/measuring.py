@@ -15,7 +15,7 @@ from jaxtyping import Float
 from prbench.api.pictures import frozen
 from prbench.errors import UsageError, did_you_mean
 from prbench.geometry.skeleton import N_JOINTS
-from prbench.harness.methods.coordinates import coordinate_problem
+from prbench.harness.methods.motions import coordinate_problem
 from prbench.metrics import METRICS_OF_MOTIONS, STUDY_METRICS, UNKNOWN_HAND, MotionBatch, ScoringTargets, printed_unit
 from prbench.metrics import score as score_metrics
 from prbench.protocol.manifests import load_protocol

@@ -14,7 +14,7 @@ from prbench.board.merging import merge_folds
 from prbench.errors import RunError
 from prbench.files.bounded import foreign_input
 from prbench.harness.benchmark import Benchmark, load_benchmark
-from prbench.harness.methods.names import METHOD_CONTROLS, name_problem
+from prbench.harness.methods.installed import METHOD_CONTROLS, name_problem
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder.cost import RunCost
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder

@@ -137,7 +137,7 @@ def _print_methods(methods: list[InstalledEntry]) -> None:
 
 
 def _print_details(report: MethodsReport) -> None:
-    from prbench.harness.methods.training_tasks import list_tasks
+    from prbench.harness.methods.installed import list_tasks
 
     tasks = list_tasks()
     rows = []

@@ -380,8 +380,7 @@ def replace_option(what: str = "table") -> _Decorator:
 
 def complete_method(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:  # noqa: ARG001
     """Return the installed methods and the controls that begin with what was typed, for the shell's completion."""
-    from prbench.harness.methods.installed import list_adapters
-    from prbench.harness.methods.names import METHOD_CONTROLS
+    from prbench.harness.methods.installed import METHOD_CONTROLS, list_adapters
     from prbench.protocol.benchmarks import find_benchmark
 
     about = find_benchmark(ctx.params.get("benchmark") or default_benchmark().name)

@@ -372,9 +372,9 @@ def _opened(choice: EngineChoice, experiment: Experiment) -> Engine:
 
 def _require_runnable(method: ExperimentMethod, device: str) -> None:
     """Refuse an unknown method, or one that has to be told its condition, before half a minute goes into tables."""
-    from prbench.harness.methods.adapters import chosen_condition, find_adapter, load_adapter
-    from prbench.harness.methods.names import METHOD_CONTROLS
-    from prbench.harness.methods.programs.words import is_program
+    from prbench.harness.methods.installed import METHOD_CONTROLS
+    from prbench.harness.methods.loading import chosen_condition, find_adapter, load_adapter
+    from prbench.harness.methods.programs import is_program
 
     if method.name in METHOD_CONTROLS or is_program(method.name):
         return
@@ -525,7 +525,7 @@ def supervised(command: _Command, arguments: Sequence[str], *, method: str) -> i
         signal.signal(number, handler)
     if receiver.poll():
         return int(receiver.recv_bytes())
-    from prbench.harness.methods.remote.faults import exit_story
+    from prbench.harness.methods.process import exit_story
 
     status = child.exitcode or 0
     if -status in (signal.SIGINT, signal.SIGTERM):

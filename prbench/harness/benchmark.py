@@ -23,8 +23,8 @@ from jaxtyping import Int
 
 from prbench.engine import Engine
 from prbench.errors import UsageError, did_you_mean
-from prbench.harness.methods.groups import MethodGroup
-from prbench.harness.methods.loaded_methods import LoadedMethod, MethodSpec
+from prbench.harness.methods.loading import LoadedMethod, MethodSpec
+from prbench.harness.methods.remote import MethodGroup
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder.coded_scores import CodedScores
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder

@@ -28,7 +28,7 @@ from prbench.harness.body_movements import (
     reaching,
     yaw_to_goal,
 )
-from prbench.harness.methods.names import FLOAT, STARE, STARE_LATE, TELEPORT, TREMOR
+from prbench.harness.methods.installed import FLOAT, STARE, STARE_LATE, TELEPORT, TREMOR
 from prbench.harness.scripted import ScriptedStart, scripted_joints
 
 _ARRIVAL = 2.0  # s, the lead of every sequence before its prime time (docs/specification/curation.md#clip)

@@ -24,8 +24,7 @@ from prbench.contract import Motions
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.cheats import CHEATS, cheating_motions
 from prbench.harness.conditions import ConditionSource, ConditionStream
-from prbench.harness.methods.motions import native_frames, resampled
-from prbench.harness.methods.names import (
+from prbench.harness.methods.installed import (
     FLOAT,
     GROUND_TRUTH,
     GROUND_TRUTH_20_FPS,
@@ -39,6 +38,7 @@ from prbench.harness.methods.names import (
     TELEPORT,
     TREMOR,
 )
+from prbench.harness.methods.motions import native_frames, resampled
 from prbench.harness.nearest_neighbour import retrieved_motions
 from prbench.harness.planning import Selection
 from prbench.harness.scripted import ScriptedStart, scripted_motions
@@ -91,7 +91,7 @@ def control_motions(
     """The motions of a control for each planned batch, in order.
 
     Args:
-        name: One of :data:`~prbench.harness.methods.names.METHOD_CONTROLS`.
+        name: One of :data:`~prbench.harness.methods.installed.METHOD_CONTROLS`.
         selection: The chosen sequences.
         source: Their conditions, for ``nearest-neighbour`` those of all; ``scripted`` takes its goals from here.
         plan: Of :func:`prbench.harness.planning.plan_batches`.

@@ -12,9 +12,8 @@ import msgspec
 import psutil
 
 from prbench.harness.benchmark import Answer, Question
-from prbench.harness.methods.loaded_methods import MethodSpec
-from prbench.harness.methods.parameters import count_parameters
-from prbench.harness.methods.users_environment import computing_threads
+from prbench.harness.methods.loading import MethodSpec, count_parameters
+from prbench.harness.methods.process import computing_threads
 from prbench.harness.run_folder.cost import BatchCost
 from prbench.harness.run_folder.predictions import write_part
 

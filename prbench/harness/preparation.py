@@ -15,17 +15,19 @@ from jaxtyping import Int
 
 import prbench
 from prbench.harness.benchmark import Benchmark, Cases, CaseWork, Rules, load_benchmark
-from prbench.harness.methods.adapters import (
+from prbench.harness.methods.loading import (
+    LoadedMethod,
+    MethodSpec,
     chosen_condition,
     find_adapter,
+    forget_loaded_methods,
+    method_spec,
     require_weights,
     used_weights,
     weights_digest,
 )
-from prbench.harness.methods.declared import Declared
-from prbench.harness.methods.loaded_methods import LoadedMethod, MethodSpec, forget_loaded_methods
-from prbench.harness.methods.methods import method_spec
-from prbench.harness.methods.remote.method import RemoteMethod
+from prbench.harness.methods.motions import Declared
+from prbench.harness.methods.remote import RemoteMethod
 from prbench.harness.planning import plan_digest
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder.record import (

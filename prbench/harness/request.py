@@ -28,10 +28,9 @@ class RunRequest:
     """
 
     method: str
-    """Name of an installed adapter; of a control (``prbench.harness.methods.names.METHOD_CONTROLS``); ``cmd:`` and a
-    command;
-    or path of a TOML file that describes a program. What is recorded and shown is never this text but the method's own
-    name (``RunRecord.method.name``)."""
+    """Name of an installed adapter; of a control (``prbench.harness.methods.installed.METHOD_CONTROLS``); ``cmd:`` and
+    a command; or path of a TOML file that describes a program. What is recorded and shown is never this text but the
+    method's own name (``RunRecord.method.name``)."""
     data: tuple[Path, ...]
     """Dataset folders."""
     benchmark: str = PROTOCOL_NAME

@@ -23,7 +23,7 @@ from prbench.engine import Engine, InProcess
 from prbench.errors import AdapterError, MemoryFullError
 from prbench.files.storage import remove_half_written, sole_writer, write_text
 from prbench.harness.generation import BatchTask, run_batch
-from prbench.harness.methods.loaded_methods import forget_loaded_methods, unload_method
+from prbench.harness.methods.loading import forget_loaded_methods, unload_method
 from prbench.harness.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
 from prbench.harness.request import Progress, ProgressCallback, RunRequest, reported, silent
 from prbench.harness.results import require_scores, require_summary, summary_of

@@ -17,8 +17,13 @@ from prbench.errors import PredictionsError
 from prbench.geometry.boxes import Boxes
 from prbench.harness.conditions import opaque_ids, run_salt
 from prbench.harness.lengths import length_problem
-from prbench.harness.methods.coordinates import coordinate_problem, gaze_problem, impossible_frames
-from prbench.harness.methods.motions import at_table_rate, native_frames
+from prbench.harness.methods.motions import (
+    at_table_rate,
+    coordinate_problem,
+    gaze_problem,
+    impossible_frames,
+    native_frames,
+)
 from prbench.harness.obstacles import SCENE_COLUMNS, SolidBoxes
 from prbench.harness.planning import WINDOW, Selection
 from prbench.harness.recorded_motion import is_recorded_motion

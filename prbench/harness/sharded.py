@@ -17,7 +17,7 @@ from prbench.engine import Engine, InProcess
 from prbench.engine.shards import FILE_NAME, Shard, ShardRecord, begin_shard, require_settings
 from prbench.errors import ShardError
 from prbench.files.storage import atomic_path, remove_half_written, remove_leftovers, require_replaceable, sole_writer
-from prbench.harness.methods.loaded_methods import forget_loaded_methods
+from prbench.harness.methods.loading import forget_loaded_methods
 from prbench.harness.preparation import DEFAULT_PARENT, PreparedRun, prepare_recorded, prepare_run
 from prbench.harness.request import ProgressCallback, RunRequest, silent
 from prbench.harness.run import RunPart, RunReport, generate_all, prepared_folder, remove_empty, scored_parts

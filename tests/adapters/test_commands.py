@@ -15,7 +15,7 @@ import pytest
 from prbench.cli import main
 from prbench.errors import TrainingError, UsageError
 from prbench.files.storage import file_digest, read_json
-from prbench.harness.methods import training_tasks as installed
+from prbench.harness.methods import installed
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import participant_folds
 from prbench_adapters.training.dataset import SequenceDataset
@@ -31,9 +31,9 @@ INSTALLED = installed.entry_points_of
 VALIDATED = ["--set", "validation.every=4", "--set", "validation.condition=goal-loc", "--set", "validation.sequences=3"]
 SCRIPT = """
 import sys
-import prbench.harness.methods.training_tasks
+import prbench.harness.methods.installed
 from tests.adapters.training.toy import entry_points_of
-prbench.harness.methods.training_tasks.entry_points_of = entry_points_of
+prbench.harness.methods.installed.entry_points_of = entry_points_of
 from prbench.cli import main
 sys.exit(main(sys.argv[1:]))
 """
@@ -41,7 +41,7 @@ sys.exit(main(sys.argv[1:]))
 
 @pytest.fixture(autouse=True)
 def toy_is_installed(monkeypatch, tmp_path_factory):
-    monkeypatch.setattr("prbench.harness.methods.training_tasks.entry_points_of", entry_points_of)
+    monkeypatch.setattr("prbench.harness.methods.installed.entry_points_of", entry_points_of)
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path_factory.getbasetemp() / "train-cache"))
     # Curves are drawn once, in `trained`.
     monkeypatch.setattr("prbench_adapters.training.outputs.draw_curves", lambda *arguments: None)
@@ -62,7 +62,7 @@ def trained(data, tmp_path_factory):
     out = tmp_path_factory.mktemp("trained")
     printed, said = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("prbench.harness.methods.training_tasks.entry_points_of", entry_points_of)
+        patch.setattr("prbench.harness.methods.installed.entry_points_of", entry_points_of)
         patch.setenv("PRBENCH_CACHE", str(tmp_path_factory.getbasetemp() / "train-cache"))
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
             assert main(command(data, out, *VALIDATED)) == 0, said.getvalue()
@@ -114,7 +114,7 @@ NOT_THE_SAME = ("timing.json", "tensorboard/")
 
 def test_two_smoke_trainings_have_the_same_bytes_but_for_their_times(data, tmp_path, monkeypatch):
     monkeypatch.setattr("prbench_adapters.training.outputs.draw_curves", draw_curves)
-    monkeypatch.setattr("prbench.harness.methods.training_tasks.entry_points_of", INSTALLED)
+    monkeypatch.setattr("prbench.harness.methods.installed.entry_points_of", INSTALLED)
     folders = [tmp_path / "one", tmp_path / "other"]
     for out in folders:
         assert main(["train", "--method", "pr", "--config", "smoke", "--data", str(data), "--out", str(out)]) == 0

@@ -10,7 +10,7 @@ import torch
 from prbench.contract import Condition
 from prbench.errors import AdapterError
 from prbench.files.storage import file_digest
-from prbench.harness.methods.adapters import load_adapter
+from prbench.harness.methods.loading import load_adapter
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.predictions import Predictions

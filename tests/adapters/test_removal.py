@@ -26,9 +26,9 @@ import numpy, safetensors.torch, scipy.spatial, torch  # what takes long to impo
 def look_around(removed):
     import prbench
     from prbench.errors import AdapterError
-    from prbench.harness.methods.adapters import load_adapter
+    from prbench.harness.methods.loading import load_adapter
     from prbench.harness.methods.installed import list_adapters
-    from prbench.harness.methods.training_tasks import list_tasks, load_task
+    from prbench.harness.methods.installed import list_tasks, load_task
     from prbench_adapters.diffusion.bundled import bundled_names
 
     assert prbench.__file__.startswith(sys.path[0])

@@ -11,7 +11,7 @@ import torch
 
 from prbench.board import export
 from prbench.cli import main
-from prbench.harness.methods.parameters import count_parameters
+from prbench.harness.methods.loading import count_parameters
 from prbench.harness.run_folder.cost import BatchCost, total_cost
 from prbench.harness.run_folder.record import FILE
 from tests.board.test_tables import cells, leaderboard, only, write_run

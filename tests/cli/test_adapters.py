@@ -6,7 +6,7 @@ import pytest
 
 from prbench.cli import main
 from prbench.errors import AdapterError
-from prbench.harness.methods.training_tasks import load_task
+from prbench.harness.methods.installed import load_task
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 

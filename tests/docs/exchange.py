@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 
 from prbench.contract import Condition, ConditionBatch
-from prbench.harness.methods.remote.messages import conditions_payload, encode_message, read_message
+from prbench.harness.methods.messages import conditions_payload, encode_message, read_message
 from tests.docs.interpreters import EXAMPLES, ROOT
 from tests.fakes import STANDING
 

@@ -12,9 +12,9 @@ import pytest
 
 from prbench.contract import Motions
 from prbench.errors import AdapterError
-from prbench.harness.methods.remote.answers import Introduction, motions_in
-from prbench.harness.methods.remote.faults import ReportedError
-from prbench.harness.methods.remote.messages import motions_of, motions_payload, parse_header, shown_json
+from prbench.harness.methods.messages import motions_of, motions_payload, parse_header, shown_json
+from prbench.harness.methods.process import ReportedError
+from prbench.harness.methods.remote import Introduction, motions_in
 from tests.docs.exchange import batch
 from tests.docs.test_wire_protocol import section, table
 from tests.fakes import STANDING

@@ -16,11 +16,11 @@ import pytest
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
 from prbench.geometry.skeleton import PARENTS, Joint
+from prbench.harness.methods import messages, process, remote
+from prbench.harness.methods.installed import NAME_FORM
 from prbench.harness.methods.motions import generate_checked
-from prbench.harness.methods.names import NAME_FORM
-from prbench.harness.methods.remote import answers, messages, process
-from prbench.harness.methods.remote.adapter import RemoteAdapter
-from prbench.harness.methods.remote.process import Program
+from prbench.harness.methods.process import Program
+from prbench.harness.methods.remote import RemoteAdapter
 from tests.docs.exchange import PAGE, Exchange, batch, decoded, page_with
 from tests.docs.interpreters import javascript
 from tests.fakes import STANDING
@@ -58,7 +58,7 @@ def test_limits_and_times_are_those_of_the_code():
     assert limits["time to exit after the end of stdin"][0] == f"{process.EXIT_SECONDS:g} s"
     assert f"SIGTERM, {process.TERM_SECONDS:g} s later SIGKILL" in limits["time to exit after the end of stdin"][1]
     assert f"| of the method, for tables and run folders; {NAME_FORM};" in section("2. `hello`, program to harness")
-    assert f"up to {answers._SHOWN_TEXT:,} characters" in section("2. `hello`, program to harness")
+    assert f"up to {remote._SHOWN_TEXT:,} characters" in section("2. `hello`, program to harness")
     assert limits["payload of an answer"][0] == "2 × `rows` × (largest `n_frames`) × 66 × 8 bytes + 1 MiB"
 
 

@@ -19,7 +19,7 @@ from prbench.cli import main
 from prbench.curation.options import BuildOptions
 from prbench.curation.sources import native_sources
 from prbench.errors import PrbenchError, UnforeseenInput
-from prbench.harness.methods.programs.description import read_description
+from prbench.harness.methods.programs import read_description
 from prbench.harness.offline import ConditionsFile, read_conditions, read_conditions_file
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench_adapters.corpora.sources import CorpusOptions, corpus_for, find_groups

@@ -8,7 +8,7 @@ import pytest
 from prbench.geometry.skeleton import WRISTS, Joint, bone_lengths
 from prbench.harness.cheats import CHEATS, cheating_motions
 from prbench.harness.controls import CONTROLS
-from prbench.harness.methods.names import METHOD_CONTROLS
+from prbench.harness.methods.installed import METHOD_CONTROLS
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import Predictions
 from prbench.harness.scripted import ScriptedStart

@@ -15,7 +15,7 @@ from prbench.checking.conformance.generators import generator_states, generators
 from prbench.contract import Adapter, ConditionBatch, Motions
 from prbench.errors import PrbenchError
 from prbench.harness.methods.motions import generate_checked
-from prbench.harness.methods.users_environment import computing_threads
+from prbench.harness.methods.process import computing_threads
 
 STATE_SEED = 20_240_607
 """Seed of the global generators before every call. Only the check of global generators uses another one."""

@@ -18,8 +18,7 @@ from prbench.checking.conformance.method_subject import MethodSubject
 from prbench.checking.conformance.report import CheckRequest, Outcome
 from prbench.errors import PrbenchError
 from prbench.harness.benchmark import load_benchmark
-from prbench.harness.methods.loaded_methods import forget_loaded_methods
-from prbench.harness.methods.methods import method_spec
+from prbench.harness.methods.loading import forget_loaded_methods, method_spec
 from prbench.harness.methods.programs import is_program
 
 Tell = Callable[..., None]

@@ -16,7 +16,7 @@ from prbench.checking.conformance.predictors.subject import BENCHMARK, Predictor
 from prbench.checking.conformance.report import CheckRequest
 from prbench.checking.conformance.subject import Subject
 from prbench.errors import UsageError
-from prbench.harness.methods.loaded_methods import MethodSpec
+from prbench.harness.methods.loading import MethodSpec
 from prbench.protocol.benchmarks import default_benchmark
 
 

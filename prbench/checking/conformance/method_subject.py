@@ -15,8 +15,8 @@ from jaxtyping import Float
 
 from prbench.checking.conformance.answer import STATE_SEED, AnyAnswer
 from prbench.checking.conformance.report import Remedy
-from prbench.harness.methods.declared import Declared
-from prbench.harness.methods.loaded_methods import LoadedMethod, MethodSpec
+from prbench.harness.methods.loading import LoadedMethod, MethodSpec
+from prbench.harness.methods.motions import Declared
 
 _FIRST = "first-motions.npy"
 _FEW = 2  # cases that even a slow method is asked about

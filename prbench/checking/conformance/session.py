@@ -25,11 +25,9 @@ from prbench.checking.conformance.method_subject import working_folder
 from prbench.checking.conformance.report import CheckRequest, Finding, Outcome, Report, failed, skipped
 from prbench.errors import UsageError
 from prbench.harness.benchmark import load_benchmark
-from prbench.harness.methods.loaded_methods import MethodSpec
-from prbench.harness.methods.methods import method_spec
-from prbench.harness.methods.names import METHOD_CONTROLS
-from prbench.harness.methods.remote.faults import exit_story
-from prbench.harness.methods.users_environment import python_words, users_environment
+from prbench.harness.methods.installed import METHOD_CONTROLS
+from prbench.harness.methods.loading import MethodSpec, method_spec
+from prbench.harness.methods.process import exit_story, python_words, users_environment
 
 _MODULE = "prbench.checking.conformance.child"
 _SHOWN_LINES = 5

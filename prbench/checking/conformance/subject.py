@@ -15,8 +15,7 @@ from prbench.checking.conformance.method_subject import MethodSubject
 from prbench.checking.conformance.report import Remedy
 from prbench.contract import Condition, ConditionBatch
 from prbench.harness.conditions import ConditionSource, run_salt
-from prbench.harness.methods.loaded_methods import LoadedMethod, MethodSpec
-from prbench.harness.methods.methods import fit_to_training_rows, fitted_to
+from prbench.harness.methods.loading import LoadedMethod, MethodSpec, fit_to_training_rows, fitted_to
 from prbench.harness.methods.motions import native_frames
 from prbench.harness.planning import rows_of
 from prbench.protocol.manifests import load_protocol

@@ -17,7 +17,7 @@ from importlib.resources import files
 import prbench
 from prbench.contract import GIVEN, Condition
 from prbench.errors import UsageError
-from prbench.harness.methods.names import name_problem
+from prbench.harness.methods.installed import name_problem
 from prbench.protocol.benchmarks import benchmarks, default_benchmark
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")

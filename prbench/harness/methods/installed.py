@@ -1,16 +1,103 @@
-"""Installed methods as package metadata name them (:mod:`prbench.entry_points`), and who may use which name."""
+"""Methods that are found by name: in package metadata, in a Python file or a module; and who may use which name.
+
+The one rule for names: prbench's own belong to prbench, and all others have a form that can be shown. A package, a
+program, a file of motions and a run folder in a leaderboard are asked the same question by :func:`name_problem`. Names
+are compared without case and punctuation, so that ``Ground_Truth`` passes for nothing.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+import ast
+import importlib
+import importlib.util
+import re
+import sys
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import replace
 from importlib.metadata import EntryPoint
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+from typing import Any
 
-from prbench.entry_points import ADAPTERS, InstalledEntry, installed_entries
-from prbench.errors import AdapterError, did_you_mean
-from prbench.harness.methods.names import has_form, name_problem
-from prbench.protocol.benchmarks import benchmark_of_group
+from prbench.entry_points import ADAPTERS, PREDICTORS, InstalledEntry, installed_entries
+from prbench.errors import AdapterError, PrbenchError, did_you_mean
+from prbench.files.storage import file_digest
+from prbench.protocol.benchmarks import benchmark_of_group, default_benchmark
 from prbench.shown import quoted
+
+GROUND_TRUTH = "ground-truth"
+GROUND_TRUTH_RESAMPLED = "ground-truth-resampled"
+GROUND_TRUTH_20_FPS = "ground-truth-20fps"
+GROUND_TRUTH_30_FPS = "ground-truth-30fps"
+SCRIPTED = "scripted"
+STARE = "stare"
+STARE_LATE = "stare-late"
+TREMOR = "tremor"
+TELEPORT = "teleport"
+FLOAT = "float"
+NEAREST_NEIGHBOUR = "nearest-neighbour"
+SHUFFLED_GOAL = "shuffled-goal"
+
+METHOD_CONTROLS = (
+    GROUND_TRUTH,
+    GROUND_TRUTH_RESAMPLED,
+    GROUND_TRUTH_20_FPS,
+    GROUND_TRUTH_30_FPS,
+    SCRIPTED,
+    STARE,
+    STARE_LATE,
+    TREMOR,
+    TELEPORT,
+    FLOAT,
+    NEAREST_NEIGHBOUR,
+)
+"""Controls that ``--method`` takes."""
+BUILT_IN_METHODS = default_benchmark().methods
+"""Methods of the default benchmark that come with prbench, installed or not."""
+
+_WORDS = ("all", "prbench", "shuffled", "t2m-evaluator")
+"""Words that mean something else in commands and tables."""
+_LONGEST = 100
+_FORM = re.compile(r"[A-Za-z0-9]([A-Za-z0-9 ._+()-]*[A-Za-z0-9.+)])?")
+NAME_FORM = f"1 to {_LONGEST} characters of A to Z, a to z, 0 to 9, space and . _ + - ( ), first a letter or a digit"
+"""Form of a name, in words. Other alphabets hold letters that look like these and are not."""
+
+
+def has_form(name: object) -> bool:
+    """Return True where a name has the form that every method's name has, prbench's own too."""
+    return isinstance(name, str) and len(name) <= _LONGEST and _FORM.fullmatch(name) is not None
+
+
+def name_problem(name: object, *, own: Collection[str] = ()) -> str | None:
+    """Say what is wrong with the name that a package, a program or a file gives its method.
+
+    Args:
+        name: As it was given.
+        own: Further methods of prbench itself: those of the benchmark in question.
+
+    Returns:
+        A clause without a full stop, or None if the name can be used.
+    """
+    if not has_form(name):
+        return f"expected a name of {NAME_FORM}, found {quoted(repr(name))}"
+    owners = _OWNERS | {_bare(each): _OWN_METHOD for each in own}
+    owner = owners.get(_bare(str(name)))
+    return None if owner is None else f"'{name}' is {owner}; only prbench itself may use this name"
+
+
+def _bare(name: str) -> str:
+    """Return a name as a quick reader takes it in: small letters and digits."""
+    return re.sub(r"[^a-z0-9]", "", name.casefold())
+
+
+_OWN_METHOD = "a method of prbench itself"
+_OWNERS = {
+    **{_bare(name): "a reserved word of prbench" for name in _WORDS},
+    **{_bare(name): _OWN_METHOD for name in BUILT_IN_METHODS},
+    **{_bare(name): "a control of prbench" for name in (*METHOD_CONTROLS, SHUFFLED_GOAL)},
+}
+
 
 _UNKNOWN = "unknown"
 _PROGRAM_SUFFIXES = (".py", ".js", ".mjs", ".sh", ".exe", ".jl", ".rb", ".r", ".m")
@@ -80,3 +167,193 @@ def _adapters(entry_points: str) -> Iterator[InstalledEntry]:
         problem = entry.problem or name_problem(name, own=own) or ""
         # A name that cannot be shown safely is quoted, so that a list stays readable.
         yield replace(entry, name=name if has_form(name) else quoted(name), problem=problem, built_in=False)
+
+
+_LOAD = "load"
+_FILE = re.compile(r"(?P<path>.+\.py)(?::(?P<name>[A-Za-z_]\w*))?", re.IGNORECASE)
+_MODULE = re.compile(r"(?P<module>[A-Za-z_]\w*(\.[A-Za-z_]\w*)*):(?P<name>[A-Za-z_]\w*)")
+_SHOWN_DIGEST = 12
+
+
+def is_python_method(method: str) -> bool:
+    """Return True for an existing Python file, with or without ``:NAME``, and for ``module:NAME``."""
+    found = _FILE.fullmatch(method)
+    if found is not None:
+        return Path(found["path"]).expanduser().is_file()
+    return _MODULE.fullmatch(method) is not None
+
+
+def find_python_method(method: str) -> InstalledEntry:
+    """Return what is known of such a method without importing it.
+
+    Args:
+        method: As given by ``--method``.
+
+    Raises:
+        AdapterError: if the file has no such function, or no such module is found.
+    """
+    path, name = _source(method)
+    if name not in _top_level_names(path):
+        raise AdapterError(
+            f"{path}: expected a function '{name}(weights, *, options, device)' that makes the method, found none in"
+            f" this file. A program is given by its command, as 'cmd:python {path.name}'."
+        )
+    return InstalledEntry(method, path.name, file_digest(path)[:_SHOWN_DIGEST], f"{path}:{name}")
+
+
+def import_python_method(method: str) -> ModuleType:
+    """Import the module of such a method; what it imports from beside itself is found, as for a script.
+
+    Args:
+        method: As given by ``--method``.
+    """
+    by_name = _MODULE.fullmatch(method)
+    if by_name is not None:
+        return importlib.import_module(by_name["module"])
+    path, _ = _source(method)
+    name = f"prbench_method_{path.stem}_{file_digest(path)[:_SHOWN_DIGEST]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    # Before it runs: data classes look themselves up here.
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def python_loader(method: str) -> Callable[..., Any]:
+    """Import such a method, and return the function that makes it."""
+    _, name = _source(method)
+    return getattr(import_python_method(method), name)
+
+
+def _source(method: str) -> tuple[Path, str]:
+    """File and name of the function.
+
+    Raises:
+        AdapterError: if no such module is found.
+    """
+    found = _FILE.fullmatch(method)
+    if found is not None:
+        return Path(found["path"]).expanduser().absolute(), found["name"] or _LOAD
+    by_name = _MODULE.fullmatch(method)
+    assert by_name is not None
+    try:
+        spec = importlib.util.find_spec(by_name["module"])
+    except ModuleNotFoundError:
+        spec = None
+    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+        raise AdapterError(
+            f"method '{method}': expected a module '{by_name['module']}' that Python can import, found none."
+            " Install it, put its folder on PYTHONPATH, or give the path of its file."
+        )
+    return Path(spec.origin), by_name["name"]
+
+
+def _top_level_names(path: Path) -> set[str]:
+    """Names that a file makes; it is read and not run.
+
+    Raises:
+        AdapterError: if it is no Python.
+    """
+    try:
+        body = ast.parse(path.read_bytes()).body
+    except (SyntaxError, ValueError) as error:
+        raise AdapterError(f"{path}: expected Python, found: {error}.") from error
+    names = set()
+    for statement in body:
+        if isinstance(statement, ast.FunctionDef | ast.ClassDef):
+            names.add(statement.name)
+        elif isinstance(statement, ast.Assign):
+            names |= {target.id for target in statement.targets if isinstance(target, ast.Name)}
+        elif isinstance(statement, ast.Import | ast.ImportFrom):
+            names |= {alias.asname or alias.name for alias in statement.names}
+    return names
+
+
+ENTRY_POINT_GROUP = "prbench.training_tasks"
+_BESIDE_THE_METHOD = "training_task"
+"""The callable without arguments that makes the task of a method, in the module of the method's ``load``."""
+
+_DEFINITION = re.compile(rf"^def {_BESIDE_THE_METHOD}\b", re.MULTILINE)
+
+
+def list_tasks() -> tuple[str, ...]:
+    """Names of all installed tasks, without importing any of them."""
+    named = {point.name for point in entry_points_of(ENTRY_POINT_GROUP)}
+    beside = {point.name for point in _methods() if _defines_a_task(point)}
+    return tuple(sorted(named | beside))
+
+
+def load_task(name: str) -> Any:
+    """Import a task: what has a name, configurations and ``build``, as the training loop expects it.
+
+    Raises:
+        AdapterError: if there is none of this name (with those that there are), two packages offer it, or it cannot be
+            imported.
+    """
+    point = _find(name)
+    origin = f"training task '{name}' ({point.value})"
+    try:
+        task = point.load()()
+    except PrbenchError:
+        raise
+    except (Exception, SystemExit) as error:
+        cause = f"{type(error).__name__}: {error}".rstrip(".")
+        raise AdapterError(f"{origin}: cannot be loaded: {cause}. Repair or reinstall the package.") from error
+    missing = [part for part in ("name", "configurations", "build") if not hasattr(task, part)]
+    if missing:
+        raise AdapterError(f"{origin}: expected name, configurations and build(), found no {', '.join(missing)}.")
+    return task
+
+
+def _find(name: str) -> EntryPoint:
+    found = [point for point in entry_points_of(ENTRY_POINT_GROUP) if point.name == name]
+    if not found:
+        found = [_beside(point) for point in _methods() if point.name == name and _defines_a_task(point)]
+    if len({point.value for point in found}) > 1:
+        offers = ", ".join(point.value for point in found)
+        raise AdapterError(f"training task '{name}' is offered more than once: {offers}. Uninstall all but one.")
+    if not found:
+        known = list_tasks()
+        hint = did_you_mean(name, known)
+        if any(method.name == name for method in list_adapters()):
+            hint = (
+                f" The method '{name}' is not trained by this command; if it learns, `prbench run` fits it by itself."
+            )
+        raise AdapterError(f"nothing to train is called '{name}'.{hint} There are: {', '.join(known) or 'none'}.")
+    return found[0]
+
+
+def _methods() -> Iterator[EntryPoint]:
+    """The entry points of all methods, of whichever benchmark."""
+    yield from entry_points_of(ADAPTERS)
+    yield from entry_points_of(PREDICTORS)
+
+
+def _beside(method: EntryPoint) -> EntryPoint:
+    """The task that stands beside a method, as if it had an entry point."""
+    return EntryPoint(method.name, f"{_module(method)}:{_BESIDE_THE_METHOD}", ENTRY_POINT_GROUP)
+
+
+def _defines_a_task(method: EntryPoint) -> bool:
+    """Return True where a method's module defines the callable; its source is read, because a module may be broken."""
+    try:
+        spec = find_spec(_module(method))
+        source = Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin else ""
+    except (ImportError, ValueError, OSError):  # no such module, no source, no text: no task
+        return False
+    return _DEFINITION.search(source) is not None
+
+
+def _module(point: EntryPoint) -> str:
+    return point.value.partition(":")[0].strip()

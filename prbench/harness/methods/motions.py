@@ -1,27 +1,266 @@
-"""Ask a method for motions, at its own frame rate if it has one, and check every one before it is kept."""
+"""Ask a method for motions, and check what it declares and every motion before it is kept."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import gc
+import math
 import re
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from numbers import Integral, Real
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Float, Int
 
-from prbench.contract import Adapter, ConditionBatch, Cost, Gaze, Motions
+from prbench.contract import Adapter, Condition, ConditionBatch, Cost, Gaze, Motions
 from prbench.engine import is_out_of_memory
 from prbench.errors import AdapterError, InputFileError, PrbenchError
-from prbench.geometry.skeleton import N_JOINTS
-from prbench.harness.methods.coordinates import coordinate_problem, gaze_problem, impossible_frames
-from prbench.harness.methods.declared import Declared
-from prbench.limits import FARTHEST_COORDINATE
+from prbench.geometry.skeleton import N_JOINTS, Joint
+from prbench.limits import FARTHEST_COORDINATE, FARTHEST_EYES
+
+
+@dataclass(frozen=True)
+class Declared:
+    """The attributes of an adapter that the harness honours."""
+
+    conditions: frozenset[Any]
+    """Of the benchmark's own type."""
+    max_frames: int | None = None
+    """Longest motion at its own rate, in frames; None for no limit."""
+    native_fps: float | None = None
+    """Frames per second that it generates; None for the table's rate."""
+    motionless: bool = False
+    gaze: bool = False
+    """True if its motions bring gaze."""
+    wants_obstacles: bool = False
+    """Must be given the solid boxes around each sequence."""
+    one_design: bool = False
+    """The K futures of a window are one design: fewer are no part of more."""
+
+    @classmethod
+    def by(cls, adapter: Any, *, origin: str, conditions: type[StrEnum] = Condition) -> Declared:
+        """Read the attributes of a method.
+
+        Args:
+            adapter: The method.
+            origin: Name of the method in messages.
+            conditions: The conditions of its benchmark.
+
+        Raises:
+            AdapterError: naming the attribute that is not what the contract asks for.
+        """
+        declared = cls.checked(
+            adapter.conditions,
+            getattr(adapter, "max_frames", None),
+            getattr(adapter, "native_fps", None),
+            bool(getattr(adapter, "motionless", False)),
+            bool(getattr(adapter, "gaze", False)),
+            origin=origin,
+            known=conditions,
+        )
+        return replace(
+            declared,
+            wants_obstacles=bool(getattr(adapter, "wants_obstacles", False)),
+            one_design=bool(getattr(adapter, "one_design", False)),
+        )
+
+    @classmethod
+    def checked(
+        cls,
+        conditions: object,
+        max_frames: object,
+        native_fps: object,
+        motionless: bool,
+        gaze: bool = False,
+        *,
+        origin: str,
+        known: type[StrEnum] = Condition,
+    ) -> Declared:
+        """Read the same from values of unknown types.
+
+        Raises:
+            AdapterError: see :meth:`by`.
+        """
+        return cls(
+            _conditions(conditions, origin, known),
+            _max_frames(max_frames, origin),
+            _native_fps(native_fps, origin),
+            motionless,
+            gaze,
+        )
+
+
+def _conditions(value: object, origin: str, kind: type[StrEnum]) -> frozenset[Any]:
+    known = [condition.value for condition in kind]
+    if isinstance(value, Iterable) and not isinstance(value, str):
+        # A one-shot iterator may be all that a method gives.
+        found = list(value)
+        if found and all(item in known for item in found):
+            return frozenset(kind(item) for item in found)
+    raise AdapterError(f"{origin}: expected 'conditions' to be some of {', '.join(sorted(known))}, found {value!r}.")
+
+
+def _max_frames(value: object, origin: str) -> int | None:
+    if value is None:
+        return None
+    if isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 1:
+        return int(value)
+    raise AdapterError(f"{origin}: expected 'max_frames' to be a whole number of 1 or more, or None, found {value!r}.")
+
+
+def _native_fps(value: object, origin: str) -> float | None:
+    if value is None:
+        return None
+    with contextlib.suppress(OverflowError):  # a whole number beyond what a float holds
+        if isinstance(value, Real) and not isinstance(value, bool) and 0 < float(value) < math.inf:
+            return float(value)
+    raise AdapterError(f"{origin}: expected 'native_fps' to be frames per second above 0, or None, found {value!r}.")
+
+
+_SMALLEST = 0.65  # metres between the two joints of a human pose that lie farthest apart
+_TYPICAL = 1.5
+_LARGEST = 2.35
+_NO_BODY = 1e-9
+_UNIT_WITHIN = 0.01  # by which a direction's length may differ from 1, such as after rounding to half precision
+_POSES_PER_MOTION = 48
+_UNITS = (("millimetres", 1e-3), ("centimetres", 1e-2), ("inches", 0.0254), ("decimetres", 0.1), ("feet", 0.3048))
+
+
+class WrongUnit(NamedTuple):
+    """Bodies that are not of human size in metres."""
+
+    evidence: str
+    cause: str
+    remedy: str
+    metres_per_unit: float
+    """Factor that the numbers have to be multiplied by."""
+
+
+def spread_poses(motion: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "poses joints 3"]:
+    """Return at most 48 poses of a motion, evenly spread over its frames."""
+    return motion[np.linspace(0, len(motion) - 1, min(len(motion), _POSES_PER_MOTION)).astype(int)]
+
+
+def wrong_unit(poses: Float[np.ndarray, "poses joints 3"]) -> WrongUnit | None:
+    """Return the unit that bodies seem to be in, or None where they are of human size in metres or have no size.
+
+    Axes and the order of joints do not matter.
+    """
+    size = _body_size(poses)
+    if size < _NO_BODY or _SMALLEST <= size <= _LARGEST:
+        return None
+    evidence = f"the joints of a pose lie up to {size:.4g} apart (median); those of people 0.65 to 2.35 m"
+    # Several units may fit; the one that makes the body most usual wins.
+    fits = [unit for unit in _UNITS if _SMALLEST <= size * unit[1] <= _LARGEST]
+    if fits:
+        name, factor = min(fits, key=lambda unit: abs(np.log(size * unit[1] / _TYPICAL)))
+        cause = f"positions are in {name}"
+        remedy = f"Multiply the joints by {factor:g}: prbench wants metres."
+    else:
+        factor = _TYPICAL / size
+        cause = "positions were divided by a height or a standard deviation, or are in a unit of their own"
+        remedy = f"Undo the scaling before the motions are handed over; a factor near {factor:.3g} gives people's size."
+    return WrongUnit(evidence, cause, remedy, factor)
+
+
+def _body_size(poses: Float[np.ndarray, "poses joints 3"]) -> float:
+    """Return the median over poses of the largest distance between two joints, in the unit of the poses."""
+    apart = np.linalg.norm(poses[:, :, None] - poses[:, None], axis=-1)
+    return float(np.median(apart.max(axis=(1, 2))))
+
+
+def impossible_frames(
+    joints: Float[np.ndarray, "*frames 22 3"], farthest: float = FARTHEST_COORDINATE
+) -> Bool[np.ndarray, "*frames"]:
+    """Return True for each frame with a coordinate that is not finite, or farther out than any motion goes.
+
+    Args:
+        joints: In metres.
+        farthest: Metres from the origin; infinity to look for what is not finite alone.
+    """
+    return np.logical_not(_possible(joints, farthest).all(axis=(-2, -1)))
+
+
+def coordinate_problem(motion: Float[np.ndarray, "frames 22 3"], farthest: float = FARTHEST_COORDINATE) -> str | None:
+    """Say where a motion holds an impossible coordinate, and what its numbers look like.
+
+    Args:
+        motion: All frames of one motion, as it was handed in.
+        farthest: See :func:`impossible_frames`.
+
+    Returns:
+        ``frame …`` and the rest of a message, or None if all coordinates are possible.
+    """
+    frames = np.flatnonzero(impossible_frames(motion, farthest))
+    if not frames.size:
+        return None
+    frame = int(frames[0])
+    joint = int(np.flatnonzero(~_possible(motion[frame], farthest).all(axis=1))[0])
+    found = ", ".join(f"{value:.6g}" for value in motion[frame, joint])
+    if not np.isfinite(motion[frame, joint]).all():
+        expected = "finite positions"
+    else:
+        expected = f"coordinates within {farthest:g} m of the origin"
+    name = Joint(joint).name.lower().replace("_", " ")
+    return f"frame {frame}: expected {expected}, found [{found}] at joint {joint} ({name}).{_unit(motion)}"
+
+
+def gaze_problem(
+    motion: Float[np.ndarray, "frames 22 3"],
+    origin: Float[np.ndarray, "frames 3"],
+    direction: Float[np.ndarray, "frames 3"],
+) -> str | None:
+    """Say where gaze is no ray from a head.
+
+    Args:
+        motion: The joints of the same frames, metres.
+        origin: Between the eyes, same frame and unit.
+        direction: Of the ray.
+
+    Returns:
+        ``frame …`` and the rest of a message, or None if every frame has a ray from its head.
+    """
+    away = np.linalg.norm(origin - motion[:, Joint.HEAD], axis=-1)
+    length = np.linalg.norm(direction, axis=-1)
+    # Written as "not within", so that NaN counts as wrong.
+    elsewhere = ~(away <= FARTHEST_EYES)
+    no_unit = ~(np.abs(length - 1) <= _UNIT_WITHIN)
+    wrong = np.flatnonzero(elsewhere | no_unit)
+    if not wrong.size:
+        return None
+    frame = int(wrong[0])
+    if elsewhere[frame]:
+        return (
+            f"frame {frame}: expected eyes within {FARTHEST_EYES:g} m of the head joint, found them {away[frame]:.3g} m"
+            " away. Gaze stands in the frame of the joints, in metres."
+        )
+    return (
+        f"frame {frame}: expected a gaze direction of length 1, found {length[frame]:.4g}. Divide each by its length."
+    )
+
+
+def _possible(values: np.ndarray, farthest: float) -> np.ndarray:
+    """Return True for each number that is finite and within the distance."""
+    return np.isfinite(values) & (np.abs(values) <= farthest)
+
+
+def _unit(motion: np.ndarray) -> str:
+    """Say which unit the size of the body looks like; nothing where it is human or holds values that are not finite."""
+    if not np.isfinite(motion).all():
+        return ""
+    found = wrong_unit(spread_poses(motion.astype(np.float64)))
+    if found is None:
+        return ""
+    return f" {found.evidence[0].upper()}{found.evidence[1:]}: {found.cause}. {found.remedy}"
+
 
 _OPPOSITE = 1e-6  # length of the mean of two unit vectors that point against each other
 

@@ -17,13 +17,12 @@ from typing import Any, BinaryIO
 from prbench.contract import Trainable, TrainingRun
 from prbench.engine import is_out_of_memory
 from prbench.errors import PrbenchError
-from prbench.harness.methods.adapters import load_adapter, used_weights, weights_digest
-from prbench.harness.methods.declared import Declared
-from prbench.harness.methods.groups import MethodGroup, group_of
-from prbench.harness.methods.motions import release_memory, told
-from prbench.harness.methods.remote.messages import WIRE_VERSION, Header, read_message, write_message
+from prbench.harness.methods.loading import load_adapter, used_weights, weights_digest
+from prbench.harness.methods.messages import WIRE_VERSION, Header, read_message, write_message
+from prbench.harness.methods.motions import Declared, release_memory, told
+from prbench.harness.methods.process import computing_threads
+from prbench.harness.methods.remote import MethodGroup, group_of
 from prbench.harness.methods.training_split import FIT_SEED, TrainingCopy
-from prbench.harness.methods.users_environment import computing_threads
 from prbench.protocol.benchmarks import default_benchmark
 
 

@@ -9,9 +9,8 @@ from pathlib import Path
 
 from prbench.errors import UsageError
 from prbench.harness.benchmark import Benchmark
-from prbench.harness.methods.groups import MethodGroup
-from prbench.harness.methods.loaded_methods import MethodSpec
-from prbench.harness.methods.remote.method import RemoteMethod
+from prbench.harness.methods.loading import MethodSpec
+from prbench.harness.methods.remote import MethodGroup, RemoteMethod
 from prbench.harness.motion_prediction.cases import WindowCases, open_windows, single_windows
 from prbench.harness.motion_prediction.metrics import prediction_metrics
 from prbench.harness.motion_prediction.remote import RemotePredictor, serve_futures

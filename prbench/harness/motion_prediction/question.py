@@ -11,7 +11,7 @@ from jaxtyping import Float
 from prbench.engine import is_out_of_memory
 from prbench.errors import AdapterError, PrbenchError
 from prbench.harness.benchmark import Answer
-from prbench.harness.methods.loaded_methods import LoadedMethod
+from prbench.harness.methods.loading import LoadedMethod
 from prbench.harness.methods.motions import release_memory, told
 from prbench.harness.run_folder.predictions import PredictionRows
 from prbench.prediction.batch import ObservedBatch, ask

@@ -10,11 +10,9 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
 
+from prbench.harness.methods.messages import Header, arrow_stream, numbers_by_id
 from prbench.harness.methods.motions import asked_for
-from prbench.harness.methods.remote.answers import answer_in
-from prbench.harness.methods.remote.messages import Header, arrow_stream
-from prbench.harness.methods.remote.method import Exchange, RemoteMethod
-from prbench.harness.methods.remote.received import numbers_by_id
+from prbench.harness.methods.remote import Exchange, RemoteMethod, answer_in
 from prbench.prediction.batch import Condition, Futures, ObservedBatch, Predictor, require_futures
 
 

@@ -11,7 +11,7 @@ import pyarrow as pa
 from prbench.contract import Condition
 from prbench.errors import PredictionsError, UsageError
 from prbench.files.storage import turn_into_paths
-from prbench.harness.methods.names import SHUFFLED_GOAL, name_problem
+from prbench.harness.methods.installed import SHUFFLED_GOAL, name_problem
 from prbench.harness.offline.conditions_file import ConditionsFile, fingerprints, given_columns
 from prbench.harness.offline.export import GOALS, ExportRequest, conditions_of
 from prbench.harness.run_folder.agreement import DatasetAgreement

@@ -8,7 +8,7 @@ from pathlib import Path
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError, UsageError
 from prbench.files.storage import sole_writer
-from prbench.harness.methods.names import name_problem
+from prbench.harness.methods.installed import name_problem
 from prbench.harness.offline.files import read_conditions_file
 from prbench.harness.planning import Selection, open_tables, select, supported
 from prbench.harness.request import ProgressCallback, silent

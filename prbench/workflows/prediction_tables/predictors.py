@@ -10,7 +10,7 @@ from jaxtyping import Int
 
 from prbench.errors import UsageError
 from prbench.harness.benchmark import load_benchmark
-from prbench.harness.methods.adapters import load_adapter, require_weights
+from prbench.harness.methods.loading import load_adapter, require_weights
 from prbench.prediction.batch import Predictor
 from prbench.prediction.predictors import ConstantVelocity, NearestPast, ZeroVelocity
 from prbench.prediction.published import TableRow

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import prbench
 from prbench.errors import PrbenchError, UsageError
 from prbench.files.storage import atomic_path, sole_writer, text_digest, turn_into_paths, write_json, write_text
-from prbench.harness.methods.adapters import weights_digest
+from prbench.harness.methods.loading import weights_digest
 from prbench.prediction.batch import Condition
 from prbench.prediction.folds import Fold, SplitChoice, default_split, folds, share_of
 from prbench.prediction.protocol import load_prediction_protocol

@@ -8,8 +8,8 @@ from pathlib import Path
 from prbench.contract import Condition
 from prbench.errors import PrbenchError
 from prbench.harness.controls import GROUND_TRUTH, SHUFFLED_GOAL
-from prbench.harness.methods.adapters import load_adapter
 from prbench.harness.methods.installed import list_adapters
+from prbench.harness.methods.loading import load_adapter
 from prbench.harness.request import RunRequest
 from prbench.workflows.table_two.request import CONTROLS, MORE_CONTROLS, Row, TableRequest, load_table_two
 

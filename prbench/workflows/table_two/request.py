@@ -19,7 +19,7 @@ from prbench.errors import UsageError, did_you_mean
 from prbench.files.storage import text_digest
 from prbench.harness.cheats import CHEATS
 from prbench.harness.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
-from prbench.harness.methods.names import NEAREST_NEIGHBOUR
+from prbench.harness.methods.installed import NEAREST_NEIGHBOUR
 from prbench.harness.preparation import DEFAULT_PARENT
 from prbench.protocol.manifests import read_toml
 from prbench.protocol.own_protocol import read_protocol

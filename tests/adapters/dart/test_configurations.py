@@ -6,7 +6,7 @@ from importlib import resources
 
 import pytest
 
-from prbench.harness.methods.training_tasks import list_tasks, load_task
+from prbench.harness.methods.installed import list_tasks, load_task
 from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.losses import Objective
 from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE

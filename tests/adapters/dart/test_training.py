@@ -15,7 +15,7 @@ from prbench.cli import main
 from prbench.contract import Condition
 from prbench.errors import InputFileError, TrainingStopped, UsageError
 from prbench.files.storage import read_json
-from prbench.harness.methods.adapters import load_adapter
+from prbench.harness.methods.loading import load_adapter
 from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.frames import Frames
 from prbench_adapters.dart.losses import body_losses, delta_loss, divergence, feedback

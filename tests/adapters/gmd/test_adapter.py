@@ -10,7 +10,7 @@ import pytest
 
 from prbench.contract import Condition
 from prbench.errors import AdapterError, InputFileError
-from prbench.harness.methods.adapters import load_adapter
+from prbench.harness.methods.loading import load_adapter
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.predictions import Predictions

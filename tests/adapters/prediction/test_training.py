@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from prbench.errors import AdapterError, InputFileError, PrbenchError, TrainingStopped, UsageError
-from prbench.harness.methods.training_tasks import load_task
+from prbench.harness.methods.installed import load_task
 from prbench.prediction.batch import Condition, ObservedBatch, ask
 from prbench.prediction.table import WindowsTable
 from prbench_adapters.prediction.adapter import LearnedPredictor, load_predictor

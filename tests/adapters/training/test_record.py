@@ -11,8 +11,8 @@ import pytest
 from prbench.contract import ENTRY_POINT_GROUP as METHODS
 from prbench.errors import AdapterError, StorageError, TrainingError
 from prbench.files.storage import write_json
-from prbench.harness.methods import training_tasks as installed
-from prbench.harness.methods.training_tasks import load_task
+from prbench.harness.methods import installed
+from prbench.harness.methods.installed import load_task
 from prbench_adapters.training.configuration import OptimisationConfiguration, TrainingConfiguration
 from prbench_adapters.training.record import TableRecord, TrainingRecord, require_same_training, thinned, write_record
 

@@ -14,7 +14,7 @@ import torch
 from prbench.contract import Condition
 from prbench.errors import AdapterError, InputFileError
 from prbench.geometry.skeleton import Joint, bone_lengths
-from prbench.harness.methods.adapters import load_adapter
+from prbench.harness.methods.loading import load_adapter
 from prbench.representation import mirror
 from prbench_adapters.diffusion import bundled
 from prbench_adapters.wandr.adapter import WANDR, Generation

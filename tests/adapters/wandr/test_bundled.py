@@ -13,7 +13,7 @@ from prbench.contract import Condition, ConditionBatch
 from prbench.curation import build_from_sources
 from prbench.geometry.skeleton import Joint
 from prbench.harness.conditions import ConditionSource, run_salt
-from prbench.harness.methods.adapters import load_adapter
+from prbench.harness.methods.loading import load_adapter
 from prbench.harness.methods.motions import generate_checked
 from prbench.harness.planning import select
 from prbench.harness.synthetic_table import Staging, synthetic_source

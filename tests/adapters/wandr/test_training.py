@@ -13,8 +13,8 @@ import torch
 from prbench.cli import main
 from prbench.errors import InputFileError, UsageError
 from prbench.geometry.skeleton import Joint
-from prbench.harness.methods.adapters import load_adapter
-from prbench.harness.methods.training_tasks import list_tasks, load_task
+from prbench.harness.methods.installed import list_tasks, load_task
+from prbench.harness.methods.loading import load_adapter
 from prbench.representation import mirror
 from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.training import SequenceDataset, collate

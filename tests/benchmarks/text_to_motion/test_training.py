@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from prbench.errors import InputFileError, TableError, UsageError
-from prbench.harness.methods.training_tasks import list_tasks, load_task
+from prbench.harness.methods.installed import list_tasks, load_task
 from prbench_adapters.training import collate
 from prbench_adapters.training.configuration import (
     OptimisationConfiguration,

@@ -15,8 +15,7 @@ from prbench.checking.conformance.checks import CHECKS
 from prbench.checking.conformance.report import Finding
 from prbench.checking.conformance.subject import Subject
 from prbench.checking.conformance.synthetic_people import synthetic_sequences
-from prbench.harness.methods.loaded_methods import forget_loaded_methods
-from prbench.harness.methods.methods import method_spec
+from prbench.harness.methods.loading import forget_loaded_methods, method_spec
 from prbench.sequences import Sequence
 from tests.checking.conformance.methods_under_test import FAULTS
 

@@ -11,7 +11,7 @@ from prbench.checking.conformance.report import CheckRequest
 from prbench.checking.conformance.subject import Subject
 from prbench.checking.conformance.synthetic_people import synthetic_sequences
 from prbench.geometry.skeleton import WRISTS, Joint, facing_yaw
-from prbench.harness.methods.methods import method_spec
+from prbench.harness.methods.loading import method_spec
 from prbench.harness.methods.training_split import TrainingSplit
 
 MIB = 2**20

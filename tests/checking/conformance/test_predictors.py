@@ -16,8 +16,7 @@ from prbench.checking.conformance.predictors.subject import BENCHMARK, Predictor
 from prbench.checking.conformance.session import check
 from prbench.errors import TableError, UsageError
 from prbench.harness.benchmark import load_benchmark
-from prbench.harness.methods.loaded_methods import forget_loaded_methods
-from prbench.harness.methods.methods import method_spec
+from prbench.harness.methods.loading import forget_loaded_methods, method_spec
 from tests.harness.motion_prediction.test_run import PROGRAM
 from tests.prediction.windows import walking, write
 

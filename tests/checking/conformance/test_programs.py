@@ -11,14 +11,13 @@ from prbench.checking.conformance import Outcome
 from prbench.checking.conformance.check import examine
 from prbench.checking.conformance.checks import CHECKS
 from prbench.checking.conformance.subject import Subject
-from prbench.harness.methods.loaded_methods import forget_loaded_methods
-from prbench.harness.methods.methods import method_spec
+from prbench.harness.methods.loading import forget_loaded_methods, method_spec
 
 PROGRAM = """
     import os, sys
     import numpy as np
     from prbench.contract import Condition, Motions
-    from prbench.harness.methods.remote.messages import batch_of, motions_payload, read_message, write_message
+    from prbench.harness.methods.messages import batch_of, motions_payload, read_message, write_message
 
     served = 0
     hello, _ = read_message(sys.stdin.buffer)

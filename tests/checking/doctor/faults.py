@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.checking.doctor.orders import ORDERS_OF_22
+from prbench.checking.doctor.motion_set import ORDERS_OF_22
 from prbench.geometry.skeleton import Joint
 from prbench.representation import canonicalise, encode
 from prbench.representation.clips import MIRRORED_JOINTS

@@ -23,8 +23,7 @@ from prbench.checking.scaffold import ScaffoldRequest, new_adapter
 from prbench.cli import main
 from prbench.errors import StorageError, UsageError
 from prbench.harness.benchmark import load_benchmark
-from prbench.harness.methods.loaded_methods import forget_loaded_methods
-from prbench.harness.methods.methods import method_spec
+from prbench.harness.methods.loading import forget_loaded_methods, method_spec
 from tests.fakes import fake_dataset
 from tests.prediction.windows import walking, write
 

@@ -11,7 +11,7 @@ import pytest
 from prbench.contract import Condition
 from prbench.errors import AdapterError, MissingExtraError, RunError, UsageError
 from prbench.files.storage import file_digest
-from prbench.harness.methods.adapters import (
+from prbench.harness.methods.loading import (
     InstalledEntry,
     chosen_condition,
     find_adapter,
@@ -33,7 +33,7 @@ def test_listing_imports_no_adapter_and_no_torch(install):
     install("explosive", "raise SystemError('imported')")
     assert "explosive" in [adapter.name for adapter in list_adapters()]
     program = (
-        "import sys; from prbench.harness.methods.adapters import list_adapters; assert list_adapters();"
+        "import sys; from prbench.harness.methods.loading import list_adapters; assert list_adapters();"
         "loaded = [m for m in sys.modules if m.split('.')[0] in ('torch', 'prbench_adapters', 'scipy')];"
         "assert not loaded, loaded"
     )

@@ -11,7 +11,7 @@ import pytest
 
 from prbench.contract import Condition
 from prbench.errors import AdapterError, PredictionsError, TableError
-from prbench.harness.methods.coordinates import coordinate_problem
+from prbench.harness.methods.motions import coordinate_problem
 from prbench.harness.planning import select
 from prbench.harness.run import run_method
 from prbench.harness.score_predictions import ScoreRequest, score_predictions

@@ -11,7 +11,6 @@ import pytest
 
 from prbench.cli import main
 from prbench.errors import AdapterError
-from prbench.harness.methods.adapters import find_adapter
 from prbench.harness.methods.installed import (
     InstalledEntry,
     entry_points_of,
@@ -19,6 +18,7 @@ from prbench.harness.methods.installed import (
     no_such_method,
     offered_twice,
 )
+from prbench.harness.methods.loading import find_adapter
 
 
 @pytest.fixture

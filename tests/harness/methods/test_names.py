@@ -13,10 +13,17 @@ from prbench.contract import Condition
 from prbench.errors import AdapterError, InputFileError, MemoryFullError, UsageError
 from prbench.harness.controls import CONTROLS
 from prbench.harness.first_run import companions
-from prbench.harness.methods.adapters import find_adapter, load_adapter
-from prbench.harness.methods.installed import entry_points_of, list_adapters, offered_twice
-from prbench.harness.methods.names import BUILT_IN_METHODS, METHOD_CONTROLS, has_form, name_problem
-from prbench.harness.methods.programs.description import read_description
+from prbench.harness.methods.installed import (
+    BUILT_IN_METHODS,
+    METHOD_CONTROLS,
+    entry_points_of,
+    has_form,
+    list_adapters,
+    name_problem,
+    offered_twice,
+)
+from prbench.harness.methods.loading import find_adapter, load_adapter
+from prbench.harness.methods.programs import read_description
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import RunRecord

@@ -8,11 +8,9 @@ import pytest
 
 from prbench.errors import AdapterError, UsageError
 from prbench.harness.benchmark import load_benchmark
-from prbench.harness.methods.adapters import find_adapter
-from prbench.harness.methods.loaded_methods import forget_loaded_methods
-from prbench.harness.methods.methods import method_spec
+from prbench.harness.methods.installed import is_python_method
+from prbench.harness.methods.loading import find_adapter, forget_loaded_methods, method_spec
 from prbench.harness.methods.programs import short_name
-from prbench.harness.methods.python_files import is_python_method
 
 GROUP = load_benchmark("motion-prediction").methods
 SOURCE = """

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from prbench.harness.methods.users_environment import python_words
+from prbench.harness.methods.process import python_words
 
 _DUMPS = "import json, os, sys; json.dump(dict(os.environ), open(sys.argv[1], 'w')); sys.exit(3)"
 _ADDED_BY_INTERPRETERS = {"LC_CTYPE", "__CF_USER_TEXT_ENCODING"}

@@ -13,7 +13,7 @@ from prbench.checking.conformance.subject import Subject
 from prbench.checking.doctor import Diagnosis, Expected, diagnose
 from prbench.contract import Condition
 from prbench.geometry.skeleton import WRISTS, Joint, bone_lengths, facing_yaw
-from prbench.harness.methods.coordinates import coordinate_problem
+from prbench.harness.methods.motions import coordinate_problem
 
 _AWAY_WARNING = 0.25
 _AWAY_FAILURE = 1.5

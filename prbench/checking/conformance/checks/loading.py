@@ -13,8 +13,8 @@ from prbench.checking.conformance.check import check
 from prbench.checking.conformance.method_subject import MethodSubject
 from prbench.checking.conformance.report import Observation, Remedy, failed, passed, skipped, warning
 from prbench.errors import PrbenchError
-from prbench.harness.methods.adapters import find_adapter, used_weights, weights_digest
-from prbench.harness.methods.python_files import import_python_method, is_python_method
+from prbench.harness.methods.installed import import_python_method, is_python_method
+from prbench.harness.methods.loading import find_adapter, used_weights, weights_digest
 
 _IMPORT_WARNING = 1.0
 """Seconds that importing the module of an entry point should stay below."""

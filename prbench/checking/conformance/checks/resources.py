@@ -11,10 +11,9 @@ import psutil
 from prbench.checking.conformance.check import check
 from prbench.checking.conformance.method_subject import MethodSubject
 from prbench.checking.conformance.report import Observation, failed, passed, skipped, warning
-from prbench.harness.methods.loaded_methods import unload_method
-from prbench.harness.methods.remote.faults import exit_story
-from prbench.harness.methods.remote.method import RemoteMethod
-from prbench.harness.methods.remote.process import EXIT_SECONDS
+from prbench.harness.methods.loading import unload_method
+from prbench.harness.methods.process import EXIT_SECONDS, exit_story
+from prbench.harness.methods.remote import RemoteMethod
 
 _ROUNDS = 14
 _FEWEST_ROUNDS = 8

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from prbench.checking.conformance.generators import generator_states, generators_set_to, generators_touched
 from prbench.errors import PrbenchError
 from prbench.harness.methods.motions import told
-from prbench.harness.methods.users_environment import computing_threads
+from prbench.harness.methods.process import computing_threads
 from prbench.prediction.batch import Futures, ObservedBatch, Predictor, require_futures
 
 

@@ -16,8 +16,8 @@ from prbench.checking.conformance.predictors.answer import FuturesAnswer, ask_pr
 from prbench.checking.conformance.predictors.cases import AskedWindows
 from prbench.checking.conformance.report import Remedy
 from prbench.harness.benchmark import load_benchmark
-from prbench.harness.methods.loaded_methods import LoadedMethod, MethodSpec, unload_method
-from prbench.harness.methods.remote.method import RemoteMethod
+from prbench.harness.methods.loading import LoadedMethod, MethodSpec, unload_method
+from prbench.harness.methods.remote import RemoteMethod
 from prbench.prediction.batch import Condition, ObservedBatch
 from prbench.prediction.protocol import load_prediction_protocol
 from prbench.prediction.table import WindowsTable

@@ -17,7 +17,7 @@ from prbench.errors import AdapterError, InputFileError, PredictionsError, Usage
 from prbench.files.arrays import Archive
 from prbench.files.storage import file_digest, sole_writer, turn_into_paths
 from prbench.harness.benchmark import load_benchmark
-from prbench.harness.methods.names import name_problem
+from prbench.harness.methods.installed import name_problem
 from prbench.harness.motion_prediction.offline.windows_file import (
     BENCHMARK,
     WindowsFile,

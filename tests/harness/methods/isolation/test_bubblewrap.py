@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from prbench.harness.methods.isolation.bubblewrap import Mask, Mount, Shown, arrange
+from prbench.harness.methods.isolation import Mask, Mount, Shown, arrange
 
 
 @pytest.fixture

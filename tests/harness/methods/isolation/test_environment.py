@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from prbench.harness.methods.isolation.environment import isolated_environment, readable_folders, text_encoder
+from prbench.harness.methods.isolation import isolated_environment, readable_folders, text_encoder
 
 
 def test_what_leads_to_data_or_to_the_user_is_withheld_and_what_computing_needs_is_kept(tmp_path):

@@ -14,8 +14,7 @@ import pytest
 
 from prbench.errors import AdapterError, UsageError
 from prbench.harness.methods.isolation import available_fence
-from prbench.harness.methods.loaded_methods import forget_loaded_methods
-from prbench.harness.methods.methods import method_spec
+from prbench.harness.methods.loading import forget_loaded_methods, method_spec
 from prbench.harness.run import run_method
 from tests.harness.test_run import request
 from tests.method_fixtures import adapter_source
@@ -193,7 +192,7 @@ def test_nothing_of_a_fenced_method_is_left_when_its_harness_is_killed(bubblewra
     install("made", adapter_source(), package="prbench_left_behind")
     code = (
         "import sys, time; sys.path.insert(0, sys.argv[1])\n"
-        "from prbench.harness.methods.methods import method_spec\n"
+        "from prbench.harness.methods.loading import method_spec\n"
         "method_spec('made', isolate=True).load(); print('up', flush=True); time.sleep(60)"
     )
     run = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "site")], stdout=subprocess.PIPE, text=True)

@@ -12,8 +12,7 @@ from prbench.cli.main import main
 from prbench.contract import Condition, ConditionBatch
 from prbench.engine import ProcessPool
 from prbench.errors import AdapterError, RunError
-from prbench.harness.methods.loaded_methods import forget_loaded_methods
-from prbench.harness.methods.methods import method_spec
+from prbench.harness.methods.loading import forget_loaded_methods, method_spec
 from prbench.harness.methods.motions import generate_checked
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import RunRecord

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.harness.methods.programs.description import read_description
+from prbench.harness.methods.programs import read_description
 
 COMMAND = '[method]\ncommand = ["python", "glide.py"]\n'
 

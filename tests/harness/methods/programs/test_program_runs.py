@@ -14,8 +14,7 @@ import pytest
 from prbench.engine import ProcessPool
 from prbench.errors import AdapterError, RunError, UsageError
 from prbench.files.storage import file_digest
-from prbench.harness.methods.loaded_methods import forget_loaded_methods
-from prbench.harness.methods.methods import method_spec
+from prbench.harness.methods.loading import forget_loaded_methods, method_spec
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import RunRecord

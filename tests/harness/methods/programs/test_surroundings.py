@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from prbench.errors import InputFileError, UsageError
-from prbench.harness.methods.programs import MethodProgram, own_environment, program_of
-from prbench.harness.methods.programs.surroundings import find_executable, require_script
+from prbench.harness.methods.programs import MethodProgram, find_executable, own_environment, program_of, require_script
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="makes programs as POSIX systems have them")
 

@@ -8,7 +8,7 @@ import subprocess
 import pytest
 
 from prbench.errors import UsageError
-from prbench.harness.methods.programs.words import is_program, short_name, shown_command, split_command
+from prbench.harness.methods.programs import is_program, short_name, shown_command, split_command
 
 
 def test_words_of_a_posix_command_keep_what_is_quoted_together():

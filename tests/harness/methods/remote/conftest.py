@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from prbench.harness.methods.remote import process
+from prbench.harness.methods import process
 from tests.harness.methods.remote.programs import Workshop
 
 

@@ -14,9 +14,9 @@ import numpy as np
 import psutil
 
 from prbench.contract import Condition, ConditionBatch, Motions
-from prbench.harness.methods.remote.adapter import RemoteAdapter
-from prbench.harness.methods.remote.messages import motions_payload
-from prbench.harness.methods.remote.process import Program
+from prbench.harness.methods.messages import motions_payload
+from prbench.harness.methods.process import Program
+from prbench.harness.methods.remote import RemoteAdapter
 
 MARK = "REMOTE_TEST_MARK"
 """Variable by which a test finds the processes that its program has left behind."""

@@ -13,7 +13,7 @@ from prbench import __version__
 from prbench.contract import Adapter, Condition, Cost
 from prbench.errors import AdapterError
 from prbench.harness.methods.motions import generate_checked
-from prbench.harness.methods.remote.adapter import RemoteAdapter, RemoteWeights
+from prbench.harness.methods.remote import RemoteAdapter, RemoteWeights
 from tests.harness.methods.remote.programs import (
     HONEST,
     Workshop,

@@ -13,7 +13,8 @@ import pyarrow as pa
 import pytest
 
 from prbench.contract import GIVEN, Condition, ConditionBatch, Gaze, Motions
-from prbench.harness.methods.remote.messages import (
+from prbench.harness.methods.messages import (
+    GAZE_COLUMNS,
     HEADER_LIMIT,
     batch_of,
     conditions_payload,
@@ -23,7 +24,6 @@ from prbench.harness.methods.remote.messages import (
     read_message,
     write_message,
 )
-from prbench.harness.methods.remote.received import GAZE_COLUMNS
 from tests.harness.methods.remote.programs import standard_batch, standing_motions
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import AdapterError
-from prbench.harness.methods.remote import log, pipes, process
+from prbench.harness.methods import process
 from tests.harness.methods.remote.programs import MARK, Workshop, standard_batch, standing_motions, started
 
 BATCH = standard_batch()
@@ -61,7 +61,7 @@ def test_a_program_inherits_its_three_pipes_and_its_environment_and_nothing_else
 def test_a_flood_on_stderr_holds_nothing_up_and_its_log_stays_small(
     workshop: Workshop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(log, "_PART", 70_000)
+    monkeypatch.setattr(process, "_PART", 70_000)
     source = """
         hello()
         header, _ = read()
@@ -82,7 +82,7 @@ def test_a_flood_on_stderr_holds_nothing_up_and_its_log_stays_small(
 
 
 def test_only_the_newest_logs_are_kept(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log, "_KEPT_LOGS", 2)
+    monkeypatch.setattr(process, "_KEPT_LOGS", 2)
     folder = workshop.cache / "logs"
     folder.mkdir(parents=True)
     for age in range(4):
@@ -262,4 +262,4 @@ def test_ctrl_c_is_for_the_harness_which_then_ends_its_program(
 
 def test_the_patience_in_earnest_is_that_of_the_specification() -> None:
     assert (process.EXIT_SECONDS, process.TERM_SECONDS) == (5.0, 2.0)
-    assert pipes.HEADER_LIMIT == 65536
+    assert process.HEADER_LIMIT == 65536

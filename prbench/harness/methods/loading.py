@@ -1,0 +1,535 @@
+"""Make a method from the words of ``--method``, fit it to a table, and keep the one that this process has made."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from prbench.contract import Trainable, TrainingRun
+from prbench.entry_points import ADAPTERS
+from prbench.errors import AdapterError, PrbenchError, UsageError
+from prbench.files.storage import cache_folder, file_digest, text_digest
+from prbench.harness.methods.installed import (
+    METHOD_CONTROLS,
+    InstalledEntry,
+    find_python_method,
+    is_python_method,
+    list_adapters,
+    name_problem,
+    no_such_method,
+    python_loader,
+)
+from prbench.harness.methods.isolation import Fit, fenced, isolated_environment, worker_program
+from prbench.harness.methods.motions import Declared
+from prbench.harness.methods.process import Program, users_environment
+from prbench.harness.methods.programs import MethodProgram, is_program, own_environment, program_of, short_name
+from prbench.harness.methods.remote import MOTIONS, MethodGroup, RemoteMethod
+from prbench.harness.methods.training_split import FIT_SEED, TrainingSplit, temporary_training_copy
+from prbench.protocol.benchmarks import benchmark_of_group, benchmarks
+from prbench.sequences import SequenceTable
+
+
+def find_adapter(name: str, *, also_known: Iterable[str] = (), entry_points: str = ADAPTERS) -> InstalledEntry:
+    """Find the installed method of this name: prbench's own, or the one that a single package offers.
+
+    A Python file and ``module:function`` are found without being installed
+    (:mod:`prbench.harness.methods.installed`).
+
+    Args:
+        name: As given by ``--method``.
+        also_known: Further names that may be meant, such as those of controls.
+        entry_points: Entry-point group, which is that of one benchmark.
+
+    Raises:
+        AdapterError: if there is none (with the nearest name), two packages offer it, or its metadata are damaged.
+    """
+    if is_python_method(name):
+        return find_python_method(name)
+    installed = list_adapters(entry_points)
+    claims = [adapter for adapter in installed if adapter.name == name]
+    found = [adapter for adapter in claims if not adapter.problem]
+    if len(found) > 1:
+        offers = ", ".join(f"{adapter.target} of {adapter.package} {adapter.version}" for adapter in found)
+        raise AdapterError(f"adapter '{name}' is offered more than once: {offers}. Uninstall all but one.")
+    if found:
+        return found[0]
+    if claims:
+        raise AdapterError(
+            f"adapter '{name}' (package {claims[0].package}): {claims[0].problem}."
+            " Repair the entry point, or reinstall the package."
+        )
+    for other in benchmarks().values():
+        elsewhere = {adapter.name for adapter in list_adapters(other.entry_points) if not adapter.problem}
+        if other.entry_points != entry_points and name in elsewhere:
+            raise AdapterError(
+                f"'{name}' is a method of the benchmark {other.name}, which is not the one asked for here:"
+                f" `prbench run --benchmark {other.name} --method {name}` runs it."
+            )
+    raise no_such_method(name, [*(adapter.name for adapter in installed), *also_known])
+
+
+def load_adapter(
+    name: str, weights: Path | None, options: Mapping[str, str], device: str, *, group: MethodGroup = MOTIONS
+) -> Any:
+    """Import a method and make it.
+
+    Args:
+        name: Name of the entry point.
+        weights: File or folder, or None for the method's default.
+        options: ``--option key=value``, handed on as they are.
+        device: ``cpu``, ``cuda`` …
+        group: The methods of one benchmark.
+
+    Raises:
+        AdapterError: if it is not installed, cannot be imported, refuses an option, or is no adapter; the message
+            names the package and the cause.
+    """
+    installed = find_adapter(name, entry_points=group.entry_points)
+    point = EntryPoint(installed.name, installed.target, group.entry_points)
+    origin = f"adapter '{name}' (package {installed.package} {installed.version}, {installed.target})"
+    try:
+        load = python_loader(name) if is_python_method(name) else point.load()
+    except (Exception, SystemExit) as error:
+        raise AdapterError(
+            f"{origin}: cannot be imported: {_cause(error)}. Repair or reinstall the package."
+        ) from error
+    try:
+        adapter = load(weights, options=dict(options), device=device)
+    except PrbenchError:
+        raise
+    except ValueError as error:
+        raise AdapterError(f"{origin}: refused its settings: {error}") from error
+    except (Exception, SystemExit) as error:
+        raise AdapterError(f"{origin}: cannot be loaded: {_cause(error)}.") from error
+    if not isinstance(adapter, group.interface):
+        raise AdapterError(f"{origin}: expected an object with {group.members}, found {type(adapter).__name__}.")
+    Declared.by(adapter, origin=origin, conditions=group.conditions)
+    return adapter
+
+
+def chosen_condition(name: str, adapter: Any, condition: StrEnum | None, *, group: MethodGroup = MOTIONS) -> Any:
+    """Return the condition that a method is run under: the one asked for, or the only one that it takes.
+
+    Raises:
+        AdapterError: if the method does not take it, or none is asked for and it takes several; names those that it
+            takes.
+    """
+    conditions = Declared.by(adapter, origin=f"adapter '{name}'", conditions=group.conditions).conditions
+    if condition is not None and condition in conditions:
+        return condition
+    if condition is None and len(conditions) == 1:
+        return next(iter(conditions))
+    taken = ", ".join(sorted(item.value for item in conditions))
+    if condition is None:
+        raise AdapterError(f"adapter '{name}' takes several conditions. Choose one with --condition: {taken}.")
+    raise AdapterError(f"adapter '{name}' does not take the condition '{condition.value}'. Choose one of: {taken}.")
+
+
+def used_weights(adapter: Any, condition: StrEnum, given: Path | None, *, origin: str) -> Path | None:
+    """Return the weights used under a condition: those the method names itself (``weights_for``), else those given.
+
+    Raises:
+        AdapterError: if it names something that is no path.
+    """
+    weights_for = getattr(adapter, "weights_for", None)
+    if weights_for is None:
+        return given
+    weights = weights_for(condition)
+    if weights is None or isinstance(weights, Path):
+        return weights
+    raise AdapterError(f"{origin}: expected weights_for() to return a pathlib.Path or None, found {weights!r}.")
+
+
+def require_weights(weights: Path | None) -> None:
+    """Refuse a path that does not exist; a single word may be a name that the method knows.
+
+    Raises:
+        UsageError: if it is neither.
+    """
+    if weights is not None and not weights.exists() and (len(weights.parts) > 1 or weights.suffix):
+        raise UsageError(f"--weights {weights}: expected a file or folder, found neither.")
+
+
+def weights_digest(weights: Path | None) -> str | None:
+    """Return the SHA-256 of a weights file, or of the names and contents of a folder.
+
+    Raises:
+        UsageError: if the path does not exist.
+    """
+    if weights is None:
+        return None
+    if weights.is_file():
+        return file_digest(weights)
+    if not weights.is_dir():
+        raise UsageError(f"--weights {weights}: expected a file or folder, found neither.")
+    total = hashlib.sha256()
+    # Sorted, so that the digest does not depend on the file system.
+    for path in sorted(path for path in weights.rglob("*") if path.is_file()):
+        total.update(f"{path.relative_to(weights).as_posix()}\t{file_digest(path)}\n".encode())
+    return total.hexdigest()
+
+
+def _cause(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}".rstrip(".")
+
+
+@dataclass(frozen=True)
+class MethodSpec:
+    """Enough to make a method in any process."""
+
+    name: str
+    """Name of the installed adapter, or of the program's file until the program has introduced itself."""
+    weights: Path | None
+    options: tuple[tuple[str, str], ...]
+    device: str
+    threads: int
+    fit_folder: Path | None = None
+    """Folder of the fit, if the method is fitted by the run."""
+    table_folder: Path | None = None
+    """The dataset that it is fitted to."""
+    program: Program | None = None
+    """Program that runs the method in a process of its own; None to call it in this one."""
+    package: str | None = None
+    """The command of a program that the user named; None for an installed method."""
+    expected_name: str | None = None
+    """Name that such a program must introduce itself by."""
+    isolation: str | None = None
+    """``process`` or ``bubblewrap``, or ``container``, if the user asked for isolation."""
+    timeout: float | None = None
+    hidden: tuple[Path, ...] = ()
+    group: MethodGroup = MOTIONS
+    """The methods of the run's benchmark."""
+    fit: Callable[[Any, MethodSpec], None] | None = None
+    """Fits the method, once it is made in this process, to ``table_folder``; importable, since it goes to workers."""
+
+    def load(self) -> LoadedMethod:
+        """Return the method, ready to generate; it is made once a process."""
+        return HELD.method(self)
+
+
+@dataclass
+class LoadedMethod:
+    """A method in this process, or the program that this process has started for it."""
+
+    name: str
+    adapter: Any
+    warmed_up: bool = False
+    """True once it has generated a batch, and with it loaded whatever loads on first use."""
+
+    @property
+    def is_trainable(self) -> bool:
+        """True if it learns from a table, here or in its own process."""
+        return isinstance(self.adapter, Trainable) or getattr(self.adapter, "trainable", False)
+
+    def program_bytes(self) -> int:
+        """Return the memory of the method's program and of all that it has started, in bytes; 0 in process."""
+        if not isinstance(self.adapter, RemoteMethod):
+            return 0
+        return sum(_resident_bytes(process) for process in psutil.Process().children(recursive=True))
+
+    @property
+    def restarts(self) -> int:
+        """Number of times that the method's program was started again after a crash; 0 in process."""
+        return self.adapter.restarts if isinstance(self.adapter, RemoteMethod) else 0
+
+    def close(self) -> None:
+        """End its program, if it has one."""
+        if isinstance(self.adapter, RemoteMethod):
+            self.adapter.close()
+
+
+@dataclass
+class _HeldMethods:
+    """The method that this process has loaded last, and its copies of training rows."""
+
+    spec: MethodSpec | None = None
+    loaded: LoadedMethod | None = None
+    copies: list[tempfile.TemporaryDirectory[str]] = field(default_factory=list)
+
+    def method(self, spec: MethodSpec) -> LoadedMethod:
+        """Return the method, made anew unless it was the last one; an earlier one's program is ended."""
+        # One method at a time: two networks may not fit in the memory of a GPU.
+        if self.loaded is None or self.spec != spec:
+            self.unload()
+            self.loaded = _loaded_program(spec, spec.program) if spec.program is not None else _loaded_here(spec)
+            self.spec = spec
+        return self.loaded
+
+    def training_copy(self, table: SequenceTable) -> Path:
+        """Copy a table's training rows; the folder stays until :meth:`forget`."""
+        self.copies.append(temporary_training_copy(table))
+        return Path(self.copies[-1].name).resolve()
+
+    def forget(self) -> None:
+        """Let go of everything."""
+        self.unload()
+        for copy in self.copies:
+            copy.cleanup()
+        self.copies.clear()
+
+    def unload(self) -> None:
+        """Let go of the method, and end its program if it has one."""
+        if self.loaded is not None:
+            self.loaded.close()
+        self.spec = self.loaded = None
+
+
+HELD = _HeldMethods()
+
+
+def forget_loaded_methods() -> None:
+    """End programs, and load afresh what is asked for next.
+
+    A new run never meets the state that an earlier one left in a method.
+    """
+    HELD.forget()
+
+
+def unload_method() -> None:
+    """End the program of this process, if there is one; copies that were made for others are kept."""
+    HELD.unload()
+
+
+def _loaded_here(spec: MethodSpec) -> LoadedMethod:
+    adapter = load_adapter(spec.name, spec.weights, dict(spec.options), spec.device, group=spec.group)
+    if spec.fit is not None:
+        spec.fit(adapter, spec)
+    if not is_python_method(spec.name):
+        return LoadedMethod(spec.name, adapter)
+    _require_own_name(adapter.name, spec, f"'{short_name(spec.name)}'", "Give it another attribute 'name'.")
+    return LoadedMethod(adapter.name, adapter)
+
+
+def _loaded_program(spec: MethodSpec, program: Program) -> LoadedMethod:
+    weights = spec.weights
+    if weights is not None and weights.exists():
+        weights = weights.absolute()
+    adapter = spec.group.remote.start(
+        program,
+        weights=None if weights is None else str(weights),
+        options=dict(spec.options),
+        device=spec.device,
+        threads=spec.threads,
+    )
+    if spec.package is None:
+        return LoadedMethod(spec.name, adapter)
+    try:
+        _require_name(adapter.name, spec)
+    except AdapterError:
+        adapter.close()
+        raise
+    return LoadedMethod(adapter.name, adapter)
+
+
+def _require_name(name: str, spec: MethodSpec) -> None:
+    """Refuse a name that is not the program's own: leaderboards show it."""
+    if spec.expected_name is not None and name != spec.expected_name:
+        raise AdapterError(
+            f"method '{spec.expected_name}': expected the program to introduce itself by this name, found '{name}'."
+            " Correct method.name in the TOML file, or start the right program."
+        )
+    _require_own_name(name, spec, f"program '{spec.name}'", "Let it introduce itself by another name in its hello.")
+
+
+def _require_own_name(name: str, spec: MethodSpec, origin: str, remedy: str) -> None:
+    """Refuse a name that belongs to prbench, or that cannot be shown."""
+    if problem := name_problem(name, own=benchmark_of_group(spec.group.entry_points).methods):
+        raise AdapterError(f"{origin}: {problem}. {remedy}")
+
+
+def _resident_bytes(process: psutil.Process) -> int:
+    try:
+        return process.memory_info().rss
+    except psutil.Error:
+        return 0  # it has just ended
+
+
+_DEEPEST = 6  # attributes of attributes; the built-in methods hold their networks at most three deep
+
+
+def count_parameters(method: object) -> int | None:
+    """Return the number of parameters of all PyTorch modules that are reachable from an object's attributes.
+
+    A module counts once, however often it is held; buffers do not count. None without PyTorch and without modules, as
+    for a method that runs as a program of its own.
+    """
+    torch = sys.modules.get("torch")
+    if torch is None:
+        return None
+    parameters = {
+        id(parameter): parameter.numel()
+        for module in _modules(method, torch.nn.Module, set(), _DEEPEST)
+        for parameter in module.parameters()
+    }
+    return sum(parameters.values()) if parameters else None
+
+
+def _modules(held: Any, kind: type, seen: set[int], depth: int) -> Iterator[Any]:
+    if id(held) in seen or depth < 0:
+        return
+    seen.add(id(held))
+    if isinstance(held, kind):
+        yield held
+        return
+    if isinstance(held, Mapping):
+        inner = list(held.values())
+    elif isinstance(held, (list, tuple)):
+        inner = list(held)
+    else:
+        inner = [*getattr(held, "__dict__", {}).values()]
+        slots = getattr(type(held), "__slots__", ())
+        inner += [getattr(held, name) for name in slots if isinstance(name, str) and hasattr(held, name)]
+    for each in inner:
+        # Neither classes nor code hold the networks of this method alone.
+        if not isinstance(each, (type, str, bytes, int, float)) and not _is_code(each):
+            yield from _modules(each, kind, seen, depth - 1)
+
+
+def _is_code(held: object) -> bool:
+    """Return True for functions and modules of Python, which hold the whole program."""
+    return type(held).__name__ in ("function", "module", "builtin_function_or_method")
+
+
+def method_spec(
+    method: str,
+    *,
+    weights: Path | None = None,
+    options: Mapping[str, str] | None = None,
+    device: str = "cpu",
+    threads: int = 1,
+    isolate: bool = False,
+    timeout: float | None = None,
+    hidden: tuple[Path, ...] = (),
+    group: MethodGroup = MOTIONS,
+) -> MethodSpec:
+    """Return how to make a method, whatever it is written in.
+
+    Args:
+        method: Name of an installed adapter, ``cmd:`` and a command, or path of a TOML file that describes a program.
+        weights: File or folder, or the name of weights that the method knows; None for its default.
+        options: ``--option key=value``, handed on as they are.
+        device: ``cpu``, ``cuda`` …
+        threads: Threads that the method computes with.
+        isolate: Run an installed method in a process of its own that is given neither paths, objects nor environment;
+            put a program behind the same fence.
+        timeout: Seconds until a batch is answered by another process.
+        hidden: Folders that an isolated method must not see, where the file system can be withheld; the cache folder
+            is always one of them.
+        group: The methods of one benchmark.
+
+    Raises:
+        AdapterError: if there is no such method, with the nearest one.
+        InputFileError: if the TOML file does not say what it must.
+        UsageError: if there is no such command, or the settings do not fit together.
+    """
+    hidden = tuple(path.absolute() for path in (*hidden, cache_folder())) if isolate else ()
+    spec = MethodSpec(
+        method,
+        weights,
+        tuple(sorted((options or {}).items())),
+        device,
+        threads,
+        timeout=timeout,
+        hidden=hidden,
+        group=group,
+    )
+    if is_program(method):
+        return _program_spec(spec, isolate)
+    known = METHOD_CONTROLS if group is MOTIONS else ()
+    installed = find_adapter(method, also_known=known, entry_points=group.entry_points)
+    if isolate and is_python_method(method):
+        raise UsageError(
+            f"--isolate: {installed.package} is no package that another process could load. Install it as a package"
+            " (`prbench adapters new`), or write it as a program."
+        )
+    if isolate:
+        program = _worker(spec, installed, None)
+        return replace(spec, program=program, isolation=program.fence)
+    if timeout is not None:
+        raise UsageError(
+            f"--timeout: '{method}' runs in this process, which cannot be stopped in mid-batch. Add --isolate."
+        )
+    return spec
+
+
+def fitted_to(spec: MethodSpec, table: SequenceTable) -> MethodSpec:
+    """Return the same method, fitted to a table if it learns and brought no weights of its own.
+
+    Fits are kept in the cache folder by method, version, options and both digests of the table; the method itself
+    finds there what an earlier fit has left. One in a process of its own gets a copy of the training rows.
+    """
+    if spec.weights is not None or not spec.load().is_trainable:
+        return spec
+    installed = find_adapter(spec.name)
+    key = text_digest(
+        installed.package,
+        installed.version,
+        installed.target,
+        *(part for option in spec.options for part in option),
+        table.identity,
+        table.content,
+    )
+    folder = cache_folder() / "fits" / f"{short_name(spec.name)}-{key[:16]}"
+    if spec.program is None:
+        return replace(spec, fit_folder=folder, table_folder=table.folder, fit=fit_to_training_rows)
+    # Behind the fence the table itself is hidden, as it holds the test rows.
+    copy = HELD.training_copy(table)
+    program = _worker(spec, installed, Fit(copy, folder.absolute()))
+    return replace(spec, fit_folder=folder, table_folder=copy, program=program)
+
+
+def fit_to_training_rows(adapter: object, spec: MethodSpec) -> None:
+    """Fit a method of prime-and-reach that was made in this process; it finds what an earlier fit has left."""
+    if isinstance(adapter, Trainable) and spec.fit_folder is not None and spec.table_folder is not None:
+        run = TrainingRun(folder=spec.fit_folder, seed=FIT_SEED, device=spec.device)
+        adapter.fit(TrainingSplit.open(spec.table_folder), validation=None, run=run)
+
+
+def _worker(spec: MethodSpec, installed: InstalledEntry, fit: Fit | None) -> Program:
+    """Return the worker process that keeps an installed method at a distance."""
+    return worker_program(
+        spec.name,
+        installed.target,
+        weights=spec.weights,
+        options=spec.options,
+        hidden=spec.hidden,
+        fit=fit,
+        timeout=spec.timeout,
+        benchmark=benchmark_of_group(spec.group.entry_points).name,
+    )
+
+
+def _program_spec(spec: MethodSpec, isolate: bool) -> MethodSpec:
+    users = users_environment()
+    environment = isolated_environment(users) if isolate else own_environment(users)
+    found = program_of(
+        spec.name, environment=environment, weights=spec.weights, timeout=spec.timeout, hidden=spec.hidden
+    )
+    program = found.program
+    isolation = None
+    if isolate:
+        program, isolation = _isolated_program(found, spec)
+    return replace(
+        spec,
+        name=program.name,
+        program=program,
+        package=found.package,
+        expected_name=found.expected_name,
+        isolation=isolation,
+    )
+
+
+def _isolated_program(found: MethodProgram, spec: MethodSpec) -> tuple[Program, str | None]:
+    if found.in_container:
+        return found.program, "container"  # which shows no more than its mounts, and has no network
+    program = fenced(found.program, readable=found.readable, weights=spec.weights, hidden=spec.hidden)
+    return program, program.fence

@@ -1,0 +1,522 @@
+"""A program behind the wire protocol (docs/wire-protocol.md) as the harness sees any other method of its benchmark."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import re
+import weakref
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any, ClassVar, Self, TypeVar
+
+import prbench
+from prbench.contract import ENTRY_POINT_GROUP, Adapter, Condition, ConditionBatch, Cost, Motions
+from prbench.errors import AdapterError
+from prbench.geometry.skeleton import N_JOINTS
+from prbench.harness.methods.installed import NAME_FORM, has_form
+from prbench.harness.methods.messages import (
+    WIRE_VERSION,
+    Header,
+    batch_of,
+    conditions_payload,
+    motions_of,
+    motions_payload,
+    shown_json,
+)
+from prbench.harness.methods.motions import Declared, asked_for, own_copy, well_formed
+from prbench.harness.methods.process import (
+    BrokenProtocol,
+    Ended,
+    Fault,
+    Program,
+    ProgramLog,
+    ProgramProcess,
+    ReportedError,
+    TimedOut,
+)
+from prbench.protocol.benchmarks import find_benchmark
+
+_SHOWN_TEXT = 2000  # characters of what a program says about its own error
+_TEXT_LIMIT = 100
+_Answer = TypeVar("_Answer")
+
+
+def motions_in(
+    header: Header, payload: bytes | None, batch: ConditionBatch, number: int, *, gaze: bool = False
+) -> Motions:
+    """Return the motions of an answer, in the order of the batch.
+
+    Args:
+        header: As received.
+        payload: As received.
+        batch: What was asked for.
+        number: Number of the request.
+        gaze: The program declares gaze.
+
+    Raises:
+        ReportedError: if the program says that it failed.
+        BrokenProtocol: if it answers something else than it was asked for.
+        MemoryError: if it says that the batch does not fit in memory.
+    """
+    motions = answer_in(header, payload, number, due="motions", read=lambda sent: motions_of(sent, batch, gaze=gaze))
+    passes = header.get("network_passes")
+    if passes is None:
+        return motions
+    if type(passes) is not int or passes < 0:
+        raise BrokenProtocol(f"declared {shown_json(passes)} network_passes, where a whole number of 0 or more was due")
+    return replace(motions, cost=Cost(passes))
+
+
+def answer_in(
+    header: Header, payload: bytes | None, number: int, *, due: str, read: Callable[[bytes], _Answer]
+) -> _Answer:
+    """Return what an answer holds.
+
+    Args:
+        header: As received.
+        payload: As received.
+        number: Number of the request.
+        due: The message that answers it, ``motions`` or ``futures``.
+        read: Turns the payload into the answer; raises ValueError where it cannot.
+
+    Raises:
+        ReportedError: if the program says that it failed.
+        BrokenProtocol: if it answers something else than it was asked for.
+        MemoryError: if it says that the batch does not fit in memory.
+    """
+    kind = header["message"]
+    if kind not in (due, "error"):
+        raise BrokenProtocol(f"answered with the message {kind[:80]!r}, where '{due}' or 'error' was due")
+    _require_batch(header, number)
+    if kind == "error":
+        raise _reported(header)
+    if payload is None:
+        raise BrokenProtocol(f"answered without a payload, where 'bytes' and as many bytes of {due} were due")
+    try:
+        return read(payload)
+    except ValueError as error:
+        raise BrokenProtocol(f"sent {due} that cannot be used: {error}") from error
+
+
+def error_text(header: Header) -> str:
+    """Return what a program says about its own error, without what would move the cursor or colour a terminal.
+
+    Raises:
+        BrokenProtocol: if it is no text.
+    """
+    text = header.get("text")
+    if text is not None and not isinstance(text, str):
+        raise BrokenProtocol(f"reported an error with the 'text' {shown_json(text)}, where a string was due")
+    said = "" if text is None else text.expandtabs(4).strip()[:_SHOWN_TEXT]
+    shown = "".join(
+        letter if letter.isprintable() or letter == "\n" else "\N{REPLACEMENT CHARACTER}" for letter in said
+    )
+    return shown or "no reason given"
+
+
+@dataclass(frozen=True)
+class RemoteWeights:
+    """Weights that a program says it uses under a condition."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Introduction:
+    """A program's hello."""
+
+    name: str
+    version: str
+    declared: Declared
+    weights: Mapping[StrEnum, RemoteWeights] = field(default_factory=dict)
+    one_design: bool = False
+    """True for a predictor whose K futures are one design."""
+    trainable: bool = False
+    """True if the installed method can be fitted to a table; only prbench's own worker says so."""
+
+    @classmethod
+    def read(cls, header: Mapping[str, Any], *, origin: str, conditions: type[StrEnum] = Condition) -> Introduction:
+        """Read the header of a ``hello``.
+
+        Args:
+            header: As received.
+            origin: Name of the program in messages.
+            conditions: The conditions of its benchmark.
+
+        Raises:
+            AdapterError: naming the key that is not what the protocol asks for.
+        """
+        if header["message"] != "hello":
+            raise AdapterError(
+                f"{origin}: expected it to answer 'hello' with 'hello', found the message {header['message'][:80]!r}."
+            )
+        _require_version(header.get("wire"), origin)
+        motionless = header.get("motionless")
+        if motionless is not None and not isinstance(motionless, bool):
+            raise AdapterError(
+                f"{origin}: expected 'motionless' in its hello to be true or false, found {_shown(motionless)}."
+            )
+        gaze = header.get("gaze")
+        if gaze is not None and not isinstance(gaze, bool):
+            raise AdapterError(f"{origin}: expected 'gaze' in its hello to be true or false, found {_shown(gaze)}.")
+        one_design = header.get("one_design")
+        if one_design is not None and not isinstance(one_design, bool):
+            raise AdapterError(
+                f"{origin}: expected 'one_design' in its hello to be true or false, found {_shown(one_design)}."
+            )
+        return cls(
+            _name(header, origin),
+            _text(header, "version", origin),
+            Declared.checked(
+                _array(header, "conditions", origin),
+                header.get("max_frames"),
+                header.get("native_fps"),
+                motionless is True,
+                gaze is True,
+                origin=origin,
+                known=conditions,
+            ),
+            _weights(header.get("weights"), origin, conditions),
+            one_design=one_design is True,
+            trainable=header.get("trainable") is True,
+        )
+
+
+def _require_batch(header: Header, number: int) -> None:
+    found = header.get("batch")
+    if (type(found) is int and found == number) or (found is None and header["message"] == "error"):
+        return
+    answered = "without the number of a batch" if found is None else f"batch {shown_json(found)}"
+    raise BrokenProtocol(
+        f"answered {answered}, where batch {number} was due: every request has exactly one answer, which repeats its"
+        " number"
+    )
+
+
+def _reported(header: Header) -> MemoryError | ReportedError:
+    """The failure that a program reports."""
+    text = error_text(header)
+    out_of_memory = header.get("out_of_memory")
+    if out_of_memory is not None and not isinstance(out_of_memory, bool):
+        raise BrokenProtocol(
+            f"reported the error '{text}' with 'out_of_memory' {shown_json(out_of_memory)}, where true or false was due"
+        )
+    return MemoryError(text) if out_of_memory else ReportedError(f"reported an error: {text}")
+
+
+def _array(header: Mapping[str, Any], key: str, origin: str) -> list[Any]:
+    value = header.get(key)
+    if isinstance(value, list):
+        return value
+    raise AdapterError(f"{origin}: expected '{key}' in its hello to be an array of strings, found {_shown(value)}.")
+
+
+def _require_version(found: object, origin: str) -> None:
+    if type(found) is int and found == WIRE_VERSION:
+        return
+    remedy = "Update prbench" if type(found) is int and found > WIRE_VERSION else "Update the program"
+    if type(found) is not int:
+        remedy = f"Send the whole number {WIRE_VERSION}"
+    raise AdapterError(
+        f"{origin}: expected version {WIRE_VERSION} of the wire protocol ('wire' in its hello),"
+        f" found {_shown(found)}. {remedy}."
+    )
+
+
+def _name(header: Mapping[str, Any], origin: str) -> str:
+    value = header.get("name")
+    if isinstance(value, str) and has_form(value):
+        return value
+    raise AdapterError(f"{origin}: expected 'name' in its hello to be a text of {NAME_FORM}; found {_shown(value)}.")
+
+
+def _text(header: Mapping[str, Any], key: str, origin: str) -> str:
+    value = header.get(key)
+    if isinstance(value, str) and value.strip() and value.isprintable() and len(value) <= _TEXT_LIMIT:
+        return value
+    raise AdapterError(
+        f"{origin}: expected '{key}' in its hello to be a text of 1 to {_TEXT_LIMIT} printable characters,"
+        f" found {_shown(value)}."
+    )
+
+
+def _weights(value: object, origin: str, conditions: type[StrEnum]) -> dict[StrEnum, RemoteWeights]:
+    known = {condition.value: condition for condition in conditions}
+    weights = {}
+    if value is None:
+        return {}
+    stated = value if isinstance(value, dict) else {"": value}  # "" is no condition, and so refused below
+    for condition, entry in stated.items():
+        name, digest = (entry.get("name"), entry.get("sha256")) if isinstance(entry, dict) else (None, None)
+        fits = isinstance(name, str) and isinstance(digest, str) and re.fullmatch("[0-9a-f]{64}", digest)
+        if condition not in known or not fits:
+            raise AdapterError(
+                f"{origin}: expected 'weights' in its hello to give a condition's name and sha256 (64 hexadecimal"
+                f' digits), as {{"goal-loc": {{"name": …, "sha256": …}}}}, found {_shown(value)}.'
+            )
+        weights[known[condition]] = RemoteWeights(str(name), str(digest))
+    return weights
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 120 else text[:120] + "…"
+
+
+_MEGABYTE = 1 << 20
+_SLOW_BATCH = " Let it answer faster, lower --batch-size, or raise the limit with --timeout."
+_SLOW_START = (
+    " Let it load its weights with the first batch, or raise start_s under [limits] in a TOML file for it"
+    " (docs/environments.md)."
+)
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """One request to a program, and how its answer is read."""
+
+    header: Header
+    """Without the number of the batch."""
+    payload: bytes
+    largest: int
+    """Most bytes of the answer's payload."""
+    read: Callable[[Header, bytes | None, int], Any]
+    """Turns header, payload and the number of the batch into the answer."""
+    asked_for: str
+    """What was asked for, for messages."""
+
+
+class RemoteMethod:
+    """A method of any benchmark in a process of its own; made by :meth:`start`.
+
+    A program that crashes in mid-batch is started again, once for each batch; one that misses a time limit or breaks
+    the protocol is not. It ends with :meth:`close`, with the interpreter, or when nobody holds this object any more.
+    """
+
+    all_conditions: ClassVar[type[StrEnum]]
+    """The conditions of the benchmark."""
+    said: ClassVar[Mapping[str, Any]] = {}
+    """What the hello says besides."""
+
+    def __init__(self, program: Program, hello: Header) -> None:
+        self._program, self._hello = program, hello
+        self._closed = False
+        self.restarts = 0
+        """Number of times that the program was started again after a crash."""
+        introduction = self._introduction = self._launch(f"method '{program.name}'")
+        self.name, self.version = introduction.name, introduction.version
+        self.conditions: frozenset[Any] = introduction.declared.conditions
+        self.max_frames, self.native_fps = introduction.declared.max_frames, introduction.declared.native_fps
+        self.motionless = introduction.declared.motionless
+        self.gaze = introduction.declared.gaze
+        self.one_design = introduction.one_design
+        self.weights: Mapping[StrEnum, RemoteWeights] = introduction.weights
+        """Weights that it says it uses under each condition; empty if it says nothing."""
+        self.trainable = introduction.trainable
+
+    @classmethod
+    def start(
+        cls, program: Program, *, weights: str | None, options: Mapping[str, str], device: str, threads: int
+    ) -> Self:
+        """Start the program and let it introduce itself.
+
+        Args:
+            program: How to start it.
+            weights: An absolute path, or a name that the program knows, or None for its default.
+            options: ``--option key=value``, handed on as they are.
+            device: ``cpu``, ``cuda`` …
+            threads: Threads that it may use.
+
+        Raises:
+            AdapterError: if it cannot be started, refuses its settings, or does not introduce itself in time and as
+                the protocol asks for.
+        """
+        settings = {"device": device, "threads": threads, "options": dict(options), "weights": weights}
+        hello = {"message": "hello", "wire": WIRE_VERSION, "prbench": prbench.__version__, **cls.said, **settings}
+        return cls(program, hello)
+
+    def exchange(self, asked: Exchange) -> Any:
+        """Ask the program once, or twice where it crashed.
+
+        Raises:
+            AdapterError: if it fails, crashes twice, answers too late or with something else than the protocol asks
+                for. The program is ended then, unless it reported the failure itself.
+            MemoryError: if it says that the batch does not fit in memory.
+        """
+        origin = f"method '{self.name}'"
+        try:
+            return self._asked(asked, origin)
+        except Ended:
+            self.restarts += 1
+        try:
+            return self._asked(asked, origin)
+        except Ended as fault:
+            raise AdapterError(self._told(f"{origin}, twice", fault, asked.asked_for)) from fault
+
+    @property
+    def exit_status(self) -> int | None:
+        """Exit status of the program once it is closed; None if it had to be ended."""
+        return self._process.exit_status
+
+    def close(self) -> None:
+        """End the program. May be called again."""
+        self._closed = True
+        self._finalizer()
+
+    def _asked(self, asked: Exchange, origin: str) -> Any:
+        """Ask once.
+
+        Raises:
+            AdapterError: if it failed for good.
+            Ended: if the program did, so that it may be tried again.
+        """
+        if self._closed:
+            raise AdapterError(f"{origin}: asked for motions after its program was closed.")
+        if self._process.over and self._launch(origin) != self._introduction:
+            self._process.close()
+            raise AdapterError(
+                f"{origin}: expected its program to introduce itself as before it was started again after a crash,"
+                " found another name, version or declaration. Make its hello depend on its settings alone."
+            )
+        number, self._batches = self._batches, self._batches + 1
+        try:
+            answer, payload = self._process.ask(
+                {"message": asked.header["message"], "batch": number, **asked.header},
+                asked.payload,
+                timeout=self._program.batch_timeout,
+                answer_limit=asked.largest + _MEGABYTE,
+            )
+            return asked.read(answer, payload, number)
+        except Ended:
+            raise
+        except Fault as fault:
+            if not isinstance(fault, ReportedError):
+                self._process.kill()
+            raise AdapterError(self._told(origin, fault, asked.asked_for)) from fault
+
+    def _launch(self, origin: str) -> Introduction:
+        process = self._process = ProgramProcess(self._program)
+        self._finalizer = weakref.finalize(self, process.close)
+        self._batches = 0
+        try:
+            answer, _ = process.ask(self._hello, timeout=self._program.start_timeout, answer_limit=_MEGABYTE)
+            if answer["message"] == "error":
+                raise ReportedError(f"refused to start: {error_text(answer)}")
+            return Introduction.read(answer, origin=origin, conditions=self.all_conditions)
+        except Fault as fault:
+            process.kill()
+            told = self._told(f"{origin}, asked to introduce itself", fault, if_late=_SLOW_START)
+            raise AdapterError(told) from fault
+        except ValueError as error:  # options of more than 64 kB
+            raise AdapterError(f"{origin}: its settings cannot be sent: {error}. Put them into a file.") from error
+        except AdapterError as error:
+            process.kill()
+            raise AdapterError(f"{error}{_log_story(process.log, even_if_empty=False)}") from error
+
+    def _told(self, origin: str, fault: Fault, asked_for: str = "", *, if_late: str = _SLOW_BATCH) -> str:
+        """Describe a fault: what to do about it, what was asked for, and the end of the log."""
+        text = f"{origin}: its program {fault}.".replace("..", ".")
+        if isinstance(fault, TimedOut):
+            text += if_late
+        if isinstance(fault, Ended) and self._program.fence is not None:
+            text += (
+                f" It ran apart (--isolate, {self._program.fence}): paths and variables of this machine may be hidden."
+            )
+        return text + asked_for + _log_story(self._process.log, even_if_empty=isinstance(fault, Ended | TimedOut))
+
+
+def _log_story(log: ProgramLog, *, even_if_empty: bool) -> str:
+    lines = log.tail()
+    if not lines:
+        return " It wrote nothing to its log (stderr)." if even_if_empty else ""
+    place = f"the log, {log.path}" if log.path is not None else "its log"
+    return "\n".join([f" The end of {place}:", *(f"    {line}" for line in lines)])
+
+
+class RemoteAdapter(RemoteMethod):
+    """Satisfies :class:`prbench.contract.Adapter`."""
+
+    all_conditions = Condition
+
+    def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:
+        """Ask the program for the motions of a batch; messages name sequences by their opaque ids.
+
+        Raises:
+            AdapterError: see :meth:`RemoteMethod.exchange`.
+            MemoryError: see :meth:`RemoteMethod.exchange`.
+        """
+        header = {
+            "message": "generate",
+            "condition": batch.condition.value,
+            "rows": len(batch),
+            "fps": float(batch.fps),
+            "seed": seed,
+        }
+        asked = Exchange(
+            header=header,
+            payload=conditions_payload(batch),
+            # Twice the size of joints and gaze in float64: room for any list type, and still a bound on what is read.
+            largest=2 * len(batch) * int(batch.n_frames.max()) * (N_JOINTS + 2) * 3 * 8,
+            read=lambda answer, payload, number: motions_in(answer, payload, batch, number, gaze=self.gaze),
+            asked_for=asked_for(batch.opaque_id),
+        )
+        return self.exchange(asked)
+
+
+def serve_motions(name: str, adapter: Adapter, header: Header, payload: bytes) -> tuple[Header, bytes]:
+    """Answer a ``generate`` message.
+
+    Args:
+        name: Name of the method.
+        adapter: The method.
+        header: As received.
+        payload: As received.
+
+    Returns:
+        Header, without the number of the batch, and payload of the answer.
+    """
+    batch = batch_of(header, payload)
+    motions = adapter.generate(own_copy(batch), seed=header["seed"])
+    motions = well_formed(motions, batch, method=name, sequence_ids=batch.opaque_id, farthest=math.inf)
+    passes = {} if motions.cost is None else {"network_passes": motions.cost.network_passes}
+    return {"message": "motions", **passes}, motions_payload(batch.opaque_id, motions)
+
+
+@dataclass(frozen=True)
+class MethodGroup:
+    """What loading a method needs to know of its benchmark; picklable, so that every worker can load it."""
+
+    entry_points: str
+    """Entry-point group."""
+    interface: type
+    """Protocol that a loaded method has to satisfy."""
+    members: str
+    """What the protocol asks for, in words."""
+    conditions: type[StrEnum]
+    """The conditions that a method may name."""
+    remote: type[RemoteMethod]
+    """A method of the group behind the wire protocol."""
+    serve: Callable[[str, Any, dict[str, Any], bytes], tuple[dict[str, Any], bytes]]
+    """Answers a request for an installed method in ``harness.methods.worker``: name, method, header, payload."""
+
+
+MOTIONS = MethodGroup(
+    ENTRY_POINT_GROUP, Adapter, "name, conditions and generate()", Condition, RemoteAdapter, serve_motions
+)
+"""The methods of prime-and-reach."""
+
+
+def group_of(benchmark: str) -> MethodGroup:
+    """Return the methods of a benchmark; only that of the benchmark asked for is imported.
+
+    Raises:
+        UsageError: for an unknown benchmark.
+    """
+    about = find_benchmark(benchmark)
+    if about.default:
+        return MOTIONS
+    module, _, attribute = about.value.partition(":")
+    return getattr(importlib.import_module(module), attribute).methods
