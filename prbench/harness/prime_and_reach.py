@@ -27,10 +27,9 @@ from prbench.harness.controls import (
     SHUFFLED_GOAL,
     control_motions,
 )
-from prbench.harness.methods.groups import MOTIONS, MethodGroup
-from prbench.harness.methods.loaded_methods import LoadedMethod, MethodSpec
-from prbench.harness.methods.methods import fitted_to
+from prbench.harness.methods.loading import LoadedMethod, MethodSpec, fitted_to
 from prbench.harness.methods.motions import generate_checked
+from prbench.harness.methods.remote import MOTIONS, MethodGroup
 from prbench.harness.planning import Selection, open_tables, plan_batches, select, select_sequences, supported
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder.coded_scores import CodedScores

@@ -11,8 +11,8 @@ import pyarrow as pa
 
 from prbench.errors import UsageError
 from prbench.files.storage import turn_into_paths
-from prbench.harness.methods.names import METHOD_CONTROLS, SHUFFLED_GOAL
-from prbench.harness.methods.programs.words import short_name
+from prbench.harness.methods.installed import METHOD_CONTROLS, SHUFFLED_GOAL
+from prbench.harness.methods.programs import short_name
 from prbench.harness.run_folder.record import RunRecord
 from prbench.protocol.manifests import PROTOCOL_NAME
 
