@@ -242,7 +242,8 @@ def pareto(
     from prbench import board as boards
     from prbench.board.tables import of_all_methods
     from prbench.metrics import METRICS
-    from prbench.viewing.pareto import ParetoAxes, draw_pareto, pareto_front, require_drawable
+    from prbench.viewing.figures import require_drawable
+    from prbench.viewing.pareto import ParetoAxes, draw_pareto, pareto_front
 
     require_drawable(out)
     known = {info.id: info for info in METRICS if info.higher_is_better is not None}

@@ -15,12 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline
 
-from prbench.geometry.skeleton import WRISTS, Joint, bone_lengths, canonical_frame, invert_rigid, transform_points
-from prbench.metrics.batch import MotionBatch
-from prbench.metrics.prime_success import prime_success
-from prbench.metrics.reach_success import reach_success
-from prbench.metrics.targets import ScoringTargets
-from prbench.protocol.manifests import load_protocol
+from prbench.geometry.skeleton import WRISTS, Joint
 from prbench.protocol.published import Spread, load_table_one
 from prbench.synthetic.people.kinematics import forward_of
 from prbench.synthetic.performance import Performance, TrueEvent
@@ -120,38 +115,6 @@ def sequence_statistics(clips: Sequence[TrueClip]) -> SequenceStatistics:
 
 def _spread(values: np.ndarray) -> Spread:
     return Spread(float(values.mean()), float(values.std()))
-
-
-@dataclass(frozen=True)
-class TruthScores:
-    """Metrics of the truth itself: ceilings for every method (rates from 0 to 1)."""
-
-    prime_equation: float
-    prime_onset: float
-    reach_any: float
-    reach_final: float
-
-
-def truth_scores(clips: Sequence[TrueClip]) -> TruthScores:
-    """Score the true motion of some sequences against their own goals."""
-    frames = [invert_rigid(canonical_frame(clip.joints)) for clip in clips]
-    motions = [transform_points(frame, clip.joints) for frame, clip in zip(frames, clips, strict=True)]
-    goals = [transform_points(frame, clip.event.goal) for frame, clip in zip(frames, clips, strict=True)]
-    batch = MotionBatch.from_motions(motions)
-    constants = load_protocol().metrics
-    targets = ScoringTargets(
-        goal_location=np.array(goals),
-        prime_time=np.array([clip.prime_after for clip in clips]),
-        hand=np.array([int(clip.event.hand == "right") for clip in clips]),
-        head_tilt_deg=np.array([clip.neck_tilt_deg for clip in clips]),
-        fps=FPS,
-    )
-    return TruthScores(
-        prime_equation=float(prime_success(batch, targets, constants, variant="equation").mean()),
-        prime_onset=float(prime_success(batch, targets, constants, variant="onset").mean()),
-        reach_any=float(reach_success(batch, targets.goal_location, constants).mean()),
-        reach_final=float(reach_success(batch, targets.goal_location, constants, final=True).mean()),
-    )
 
 
 def clips_of(performances: Sequence[Performance]) -> list[TrueClip]:
@@ -291,9 +254,3 @@ def _gaze_to_head(performance: Performance, prime: float) -> tuple[float, float,
 def _angle(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the angle between unit vectors, degrees."""
     return np.rad2deg(np.arccos(np.clip((first * second).sum(axis=-1), -1.0, 1.0)))
-
-
-def recorded_bone_change(clips: Sequence[Float[np.ndarray, "n 22 3"]]) -> float:
-    """Return the largest relative change of a bone within one recorded clip."""
-    lengths = [bone_lengths(clip) for clip in clips]
-    return max(float(np.abs(clip / clip[0] - 1.0).max()) for clip in lengths)

@@ -140,7 +140,13 @@ def objects_table(performance: Performance) -> pa.Table:
     layout = layout_for(performance.preset)
     for motion in performance.objects:
         # Rows at rest repeat the one before; without them the file of a long recording stays small.
-        kept = _moving_rows(motion.position, motion.rotation)
+        changes = (np.diff(motion.position, axis=0) != 0).any(axis=1) | (np.diff(motion.rotation, axis=0) != 0).any(
+            axis=1
+        )
+        kept = np.zeros(len(motion.position), dtype=bool)
+        kept[:-1] |= changes
+        kept[1:] |= changes
+        kept[[0, -1]] = True
         times = performance.times[: len(motion.position)][kept]
         tables.append(
             _table(
@@ -188,15 +194,6 @@ def read_truth(tree: Path, name: _TruthTable) -> pa.Table:
             remedy="It was written by another version of prbench; synthesise the tree again.",
         )
     return table
-
-
-def _moving_rows(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    changes = (np.diff(position, axis=0) != 0).any(axis=1) | (np.diff(rotation, axis=0) != 0).any(axis=1)
-    kept = np.zeros(len(position), dtype=bool)
-    kept[:-1] |= changes
-    kept[1:] |= changes
-    kept[[0, -1]] = True
-    return kept
 
 
 def _rows(values: np.ndarray) -> pa.Array:

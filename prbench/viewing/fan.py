@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from prbench.geometry.skeleton import CHAINS, Joint, head_forward
 from prbench.harness.diversity import MotionsToGoal, timing
@@ -88,10 +87,30 @@ def draw_fan(fan: Fan, path: Path, *, dpi: int = 110) -> None:
     rows = figure.subplots(
         len(fan.groups), 4, squeeze=False, width_ratios=(2.0, 1.2, 1.2, 1.2), gridspec_kw={**grid, "hspace": 0.2}
     )
-    seen_from_above = _limits_from_above(fan)
+    # The same square for all groups, so that rows compare: limits of x and z, metres.
+    points = [group.motions.joints[:, :, [Joint.PELVIS, Joint.HEAD]].reshape(-1, 3)[:, [0, 2]] for group in fan.groups]
+    if fan.shows_goal:
+        points.append(fan.groups[0].motions.goal[None, [0, 2]])
+    seen_from_above = square_limits(np.concatenate(points), margin=_MARGIN)
     for group, (bodies, above, looks, wrists) in zip(fan.groups, rows, strict=True):
         _draw_bodies(bodies, fan, group)
-        _draw_above(above, fan, group)
+        # Draw the ways of the pelvis from above, and where each head points at its prime time.
+        motions = group.motions
+        primes = np.round(timing(motions, fan.constants).prime * motions.fps).astype(int)
+        forward, _ = head_forward(motions.joints, motions.head_tilt_deg)
+        for number, colour in reversed(list(enumerate(_shades(group)))):
+            pelvis = motions.joints[number, :, Joint.PELVIS]
+            above.plot(pelvis[:, 0], pelvis[:, 2], color=colour, linewidth=1.3)
+            above.plot(pelvis[-1, 0], pelvis[-1, 2], "s", color=colour, markersize=4)
+            head = motions.joints[number, primes[number], Joint.HEAD]
+            tip = head + _LOOK * forward[number, primes[number]]
+            above.plot([head[0], tip[0]], [head[2], tip[2]], color=colour, linewidth=0.9, linestyle="--")
+            above.plot(head[0], head[2], "o", color=colour, markersize=4)
+        if fan.shows_goal:
+            above.plot(motions.goal[0], motions.goal[2], "o", color=_GOAL, markersize=9, alpha=0.8)
+        above.set_title("from above, m; squares: the end", fontsize=8, loc="left")
+        above.set_aspect("equal")
+        above.tick_params(labelsize=6)
         above.set_xlim(*seen_from_above[0])
         above.set_ylim(*seen_from_above[1])
         _draw_looks(looks, fan, group)
@@ -144,7 +163,12 @@ def _draw_bodies(axes: Axes, fan: Fan, group: FanGroup) -> None:
     shifts = side_by_side(clouds, spacing=_SPACING)
     for moment, poses, points, shift in zip(_MOMENTS, bodies, clouds, shifts, strict=True):
         for pose, colour in reversed(list(zip(poses, _shades(group), strict=True))):
-            _draw_pose(axes, fan, pose, start, sideways, shift, colour)
+            flat = flattened(pose, start, sideways, shift)
+            draw_chains(axes, flat, CHAINS, colour)
+            forward, _ = head_forward(pose, fan.groups[0].motions.head_tilt_deg)
+            tip = flattened((pose[Joint.HEAD] + _LOOK * forward)[None], start, sideways, shift)[0]
+            axes.plot(*np.stack([flat[Joint.HEAD], tip]).T, color=colour, linewidth=0.9, linestyle="--")
+            axes.plot(*flat[Joint.HEAD], "o", color=colour, markersize=4.5)
         if fan.shows_goal and moment != _MOMENTS[0]:
             axes.plot(goal[0, 0] + shift, goal[0, 1], "o", color=_GOAL, markersize=9, alpha=0.8, zorder=4)
         centre = float(points[:, 0].mean()) + shift
@@ -155,43 +179,6 @@ def _draw_bodies(axes: Axes, fan: Fan, group: FanGroup) -> None:
     axes.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
     axes.set_aspect("equal")
     without_frame(axes)
-
-
-def _draw_pose(
-    axes: Axes,
-    fan: Fan,
-    pose: Float[np.ndarray, "22 3"],
-    start: Float[np.ndarray, "3"],
-    sideways: Float[np.ndarray, "3"],
-    shift: float,
-    colour: tuple[float, float, float],
-) -> None:
-    flat = flattened(pose, start, sideways, shift)
-    draw_chains(axes, flat, CHAINS, colour)
-    forward, _ = head_forward(pose, fan.groups[0].motions.head_tilt_deg)
-    tip = flattened((pose[Joint.HEAD] + _LOOK * forward)[None], start, sideways, shift)[0]
-    axes.plot(*np.stack([flat[Joint.HEAD], tip]).T, color=colour, linewidth=0.9, linestyle="--")
-    axes.plot(*flat[Joint.HEAD], "o", color=colour, markersize=4.5)
-
-
-def _draw_above(axes: Axes, fan: Fan, group: FanGroup) -> None:
-    """Draw the ways of the pelvis from above, and where each head points at its prime time."""
-    motions = group.motions
-    primes = np.round(timing(motions, fan.constants).prime * motions.fps).astype(int)
-    forward, _ = head_forward(motions.joints, motions.head_tilt_deg)
-    for number, colour in reversed(list(enumerate(_shades(group)))):
-        pelvis = motions.joints[number, :, Joint.PELVIS]
-        axes.plot(pelvis[:, 0], pelvis[:, 2], color=colour, linewidth=1.3)
-        axes.plot(pelvis[-1, 0], pelvis[-1, 2], "s", color=colour, markersize=4)
-        head = motions.joints[number, primes[number], Joint.HEAD]
-        tip = head + _LOOK * forward[number, primes[number]]
-        axes.plot([head[0], tip[0]], [head[2], tip[2]], color=colour, linewidth=0.9, linestyle="--")
-        axes.plot(head[0], head[2], "o", color=colour, markersize=4)
-    if fan.shows_goal:
-        axes.plot(motions.goal[0], motions.goal[2], "o", color=_GOAL, markersize=9, alpha=0.8)
-    axes.set_title("from above, m; squares: the end", fontsize=8, loc="left")
-    axes.set_aspect("equal")
-    axes.tick_params(labelsize=6)
 
 
 def _draw_looks(axes: Axes, fan: Fan, group: FanGroup) -> None:
@@ -218,11 +205,3 @@ def _draw_wrists(axes: Axes, group: FanGroup) -> None:
     axes.set_ylim(-0.1, _FASTEST + 0.1)
     axes.set_title("speed of the wrist, m/s, over seconds", fontsize=8, loc="left")
     axes.tick_params(labelsize=6)
-
-
-def _limits_from_above(fan: Fan) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The same square for all groups, so that rows compare: limits of x and z, metres."""
-    points = [group.motions.joints[:, :, [Joint.PELVIS, Joint.HEAD]].reshape(-1, 3)[:, [0, 2]] for group in fan.groups]
-    if fan.shows_goal:
-        points.append(fan.groups[0].motions.goal[None, [0, 2]])
-    return square_limits(np.concatenate(points), margin=_MARGIN)

@@ -138,7 +138,9 @@ def draw_scene(cell: SubFigure, scene: Scene) -> None:
     """Fill one cell of the sheet."""
     axes = cell.add_gridspec(3, 3, height_ratios=[1.3, 1.3, 1.1], left=0.06, right=0.985, top=0.94, bottom=0.075)
     cell.suptitle(scene.title, fontsize=9, y=0.985)
-    towards = _towards_goal(scene)
+    # The horizontal unit vector from the pelvis to the goal at the event.
+    frame = _frame(scene, scene.end)
+    towards = horizontal_direction(scene.event.goal - scene.performance.joints[frame, Joint.PELVIS])
     # The horizontal direction at a right angle to the way to the goal: the second strip looks along the reach.
     across = np.array([towards[2], 0.0, -towards[0]])
     _draw_strip(cell.add_subplot(axes[0, :]), scene, towards)
@@ -147,12 +149,6 @@ def draw_scene(cell: SubFigure, scene: Scene) -> None:
     curves = curves_of(scene.performance, scene.event, scene.start, scene.end)
     _draw_distances(cell.add_subplot(axes[2, 1]), scene, curves)
     _draw_speeds(cell.add_subplot(axes[2, 2]), scene, curves)
-
-
-def _towards_goal(scene: Scene) -> np.ndarray:
-    """Return the horizontal unit vector from the pelvis to the goal at the event."""
-    frame = _frame(scene, scene.end)
-    return horizontal_direction(scene.event.goal - scene.performance.joints[frame, Joint.PELVIS])
 
 
 def _frame(scene: Scene, time: float) -> int:
@@ -344,17 +340,13 @@ def render_strips(strips: Sequence[Strip], path: Path | str, *, columns: int = 2
     for axes in grid[len(strips) :]:
         axes.set_axis_off()
     for axes, strip in zip(grid, strips, strict=False):
-        _draw(axes, strip)
+        frames = np.linspace(0, len(strip.joints) - 1, _N_FIGURES_OF_CLIP).round().astype(int)
+        for number, frame in enumerate(frames):
+            draw_figure(axes, strip.joints[frame], strip.head_tilt_deg, _SIDEWAYS, number * _SPACING_OF_CLIP)
+        axes.set_title(figure_text(strip.text), fontsize=8, loc="left")
+        axes.set_aspect("equal")
+        axes.set_ylim(-0.05, 2.25)
+        moved = np.linalg.norm((strip.joints[-1] - strip.joints[0])[Joint.PELVIS, [0, 2]])
+        axes.set_xlabel(f"{len(strip.joints)} frames, pelvis ends {moved:.2f} m away", fontsize=7)
+        axes.tick_params(labelsize=6)
     write_png(figure, path)
-
-
-def _draw(axes: Axes, strip: Strip) -> None:
-    frames = np.linspace(0, len(strip.joints) - 1, _N_FIGURES_OF_CLIP).round().astype(int)
-    for number, frame in enumerate(frames):
-        draw_figure(axes, strip.joints[frame], strip.head_tilt_deg, _SIDEWAYS, number * _SPACING_OF_CLIP)
-    axes.set_title(figure_text(strip.text), fontsize=8, loc="left")
-    axes.set_aspect("equal")
-    axes.set_ylim(-0.05, 2.25)
-    moved = np.linalg.norm((strip.joints[-1] - strip.joints[0])[Joint.PELVIS, [0, 2]])
-    axes.set_xlabel(f"{len(strip.joints)} frames, pelvis ends {moved:.2f} m away", fontsize=7)
-    axes.tick_params(labelsize=6)

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from prbench.errors import UsageError
-from prbench.files.storage import sole_file
 from prbench.shown import figure_text
-from prbench.viewing.figures import new_figure, write_png
+from prbench.viewing.figures import new_figure, require_drawable, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_FORMATS = (".png", ".svg")
 _LABEL_GAP = 6  # points between a mark and its name
 
 
@@ -66,16 +64,6 @@ def _with_cost(methods: Iterable[ScoredMethod]) -> list[tuple[float, ScoredMetho
     return [(each.cost, each) for each in methods if each.cost is not None]
 
 
-def require_drawable(path: Path) -> None:
-    """Refuse kinds of files that the plot is not written as, before anything is read.
-
-    Raises:
-        UsageError: for any but PNG and SVG.
-    """
-    if path.suffix.lower() not in _FORMATS:
-        raise UsageError(f"{path}: the plot is written as {' or '.join(_FORMATS)}, not as '{path.suffix}'.")
-
-
 def draw_pareto(methods: Sequence[ScoredMethod], axes: ParetoAxes, path: Path, *, dpi: int = 110) -> None:
     """Draw scores with their intervals against cost, the front as steps, and controls as level lines.
 
@@ -92,16 +80,9 @@ def draw_pareto(methods: Sequence[ScoredMethod], axes: ParetoAxes, path: Path, *
     require_drawable(path)
     if all(each.cost is None for each in methods):
         raise UsageError("nothing to draw: none of the methods has a measured cost (controls and files have none).")
-    import matplotlib as mpl
-
-    with mpl.rc_context({"svg.hashsalt": "prbench", "svg.fonttype": "none"}):
-        figure = new_figure(7.2, 4.6, dpi=dpi, layout="constrained")
-        _draw(figure.subplots(), methods, axes)
-        if path.suffix.lower() == ".png":
-            write_png(figure, path)
-            return
-        with sole_file(path) as draft:
-            figure.savefig(draft, format="svg", metadata={"Date": None, "Creator": None})
+    figure = new_figure(7.2, 4.6, dpi=dpi, layout="constrained")
+    _draw(figure.subplots(), methods, axes)
+    write_figure(figure, path)
 
 
 def _draw(panel: Axes, methods: Sequence[ScoredMethod], axes: ParetoAxes) -> None:

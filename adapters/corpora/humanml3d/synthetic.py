@@ -59,7 +59,7 @@ def captioned_motions(motion: NarratedMotion) -> tuple[CaptionedMotion, ...]:
             (f"a person {clauses[0]}.", 0.0, round(first.end - first.start, 3)),
             (f"a person {clauses[1]}.", round(second.start - first.start, 3), round(second.end - first.start, 3)),
         )
-        motions.append(CaptionedMotion(_canonical(joints), lines))
+        motions.append(CaptionedMotion(transform_points(invert_rigid(canonical_frame(joints)), joints), lines))
     return tuple(motions)
 
 
@@ -90,10 +90,6 @@ def write_lists(root: Path, splits: dict[str, str]) -> None:
     for split, name in layout.SPLIT_FILES.items():
         members = "".join(f"{motion}\n" for motion, chosen in sorted(splits.items()) if chosen == split)
         write_text(root / name, members)
-
-
-def _canonical(joints: np.ndarray) -> np.ndarray:
-    return transform_points(invert_rigid(canonical_frame(joints)), joints)
 
 
 def _other_side(text: str) -> str:

@@ -80,10 +80,18 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
     clock = generator("clock")
     device_start_us, offset_us = (round(1e6 * float(clock.uniform(*span))) for span in (_DEVICE_START, _OFFSET))
     ticks = np.rint(np.arange(len(motion.joints)) * 1e6 / SUIT_RATE).astype(np.int64)
+    rng = generator("drift")
+    joints = motion.joints
+    points = np.stack([joints[:, _JOINT_OF_SEGMENT[name]] for name in XSENS_SEGMENTS], axis=1)
+    points[:, 0] = 0.5 * (joints[:, Joint.LEFT_HIP] + joints[:, Joint.RIGHT_HIP])
+    drift = np.stack([wobble(motion.times, noise * _DRIFT[0], *_DRIFT[1:], rng) for _ in range(2)], axis=-1)
+    points[..., [0, 2]] += drift[:, None]
+    joints = [int(_JOINT_OF_SEGMENT[name]) for name in XSENS_SEGMENTS]
+    turned = matrix_of(motion.rotations[:, joints])
     suit = Suit(
         time_us=device_start_us + offset_us + ticks,
-        position=_positions(motion, generator("drift"), noise),
-        rotation=_rotations(motion),
+        position=(np.rint(z_up(points) * _ROUNDED) / _ROUNDED).astype(np.float32),
+        rotation=quaternion(_Z_UP_FROM_Y_UP @ turned @ _OURS_FROM_SEGMENT).astype(np.float32),
         tpose=_calibration_pose(motion),
     )
     device_start = device_start_us / 1e6
@@ -106,21 +114,6 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
 def _answers_of(kind: str) -> tuple[str, ...]:
     """Names of the answers of a kind, without "Describe my"."""
     return tuple(name[len(nymeria.ANSWER_PREFIX) :].strip() for name in nymeria.ANSWER_COLUMNS[kind])
-
-
-def _positions(motion: NarratedMotion, rng: np.random.Generator, noise: float) -> Float[np.ndarray, "n 23 3"]:
-    joints = motion.joints
-    points = np.stack([joints[:, _JOINT_OF_SEGMENT[name]] for name in XSENS_SEGMENTS], axis=1)
-    points[:, 0] = 0.5 * (joints[:, Joint.LEFT_HIP] + joints[:, Joint.RIGHT_HIP])
-    drift = np.stack([wobble(motion.times, noise * _DRIFT[0], *_DRIFT[1:], rng) for _ in range(2)], axis=-1)
-    points[..., [0, 2]] += drift[:, None]
-    return (np.rint(z_up(points) * _ROUNDED) / _ROUNDED).astype(np.float32)
-
-
-def _rotations(motion: NarratedMotion) -> Float[np.ndarray, "n 23 4"]:
-    joints = [int(_JOINT_OF_SEGMENT[name]) for name in XSENS_SEGMENTS]
-    turned = matrix_of(motion.rotations[:, joints])
-    return quaternion(_Z_UP_FROM_Y_UP @ turned @ _OURS_FROM_SEGMENT).astype(np.float32)
 
 
 def _glasses(motion: NarratedMotion, time_us: np.ndarray, rng: np.random.Generator, noise: float) -> GlassesPoses:
@@ -177,7 +170,22 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
     """
     recording = readings.recording
     folder = root / recording.name
-    _write_suit(folder / "body" / nymeria.SUIT_FILE, readings)
+    # Write ``xdata.npz``; equal readings give equal bytes.
+    path = folder / "body" / nymeria.SUIT_FILE
+    suit = readings.recording.suit
+    n = len(suit.time_us)
+    arrays = {
+        "timestamps_us": suit.time_us,
+        "frameCount": np.array([n]),
+        "frameRate": np.array([round(nymeria.SUIT_RATE)]),
+        "segmentCount": np.array([nymeria.N_SEGMENTS]),
+        "segment_tXYZ": suit.position.reshape(n, -1),
+        "segment_qWXYZ": suit.rotation.reshape(n, -1),
+    }
+    if suit.tpose is not None:
+        arrays["tpose_segment_tXYZ"] = suit.tpose.ravel()
+    with atomic_path(path) as temporary:
+        np.savez(temporary, **arrays)
     for kind, name in nymeria.NARRATION_FILES.items():
         rows = [row for row in recording.narrations if row.kind == kind]
         if rows:
@@ -198,24 +206,6 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
     if trajectory:
         slam = folder / nymeria.HEAD_FOLDER / "mps" / "slam"
         write_csv(slam / nymeria.TRAJECTORY_FILE, _trajectory_columns(readings.glasses))
-
-
-def _write_suit(path: Path, readings: NymeriaReadings) -> None:
-    """Write ``xdata.npz``; equal readings give equal bytes."""
-    suit = readings.recording.suit
-    n = len(suit.time_us)
-    arrays = {
-        "timestamps_us": suit.time_us,
-        "frameCount": np.array([n]),
-        "frameRate": np.array([round(nymeria.SUIT_RATE)]),
-        "segmentCount": np.array([nymeria.N_SEGMENTS]),
-        "segment_tXYZ": suit.position.reshape(n, -1),
-        "segment_qWXYZ": suit.rotation.reshape(n, -1),
-    }
-    if suit.tpose is not None:
-        arrays["tpose_segment_tXYZ"] = suit.tpose.ravel()
-    with atomic_path(path) as temporary:
-        np.savez(temporary, **arrays)
 
 
 def _write_narrations(path: Path, kind: str, rows: list[Narration], *, byte_order_mark: bool = True) -> None:

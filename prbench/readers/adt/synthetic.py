@@ -29,7 +29,7 @@ from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.synthetic import sense_egoallo, write_outputs, write_smplh_model
 from prbench.synthetic.layouts import Layout
 from prbench.synthetic.people.kinematics import UP, unit, wobble
-from prbench.synthetic.performance import ObjectMotion, Performance
+from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import Sensing, Switches, device_start_us, fixation_depth, tracked, untracked
 
 _DIRECT = {
@@ -105,13 +105,25 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     sensing = Sensing(performance, noise, switches or Switches())
     times = sensing.times(RATE)
     pose_us = device_start_us(performance) + np.rint((times - performance.times[0]) * 1e6).astype(np.int64)
+    position, rotation = device_poses(sensing, times, GLASSES_SIZE)
+    rng = sensing.generator("pose-noise")
+    scale = sensing.strength("pose_noise")
+    offset = rng.normal(0.0, _POSE_NOISE, (len(times), 3)) * scale
+    turned = rotation * Rotation.from_rotvec(rng.normal(0.0, _POSE_TURN, (len(times), 3)) * scale)
+    lost = sensing.generator("pose-losses").random(len(times)) < _POSE_LOSS * sensing.strength("pose_losses")
+    quality = np.clip(1.0 - np.linalg.norm(offset, axis=1) / 5e-3, 0.2, 1.0)
     return adt.AdtReadings(
         recording_id=performance.recording_id,
         serial=_glasses_serial(performance),
         concurrent=f"{performance.recording_id}-other" if performance.other_people else "",
         glasses_size=None,
         device_from_rgb=None,
-        glasses=_sense_glasses(sensing, times, pose_us),
+        glasses=adt.GlassesPoses(
+            pose_us,
+            np.round(position + offset, _METRES),
+            np.round(turned.as_quat(canonical=True, scalar_first=True), _QUATERNION),
+            np.round(np.where(lost, 0.0, quality), _METRES),
+        ),
         # The file's depth is 0, "unknown", between fixations.
         gaze=gaze_rows(sensing, times, pose_us - adt.GAZE_BEFORE_POSE_US, fixation_depth(sensing, times, 0.0)),
         objects=_sense_objects(sensing, times, pose_us * 1000 + adt.OBJECT_AFTER_POSE_NS),
@@ -124,24 +136,6 @@ def _glasses_serial(performance: Performance, other: int = 0) -> str:
     return f"SYNTH{performance.index:05d}M{other:02d}"
 
 
-def _sense_glasses(
-    sensing: Sensing, times: Float[np.ndarray, " n"], time_us: Int[np.ndarray, " n"]
-) -> adt.GlassesPoses:
-    position, rotation = device_poses(sensing, times, GLASSES_SIZE)
-    rng = sensing.generator("pose-noise")
-    scale = sensing.strength("pose_noise")
-    offset = rng.normal(0.0, _POSE_NOISE, (len(times), 3)) * scale
-    turned = rotation * Rotation.from_rotvec(rng.normal(0.0, _POSE_TURN, (len(times), 3)) * scale)
-    lost = sensing.generator("pose-losses").random(len(times)) < _POSE_LOSS * sensing.strength("pose_losses")
-    quality = np.clip(1.0 - np.linalg.norm(offset, axis=1) / 5e-3, 0.2, 1.0)
-    return adt.GlassesPoses(
-        time_us,
-        np.round(position + offset, _METRES),
-        np.round(turned.as_quat(canonical=True, scalar_first=True), _QUATERNION),
-        np.round(np.where(lost, 0.0, quality), _METRES),
-    )
-
-
 def _sense_objects(
     sensing: Sensing, times: Float[np.ndarray, " n"], time_ns: Int[np.ndarray, " n"]
 ) -> tuple[adt.AdtObject, ...]:
@@ -151,7 +145,11 @@ def _sense_objects(
     for motion in performance.objects:
         seen = ~untracked(performance, motion, times) if motion.movable else np.ones(1, dtype=bool)
         query = times if motion.movable else times[:1]
-        position, rotation = _object_poses(performance, motion, query)
+        # The poses of an object's own frame, whose origin is the middle of the box's base.
+        track = performance.times[: len(motion.position)]
+        rotation = Rotation.from_quat(slerp(track, motion.rotation, query), scalar_first=True)
+        centre = interpolate(track, motion.position, query)
+        position, rotation = centre - rotation.apply((0.0, motion.half_extents[1], 0.0)), rotation
         if motion.movable:
             size = (_OBJECT_NOISE, _OBJECT_TURN)
             position, rotation = tracked(sensing, motion.object_id, position, rotation, size=size, scale=scale)
@@ -180,16 +178,6 @@ def native_object_id(object_id: str) -> int:
     if re.fullmatch(r"[1-9]\d{14,15}", object_id):
         return int(object_id)
     return 10**15 + int.from_bytes(hashlib.sha256(object_id.encode()).digest()[:8], "big") % (8 * 10**15)
-
-
-def _object_poses(
-    performance: Performance, motion: ObjectMotion, query: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "n 3"], Rotation]:
-    """Return the poses of an object's own frame, whose origin is the middle of the box's base."""
-    track = performance.times[: len(motion.position)]
-    rotation = Rotation.from_quat(slerp(track, motion.rotation, query), scalar_first=True)
-    centre = interpolate(track, motion.position, query)
-    return centre - rotation.apply((0.0, motion.half_extents[1], 0.0)), rotation
 
 
 def _room_object() -> adt.AdtObject:
@@ -410,10 +398,30 @@ def _scene_metadata(*readings: adt.AdtReadings) -> dict[str, object]:
 
 
 def _write_device_files(readings: adt.AdtReadings, folder: Path, association_file: str) -> None:
-    write_json(folder / adt.INSTANCES_FILE, _instances(readings))
+    objects = {
+        str(entry.object_id): _instance(
+            entry.object_id, entry.name, entry.prototype, entry.category, dynamic=entry.dynamic, human=False
+        )
+        for entry in readings.objects
+    }
+    people = {
+        str(person.skeleton_id): _instance(
+            person.skeleton_id, person.name, "Skeleton", "person", dynamic=True, human=True
+        )
+        for person in readings.skeletons
+    }
+    write_json(folder / adt.INSTANCES_FILE, (objects | people))
     write_csv(folder / adt.TRAJECTORY_FILE, _trajectory_columns(readings.glasses))
     write_csv(folder / adt.GAZE_FILE, _gaze_columns(readings.gaze))
-    write_csv(folder / adt.BOXES_FILE, _box_columns(readings.objects))
+    objects = readings.objects
+    lower, upper = (np.stack([getattr(entry, side) for entry in objects]) for side in ("box_min", "box_max"))
+    columns: dict[str, object] = {
+        adt.OBJECT_ID: np.array([entry.object_id for entry in objects]),
+        adt.OBJECT_TIME: np.full(len(objects), adt.STATIC_TIME),
+    }
+    for axis in range(3):
+        columns |= {adt.BOX_MIN[axis]: lower[:, axis], adt.BOX_MAX[axis]: upper[:, axis]}
+    write_csv(folder / adt.BOXES_FILE, columns)
     write_csv(folder / adt.OBJECTS_FILE, _object_columns(readings.objects))
     people = [
         {"AssociatedDeviceSerial": person.serial, "SkeletonId": person.skeleton_id, "SkeletonName": person.name}
@@ -421,7 +429,15 @@ def _write_device_files(readings: adt.AdtReadings, folder: Path, association_fil
     ]
     write_json(folder / association_file, {"SkeletonMetadata": people})
     for person in readings.skeletons:
-        _write_skeleton(folder / f"{person.name}.json", person)
+        path = folder / f"{person.name}.json"
+        joints = person.joints.tolist()
+        markers = np.zeros((len(joints), adt.N_MARKERS, 3)) if person.markers is None else person.markers
+        frames = [
+            {"markers": frame_markers, "joints": frame_joints, "timestamp_ns": time}
+            for frame_markers, frame_joints, time in zip(markers.tolist(), joints, person.time_ns.tolist(), strict=True)
+        ]
+        content = {"dt_optitrack_minus_device_ns": {person.serial: 0}, "frames": frames}
+        write_bytes(path, msgspec.json.encode(content))
 
 
 def _trajectory_columns(glasses: adt.GlassesPoses) -> dict[str, object]:
@@ -454,17 +470,6 @@ def _gaze_columns(gaze: adt.GazeAngles) -> dict[str, object]:
     }
 
 
-def _box_columns(objects: Sequence[adt.AdtObject]) -> dict[str, object]:
-    lower, upper = (np.stack([getattr(entry, side) for entry in objects]) for side in ("box_min", "box_max"))
-    columns: dict[str, object] = {
-        adt.OBJECT_ID: np.array([entry.object_id for entry in objects]),
-        adt.OBJECT_TIME: np.full(len(objects), adt.STATIC_TIME),
-    }
-    for axis in range(3):
-        columns |= {adt.BOX_MIN[axis]: lower[:, axis], adt.BOX_MAX[axis]: upper[:, axis]}
-    return columns
-
-
 def _object_columns(objects: Sequence[adt.AdtObject]) -> dict[str, object]:
     times = np.concatenate([entry.time_ns for entry in objects])
     ids = np.concatenate([np.full(len(entry.time_ns), entry.object_id) for entry in objects])
@@ -477,22 +482,6 @@ def _object_columns(objects: Sequence[adt.AdtObject]) -> dict[str, object]:
         **split_columns(adt.OBJECT_POSITION, position),
         **split_columns(adt.OBJECT_ROTATION, rotation),
     }
-
-
-def _instances(readings: adt.AdtReadings) -> dict[str, dict[str, object]]:
-    objects = {
-        str(entry.object_id): _instance(
-            entry.object_id, entry.name, entry.prototype, entry.category, dynamic=entry.dynamic, human=False
-        )
-        for entry in readings.objects
-    }
-    people = {
-        str(person.skeleton_id): _instance(
-            person.skeleton_id, person.name, "Skeleton", "person", dynamic=True, human=True
-        )
-        for person in readings.skeletons
-    }
-    return objects | people
 
 
 def _instance(
@@ -510,17 +499,6 @@ def _instance(
         "rotational_symmetry": {"is_annotated": False},
         "canonical_pose": {"up_vector": [0, 1, 0], "front_vector": [0, 0, 1]},
     }
-
-
-def _write_skeleton(path: Path, person: adt.AdtSkeleton) -> None:
-    joints = person.joints.tolist()
-    markers = np.zeros((len(joints), adt.N_MARKERS, 3)) if person.markers is None else person.markers
-    frames = [
-        {"markers": frame_markers, "joints": frame_joints, "timestamp_ns": time}
-        for frame_markers, frame_joints, time in zip(markers.tolist(), joints, person.time_ns.tolist(), strict=True)
-    ]
-    content = {"dt_optitrack_minus_device_ns": {person.serial: 0}, "frames": frames}
-    write_bytes(path, msgspec.json.encode(content))
 
 
 def _write_estimates(performance: Performance, readings: adt.AdtReadings, root: Path, *, noise: float = 1.0) -> None:

@@ -85,8 +85,27 @@ def sense_mps(
         slam_gaps: Spans without poses, seconds after the first instant.
     """
     sensing = Sensing(performance, noise, switches or Switches())
+    n = int((performance.duration + 1e-9) * POSE_RATE) + 1
+    since_start = np.arange(n) * (1_000_000 // POSE_RATE) + _step_errors(sensing, n, step_jitter_us)
+    since_start = np.clip(since_start, 0, round(performance.duration * 1e6))
+    times = performance.times[0] + since_start / 1e6
+    position, rotation = _native_poses(sensing, times)
+    shift, turn = _drift(sensing, times)
+    rng = sensing.generator("mps-pose-noise")
+    scale = sensing.strength("pose_noise")
+    shift += rng.normal(0.0, _WHITE, (n, 3)) * scale
+    turn += rng.normal(0.0, _WHITE_TURN, (n, 3)) * scale
+    turned = Rotation.from_rotvec(turn) * rotation
     readings = mps.MpsReadings(
-        trajectory=_sense_poses(sensing, start_us, step_jitter_us),
+        trajectory=mps.AriaTrajectory(
+            time_us=start_us + since_start,
+            position=np.round(position + shift, _METRES),
+            rotation=np.round(turned.as_quat(canonical=True, scalar_first=True), _QUATERNION),
+            quality=np.where(np.arange(n) < _STARTING_ROWS, _STARTING_QUALITY, 1.0),
+            up=-np.array(GRAVITY) / np.linalg.norm(GRAVITY),
+            graph_uids=(graph_uid(performance),),
+            left_out=0,
+        ),
         gaze=_sense_gaze(sensing, start_us, gaze_kind),
         gaze_kind=gaze_kind,
         wrists=_sense_hands(sensing, start_us) if hands else None,
@@ -113,30 +132,6 @@ def device_from_rgb() -> Float[np.ndarray, "4 4"]:
         quaternion = Rotation.from_matrix(transform[:3, :3]).as_quat(canonical=True)
         transform[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
     return transform
-
-
-def _sense_poses(sensing: Sensing, start_us: int, step_jitter_us: int) -> mps.AriaTrajectory:
-    performance = sensing.performance
-    n = int((performance.duration + 1e-9) * POSE_RATE) + 1
-    since_start = np.arange(n) * (1_000_000 // POSE_RATE) + _step_errors(sensing, n, step_jitter_us)
-    since_start = np.clip(since_start, 0, round(performance.duration * 1e6))
-    times = performance.times[0] + since_start / 1e6
-    position, rotation = _native_poses(sensing, times)
-    shift, turn = _drift(sensing, times)
-    rng = sensing.generator("mps-pose-noise")
-    scale = sensing.strength("pose_noise")
-    shift += rng.normal(0.0, _WHITE, (n, 3)) * scale
-    turn += rng.normal(0.0, _WHITE_TURN, (n, 3)) * scale
-    turned = Rotation.from_rotvec(turn) * rotation
-    return mps.AriaTrajectory(
-        time_us=start_us + since_start,
-        position=np.round(position + shift, _METRES),
-        rotation=np.round(turned.as_quat(canonical=True, scalar_first=True), _QUATERNION),
-        quality=np.where(np.arange(n) < _STARTING_ROWS, _STARTING_QUALITY, 1.0),
-        up=-np.array(GRAVITY) / np.linalg.norm(GRAVITY),
-        graph_uids=(graph_uid(performance),),
-        left_out=0,
-    )
 
 
 def _step_errors(sensing: Sensing, n: int, largest_us: int) -> Int[np.ndarray, " n"]:
@@ -251,20 +246,7 @@ def _sense_hands(sensing: Sensing, start_us: int) -> mps.WristPositions:
     wrist = interpolate(performance.times, performance.joints[:, list(WRISTS)], times)
     palm = (wrist + interpolate(performance.times, performance.finger_bases, times)) / 2
     error = sensing.generator("mps-hand-noise").normal(0.0, _HAND_NOISE, wrist.shape) * sensing.strength("hand_noise")
-    confidence = _hand_confidence(sensing, times, wrist)
-    seen = (confidence > 0)[..., None]
-    return mps.WristPositions(
-        start_us + since_start,
-        confidence,
-        np.where(seen, np.round(_in_device(sensing, times, wrist + error), _METRES), np.nan),
-        np.where(seen, np.round(_in_device(sensing, times, palm + error), _METRES), np.nan),
-    )
-
-
-def _hand_confidence(
-    sensing: Sensing, times: Float[np.ndarray, " n"], wrist: Float[np.ndarray, "n 2 3"]
-) -> Float[np.ndarray, "n 2"]:
-    """Return 1 straight ahead, less towards the edge of the view, -1 beyond it; always 1 without losses."""
+    # 1 straight ahead, less towards the edge of the view, -1 beyond it; always 1 without losses.
     scale = sensing.strength("hand_losses")
     away = wrist - sensing.eye(times)[:, None]
     forward = sensing.head(times).apply((0.0, 0.0, 1.0))
@@ -272,7 +254,14 @@ def _hand_confidence(
     angle = np.arccos(np.clip(ahead, -1.0, 1.0)) / _FIELD_OF_VIEW
     doubt = np.abs(sensing.generator("mps-hand-confidence").normal(0.0, 0.03, angle.shape))
     confidence = np.round(np.clip(1.0 - scale * (0.5 * angle**4 + doubt), 0.01, 1.0), _METRES)
-    return np.where((angle > 1.0) & (scale > 0), -1.0, confidence)
+    confidence = np.where((angle > 1.0) & (scale > 0), -1.0, confidence)
+    seen = (confidence > 0)[..., None]
+    return mps.WristPositions(
+        start_us + since_start,
+        confidence,
+        np.where(seen, np.round(_in_device(sensing, times, wrist + error), _METRES), np.nan),
+        np.where(seen, np.round(_in_device(sensing, times, palm + error), _METRES), np.nan),
+    )
 
 
 def _in_device(
@@ -326,7 +315,32 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
     if mps.TRAJECTORY in wanted:
         write_csv(slam / mps.TRAJECTORY_FILE, _trajectory_columns(readings.trajectory))
     if mps.CALIBRATION in wanted and readings.glasses_size is not None:
-        _write_calibration(slam / mps.CALIBRATION_FILE, readings)
+        path = slam / mps.CALIBRATION_FILE
+        first, last = readings.trajectory.time_us[[0, -1]]
+        scale = _LARGE_GLASSES if readings.glasses_size == "DVT-L" else 1.0
+        poses = {label: _from_translation(np.array(place) * scale) for label, place in _CAMERAS.items()}
+        if readings.device_from_rgb is not None:
+            poses["camera-rgb"] = readings.device_from_rgb
+        cameras = [
+            {
+                "Label": label,
+                "Calibrated": True,
+                "SerialNumber": "",
+                "T_Device_Camera": _pose_record(pose),
+                "Projection": {"Name": "FisheyeRadTanThinPrism", "Params": [*_intrinsics(label), *[0.0] * 12]},
+            }
+            for label, pose in poses.items()
+        ]
+        imus = [_imu_record(label) for label in ("imu-right", "imu-left")]
+        with atomic_path(path) as temporary, open(temporary, "wb") as file:
+            for time_us in range(int(first), int(last) + 1, _CALIBRATION_STEP_US):
+                record = {
+                    "utc_timestamp_ns": -1,
+                    "tracking_timestamp_us": time_us,
+                    "ImuCalibrations": imus,
+                    "CameraCalibrations": cameras,
+                }
+                file.write(msgspec.json.encode(record) + b"\n")
     if mps.SLAM_SUMMARY in wanted:
         write_json(slam / mps.SUMMARY_FILE, {"SLAM": {"status": "SUCCESS", "info": [], "warnings": [], "errors": []}})
     if mps.GAZE in wanted:
@@ -334,7 +348,14 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
     if mps.GAZE_SUMMARY in wanted:
         write_json(gaze / mps.SUMMARY_FILE, {"GazeInference": {"status": "SUCCESS", "message": ""}, "version": "3.0"})
     if mps.WRISTS in wanted and readings.wrists is not None:
-        write_csv(hands / mps.WRISTS_FILE, _wrist_columns(readings.wrists))
+        wrists = readings.wrists
+        columns: dict[str, object] = {mps.TIME_COLUMN: wrists.time_us}
+        for index, side in enumerate(mps.SIDES):
+            columns[f"{side}_tracking_confidence"] = wrists.confidence[:, index]
+            for part, points in (("wrist", wrists.wrist), ("palm", wrists.palm)):
+                names = [f"t{axis}_{side}_{part}_device" for axis in "xyz"]
+                columns |= split_columns(names, np.nan_to_num(points[:, index], nan=0.0))
+        write_csv(hands / mps.WRISTS_FILE, columns)
     if mps.HAND_SUMMARY in wanted and readings.wrists is not None:
         write_json(hands / mps.SUMMARY_FILE, {"HandTracking": {"status": "SUCCESS", "message": ""}})
 
@@ -393,48 +414,6 @@ def _gaze_columns(gaze: mps.GazeAngles) -> dict[str, object]:
         },
         "session_uid": np.full(n, _NO_SESSION),
     }
-
-
-def _wrist_columns(wrists: mps.WristPositions) -> dict[str, object]:
-    columns: dict[str, object] = {mps.TIME_COLUMN: wrists.time_us}
-    for index, side in enumerate(mps.SIDES):
-        columns[f"{side}_tracking_confidence"] = wrists.confidence[:, index]
-        for part, points in (("wrist", wrists.wrist), ("palm", wrists.palm)):
-            names = [f"t{axis}_{side}_{part}_device" for axis in "xyz"]
-            columns |= split_columns(names, np.nan_to_num(points[:, index], nan=0.0))
-    return columns
-
-
-def _write_calibration(path: Path, readings: mps.MpsReadings) -> None:
-    first, last = readings.trajectory.time_us[[0, -1]]
-    cameras = _camera_records(readings)
-    imus = [_imu_record(label) for label in ("imu-right", "imu-left")]
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        for time_us in range(int(first), int(last) + 1, _CALIBRATION_STEP_US):
-            record = {
-                "utc_timestamp_ns": -1,
-                "tracking_timestamp_us": time_us,
-                "ImuCalibrations": imus,
-                "CameraCalibrations": cameras,
-            }
-            file.write(msgspec.json.encode(record) + b"\n")
-
-
-def _camera_records(readings: mps.MpsReadings) -> list[dict[str, object]]:
-    scale = _LARGE_GLASSES if readings.glasses_size == "DVT-L" else 1.0
-    poses = {label: _from_translation(np.array(place) * scale) for label, place in _CAMERAS.items()}
-    if readings.device_from_rgb is not None:
-        poses["camera-rgb"] = readings.device_from_rgb
-    return [
-        {
-            "Label": label,
-            "Calibrated": True,
-            "SerialNumber": "",
-            "T_Device_Camera": _pose_record(pose),
-            "Projection": {"Name": "FisheyeRadTanThinPrism", "Params": [*_intrinsics(label), *[0.0] * 12]},
-        }
-        for label, pose in poses.items()
-    ]
 
 
 def _from_translation(place: np.ndarray) -> np.ndarray:

@@ -81,7 +81,14 @@ def shape_of(performance: Performance) -> Float[np.ndarray, "16"]:
         ValueError: if the model cannot express the person: a preset whose bodies differ in other lengths.
     """
     rest = synthetic_smplh()
-    wanted = _rest_bones(performance)
+    # The person's bones in the model's rest pose: measured in the parents' frames, where they never change.
+    bones = np.zeros((N_JOINTS, 3))
+    rotations = model_rotations(performance.rotations[:1])
+    for child in range(1, N_JOINTS):
+        parent = PARENTS[child]
+        bone = performance.joints[0, child] - performance.joints[0, parent]
+        bones[child] = Rotation.from_quat(rotations[0, parent], scalar_first=True).inv().apply(bone)
+    wanted = bones
     wanted[Joint.HEAD] = _HEAD_BONE * performance.person.stature
     directions = np.stack([_bones_of(rest.directions[..., k]) for k in range(ego.N_BETAS)], axis=-1)
     missing = (wanted - _bones_of(rest.template)).reshape(-1)
@@ -96,17 +103,6 @@ def _bones_of(joints: Float[np.ndarray, "22 3"]) -> Float[np.ndarray, "22 3"]:
     """Return each joint minus its parent; zero for the pelvis."""
     parents = np.maximum(np.array(PARENTS), 0)
     return joints - joints[parents]
-
-
-def _rest_bones(performance: Performance) -> Float[np.ndarray, "22 3"]:
-    """Return the person's bones in the model's rest pose: measured in the parents' frames, where they never change."""
-    bones = np.zeros((N_JOINTS, 3))
-    rotations = model_rotations(performance.rotations[:1])
-    for child in range(1, N_JOINTS):
-        parent = PARENTS[child]
-        bone = performance.joints[0, child] - performance.joints[0, parent]
-        bones[child] = Rotation.from_quat(rotations[0, parent], scalar_first=True).inv().apply(bone)
-    return bones
 
 
 def model_rotations(segments: Float[np.ndarray, "n 22 4"]) -> Float[np.ndarray, "n 22 4"]:
@@ -187,15 +183,38 @@ def sense_egoallo(
     """
     sensing = Sensing(performance, noise, switches or Switches())
     every = np.arange(ego.INPUT_STEP, len(trajectory.time_us), ego.INPUT_STEP)  # the first has no predecessor
-    windows = _windows(len(every))
+    # The first and last frame of each window, in output frames; the last one ends with the recording.
+    n_frames = len(every)
+    stride = ego.WINDOW_FRAMES - ego.WINDOW_OVERLAP
+    starts = range(0, max(n_frames - ego.WINDOW_OVERLAP, 1), stride)
+    windows = [(first, min(first + ego.WINDOW_FRAMES, n_frames)) for first in starts]
+    windows = [(first, last) for first, last in windows if last - first >= _SHORTEST_WINDOW]
     frames = np.concatenate([np.arange(*window) for window in windows]) if windows else np.zeros(0, dtype=np.int64)
     rows = every[frames]
     since_start = (trajectory.time_us[rows] - (trajectory.time_us[0] if start_us is None else start_us)) / 1e6
     times = performance.times[0] + since_start
     number = np.repeat(np.arange(len(windows)), [last - first for first, last in windows])
-    pose = _estimate(sensing, _true_pose(performance, times), times, number)
-    root, body = _model_parameters(pose, native_from_world)
-    cpf = _head_poses(trajectory, rows, size)
+    # The truth at some times; rotations are interpolated, so that bones keep their lengths.
+    n = len(times)
+    segments = np.stack(
+        [slerp(performance.times, performance.rotations[:, joint], times) for joint in Joint], axis=1
+    ).reshape(n, len(Joint), 4)
+    rotations = model_rotations(segments)
+    pelvis = interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
+    rest = synthetic_smplh().rest_joints(shape_of(performance))
+    joints = ego.forward_kinematics(rest, pelvis, rotations[:, Joint.PELVIS], _local(rotations))
+    pose = _estimate(sensing, _Pose(joints, rotations), times, number)
+    # The root pose in the native world, and local rotations; float32, as the files hold them.
+    turn = Rotation.from_matrix(native_from_world[:3, :3])
+    root = turn * Rotation.from_quat(pose.rotations[:, Joint.PELVIS], scalar_first=True)
+    position = turn.apply(pose.joints[:, Joint.PELVIS]) + native_from_world[:3, 3]
+    poses = np.hstack([root.as_quat(scalar_first=True), position])
+    root, body = poses.astype(np.float32), _local(pose.rotations).astype(np.float32)
+    device = Rotation.from_quat(trajectory.rotation[rows], scalar_first=True)
+    device_cpf = device_from_cpf(size)
+    position = trajectory.position[rows] + device.apply(device_cpf[:3, 3])
+    rotation = device * Rotation.from_matrix(device_cpf[:3, :3])
+    cpf = np.hstack([rotation.as_quat(scalar_first=True), position]).astype(np.float32)
     betas = shape_of(performance).astype(np.float32)
     return tuple(
         ego.EgoAlloOutput(
@@ -209,27 +228,6 @@ def sense_egoallo(
         for window, (first, last) in enumerate(windows)
         for own in (number == window,)
     )
-
-
-def _windows(n_frames: int) -> list[tuple[int, int]]:
-    """Return the first and last frame of each window, in output frames; the last one ends with the recording."""
-    stride = ego.WINDOW_FRAMES - ego.WINDOW_OVERLAP
-    starts = range(0, max(n_frames - ego.WINDOW_OVERLAP, 1), stride)
-    windows = [(first, min(first + ego.WINDOW_FRAMES, n_frames)) for first in starts]
-    return [(first, last) for first, last in windows if last - first >= _SHORTEST_WINDOW]
-
-
-def _true_pose(performance: Performance, times: Float[np.ndarray, " n"]) -> _Pose:
-    """Return the truth at some times; rotations are interpolated, so that bones keep their lengths."""
-    n = len(times)
-    segments = np.stack(
-        [slerp(performance.times, performance.rotations[:, joint], times) for joint in Joint], axis=1
-    ).reshape(n, len(Joint), 4)
-    rotations = model_rotations(segments)
-    pelvis = interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
-    rest = synthetic_smplh().rest_joints(shape_of(performance))
-    joints = ego.forward_kinematics(rest, pelvis, rotations[:, Joint.PELVIS], _local(rotations))
-    return _Pose(joints, rotations)
 
 
 def _estimate(sensing: Sensing, true: _Pose, times: Float[np.ndarray, " n"], window: Int[np.ndarray, " n"]) -> _Pose:
@@ -295,25 +293,6 @@ def _local(rotations: Float[np.ndarray, "n 22 4"]) -> Float[np.ndarray, "n 21 4"
     world = [Rotation.from_quat(rotations[:, joint], scalar_first=True) for joint in Joint]
     local = [(world[PARENTS[child]].inv() * world[child]).as_quat(scalar_first=True) for child in range(1, len(Joint))]
     return np.stack(local, axis=1)
-
-
-def _model_parameters(
-    pose: _Pose, native_from_world: Float[np.ndarray, "4 4"]
-) -> tuple[Float[np.ndarray, "n 7"], Float[np.ndarray, "n 21 4"]]:
-    """Return the root pose in the native world, and local rotations; float32, as the files hold them."""
-    turn = Rotation.from_matrix(native_from_world[:3, :3])
-    root = turn * Rotation.from_quat(pose.rotations[:, Joint.PELVIS], scalar_first=True)
-    position = turn.apply(pose.joints[:, Joint.PELVIS]) + native_from_world[:3, 3]
-    poses = np.hstack([root.as_quat(scalar_first=True), position])
-    return poses.astype(np.float32), _local(pose.rotations).astype(np.float32)
-
-
-def _head_poses(trajectory: AriaTrajectory, rows: Int[np.ndarray, " n"], size: GlassesSize) -> Float[np.ndarray, "n 7"]:
-    device = Rotation.from_quat(trajectory.rotation[rows], scalar_first=True)
-    device_cpf = device_from_cpf(size)
-    position = trajectory.position[rows] + device.apply(device_cpf[:3, 3])
-    rotation = device * Rotation.from_matrix(device_cpf[:3, :3])
-    return np.hstack([rotation.as_quat(scalar_first=True), position]).astype(np.float32)
 
 
 _NO_PARENT = 2**32 - 1

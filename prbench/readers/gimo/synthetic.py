@@ -80,8 +80,43 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         switches: Which errors are on; all if None.
     """
     sensing = Sensing(performance, noise, switches or Switches())
-    segment = _segment_of(performance)
-    transform = _scene_transform(performance)
+    # The row of ``dataset.csv``: the whole performance is one segment.
+    start = first_frame(performance)
+    known = [event_frame(performance, event) for event in picks(performance)]
+    train = gimo.TRAIN_LATER if performance.index % 3 == 2 else gimo.TRAIN
+    segment = gimo.Segment(
+        scene=performance.room_id,
+        sequence=performance.recording_id,
+        start_frame=start,
+        end_frame=start + int((performance.duration + 1e-9) * gimo.FRAME_RATE),
+        transformation=_TRANSFORMATION,
+        training=gimo.TEST if performance.split == "test" else train,
+        activity=_ACTIVITY,
+        hint=known[0] if known and performance.index % 2 else None,
+    )
+    # Draw how suit and scan lie in the room. The scan, with its scale, belongs to the room: others share it.
+    room = named_generator(
+        "prbench-synth",
+        GENERATOR_VERSION,
+        performance.seed,
+        performance.preset,
+        performance.world,
+        "room",
+        performance.room_id,
+        "scan",
+    )
+    scale = float(np.round(room.uniform(*_SCALE), 4))
+    room_from_scene = np.eye(4)
+    room_from_scene[:3, :3] = Rotation.from_rotvec(room.normal(size=3)).as_matrix()
+    room_from_scene[:3, 3] = room.uniform(-2.0, 2.0, 3)
+    own = sensor_generator(performance, "suit-frame")
+    room_from_body = np.eye(4)
+    room_from_body[:3, :3] = Rotation.from_euler("y", own.uniform(-np.pi, np.pi)).as_matrix()
+    room_from_body[[0, 2], 3] = own.uniform(-2.0, 2.0, 2)
+    scene_from_body = invert_rigid(room_from_scene) @ room_from_body
+    for matrix in (room_from_scene, scene_from_body):
+        matrix[:3, 3] *= scale
+    transform = gimo.SceneTransform(scale, scene_from_body, room_from_scene)
     body_from_room = invert_rigid(transform.room_from_body())
     return gimo.GimoReadings(
         recording_id=performance.recording_id,
@@ -92,23 +127,6 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         ),
         gaze=_sense_gaze(sensing, segment, transform),
         events=tuple(gimo.EventFrame(event_frame(performance, event), event.hand) for event in picks(performance)),
-    )
-
-
-def _segment_of(performance: Performance) -> gimo.Segment:
-    """Return the row of ``dataset.csv``: the whole performance is one segment."""
-    start = first_frame(performance)
-    known = [event_frame(performance, event) for event in picks(performance)]
-    train = gimo.TRAIN_LATER if performance.index % 3 == 2 else gimo.TRAIN
-    return gimo.Segment(
-        scene=performance.room_id,
-        sequence=performance.recording_id,
-        start_frame=start,
-        end_frame=start + int((performance.duration + 1e-9) * gimo.FRAME_RATE),
-        transformation=_TRANSFORMATION,
-        training=gimo.TEST if performance.split == "test" else train,
-        activity=_ACTIVITY,
-        hint=known[0] if known and performance.index % 2 else None,
     )
 
 
@@ -132,32 +150,6 @@ def picks(performance: Performance) -> tuple[TrueEvent, ...]:
 def gaze_bias(performance: Performance, *, noise: float, switches: Switches) -> tuple[float, float]:
     """Return the recording's constant gaze error, yaw and pitch, radians."""
     return gaze_bias_of(Sensing(performance, noise, switches), _GAZE_BIAS)
-
-
-def _scene_transform(performance: Performance) -> gimo.SceneTransform:
-    """Draw how suit and scan lie in the room. The scan, with its scale, belongs to the room: others share it."""
-    room = named_generator(
-        "prbench-synth",
-        GENERATOR_VERSION,
-        performance.seed,
-        performance.preset,
-        performance.world,
-        "room",
-        performance.room_id,
-        "scan",
-    )
-    scale = float(np.round(room.uniform(*_SCALE), 4))
-    room_from_scene = np.eye(4)
-    room_from_scene[:3, :3] = Rotation.from_rotvec(room.normal(size=3)).as_matrix()
-    room_from_scene[:3, 3] = room.uniform(-2.0, 2.0, 3)
-    own = sensor_generator(performance, "suit-frame")
-    room_from_body = np.eye(4)
-    room_from_body[:3, :3] = Rotation.from_euler("y", own.uniform(-np.pi, np.pi)).as_matrix()
-    room_from_body[[0, 2], 3] = own.uniform(-2.0, 2.0, 2)
-    scene_from_body = invert_rigid(room_from_scene) @ room_from_body
-    for matrix in (room_from_scene, scene_from_body):
-        matrix[:3, 3] *= scale
-    return gimo.SceneTransform(scale, scene_from_body, room_from_scene)
 
 
 def looked_at(
@@ -245,11 +237,7 @@ def _sense_skeleton(sensing: Sensing, body_from_room: Float[np.ndarray, "4 4"]) 
     size = np.full(values.shape[1], _ANGLE_NOISE)
     size[:3] = _ROOT_NOISE * _CENTIMETRES
     values += sensing.generator("suit-noise").normal(0.0, 1.0, values.shape) * size * sensing.strength("body_noise")
-    return BvhMotion(_hierarchy(performance), 1.0 / _SKELETON_RATE, np.round(values, _DECIMALS))
-
-
-def _hierarchy(performance: Performance) -> tuple[BvhJoint, ...]:
-    """Return joints as a BVH file lists them: each with everything below it before its next sibling."""
+    # Joints as a BVH file lists them: each with everything below it before its next sibling.
     joints = []
     for joint in DEPTH_FIRST:
         parent = PARENTS[joint]
@@ -260,7 +248,7 @@ def _hierarchy(performance: Performance) -> tuple[BvhJoint, ...]:
         own = Rotation.from_quat(performance.rotations[0, parent], scalar_first=True).inv().apply(apart)
         x, y, z = np.round(own * _CENTIMETRES, _DECIMALS).tolist()
         joints.append(BvhJoint(SKELETON_NAMES[joint], DEPTH_FIRST.index(parent), (x, y, z), _EULER))
-    return tuple(joints)
+    return BvhMotion(tuple(joints), 1.0 / _SKELETON_RATE, np.round(values, _DECIMALS))
 
 
 def _sense_gaze(sensing: Sensing, segment: gimo.Segment, transform: gimo.SceneTransform) -> gimo.GazePoints:
@@ -437,14 +425,6 @@ def _matrix_text(matrix: Float[np.ndarray, "4 4"]) -> str:
     return "\n".join(" ".join(repr(value) for value in row) for row in matrix.tolist()) + "\n"
 
 
-def _as_shown(performance: Performance) -> Performance:
-    """Return the performance as the dataset can show it: rays from the head joint to the points on the scan."""
-    points = looked_at(performance, performance.eye, performance.gaze)
-    head = performance.joints[:, Joint.HEAD]
-    apart = points - head
-    return replace(performance, eye=head, gaze=apart / np.linalg.norm(apart, axis=1, keepdims=True))
-
-
 def _as_known(shown: Performance, event: TrueEvent) -> TrueEvent:
     """Return a pick whose goal is the wrist on the annotated frame."""
     frame = event_frame(shown, event) - first_frame(shown)
@@ -478,7 +458,11 @@ def _finish(root: Path) -> None:
 
 def _events(performance: Performance) -> tuple[TrueEvent, ...]:
     """Return picks alone, with the wrist as goal, and primes as rays from the head joint to the scan show them."""
-    shown = _as_shown(performance)
+    # The performance as the dataset can show it: rays from the head joint to the points on the scan.
+    points = looked_at(performance, performance.eye, performance.gaze)
+    head = performance.joints[:, Joint.HEAD]
+    apart = points - head
+    shown = replace(performance, eye=head, gaze=apart / np.linalg.norm(apart, axis=1, keepdims=True))
     return tuple(_as_known(shown, event) for event in picks(performance))
 
 

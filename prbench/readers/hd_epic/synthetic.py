@@ -205,7 +205,19 @@ def masks_of(sensing: Sensing, track: hd_epic.ObjectTrack, sightings: Sequence[S
         if not missing
     ]
     if has_middle and track.end - track.start > 1.0 and len(masks) == 2:
-        masks.append(_middle(performance, track, sightings[0].event, masks))
+        # Draw a mask somewhere in between, in the hand.
+        event = sightings[0].event
+        frame = round((track.start + track.end) / 2 * hd_epic.FPS)
+        known = [mask.location for mask in masks if mask.location is not None]
+        masks.append(
+            hd_epic.ObjectMask(
+                mask_id=_mask_id(track, "middle"),
+                frame=frame,
+                location=np.round(np.mean(known, axis=0), _METRES),
+                box_px=_box(performance, event, frame),
+                fixture=None,
+            )
+        )
     return dataclasses.replace(track, masks=tuple(masks[::-1] if is_reversed else masks))
 
 
@@ -219,21 +231,6 @@ def _mask(
         location=np.round(transform_points(NATIVE_FROM_WORLD, point), _METRES),
         box_px=_box(performance, sighting.event, frame),
         fixture=_fixture(performance, sighting.event.goal),
-    )
-
-
-def _middle(
-    performance: Performance, track: hd_epic.ObjectTrack, event: TrueEvent, ends: Sequence[hd_epic.ObjectMask]
-) -> hd_epic.ObjectMask:
-    """Draw a mask somewhere in between, in the hand."""
-    frame = round((track.start + track.end) / 2 * hd_epic.FPS)
-    known = [mask.location for mask in ends if mask.location is not None]
-    return hd_epic.ObjectMask(
-        mask_id=_mask_id(track, "middle"),
-        frame=frame,
-        location=np.round(np.mean(known, axis=0), _METRES),
-        box_px=_box(performance, event, frame),
-        fixture=None,
     )
 
 
@@ -407,12 +404,28 @@ def _log(clock: hd_epic.VideoClock) -> dict[str, int]:
 
 def _share(readings: hd_epic.HdEpicReadings) -> dict[str, object]:
     masks = {mask.mask_id: mask for track in readings.tracks for mask in track.masks}
+    sides = readings.priming or ()
+    objects: dict[str, dict[str, object]] = {}
+    for side in sides:
+        number, _, name = side.key.partition("/")
+        primed = side.frame_primed >= 0
+        objects.setdefault(number, {})[name] = {
+            "frame": side.frame,
+            "3d_location": [] if side.location is None else side.location.tolist(),
+            "prime_stats": {
+                "prime_window_start": max(side.frame - 300, 0),
+                "frame_primed": side.frame_primed,
+                "gaze_point": side.location.tolist() if primed and side.location is not None else [],
+                "dist_to_cam": -1,
+                "prime_gap": (side.frame - side.frame_primed) / hd_epic.FPS if primed else -1,
+            },
+        }
     return {
         "video": readings.video,
         "participant": readings.participant_id,
         "associations": _associations(readings),
         "masks": {key: _written_mask(mask) for key, mask in masks.items()},
-        "priming": _priming(readings.priming or ()),
+        "priming": objects,
     }
 
 
@@ -443,25 +456,6 @@ def _written_mask(mask: hd_epic.ObjectMask) -> dict[str, object]:
         "bbox": None if mask.box_px is None else mask.box_px.tolist(),
         "fixture": mask.fixture or hd_epic.NO_FIXTURE,
     }
-
-
-def _priming(sides: Collection[hd_epic.PublishedSide]) -> dict[str, dict[str, object]]:
-    objects: dict[str, dict[str, object]] = {}
-    for side in sides:
-        number, _, name = side.key.partition("/")
-        primed = side.frame_primed >= 0
-        objects.setdefault(number, {})[name] = {
-            "frame": side.frame,
-            "3d_location": [] if side.location is None else side.location.tolist(),
-            "prime_stats": {
-                "prime_window_start": max(side.frame - 300, 0),
-                "frame_primed": side.frame_primed,
-                "gaze_point": side.location.tolist() if primed and side.location is not None else [],
-                "dist_to_cam": -1,
-                "prime_gap": (side.frame - side.frame_primed) / hd_epic.FPS if primed else -1,
-            },
-        }
-    return objects
 
 
 def _to_recording(readings: SensedVideo, manifest: Manifest, *, dataset: str) -> Recording:

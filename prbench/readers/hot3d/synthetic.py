@@ -72,7 +72,8 @@ _WRIST = 1
 
 def synthetic_hand(length: float) -> HandModel:
     """Return the left hand of somebody whose middle finger begins ``length`` metres from the wrist."""
-    joints = _joints()
+    fingers = [np.cumsum([base, *steps], axis=0) for base, steps in zip(_BASES, _STEPS, strict=True)]
+    joints = np.concatenate([*fingers, np.zeros((2, 3))])
     bones = [first + step for first in range(0, 20, 4) for step in (1, 2, 3)]
     tips = np.array([joints[first + 3] + _TIP * unit(joints[first + 3] - joints[first + 2]) for first in _firsts()])
     points = []
@@ -81,7 +82,13 @@ def synthetic_hand(length: float) -> HandModel:
         end = tips[(bone - 2) // 3] if (bone - 2) % 3 == 2 else joints[joint + 1]
         # The middle joint of three belongs to the base: a base phalanx is skinned to the wrist as well.
         share = 0.2 if (bone - 2) % 3 == 0 else 0.0
-        points.append(_ring(joints[joint], end))
+        # Four points around a bone, a fifth of the way along it.
+        start = joints[joint]
+        centre = start + 0.2 * (end - start)
+        along = unit(end - start)
+        aside = unit(np.cross(along, (0.0, 1.0, 0.0)))
+        above = np.cross(aside, along)
+        points.append(centre + _THICKNESS * np.array([aside, above, -aside, -above]))
         weights.append(np.tile(share * _one_hot(_WRIST) + (1 - share) * _one_hot(bone), (4, 1)))
     palm = np.array([(x, y, z) for x in _PALM_ALONG for z in _PALM_ACROSS for y in (-0.12, 0.12)])
     points.append(palm)
@@ -124,20 +131,6 @@ def finger_angles(closed: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 22"]:
 
 def _firsts() -> range:
     return range(0, umetrack.N_ANGLES, umetrack.JOINTS_A_FINGER)
-
-
-def _joints() -> Float[np.ndarray, "22 3"]:
-    fingers = [np.cumsum([base, *steps], axis=0) for base, steps in zip(_BASES, _STEPS, strict=True)]
-    return np.concatenate([*fingers, np.zeros((2, 3))])
-
-
-def _ring(start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 3"]:
-    """Return four points around a bone, a fifth of the way along it."""
-    centre = start + 0.2 * (end - start)
-    along = unit(end - start)
-    aside = unit(np.cross(along, (0.0, 1.0, 0.0)))
-    above = np.cross(aside, along)
-    return centre + _THICKNESS * np.array([aside, above, -aside, -above])
 
 
 def _landmarks(
@@ -211,6 +204,19 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     trajectory = mps.trajectory
     row = _nearest(trajectory.time_us, start_us + np.rint(since * 1e6).astype(np.int64))
     hand_length = float(np.linalg.norm(performance.finger_bases[0, 0] - performance.joints[0, Joint.LEFT_WRIST]))
+    # Flags of the RGB frames.
+    rgb = time_ns[::2]
+    good = np.ones(len(rgb), dtype=bool)
+    tracked = np.isin(rgb, np.concatenate([hand.time_ns for hand in hands]))
+    masks: dict[hot3d.MaskName, hot3d.MaskRows] = {
+        "headset_pose_available": hot3d.MaskRows(rgb, good),
+        "object_pose_available": hot3d.MaskRows(rgb, good),
+        "hand_pose_available": hot3d.MaskRows(rgb, tracked),
+    }
+    # True where a recording of a newer release, which says in which frames the hands are right.
+    if sensing.performance.index % 2 == 0:
+        passed = good if not _has_wrong_start(sensing) else rgb - rgb[0] >= round(_WRONG_START * 1e9)
+        masks["qa_pass"] = hot3d.MaskRows(rgb, passed)
     return hot3d.Hot3dReadings(
         recording_id=performance.recording_id,
         participant_id=performance.person.participant_id,
@@ -218,7 +224,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         objects=_sense_objects(sensing, times, time_ns),
         hands=hands,
         hand_model=synthetic_hand(hand_length),
-        masks=_masks(sensing, time_ns, hands),
+        masks=masks,
         mps=mps,
         body=body_from_outputs(outputs, synthetic_smplh()),
         egoallo_outputs=outputs,
@@ -245,11 +251,6 @@ def frame_times(performance: Performance) -> Float[np.ndarray, " n"]:
 def native_object_id(object_id: str) -> str:
     """Return the uid under which the native files know an object: 15 digits."""
     return str(10**14 + int.from_bytes(hashlib.sha256(object_id.encode()).digest()[:8], "big") % (9 * 10**14))
-
-
-def _has_quality_mask(performance: Performance) -> bool:
-    """Return True for a recording of a newer release, which says in which frames the hands are right."""
-    return performance.index % 2 == 0
 
 
 def _has_wrong_start(sensing: Sensing) -> bool:
@@ -316,7 +317,8 @@ def _sense_hand(
         sensed[times < times[0] + _WRONG_START] += (0.0, _WRONG_BY, 0.0)
     seen = np.ones(len(times), dtype=bool)
     if sensing.strength("hand_losses"):
-        seen = _angle_off_head(sensing, wrist, times) <= _HAND_SIGHT
+        local = sensing.head(times).inv().apply(wrist - sensing.eye(times))
+        seen = np.arctan2(np.linalg.norm(local[:, :2], axis=1), local[:, 2]) <= _HAND_SIGHT
     rows = _native_rows(time_ns, sensed, wrist_rotation(segment, side), seen)
     held = np.any([motion.held_by == side for motion in performance.objects if len(motion.held_by) > 1], axis=0)
     # Fingers close and open within a window around the grasp, not in one frame.
@@ -325,13 +327,6 @@ def _sense_hand(
     angles = finger_angles(interpolate(performance.times, closed, times[seen]))
     name = ("left", "right")[side]
     return hot3d.HandRows(name, rows.time_ns, rows.position, rows.rotation, np.round(angles, _ANGLE), np.empty(0))
-
-
-def _angle_off_head(
-    sensing: Sensing, points: Float[np.ndarray, "n 3"], times: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, " n"]:
-    local = sensing.head(times).inv().apply(points - sensing.eye(times))
-    return np.arctan2(np.linalg.norm(local[:, :2], axis=1), local[:, 2])
 
 
 def _native_rows(
@@ -348,24 +343,6 @@ def _native_rows(
         np.round(z_up(position), _METRES)[seen],
         np.round(quaternion, _QUATERNION)[seen],
     )
-
-
-def _masks(
-    sensing: Sensing, time_ns: Int[np.ndarray, " n"], hands: tuple[hot3d.HandRows, ...]
-) -> dict[hot3d.MaskName, hot3d.MaskRows]:
-    """Return flags of the RGB frames."""
-    rgb = time_ns[::2]
-    good = np.ones(len(rgb), dtype=bool)
-    tracked = np.isin(rgb, np.concatenate([hand.time_ns for hand in hands]))
-    masks: dict[hot3d.MaskName, hot3d.MaskRows] = {
-        "headset_pose_available": hot3d.MaskRows(rgb, good),
-        "object_pose_available": hot3d.MaskRows(rgb, good),
-        "hand_pose_available": hot3d.MaskRows(rgb, tracked),
-    }
-    if _has_quality_mask(sensing.performance):
-        passed = good if not _has_wrong_start(sensing) else rgb - rgb[0] >= round(_WRONG_START * 1e9)
-        masks["qa_pass"] = hot3d.MaskRows(rgb, passed)
-    return masks
 
 
 _HEADSET_UID = "100000000000001"
@@ -409,7 +386,25 @@ def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
         bodies = {entry.object_id: entry.rows for entry in readings.objects}
         write_csv(target / hot3d.OBJECTS_FILE, pose_columns(bodies))
         write_csv(target / hot3d.HEADSET_FILE, pose_columns({_HEADSET_UID: readings.headset}))
-        _write_hands(readings, target / hot3d.UMETRACK_FILE)
+        # Write one line an instant, also where no hand is tracked.
+        path = target / hot3d.UMETRACK_FILE
+        lines: dict[int, dict[str, object]] = {time: {} for time in readings.headset.time_ns.tolist()}
+        for hand in readings.hands:
+            numbers = zip(
+                hand.time_ns.tolist(),
+                hand.position.tolist(),
+                hand.rotation.tolist(),
+                hand.angles.tolist(),
+                strict=True,
+            )
+            for time, position, rotation, angles in numbers:
+                lines[time][hot3d.HAND_KEYS[hand.side]] = {
+                    "wrist_xform": {"t_xyz": position, "q_wxyz": rotation},
+                    "joint_angles": angles,
+                    "hand_confidence": 1.0,
+                }
+        records = [{"timestamp_ns": time, "hand_poses": poses} for time, poses in lines.items()]
+        write_bytes(path, b"".join(msgspec.json.encode(record) + b"\n" for record in records))
         if readings.hand_model is not None:
             write_json(target / hot3d.PROFILE_FILE, {"hand_model": profile(readings.hand_model)})
         _write_masks(readings, target / hot3d.MASK_FOLDER)
@@ -510,27 +505,6 @@ def pose_columns(bodies: dict[str, hot3d.PoseRows]) -> dict[str, object]:
         **split_columns(hot3d.POSITION, np.concatenate([rows.position for rows in bodies.values()])[order]),
         **split_columns(hot3d.ROTATION, np.concatenate([rows.rotation for rows in bodies.values()])[order]),
     }
-
-
-def _write_hands(readings: hot3d.Hot3dReadings, path: Path) -> None:
-    """Write one line an instant, also where no hand is tracked."""
-    lines: dict[int, dict[str, object]] = {time: {} for time in readings.headset.time_ns.tolist()}
-    for hand in readings.hands:
-        numbers = zip(
-            hand.time_ns.tolist(),
-            hand.position.tolist(),
-            hand.rotation.tolist(),
-            hand.angles.tolist(),
-            strict=True,
-        )
-        for time, position, rotation, angles in numbers:
-            lines[time][hot3d.HAND_KEYS[hand.side]] = {
-                "wrist_xform": {"t_xyz": position, "q_wxyz": rotation},
-                "joint_angles": angles,
-                "hand_confidence": 1.0,
-            }
-    records = [{"timestamp_ns": time, "hand_poses": poses} for time, poses in lines.items()]
-    write_bytes(path, b"".join(msgspec.json.encode(record) + b"\n" for record in records))
 
 
 def profile(model: HandModel) -> dict[str, object]:

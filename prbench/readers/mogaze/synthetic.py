@@ -80,17 +80,7 @@ def solve_body(joints: Float[np.ndarray, "n 22 3"], rotations: Float[np.ndarray,
     """
     hips = (joints[:, Joint.LEFT_HIP] + joints[:, Joint.RIGHT_HIP]) / 2
     places = {"base": hips} | {link: joints[:, joint] for link, joint in _JOINT_OF_LINK.items()}
-    turned = _link_rotations(places, rotations)
-    fixed = _fixed_offsets(places, turned)
-    angles = [turned["base"].as_euler("XYZ")]
-    angles += [(turned[PARENT_LINKS[link]].inv() * turned[link]).as_euler("XYZ") for link in LINKS[1:]]
-    to_native = Rotation.from_matrix(_TO_WORLD.T)
-    angles[0] = (to_native * turned["base"]).as_euler("XYZ")
-    return SolvedBody(np.hstack([to_native.apply(hips), *angles]), fixed)
-
-
-def _link_rotations(places: dict[str, np.ndarray], rotations: np.ndarray) -> dict[str, Rotation]:
-    """Return the rotations that take each link to the world (Y up)."""
+    # The rotations that take each link to the world (Y up).
     segment = {joint: Rotation.from_quat(rotations[:, joint], scalar_first=True) for joint in Joint}
     trunk = Rotation.from_matrix(_SEGMENT_AXES)
     leg = Rotation.from_matrix(_LEG_AXES)
@@ -118,7 +108,12 @@ def _link_rotations(places: dict[str, np.ndarray], rotations: np.ndarray) -> dic
             turned[f"{letter}{name}"] = segment[Joint(joint + side)] * leg
         for name, joint in (("Ankle", Joint.LEFT_ANKLE), ("Toe", Joint.LEFT_FOOT)):
             turned[f"{letter}{name}"] = segment[Joint(joint + side)] * trunk
-    return turned
+    fixed = _fixed_offsets(places, turned)
+    angles = [turned["base"].as_euler("XYZ")]
+    angles += [(turned[PARENT_LINKS[link]].inv() * turned[link]).as_euler("XYZ") for link in LINKS[1:]]
+    to_native = Rotation.from_matrix(_TO_WORLD.T)
+    angles[0] = (to_native * turned["base"]).as_euler("XYZ")
+    return SolvedBody(np.hstack([to_native.apply(hips), *angles]), fixed)
 
 
 def _tipped(frames: Rotation, axis: str, towards: Float[np.ndarray, "n 3"]) -> Rotation:
@@ -176,11 +171,39 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     sensing = Sensing(performance, noise, switches or Switches())
     times = sensing.times(mogaze.RATE)
     state, fixed = _sense_body(sensing, times)
-    tracker = _calibration(performance)
-    points, confidence = _sense_gaze(sensing, times)
+    # Draw the rotation from the eye tracker's camera to the goggles, another one in every recording.
+    tracker = Rotation.from_quat(sensor_generator(performance, "calibration").normal(size=4))
+    # The gaze points in the eye tracker's camera, millimetres, and confidence.
+    head = _head(sensing.performance, times)
+    angles = measured_gaze(sensing, head, sensing.gaze(times), bias=_GAZE_BIAS, jitter=_GAZE_JITTER)
+    depth = np.clip(fixation_depth(sensing, times, _DEPTH[1]), *_DEPTH)  # as far as the tracker tells distances
+    points = _FACE_FROM_TRACKER.inv().apply(gaze_directions_cpf(*angles.T)) * depth[:, None] * 1e3
+    rng = sensing.generator("gaze-quality")
+    points[rng.random(len(times)) < _MIRRORED] *= -1.0
+    confidence = rng.uniform(*_CONFIDENT, len(times))
+    doubt = rng.uniform(*_BLINKING, len(times))
+    garbage = rng.normal(0.0, 300.0, points.shape)
+    closed = closed_eyes(sensing, times)
+    points, confidence = np.where(closed[:, None], garbage, points), np.where(closed, doubt, confidence)
     names = body_names(performance)
-    bodies = [_sense_goggles(sensing, times, tracker)]
+    turned = _TO_NATIVE * _head(sensing.performance, times) * _FACE_FROM_TRACKER * tracker.inv()
+    position = _TO_NATIVE.apply(sensing.eye(times))
+    scale = sensing.strength("object_noise")
+    position, rotation = tracked(sensing, "goggles", position, turned, size=_OBJECT_NOISE, scale=scale)
+    quaternion = rotation.as_quat(canonical=True)
+    bodies = [mogaze.MogazeBody(GOGGLES_ID, mogaze.GOGGLES, position, quaternion, np.zeros(3), np.zeros(3))]
     bodies += [_sense_object(sensing, motion, names[motion.object_id], times) for motion in performance.objects]
+    # Alternate nothing and an object; a segment begins with the last frame of the one before it, or one later.
+    n_frames = len(times)
+    rng = sensor_generator(performance, "segment-borders")
+    segments: list[mogaze.Segment] = []
+    free_from = 0
+    for start, end, label in _carries(performance, names, n_frames):
+        segments.append(mogaze.Segment(free_from, start - int(rng.integers(2)), mogaze.NULL_LABEL))
+        segments.append(mogaze.Segment(start, end, label))
+        free_from = end + int(rng.integers(2))
+    if free_from < n_frames - 1:
+        segments.append(mogaze.Segment(free_from, n_frames - 1, mogaze.NULL_LABEL))
     return mogaze.MogazeReadings(
         recording_id=performance.recording_id,
         participant_id=performance.person.participant_id,
@@ -190,7 +213,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         gaze_points=points,
         gaze_confidence=confidence,
         calibration=tracker.as_quat(canonical=True),
-        segments=_segments(performance, names, len(times)),
+        segments=tuple(segments),
     )
 
 
@@ -235,39 +258,8 @@ def _turned(
     return slerp(performance.times[: len(rotation)], rotation, times)
 
 
-def _calibration(performance: Performance) -> Rotation:
-    """Draw the rotation from the eye tracker's camera to the goggles, another one in every recording."""
-    return Rotation.from_quat(sensor_generator(performance, "calibration").normal(size=4))
-
-
 def _head(performance: Performance, times: Float[np.ndarray, " n"]) -> Rotation:
     return Rotation.from_quat(_turned(performance, performance.head_rotation, times), scalar_first=True)
-
-
-def _sense_goggles(sensing: Sensing, times: Float[np.ndarray, " n"], tracker: Rotation) -> mogaze.MogazeBody:
-    turned = _TO_NATIVE * _head(sensing.performance, times) * _FACE_FROM_TRACKER * tracker.inv()
-    position = _TO_NATIVE.apply(sensing.eye(times))
-    scale = sensing.strength("object_noise")
-    position, rotation = tracked(sensing, "goggles", position, turned, size=_OBJECT_NOISE, scale=scale)
-    quaternion = rotation.as_quat(canonical=True)
-    return mogaze.MogazeBody(GOGGLES_ID, mogaze.GOGGLES, position, quaternion, np.zeros(3), np.zeros(3))
-
-
-def _sense_gaze(
-    sensing: Sensing, times: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """Return the gaze points in the eye tracker's camera, millimetres, and confidence."""
-    head = _head(sensing.performance, times)
-    angles = measured_gaze(sensing, head, sensing.gaze(times), bias=_GAZE_BIAS, jitter=_GAZE_JITTER)
-    depth = np.clip(fixation_depth(sensing, times, _DEPTH[1]), *_DEPTH)  # as far as the tracker tells distances
-    points = _FACE_FROM_TRACKER.inv().apply(gaze_directions_cpf(*angles.T)) * depth[:, None] * 1e3
-    rng = sensing.generator("gaze-quality")
-    points[rng.random(len(times)) < _MIRRORED] *= -1.0
-    confidence = rng.uniform(*_CONFIDENT, len(times))
-    doubt = rng.uniform(*_BLINKING, len(times))
-    garbage = rng.normal(0.0, 300.0, points.shape)
-    closed = closed_eyes(sensing, times)
-    return np.where(closed[:, None], garbage, points), np.where(closed, doubt, confidence)
 
 
 def _sense_object(
@@ -302,20 +294,6 @@ def _shape(motion: ObjectMotion, name: str) -> tuple[Float[np.ndarray, "3"], Flo
         return -motion.half_extents, motion.half_extents, upright
     low, high = np.array(load_manifest("mogaze").object_extents[kind]).T
     return low, high, _UPRIGHT_FROM_Z_UP if kind in _Z_UP_KINDS else upright
-
-
-def _segments(performance: Performance, names: dict[str, str], n_frames: int) -> tuple[mogaze.Segment, ...]:
-    """Alternate nothing and an object; a segment begins with the last frame of the one before it, or one later."""
-    rng = sensor_generator(performance, "segment-borders")
-    segments: list[mogaze.Segment] = []
-    free_from = 0
-    for start, end, label in _carries(performance, names, n_frames):
-        segments.append(mogaze.Segment(free_from, start - int(rng.integers(2)), mogaze.NULL_LABEL))
-        segments.append(mogaze.Segment(start, end, label))
-        free_from = end + int(rng.integers(2))
-    if free_from < n_frames - 1:
-        segments.append(mogaze.Segment(free_from, n_frames - 1, mogaze.NULL_LABEL))
-    return tuple(segments)
 
 
 def _carries(performance: Performance, names: dict[str, str], n_frames: int) -> list[tuple[int, int, str]]:

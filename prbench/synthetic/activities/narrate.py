@@ -387,7 +387,19 @@ def narrate(script: Script, motion: Motion, rate: float, rng: np.random.Generato
     facts = [(act, facts_of(act.name, act.hand, _span(script, motion, act, rate))) for act in script.acts]
     atomic = _atomic(facts, rng)
     about_body = [_about_body(act, fact) for act, fact in facts if act.end - act.begin >= 2.0]
-    return (*atomic, *about_body, *_summaries(facts))
+    # What happened in stretches of 15 to 30 seconds.
+    narrations: list[TrueNarration] = []
+    members: list[tuple[Act, Facts]] = []
+    for act, fact in facts:
+        members.append((act, fact))
+        if act.end - members[0][0].begin >= _SUMMARY:
+            names = list(dict.fromkeys(_DOING[each.name] for _, each in members))
+            text = f"C {', '.join(names[:-1])} and {names[-1]}." if len(names) > 1 else f"C {names[0]}."
+            narrations.append(
+                TrueNarration("activity_summarization", members[0][0].begin, act.end, (text,), tuple(names))
+            )
+            members = []
+    return (*atomic, *about_body, *narrations)
 
 
 def _span(script: Script, motion: Motion, act: Act, rate: float) -> Span:
@@ -433,22 +445,6 @@ def _about_body(act: Act, fact: Facts) -> TrueNarration:
         "C looks from side to side." if fact.name == "look around" else "C looks ahead.",
     )
     return TrueNarration("motion_narration", act.begin, min(act.end, act.begin + _LONGEST), texts, (fact.name,))
-
-
-def _summaries(facts: list[tuple[Act, Facts]]) -> list[TrueNarration]:
-    """Return what happened in stretches of 15 to 30 seconds."""
-    narrations: list[TrueNarration] = []
-    members: list[tuple[Act, Facts]] = []
-    for act, fact in facts:
-        members.append((act, fact))
-        if act.end - members[0][0].begin >= _SUMMARY:
-            names = list(dict.fromkeys(_DOING[each.name] for _, each in members))
-            text = f"C {', '.join(names[:-1])} and {names[-1]}." if len(names) > 1 else f"C {names[0]}."
-            narrations.append(
-                TrueNarration("activity_summarization", members[0][0].begin, act.end, (text,), tuple(names))
-            )
-            members = []
-    return narrations
 
 
 _DOING = {

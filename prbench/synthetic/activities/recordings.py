@@ -39,7 +39,6 @@ from prbench.synthetic.people.gaze_plan import GazePlan, Look
 from prbench.synthetic.people.kinematics import add_bump, blend, bump, direction, eased_trapezoid, minimum_jerk, turn
 from prbench.synthetic.people.perform import Motion, assemble
 from prbench.synthetic.people.person import (
-    Person,
     Preset,
     Trunk,
     draw_person,
@@ -72,27 +71,7 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
     person = script.person
     times = np.arange(round(script.end * rate) + 1) / rate
     plan = Plan(preset, person, _NOWHERE, False, script.start, (), script.segments, ())
-    feet_base = _sample_moves(script, times)
-    seated = _seated(script, times)
-    base = _sat_back(feet_base, seated, person.body.stature)
-    steps = plan_steps(person, script.segments)
-    feet = place_feet(person, feet_base, steps, times, seated=False)
-    sway = draw_sway(plan, feet_base, steps, times, rng)
-    bending = _bending(script, seated, times)
-    looks = _all_looks(script, feet_base, seated, times, rng)
-    gaze = GazePlan(looks, (), ())
-    rough = move_trunk(plan, base, bending, sway, feet, steps, times, None)
-    eye = rough.neck + np.array([0.0, 0.06, 0.0]) * person.body.stature
-    head = move_head(preset, person.habits, gaze, base.heading, eye, times, rng)
-    trunk = move_trunk(plan, base, bending, sway, feet, steps, times, head)
-    legs = pose_legs(person.body, np.stack(trunk.hips, axis=1), trunk.yaws[0], feet)
-    wrists, poles = _move_hands(plan, script, trunk, legs, sway, head, times)
-    arms = pose_arms(person.body, person.habits.elbow_flare, trunk, wrists, poles)
-    return assemble(plan, base, feet, trunk, head, arms, times, gaze, ())
-
-
-def _sample_moves(script: Script, times: Float[np.ndarray, " n"]) -> BasePath:
-    """Return where the feet carry the person, at every frame."""
+    # Where the feet carry the person, at every frame.
     path = sample_base(script.start, (), times)
     x = path.x.copy()
     z = path.z.copy()
@@ -111,25 +90,16 @@ def _sample_moves(script: Script, times: Float[np.ndarray, " n"]) -> BasePath:
             part = sample_base(move.start, (move,), times)
             x[first:], z[first:], heading[first:] = part.x[first:], part.z[first:], part.heading[first:]
     velocity = np.gradient(np.stack([x, z], axis=-1), times, axis=0)
-    return BasePath(x, z, heading, np.hypot(velocity[:, 0], velocity[:, 1]))
-
-
-def _seated(script: Script, times: np.ndarray) -> Float[np.ndarray, " n"]:
-    """Return 0 where the person stands to 1 where they sit."""
+    feet_base = BasePath(x, z, heading, np.hypot(velocity[:, 0], velocity[:, 1]))
+    # 0 where the person stands to 1 where they sit.
     seated = np.zeros(times.size)
     for sit in script.sits:
         blend(seated, times, sit.begin, sit.duration, float(sit.down))
-    return seated
-
-
-def _sat_back(base: BasePath, seated: np.ndarray, stature: float) -> BasePath:
-    """Move the pelvis back onto the seat; the feet stay."""
-    back = _SEAT_BACK * stature * seated
-    return replace(base, x=base.x - back * np.sin(base.heading), z=base.z - back * np.cos(base.heading))
-
-
-def _bending(script: Script, seated: np.ndarray, times: np.ndarray) -> Bending:
-    """Lean and crouch of the bends, and what sitting adds."""
+    base = _sat_back(feet_base, seated, person.body.stature)
+    steps = plan_steps(person, script.segments)
+    feet = place_feet(person, feet_base, steps, times, seated=False)
+    sway = draw_sway(plan, feet_base, steps, times, rng)
+    # Lean and crouch of the bends, and what sitting adds.
     channels = np.zeros((times.size, 3))
     for bend in sorted(script.bends, key=lambda bend: bend.begin):
         blend(channels, times, bend.begin, bend.duration, np.array([bend.lean, bend.crouch, bend.chest_turn]))
@@ -139,7 +109,23 @@ def _bending(script: Script, seated: np.ndarray, times: np.ndarray) -> Bending:
         lean += _SITTING_LEAN * bump((times - sit.begin) / sit.duration)
     body = script.person.body
     drop = (standing_pelvis_height(body) - seated_pelvis_height(body)) / body.leg
-    return Bending(lean, crouch + drop * seated, channels[:, 2])
+    bending = Bending(lean, crouch + drop * seated, channels[:, 2])
+    looks = _all_looks(script, feet_base, seated, times, rng)
+    gaze = GazePlan(looks, (), ())
+    rough = move_trunk(plan, base, bending, sway, feet, steps, times, None)
+    eye = rough.neck + np.array([0.0, 0.06, 0.0]) * person.body.stature
+    head = move_head(preset, person.habits, gaze, base.heading, eye, times, rng)
+    trunk = move_trunk(plan, base, bending, sway, feet, steps, times, head)
+    legs = pose_legs(person.body, np.stack(trunk.hips, axis=1), trunk.yaws[0], feet)
+    wrists, poles = _move_hands(plan, script, trunk, legs, sway, head, times)
+    arms = pose_arms(person.body, person.habits.elbow_flare, trunk, wrists, poles)
+    return assemble(plan, base, feet, trunk, head, arms, times, gaze, ())
+
+
+def _sat_back(base: BasePath, seated: np.ndarray, stature: float) -> BasePath:
+    """Move the pelvis back onto the seat; the feet stay."""
+    back = _SEAT_BACK * stature * seated
+    return replace(base, x=base.x - back * np.sin(base.heading), z=base.z - back * np.cos(base.heading))
 
 
 def _all_looks(
@@ -274,7 +260,20 @@ def narrated_recording(seed: int, index: int) -> NarratedMotion:
         return _goal_recording(seed, index, identity, identity.goal_preset)
     source = _source(seed, "activities")
     person = draw_person(_preset(), identity.participant_id, source.generator("person", identity.person, "body"))
-    script = _write_script(person, source.generator("recording", index, "plan"), _N_ACTIVITIES)
+    # Draw one activity after the other; people stand up before they walk on.
+    rng = source.generator("recording", index, "plan")
+    writer = ScriptWriter(person, rng)
+    writer.now = writer.draw(*_FIRST_TEXT)
+    stand(writer)
+    for _ in range(_N_ACTIVITIES):
+        last = writer.script.acts[-1]
+        waits = last.name in SHORT and writer.rng.random() < _WAITS
+        writer.now = max(writer.now + writer.draw(*PAUSE), last.begin + _SHORTEST_ALONE if waits else 0.0)
+        choices = SITTING if writer.is_seated else STANDING
+        weights = np.array(list(choices.values()))
+        list(choices)[int(rng.choice(len(weights), p=weights / weights.sum()))](writer)
+    writer.script.end = writer.now + _CLOSING
+    script = writer.script
     motion = act_out(_preset(), script, RATE, source.generator("recording", index, "motion"))
     words = source.generator("recording", index, "narration")
     return NarratedMotion(
@@ -290,22 +289,6 @@ def narrated_recording(seed: int, index: int) -> NarratedMotion:
         neck_tilt_deg=float(np.rad2deg(person.body.neck_tilt)),
         narrations=narrate(script, motion, RATE, words),
     )
-
-
-def _write_script(person: Person, rng: np.random.Generator, n_activities: int) -> Script:
-    """Draw one activity after the other; people stand up before they walk on."""
-    writer = ScriptWriter(person, rng)
-    writer.now = writer.draw(*_FIRST_TEXT)
-    stand(writer)
-    for _ in range(n_activities):
-        last = writer.script.acts[-1]
-        waits = last.name in SHORT and writer.rng.random() < _WAITS
-        writer.now = max(writer.now + writer.draw(*PAUSE), last.begin + _SHORTEST_ALONE if waits else 0.0)
-        choices = SITTING if writer.is_seated else STANDING
-        weights = np.array(list(choices.values()))
-        list(choices)[int(rng.choice(len(weights), p=weights / weights.sum()))](writer)
-    writer.script.end = writer.now + _CLOSING
-    return writer.script
 
 
 def _preset() -> Preset:

@@ -84,43 +84,11 @@ def move_head(
         rng: For the tremor.
     """
     rate = 1.0 / (times[1] - times[0])
-    commands, channel = _plan_commands(preset, habits, gaze.looks, heading, eye, times)
-    for _ in range(6):
-        speed = np.abs(np.gradient(heading + channel[:, 0], times))
-        fast = times[speed > _FASTEST_HEAD]
-        slowed = [
-            command
-            for command in commands
-            if _any_inside(fast, command.start - 0.02, command.start + command.duration + 0.02)
-        ]
-        if not slowed:
-            break
-        for command in slowed:
-            command.duration *= 1.35
-        channel = _follow(commands, times)
-    tremor = np.stack([wobble(times, np.deg2rad(0.5), 0.2, 1.5, rng) for _ in range(2)], axis=-1)
-    steady = smooth(channel, 0.030, rate) + tremor
-    return Head(heading + steady[:, 0], steady[:, 1])
-
-
-def _any_inside(sorted_times: np.ndarray, begin: float, end: float) -> bool:
-    first, last = np.searchsorted(sorted_times, [begin, end])
-    return bool(last > first)
-
-
-def _plan_commands(
-    preset: Preset,
-    habits: Habits,
-    looks: tuple[Look, ...],
-    heading: np.ndarray,
-    eye: np.ndarray,
-    times: np.ndarray,
-) -> tuple[list[_Command], np.ndarray]:
     channel = np.zeros((times.size, 2))
     turn_rate = np.abs(np.gradient(heading, times))
     commands: list[_Command] = []
     frame_time = float(times[1] - times[0])
-    for look in looks:
+    for look in gaze.looks:
         start = look.start + habits.head_lag
         first, frozen = np.searchsorted(times, [start, look.end])
         if first >= times.size:
@@ -144,7 +112,27 @@ def _plan_commands(
         duration = max(0.28 + 0.0048 * degrees, degrees / 117.0) * slower
         commands.append(_Command(int(first), frozen, start, duration, target))
         _obey(channel, commands[-1], times)
-    return commands, channel
+    for _ in range(6):
+        speed = np.abs(np.gradient(heading + channel[:, 0], times))
+        fast = times[speed > _FASTEST_HEAD]
+        slowed = [
+            command
+            for command in commands
+            if _any_inside(fast, command.start - 0.02, command.start + command.duration + 0.02)
+        ]
+        if not slowed:
+            break
+        for command in slowed:
+            command.duration *= 1.35
+        channel = _follow(commands, times)
+    tremor = np.stack([wobble(times, np.deg2rad(0.5), 0.2, 1.5, rng) for _ in range(2)], axis=-1)
+    steady = smooth(channel, 0.030, rate) + tremor
+    return Head(heading + steady[:, 0], steady[:, 1])
+
+
+def _any_inside(sorted_times: np.ndarray, begin: float, end: float) -> bool:
+    first, last = np.searchsorted(sorted_times, [begin, end])
+    return bool(last > first)
 
 
 def _relative_direction(
@@ -263,18 +251,7 @@ def draw_sway(plan: Plan, base: BasePath, steps: tuple[Step, ...], times: np.nda
             first, last = np.searchsorted(times, [step.lift, step.lift + step.period])
             swing[first:last] = -towards_stance * np.cos(np.pi * (times[first:last] - step.lift) / step.period)
     swing *= np.minimum(_FULL_SWING_SPEED, base.speed / _FULL_SWING_SPEED)
-    hand_wobble = _hand_wobble(plan, times, rng)
-    return Sway(
-        lateral=smooth(lateral, 0.060, rate) + wobble(times, 0.006, 0.05, 0.4, rng),
-        forward=wobble(times, 0.005, 0.05, 0.5, rng),
-        lean=_LEAN_PER_SPEED * smooth(base.speed, 0.10, rate) + wobble(times, np.deg2rad(0.6), 0.05, 0.4, rng),
-        arm_swing=smooth(swing, 0.060, rate),
-        hands=hand_wobble,
-    )
-
-
-def _hand_wobble(plan: Plan, times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Draw the tremble of hanging hands, or the movements of hands at work."""
+    # Draw the tremble of hanging hands, or the movements of hands at work.
     if plan.preset.work_pose is None:
         size = float(rng.uniform(0.006, 0.010))
         low = 0.05
@@ -284,7 +261,14 @@ def _hand_wobble(plan: Plan, times: np.ndarray, rng: np.random.Generator) -> np.
         low = 0.2
         high = 1.0
     waves = [wobble(times, size / np.sqrt(3.0), low, high, rng) for _ in range(6)]
-    return np.stack(waves, axis=-1).reshape(times.size, 2, 3)
+    hand_wobble = np.stack(waves, axis=-1).reshape(times.size, 2, 3)
+    return Sway(
+        lateral=smooth(lateral, 0.060, rate) + wobble(times, 0.006, 0.05, 0.4, rng),
+        forward=wobble(times, 0.005, 0.05, 0.5, rng),
+        lean=_LEAN_PER_SPEED * smooth(base.speed, 0.10, rate) + wobble(times, np.deg2rad(0.6), 0.05, 0.4, rng),
+        arm_swing=smooth(swing, 0.060, rate),
+        hands=hand_wobble,
+    )
 
 
 @dataclass(frozen=True)

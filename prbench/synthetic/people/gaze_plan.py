@@ -246,10 +246,7 @@ def plan_gaze(
         if kind != "unseen"
     ]
     drawer = FillDrawer(plan, base, eye, times, avoid, rng)
-    return GazePlan(tuple(_with_fills(goals, drawer, float(times[-1]))), primes, kinds)
-
-
-def _with_fills(goals: list[Look], drawer: FillDrawer, end: float) -> list[Look]:
+    end = float(times[-1])
     looks: list[Look] = []
     now = 0.0
     last = Look(end, end, np.zeros(3), False, None)
@@ -261,7 +258,7 @@ def _with_fills(goals: list[Look], drawer: FillDrawer, end: float) -> list[Look]
         if goal is not last:
             looks.append(goal)
             now = goal.end
-    return looks
+    return GazePlan(tuple(looks), primes, kinds)
 
 
 class _Scheduler:
@@ -390,18 +387,6 @@ def repaired(
         times: Frame times, seconds.
         rng: For the size of the shifts.
     """
-    offending = sorted(_offending_looks(plan, gaze_plan, eye, gaze, times))
-    if not offending:
-        return gaze_plan
-    looks = list(gaze_plan.looks)
-    for number in offending:
-        look = looks[number]
-        index = min(int(np.searchsorted(times, look.start)), times.size - 1)
-        looks[number] = _moved(look, eye[index], rng)
-    return replace(gaze_plan, looks=tuple(looks))
-
-
-def _offending_looks(plan: Plan, gaze_plan: GazePlan, eye: np.ndarray, gaze: np.ndarray, times: np.ndarray) -> set[int]:
     starts = np.array([look.start for look in gaze_plan.looks])
     found: set[int] = set()
     for reach, prime, kind in zip(plan.reaches, gaze_plan.primes, gaze_plan.kinds, strict=True):
@@ -417,7 +402,15 @@ def _offending_looks(plan: Plan, gaze_plan: GazePlan, eye: np.ndarray, gaze: np.
             for number in numbers
             if not gaze_plan.looks[number].is_goal and gaze_plan.looks[number].reach is None
         )
-    return found
+    offending = sorted(found)
+    if not offending:
+        return gaze_plan
+    looks = list(gaze_plan.looks)
+    for number in offending:
+        look = looks[number]
+        index = min(int(np.searchsorted(times, look.start)), times.size - 1)
+        looks[number] = _moved(look, eye[index], rng)
+    return replace(gaze_plan, looks=tuple(looks))
 
 
 def _passes_close(eye: np.ndarray, gaze: np.ndarray, centre: np.ndarray, half: np.ndarray) -> np.ndarray:

@@ -101,23 +101,16 @@ def two_pole_low_pass(values: Float[np.ndarray, " n"], time_constant: float, rat
     """Apply two equal exponential filters in series, at rest on the first value."""
     decay = float(np.exp(-1.0 / (time_constant * rate)))
     for _ in range(2):
-        values = _low_pass(values, decay)
+        # Apply one exponential filter, at rest on the first value.
+        filtered = np.empty(len(values))
+        kept = decay * float(values[0])
+        gain = 1.0 - decay
+        for index, value in enumerate(values.tolist()):
+            output = kept + gain * value
+            filtered[index] = output
+            kept = decay * output
+        values = filtered
     return values
-
-
-def _low_pass(values: Float[np.ndarray, " n"], decay: float) -> np.ndarray:
-    """Apply one exponential filter, at rest on the first value.
-
-    The same numbers as those of ``scipy.signal.lfilter([1 - decay], [1, -decay], values)``, whose import takes 0.5 s.
-    """
-    filtered = np.empty(len(values))
-    kept = decay * float(values[0])
-    gain = 1.0 - decay
-    for index, value in enumerate(values.tolist()):
-        output = kept + gain * value
-        filtered[index] = output
-        kept = decay * output
-    return filtered
 
 
 def wrap(angle: np.ndarray | float) -> np.ndarray:

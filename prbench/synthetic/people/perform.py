@@ -34,7 +34,7 @@ from prbench.synthetic.people.plan import OPENING, Plan, plan_recording, shares_
 from prbench.synthetic.people.reaching import Posture, shoulder_in_posture, solve_posture
 from prbench.synthetic.people.truth import Scene, events_of_others, move_objects, true_events
 from prbench.synthetic.people.walking import BasePath, Feet, Legs, place_feet, plan_steps, pose_legs, sample_base
-from prbench.synthetic.people.world import Item, Room, Source, SplitRule, World, assign, draw_room, seated
+from prbench.synthetic.people.world import Room, Source, SplitRule, World, assign, draw_room, seated
 from prbench.synthetic.performance import Fixation, ObjectMotion, OtherPerson, Performance
 
 _WRIST_TOLERANCE = 0.008  # metres
@@ -84,7 +84,11 @@ def synthesise(plan: Plan, times: Float[np.ndarray, " n"], generators: Generator
     postures = [reach.posture for reach in plan.reaches]
 
     rough = move_trunk(plan, base, bend(plan, postures, times), sway, feet, steps, times, None)
-    rough_eye = _rough_eye(plan, rough)
+    # The eye positions of a head that looks along the chest.
+    body = plan.person.body
+    up = body.neck_length * np.cos(body.neck_tilt) + body.eye[1]
+    ahead = body.neck_length * np.sin(body.neck_tilt) + body.eye[2]
+    rough_eye = rough.neck + turn(rough.yaws[3], 0.0, np.array([0.0, up, ahead]))
     gaze_plan = plan_gaze(plan, base, rough_eye, times, generators.gaze)
     head = move_head(plan.preset, person.habits, gaze_plan, base.heading, rough_eye, times, generators.head)
 
@@ -100,14 +104,6 @@ def synthesise(plan: Plan, times: Float[np.ndarray, " n"], generators: Generator
         postures = _corrected(plan, postures, misses, trunk, times)
         trunk, arms, misses = act(postures)
     return assemble(plan, base, feet, trunk, head, arms, times, gaze_plan, misses)
-
-
-def _rough_eye(plan: Plan, trunk: Trunk) -> np.ndarray:
-    """Return the eye positions of a head that looks along the chest."""
-    body = plan.person.body
-    up = body.neck_length * np.cos(body.neck_tilt) + body.eye[1]
-    ahead = body.neck_length * np.sin(body.neck_tilt) + body.eye[2]
-    return trunk.neck + turn(trunk.yaws[3], 0.0, np.array([0.0, up, ahead]))
 
 
 def _misses(plan: Plan, arms: Arms, times: np.ndarray) -> tuple[float, ...]:
@@ -160,22 +156,6 @@ def assemble(
     eye = head_joint + turn(head.yaw, head.pitch, np.array(body.eye))
     hands = turn_hands(plan, arms, times)
     head_rotation = rotation_quaternion(head.yaw, head.pitch)
-    return Motion(
-        joints=_joints(trunk, legs, arms, head_joint),
-        rotations=_rotations(trunk, legs, arms, feet, rotation_quaternion(neck_yaw, neck_pitch), head_rotation, hands),
-        head=head,
-        head_rotation=head_rotation,
-        eye=eye,
-        hands=hands,
-        finger_bases=arms.wrist + body.hand * hands[..., 1],
-        planted=feet.planted,
-        base=base,
-        gaze_plan=gaze_plan,
-        misses=misses,
-    )
-
-
-def _joints(trunk: Trunk, legs: Legs, arms: Arms, head_joint: np.ndarray) -> Float[np.ndarray, "n 22 3"]:
     joints = np.empty((len(head_joint), N_JOINTS, 3))
     joints[:, Joint.PELVIS] = trunk.pelvis
     joints[:, [Joint.SPINE1, Joint.SPINE2, Joint.SPINE3]] = np.stack(trunk.spine, axis=1)
@@ -189,7 +169,19 @@ def _joints(trunk: Trunk, legs: Legs, arms: Arms, head_joint: np.ndarray) -> Flo
     joints[:, [Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER]] = np.stack(trunk.shoulders, axis=1)
     joints[:, [Joint.LEFT_ELBOW, Joint.RIGHT_ELBOW]] = arms.elbow
     joints[:, [Joint.LEFT_WRIST, Joint.RIGHT_WRIST]] = arms.wrist
-    return joints
+    return Motion(
+        joints=joints,
+        rotations=_rotations(trunk, legs, arms, feet, rotation_quaternion(neck_yaw, neck_pitch), head_rotation, hands),
+        head=head,
+        head_rotation=head_rotation,
+        eye=eye,
+        hands=hands,
+        finger_bases=arms.wrist + body.hand * hands[..., 1],
+        planted=feet.planted,
+        base=base,
+        gaze_plan=gaze_plan,
+        misses=misses,
+    )
 
 
 def _rotations(
@@ -408,7 +400,8 @@ def _bystander_acts(
     preset = wearer.preset
     participant = f"B{index:04d}"
     person = draw_person(preset, participant, source.generator("recording", index, "bystander-body"))
-    taken = [_stand_in(wearer, reach.item, reach.centre) for reach in wearer.reaches]
+    # Something that stands where the wearer's object was or will be.
+    taken = [replace(wearer.items[reach.item], position=reach.centre, rides_on=None) for reach in wearer.reaches]
     room = replace(wearer.room, bystanders=(*wearer.room.bystanders, *taken))
     best: tuple[float, Plan] | None = None
     for attempt in range(_PLANS_OF_BYSTANDER):
@@ -424,11 +417,6 @@ def _bystander_acts(
         if distance > _POLITE_DISTANCE:
             break
     return None if best is None else _move_bystander(source, index, best[1], times, object_ids)
-
-
-def _stand_in(wearer: Plan, item: int, centre: np.ndarray) -> Item:
-    """Return something that stands where the wearer's object was or will be."""
-    return replace(wearer.items[item], position=centre, rides_on=None)
 
 
 def _move_bystander(source: Source, index: int, plan: Plan, times: np.ndarray, object_ids: list[str]) -> _Bystander:

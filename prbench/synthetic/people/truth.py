@@ -92,7 +92,27 @@ def _moving(item: Item, reaches: list[Reach], wrists: np.ndarray, hands: np.ndar
         first = int(np.searchsorted(times, reach.event))
         if reach.action == "pick":
             last = n if following is None else int(np.searchsorted(times, following.event))
-            _carry(track, slice(first, last), reach, following, wrists, hands, times)
+            # Fix the object in the hand; what is left at the put is spread over the carry.
+            span = slice(first, last)
+            position, turned = _rigid(wrists[span, reach.hand], hands[span, reach.hand], reach, at=0)
+            track.held_by[span] = reach.hand
+            if following is not None and following.twist.handed_over is not None:
+                begin = following.twist.handed_over + MEETING_TIME
+                share = minimum_jerk((times[span] - begin) / HANDING_TIME)
+                position_after, turned_after = _rigid(
+                    wrists[span, following.hand], hands[span, following.hand], following, at=-1
+                )
+                position = position + share[:, None] * (position_after - position)
+                # The rotations a growing share of the way from one to the other.
+                left = quaternion(turned_after @ np.swapaxes(turned, -1, -2))
+                turned = _scaled_rotation(left, share) @ turned
+                track.held_by[span] = np.where(share < 0.5, reach.hand, following.hand)
+            if following is not None:
+                progress = minimum_jerk(np.arange(len(position)) / (len(position) - 1))
+                position = position + progress[:, None] * (following.centre - position[-1])
+                turned = _part_of_rotation(rotation(following.yaw, 0.0) @ turned[-1].T, progress) @ turned
+            track.position[span] = position
+            track.rotation[span] = quaternion(turned)
         elif reach.action == "put":
             track.position[first:] = reach.centre
             track.rotation[first:] = quaternion(rotation(reach.yaw, 0.0))
@@ -104,43 +124,10 @@ def _moving(item: Item, reaches: list[Reach], wrists: np.ndarray, hands: np.ndar
     return track
 
 
-def _carry(
-    track: _Track,
-    span: slice,
-    pick: Reach,
-    put: Reach | None,
-    wrists: np.ndarray,
-    hands: np.ndarray,
-    times: np.ndarray,
-) -> None:
-    """Fix the object in the hand; what is left at the put is spread over the carry."""
-    position, turned = _rigid(wrists[span, pick.hand], hands[span, pick.hand], pick, at=0)
-    track.held_by[span] = pick.hand
-    if put is not None and put.twist.handed_over is not None:
-        begin = put.twist.handed_over + MEETING_TIME
-        share = minimum_jerk((times[span] - begin) / HANDING_TIME)
-        position_after, turned_after = _rigid(wrists[span, put.hand], hands[span, put.hand], put, at=-1)
-        position = position + share[:, None] * (position_after - position)
-        turned = _between(turned, turned_after, share)
-        track.held_by[span] = np.where(share < 0.5, pick.hand, put.hand)
-    if put is not None:
-        progress = minimum_jerk(np.arange(len(position)) / (len(position) - 1))
-        position = position + progress[:, None] * (put.centre - position[-1])
-        turned = _part_of_rotation(rotation(put.yaw, 0.0) @ turned[-1].T, progress) @ turned
-    track.position[span] = position
-    track.rotation[span] = quaternion(turned)
-
-
 def _rigid(wrist: np.ndarray, hand: np.ndarray, reach: Reach, at: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the poses of an object that is fixed in a hand and lies as the reach has it in frame ``at``."""
     offset = hand[at].T @ (reach.centre - wrist[at])
     return wrist + hand @ offset, hand @ (hand[at].T @ rotation(reach.yaw, 0.0))
-
-
-def _between(before: np.ndarray, after: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Return the rotations a growing share of the way from one to the other."""
-    left = quaternion(after @ np.swapaxes(before, -1, -2))
-    return _scaled_rotation(left, share) @ before
 
 
 def _part_of_rotation(whole: np.ndarray, share: np.ndarray) -> np.ndarray:

@@ -403,7 +403,13 @@ def lowered_pelvis(
     Returns:
         Pelvis height at which no planted leg is longer than it can be.
     """
-    allowed = _allowed_height(body, height, hips, feet)
+    # The highest pelvis for which every planted leg is at most .9885 of its length.
+    ankle = ankles(body, feet)
+    across = hips - ankle
+    horizontal = across[..., 0] ** 2 + across[..., 2] ** 2
+    reach = np.sqrt(np.maximum((_PLANTED_LEG * body.leg) ** 2 - horizontal, 0.0))
+    room = np.where(feet.planted, ankle[..., 1] + reach - hips[..., 1], np.inf).min(axis=1)
+    allowed = height + room
     dip = np.zeros(times.size)
     missing = np.maximum(height - allowed, 0.0)
     for step, following in zip(steps, (*steps[1:], None), strict=False):
@@ -426,16 +432,6 @@ def _add_dip(
     near = times[first:last]
     shape = minimum_jerk((near - plateau[0]) / flank + 1.0) * minimum_jerk((plateau[1] - near) / flank + 1.0)
     dip[first:last] = np.maximum(dip[first:last], depth * shape)
-
-
-def _allowed_height(body: Body, height: np.ndarray, hips: np.ndarray, feet: Feet) -> np.ndarray:
-    """Return the highest pelvis for which every planted leg is at most .9885 of its length."""
-    ankle = ankles(body, feet)
-    across = hips - ankle
-    horizontal = across[..., 0] ** 2 + across[..., 2] ** 2
-    reach = np.sqrt(np.maximum((_PLANTED_LEG * body.leg) ** 2 - horizontal, 0.0))
-    room = np.where(feet.planted, ankle[..., 1] + reach - hips[..., 1], np.inf).min(axis=1)
-    return height + room
 
 
 def pose_legs(

@@ -91,7 +91,17 @@ def draw_room(preset: Preset, room_id: str, rng: np.random.Generator, n_bystande
     drawn = int(rng.integers(3, 13))
     items: list[Item] = []
     for number in range(drawn if n_bystanders is None else n_bystanders):
-        items.append(_draw_bystander(preset, surfaces, items, number, rng))
+        # Draw a place on the furniture; beyond a dozen, on boards above it, out of everybody's way.
+        kind = preset.objects[int(rng.integers(len(preset.objects)))]
+        half_extents, yaw = draw_item_shape(kind, rng)
+        level = number // 12
+        position = np.zeros(3)
+        for _ in range(20):
+            surface = surfaces[int(rng.integers(len(surfaces)))]
+            position = draw_spot(surface, half_extents, yaw, rng) + (level > 0) * (1.0 + 0.22 * level) * UP
+            if all(np.linalg.norm(position - item.position) > 0.2 for item in items):
+                break
+        items.append(Item(kind, half_extents, position, yaw))
     return Room(room_id, preset.room, surfaces, tuple(items))
 
 
@@ -144,7 +154,11 @@ def draw_spot(
 
 
 def _draw_surfaces(preset: Preset, rng: np.random.Generator) -> tuple[Surface, ...]:
-    kinds = _draw_kinds(preset, rng)
+    # Draw one surface of each kind, as far as there is room, and the others by weight.
+    weights = np.array([kind.weight for kind in preset.surfaces])
+    first = rng.permutation(len(preset.surfaces))
+    rest = rng.choice(len(preset.surfaces), preset.n_surfaces, p=weights / weights.sum())
+    kinds = [preset.surfaces[i] for i in (*first, *rest)][: preset.n_surfaces]
     surfaces: list[Surface] = []
     for number, kind in enumerate(kinds):
         height = kind.height + 0.04 * float(rng.standard_normal())
@@ -152,14 +166,6 @@ def _draw_surfaces(preset: Preset, rng: np.random.Generator) -> tuple[Surface, .
         on_same_wall = surfaces[number % 4 :: 4]
         surfaces.append(_place_surface(preset, kind, number % 4, height, weight, on_same_wall, rng))
     return tuple(surfaces)
-
-
-def _draw_kinds(preset: Preset, rng: np.random.Generator) -> list[SurfaceKind]:
-    """Draw one surface of each kind, as far as there is room, and the others by weight."""
-    weights = np.array([kind.weight for kind in preset.surfaces])
-    first = rng.permutation(len(preset.surfaces))
-    rest = rng.choice(len(preset.surfaces), preset.n_surfaces, p=weights / weights.sum())
-    return [preset.surfaces[i] for i in (*first, *rest)][: preset.n_surfaces]
 
 
 def _place_surface(
@@ -190,22 +196,6 @@ def _place_surface(
 def _overlap(surface: Surface, other: Surface) -> bool:
     apart = abs(float((surface.edge_centre - other.edge_centre) @ surface.left))
     return apart < (surface.width + other.width) / 2.0 + 0.05
-
-
-def _draw_bystander(
-    preset: Preset, surfaces: tuple[Surface, ...], items: list[Item], number: int, rng: np.random.Generator
-) -> Item:
-    """Draw a place on the furniture; beyond a dozen, on boards above it, out of everybody's way."""
-    kind = preset.objects[int(rng.integers(len(preset.objects)))]
-    half_extents, yaw = draw_item_shape(kind, rng)
-    level = number // 12
-    position = np.zeros(3)
-    for _ in range(20):
-        surface = surfaces[int(rng.integers(len(surfaces)))]
-        position = draw_spot(surface, half_extents, yaw, rng) + (level > 0) * (1.0 + 0.22 * level) * UP
-        if all(np.linalg.norm(position - item.position) > 0.2 for item in items):
-            break
-    return Item(kind, half_extents, position, yaw)
 
 
 _TEST_SHARE = 0.30

@@ -163,42 +163,36 @@ class _Body:
             )
             for what, (positions, shade, width) in segments.items()
         ]
-        _add_still(server, name, scene, motion, offset)
+        # Add the parts that do not move: label, path of the pelvis on the floor, surroundings and goal.
+        colour = rgb(motion.colour)
+        floor = motion.joints[:, Joint.PELVIS] * [1.0, 0.0, 1.0] + offset + [0.0, 0.005, 0.0]
+        way = np.stack([floor[:-1], floor[1:]], axis=1).astype(np.float32)
+        server.scene.add_line_segments(f"{name}/way", way, colors=colour, thickness=0.012)
+        server.scene.add_label(f"{name}/label", motion.label, position=tuple(floor[0]), anchor="top-center")
+        if scene.surroundings is not None and motion is scene.motions[0]:  # copies in every lane would overlap
+            server.scene.add_point_cloud(
+                f"{name}/surroundings",
+                (scene.surroundings + offset).astype(np.float32),
+                colors=rgb(SURROUNDINGS_COLOUR),
+                point_size=0.012,
+            )
+        if scene.goal is not None:
+            # Every lane has its own copy of the goal, because its body reaches for that.
+            edges = (scene.goal.box_corners + offset)[np.array(BOX_EDGES)].astype(np.float32)
+            server.scene.add_line_segments(f"{name}/goal_box", edges, colors=rgb(BOX_COLOUR), thickness=0.01)
+            server.scene.add_icosphere(
+                f"{name}/goal",
+                radius=0.03,
+                color=rgb(GOAL_COLOUR),
+                subdivisions=2,
+                position=tuple(scene.goal.location + offset),
+            )
 
     def set_frame(self, frame: int) -> None:
         """Move the body to a frame."""
         self._head.position = self._heads[frame]
         for positions, handle in self._moving:
             handle.points = positions[frame]
-
-
-def _add_still(
-    server: ViserServer, name: str, scene: Scene, motion: ShownMotion, offset: Float[np.ndarray, "3"]
-) -> None:
-    """Add the parts that do not move: label, path of the pelvis on the floor, surroundings and goal."""
-    colour = rgb(motion.colour)
-    floor = motion.joints[:, Joint.PELVIS] * [1.0, 0.0, 1.0] + offset + [0.0, 0.005, 0.0]
-    way = np.stack([floor[:-1], floor[1:]], axis=1).astype(np.float32)
-    server.scene.add_line_segments(f"{name}/way", way, colors=colour, thickness=0.012)
-    server.scene.add_label(f"{name}/label", motion.label, position=tuple(floor[0]), anchor="top-center")
-    if scene.surroundings is not None and motion is scene.motions[0]:  # copies in every lane would overlap
-        server.scene.add_point_cloud(
-            f"{name}/surroundings",
-            (scene.surroundings + offset).astype(np.float32),
-            colors=rgb(SURROUNDINGS_COLOUR),
-            point_size=0.012,
-        )
-    if scene.goal is not None:
-        # Every lane has its own copy of the goal, because its body reaches for that.
-        edges = (scene.goal.box_corners + offset)[np.array(BOX_EDGES)].astype(np.float32)
-        server.scene.add_line_segments(f"{name}/goal_box", edges, colors=rgb(BOX_COLOUR), thickness=0.01)
-        server.scene.add_icosphere(
-            f"{name}/goal",
-            radius=0.03,
-            color=rgb(GOAL_COLOUR),
-            subdivisions=2,
-            position=tuple(scene.goal.location + offset),
-        )
 
 
 def lane_offsets(scene: Scene) -> Float[np.ndarray, "motions 3"]:
@@ -317,7 +311,19 @@ def with_overlay(page: str, scenes: Sequence[Scene], *, hold: float) -> str:
         scenes: Scenes that the page shows, in order.
         hold: Seconds that the last frame of each stays.
     """
-    return with_box(page, _overlay(scenes, hold))
+    parts = []
+    start = 0.0
+    for scene in scenes:
+        end = start + scene.n_frames / scene.fps
+        parts.append(_sequence(scene, start, end))
+        # The time line of the viewer runs through all sequences, each held at its end.
+        start = end + hold
+    entries = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", MARK_COLOUR)]
+    if any(motion.gaze is not None for scene in scenes for motion in scene.motions):
+        entries.append(("gaze", GAZE_COLOUR))
+    if any(scene.goal is not None for scene in scenes):
+        entries.append(("goal and its box", GOAL_COLOUR))
+    return with_box(page, overlay_box([scene.notice for scene in scenes], entries, parts))
 
 
 def with_box(page: str, box: str) -> str:
@@ -326,17 +332,6 @@ def with_box(page: str, box: str) -> str:
     cut = page.rindex("</body>")
     marked = page[:cut] + box + page[cut:]
     return marked.replace("<title>Viser</title>", "<title>prbench view</title>", 1)
-
-
-def _overlay(scenes: Sequence[Scene], hold: float) -> str:
-    parts = []
-    start = 0.0
-    for scene in scenes:
-        end = start + scene.n_frames / scene.fps
-        parts.append(_sequence(scene, start, end))
-        # The time line of the viewer runs through all sequences, each held at its end.
-        start = end + hold
-    return overlay_box([scene.notice for scene in scenes], _key(scenes), parts)
 
 
 def overlay_box(notices: Iterable[str], key: Iterable[tuple[str, str]], parts: Iterable[str]) -> str:
@@ -355,15 +350,6 @@ def overlay_box(notices: Iterable[str], key: Iterable[tuple[str, str]], parts: I
         f'<div id="prbench"><details open><summary>prbench view</summary>{notice}{lines}{hint}{"".join(parts)}'
         "</details></div>"
     )
-
-
-def _key(scenes: Sequence[Scene]) -> list[tuple[str, str]]:
-    entries = [("bodies: right limbs and trunk thick, left limbs thin; thin ray: head forward", MARK_COLOUR)]
-    if any(motion.gaze is not None for scene in scenes for motion in scene.motions):
-        entries.append(("gaze", GAZE_COLOUR))
-    if any(scene.goal is not None for scene in scenes):
-        entries.append(("goal and its box", GOAL_COLOUR))
-    return entries
 
 
 def _sequence(scene: Scene, start: float, end: float) -> str:

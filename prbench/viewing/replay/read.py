@@ -192,10 +192,11 @@ def scene_of(
     scores = _own_scores(chunk, gaze, constants) if placed else {}
     eyes = gaze if gaze.valid.any() else None
     recorded = ShownMotion(RECORDED, RECORDED_COLOUR, chunk.joints.astype(np.float64), scores, eyes)
+    action, name, hand, split = (chunk.strings(column)[0] for column in ("action", "object_name", "hand", "split"))
     return Scene(
         sequence_id=chunk.sequence_ids[0],
         dataset=info.dataset,
-        title=_title(chunk),
+        title=f"{action} of {name}, {f'{hand} hand' if hand else 'hand unknown'} ({split})",
         action=chunk.strings("action")[0],
         fps=float(chunk.numbers("fps")[0]),
         n_frames=int(chunk.n_frames[0]),
@@ -207,11 +208,6 @@ def scene_of(
         notice=notice(info, permitted),
         surroundings=around(chunk) if shown and around is not None else None,
     )
-
-
-def _title(chunk: SequenceChunk) -> str:
-    action, name, hand, split = (chunk.strings(column)[0] for column in ("action", "object_name", "hand", "split"))
-    return f"{action} of {name}, {f'{hand} hand' if hand else 'hand unknown'} ({split})"
 
 
 def goal_of(chunk: SequenceChunk) -> Goal:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -85,19 +85,6 @@ def draw_strip(
             near = beside(scene.surroundings, start, axis, reach=_SPACING / 2)
             draw_dots(axes, side_view(near, axis, around=start) + np.array([place, 0.0]))
     draw_bodies(axes, flat(joints), motion.colour)
-    _draw_rays(axes, scene, motion, frames, flat)
-    if scene.goal is not None:
-        _draw_goals(axes, scene.goal, pelvis, axis, places)
-    _finish_strip(axes, scene, motion, frames, places, with_times=with_times)
-
-
-def _draw_rays(
-    axes: Axes,
-    scene: Scene,
-    motion: ShownMotion,
-    frames: Int[np.ndarray, " poses"],
-    flat: Callable[[np.ndarray], np.ndarray],
-) -> None:
     goal = scene.goal_location
     for ray in flat(head_rays(motion.joints[frames], scene.head_tilt_deg, goal, _LONGEST_RAY)):
         axes.plot(*ray.T, color=motion.colour, linewidth=1.0, linestyle=(0, (4, 2)), zorder=2)
@@ -105,39 +92,20 @@ def _draw_rays(
         segments = flat(rays(motion.gaze.origin[frames], motion.gaze.direction[frames], goal, _LONGEST_RAY))
         for ray in segments[motion.gaze.valid[frames]]:
             axes.plot(*ray.T, color=GAZE_COLOUR, linewidth=1.3, zorder=2)
-
-
-def _draw_goals(
-    axes: Axes,
-    goal: Goal,
-    pelvis: Float[np.ndarray, "poses 3"],
-    axis: Float[np.ndarray, "3"],
-    places: Float[np.ndarray, " poses"],
-) -> None:
-    """Draw the goal beside each body that is near enough, else an arrow that points to it."""
-    for start, place in zip(pelvis, places, strict=True):
-        shift = np.array([place, 0.0])
-        location = side_view(goal.location, axis, around=start) + shift
-        side = np.sign(location[0] - place)
-        # Little more than half of the spacing: farther goals would lie beside the next body.
-        if abs(location[0] - place) < 0.64 * _SPACING:
-            corners = side_view(goal.box_corners, axis, around=start) + shift
-            draw_goal(axes, corners, location, linewidth=0.8, markersize=3.5, zorder=1)
-        else:
-            tip = place + side * 0.46 * _SPACING
-            arrow = {"arrowstyle": "-|>", "color": BOX_COLOUR, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
-            axes.annotate("", (tip, location[1]), (tip - side * 0.14 * _SPACING, location[1]), arrowprops=arrow)
-
-
-def _finish_strip(
-    axes: Axes,
-    scene: Scene,
-    motion: ShownMotion,
-    frames: Int[np.ndarray, " poses"],
-    places: Float[np.ndarray, " poses"],
-    *,
-    with_times: bool,
-) -> None:
+    if scene.goal is not None:
+        # Draw the goal beside each body that is near enough, else an arrow that points to it.
+        for start, place in zip(pelvis, places, strict=True):
+            shift = np.array([place, 0.0])
+            location = side_view(scene.goal.location, axis, around=start) + shift
+            side = np.sign(location[0] - place)
+            # Little more than half of the spacing: farther goals would lie beside the next body.
+            if abs(location[0] - place) < 0.64 * _SPACING:
+                corners = side_view(scene.goal.box_corners, axis, around=start) + shift
+                draw_goal(axes, corners, location, linewidth=0.8, markersize=3.5, zorder=1)
+            else:
+                tip = place + side * 0.46 * _SPACING
+                arrow = {"arrowstyle": "-|>", "color": BOX_COLOUR, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
+                axes.annotate("", (tip, location[1]), (tip - side * 0.14 * _SPACING, location[1]), arrowprops=arrow)
     axes.set_aspect("equal", adjustable="box")
     axes.set(xlim=(-0.75, places[-1] + 0.95), ylim=(-0.05, 2.15), yticks=[0, 1, 2])
     axes.set_ylabel("height (m)", fontsize=7.5)
@@ -167,7 +135,19 @@ def draw_way(axes: Axes, scene: Scene, frames: Int[np.ndarray, " poses"]) -> Non
     if scene.surroundings is not None:
         draw_dots(axes, top_view(scene.surroundings))
     for motion in scene.motions:
-        _draw_motion(axes, scene, motion, frames)
+        path = top_view(motion.joints[:, Joint.PELVIS])
+        axes.plot(*path.T, color=motion.colour, linewidth=2.0 if motion.label == RECORDED else 1.6, alpha=0.9)
+        for tick in top_view(head_rays(motion.joints[frames], scene.head_tilt_deg, None, _TICK)):
+            axes.plot(*tick.T, color=motion.colour, linewidth=0.8)
+        ray = head_rays(motion.joints[[scene.prime_frame]], scene.head_tilt_deg, scene.goal_location, _RAY)
+        axes.plot(*top_view(ray)[0].T, color=motion.colour, linewidth=1.1, linestyle=(0, (4, 2)))
+        if motion.gaze is not None and motion.gaze.valid[scene.prime_frame]:
+            at_prime = [scene.prime_frame]
+            ray = rays(motion.gaze.origin[at_prime], motion.gaze.direction[at_prime], scene.goal_location, _RAY)
+            axes.plot(*top_view(ray)[0].T, linewidth=1.5, **gaze_style(motion))
+        draw_bodies(axes, top_view(motion.joints[[-1]]), motion.colour, alpha=0.45)
+        for frame, mark, size in ((0, "o", 5), (scene.prime_frame, "D", 6), (-1, "*", 11)):
+            axes.plot(*path[frame], mark, color=motion.colour, markersize=size, markeredgecolor="white", zorder=6)
     if scene.goal is not None:
         corners = top_view(scene.goal.box_corners)
         draw_goal(axes, corners, top_view(scene.goal.location), linewidth=1.0, markersize=5.0, zorder=5)
@@ -176,22 +156,6 @@ def draw_way(axes: Axes, scene: Scene, frames: Int[np.ndarray, " poses"]) -> Non
     axes.set_ylabel("z (m)", fontsize=8)
     axes.tick_params(labelsize=7.5)
     axes.grid(alpha=0.25, linewidth=0.6)
-
-
-def _draw_motion(axes: Axes, scene: Scene, motion: ShownMotion, frames: Int[np.ndarray, " poses"]) -> None:
-    path = top_view(motion.joints[:, Joint.PELVIS])
-    axes.plot(*path.T, color=motion.colour, linewidth=2.0 if motion.label == RECORDED else 1.6, alpha=0.9)
-    for tick in top_view(head_rays(motion.joints[frames], scene.head_tilt_deg, None, _TICK)):
-        axes.plot(*tick.T, color=motion.colour, linewidth=0.8)
-    ray = head_rays(motion.joints[[scene.prime_frame]], scene.head_tilt_deg, scene.goal_location, _RAY)
-    axes.plot(*top_view(ray)[0].T, color=motion.colour, linewidth=1.1, linestyle=(0, (4, 2)))
-    if motion.gaze is not None and motion.gaze.valid[scene.prime_frame]:
-        at_prime = [scene.prime_frame]
-        ray = rays(motion.gaze.origin[at_prime], motion.gaze.direction[at_prime], scene.goal_location, _RAY)
-        axes.plot(*top_view(ray)[0].T, linewidth=1.5, **gaze_style(motion))
-    draw_bodies(axes, top_view(motion.joints[[-1]]), motion.colour, alpha=0.45)
-    for frame, mark, size in ((0, "o", 5), (scene.prime_frame, "D", 6), (-1, "*", 11)):
-        axes.plot(*path[frame], mark, color=motion.colour, markersize=size, markeredgecolor="white", zorder=6)
 
 
 def draw_curves(panels: tuple[Axes, Axes, Axes], scene: Scene, goal: Goal) -> None:
@@ -224,17 +188,13 @@ def draw_curves(panels: tuple[Axes, Axes, Axes], scene: Scene, goal: Goal) -> No
     limits = (min(highest[ray] * 1.08, _HIGHEST), min(highest[angle] * 1.08, 180.0), highest[wrist] * 1.08)
     for panel, title, limit in zip(panels, titles, limits, strict=True):
         panel.set_ylim(0.0, max(limit, 0.3))
-        _finish_curve(panel, scene, title)
-
-
-def _finish_curve(axes: Axes, scene: Scene, title: str) -> None:
-    mark_times(axes, scene)
-    axes.set_xlim(0.0, scene.event_time * 1.01)
-    axes.set_title(title, fontsize=8, loc="left", pad=3)
-    axes.set_xlabel("time (s)", fontsize=8)
-    axes.tick_params(labelsize=7.5)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+        mark_times(panel, scene)
+        panel.set_xlim(0.0, scene.event_time * 1.01)
+        panel.set_title(title, fontsize=8, loc="left", pad=3)
+        panel.set_xlabel("time (s)", fontsize=8)
+        panel.tick_params(labelsize=7.5)
+        for side in ("top", "right"):
+            panel.spines[side].set_visible(False)
 
 
 _LEFT = 0.75
@@ -336,7 +296,10 @@ def draw_sheet(scenes: Sequence[Scene], path: Path, *, dpi: int = 100, progress:
         top -= height
         if progress is not None:
             progress(done, len(scenes), scene.sequence_id)
-    _write_notices(figure, scenes)
+    notices = dict.fromkeys(scene.notice for scene in scenes if scene.notice)
+    if notices:
+        height = figure.get_figheight()
+        figure.text(0.35 / WIDTH, 0.12 / height, figure_text("   ".join(notices)), fontsize=8, color=METHOD_COLOURS[1])
     write_png(figure, path)
 
 
@@ -351,22 +314,8 @@ def draw_scene(block: Block, scene: Scene) -> None:
     if scene.goal is not None:
         draw_curves(block.curves(len(scene.motions)), scene, scene.goal)
     draw_way(block.way(), scene, frames)
-    _draw_scores(block.scores(len(scene.motions)), scene)
-    _draw_key(block.key(len(scene.motions)), scene)
-
-
-def chosen_frames(scene: Scene) -> Int[np.ndarray, " poses"]:
-    """Evenly spread frames, first and last among them; the one nearest to the prime time is moved onto it."""
-    frames = np.unique(np.linspace(0, scene.n_frames - 1, _POSES).round().astype(int))
-    if len(frames) > 2:
-        inner = np.abs(frames[1:-1] - scene.prime_frame)
-        # Moved and not added, so that all strips have equally many poses; first and last frame stay.
-        frames[1 + int(inner.argmin())] = np.clip(scene.prime_frame, 1, scene.n_frames - 2)
-    return np.unique(frames)
-
-
-def _draw_scores(axes: Axes, scene: Scene) -> None:
-    """Write the table of scores, one row a motion, in the order of :data:`HEADER`."""
+    # Write the table of scores, one row a motion, in the order of :data:`HEADER`.
+    axes = block.scores(len(scene.motions))
     axes.set_axis_off()
     rows = [HEADER, *(score_row(scene, motion) for motion in scene.motions)]
     colours = ["0.35", *(motion.colour for motion in scene.motions)]
@@ -378,6 +327,17 @@ def _draw_scores(axes: Axes, scene: Scene) -> None:
             side = "left" if column == 0 else "right"
             style: dict[str, Any] = {"ha": side, "va": "center", "fontsize": 7.5 if number else 7, "color": colour}
             axes.text(place, height, figure_text(shown), transform=axes.transAxes, **style)
+    _draw_key(block.key(len(scene.motions)), scene)
+
+
+def chosen_frames(scene: Scene) -> Int[np.ndarray, " poses"]:
+    """Evenly spread frames, first and last among them; the one nearest to the prime time is moved onto it."""
+    frames = np.unique(np.linspace(0, scene.n_frames - 1, _POSES).round().astype(int))
+    if len(frames) > 2:
+        inner = np.abs(frames[1:-1] - scene.prime_frame)
+        # Moved and not added, so that all strips have equally many poses; first and last frame stay.
+        frames[1 + int(inner.argmin())] = np.clip(scene.prime_frame, 1, scene.n_frames - 2)
+    return np.unique(frames)
 
 
 def _draw_key(axes: Axes, scene: Scene) -> None:
@@ -409,13 +369,6 @@ def _draw_key(axes: Axes, scene: Scene) -> None:
         handles.append(Line2D([], [], marker="o", label="what stood around at the event", **dots))
     axes.set_axis_off()
     axes.legend(handles=handles, fontsize=7.2, ncols=2, frameon=False, loc="upper left", borderaxespad=0.0)
-
-
-def _write_notices(figure: Figure, scenes: Sequence[Scene]) -> None:
-    notices = dict.fromkeys(scene.notice for scene in scenes if scene.notice)
-    if notices:
-        height = figure.get_figheight()
-        figure.text(0.35 / WIDTH, 0.12 / height, figure_text("   ".join(notices)), fontsize=8, color=METHOD_COLOURS[1])
 
 
 _PACKAGES = {".png": "", ".mp4": "imageio-ffmpeg", ".html": "viser"}

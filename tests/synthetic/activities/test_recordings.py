@@ -13,7 +13,7 @@ from prbench.synthetic.activities import NarratedMotion, identity_of, narrated_r
 from prbench.synthetic.activities.narrate import PATTERNS, amount_word, speed_word, spoken_name
 from prbench.synthetic.activities.script import SITTING, STANDING
 from prbench.synthetic.people import PRESETS
-from prbench.synthetic.plausibility import Limit, limits, measure_motions
+from tests.synthetic.plausibility import Limit, limits, measure_motions
 
 SEED = 11
 

@@ -10,7 +10,7 @@ import pytest
 from prbench.geometry.skeleton import Joint
 from prbench.synthetic.people import PRESETS
 from prbench.synthetic.performance import Performance
-from prbench.synthetic.plausibility import checks, measure
+from tests.synthetic.plausibility import checks, measure
 
 
 @pytest.mark.slow

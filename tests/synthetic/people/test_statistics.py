@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from prbench.synthetic.behaviour import TARGETS, clips_of, sequence_statistics, truth_scores
+from prbench.synthetic.behaviour import TARGETS, clips_of, sequence_statistics
 from prbench.synthetic.people import PRESETS
 from prbench.synthetic.performance import Performance
+from tests.synthetic.plausibility import truth_scores
 
 TRIAL = {
     "hd-epic": (0.75, 0.61),

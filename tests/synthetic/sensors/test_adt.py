@@ -12,9 +12,9 @@ from prbench.geometry.skeleton import Joint, bone_lengths
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.synthetic import LAYOUT, native_object_id, sense
 from prbench.readers.aria_mps.synthetic import gaze_bias
-from prbench.synthetic.behaviour import recorded_bone_change
 from prbench.synthetic.layouts import synthetic_recording
 from prbench.synthetic.sensors import Switches, device_start_us
+from tests.synthetic.plausibility import recorded_bone_change
 
 TOUCHED = {
     "pose_noise": {"glasses.position", "glasses.rotation", "glasses.quality"},
