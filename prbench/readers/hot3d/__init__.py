@@ -34,7 +34,7 @@ class Hot3dReader(GlassesWithMps):
         """See :class:`prbench.readers.Reader`."""
         manifest = load_manifest("hot3d")
         found.require_usable(manifest.why_bad(found.recording_id) or found.skip_reason)
-        readings = read_readings(found, self.options)
+        readings = read_readings(found)
         return recording_from_hot3d(readings, manifest, dataset=found.dataset, meshes=self.options.meshes)
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:

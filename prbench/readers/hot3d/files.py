@@ -29,7 +29,7 @@ from prbench.readers.files import decode_json, missing_file, read_columns, read_
 from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.format import ObjectMesh
-from prbench.readers.hot3d.hands import read_mano_hands, read_profile, read_umetrack
+from prbench.readers.hot3d.hands import read_profile, read_umetrack
 from prbench.recording import Recording
 
 
@@ -42,10 +42,6 @@ class Hot3dOptions(ReaderOptions, frozen=True, kw_only=True):
     """The licensed body model that EgoAllo's outputs need (``model.npz``)."""
     poses_root: Path | None = None
     """Folder of EgoAllo's outputs by recording; beside the recordings by default."""
-    hands: Literal["umetrack", "mano"] = "umetrack"
-    """Hand annotation that gives wrists and vertices."""
-    mano_models: Path | None = None
-    """Folder of ``MANO_LEFT.npz`` and ``MANO_RIGHT.npz``, for ``hands=mano``."""
     meshes: bool = False
     """Load the objects' surfaces: for the in-hand rule ``surface``, and to mark what is primed through an object."""
 
@@ -64,7 +60,6 @@ _FILES = {
     HEADSET: hot3d.HEADSET_FILE,
     UMETRACK: hot3d.UMETRACK_FILE,
     PROFILE: hot3d.PROFILE_FILE,
-    hot3d.MANO: hot3d.MANO_FILE,
     **{f"{MASK_PREFIX}{name}": f"{hot3d.MASK_FOLDER}/mask_{name}.csv" for name in hot3d.MASK_NAMES},
 }
 
@@ -74,7 +69,6 @@ class _GroundTruth(msgspec.Struct):
 
     object_pose_gt: bool
     umetrack_hand_pose_gt: bool
-    mano_hand_pose_gt: bool = False
 
 
 class Metadata(msgspec.Struct):
@@ -122,7 +116,6 @@ def _recording(root: Path, folder: Path, options: Hot3dOptions) -> RecordingFile
     files += [input_file(role, folder / name) for role, name in _FILES.items() if is_present(folder / name)]
     files += find_mps_files(folder / hot3d.MPS_FOLDER)
     files += _library_files(root, folder)
-    files += _mano_models(options)
     files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
     dataset, splits = ("hot3d", {}) if tree is None else (f"{SYNTHETIC_PREFIX}hot3d", tree.split)
     split = splits.get(folder.name)
@@ -151,14 +144,6 @@ def _object_ids(path: Path) -> list[str]:
     except InputFileError:
         return []
     return sorted(uid for uid in table[hot3d.OBJECT_ID].unique().to_pylist() if uid.isdecimal())
-
-
-def _mano_models(options: Hot3dOptions) -> list[InputFile]:
-    if options.hands != "mano" or options.mano_models is None:
-        return []
-    folder = options.mano_models.expanduser()
-    paths = {side: folder / f"MANO_{side.upper()}.npz" for side in ("left", "right")}
-    return [input_file(f"{hot3d.MANO_MODEL_PREFIX}{side}", path) for side, path in paths.items() if path.is_file()]
 
 
 def _skip_reason(folder: Path) -> str | None:
@@ -204,7 +189,7 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
         _device_stream(file) for file in found.files if file.role in (TRAJECTORY, GAZE) and can_be_looked_at(file)
     ]
     body = body_extent(found)
-    truth = [_truth_stream(file) for file in found.files if file.role in (HEADSET, OBJECTS, UMETRACK, hot3d.MANO)]
+    truth = [_truth_stream(file) for file in found.files if file.role in (HEADSET, OBJECTS, UMETRACK)]
     masks = [_truth_stream(file) for file in found.files if file.role.startswith(MASK_PREFIX)]
     return (*_from_start([*truth, *masks]), *_from_start(device if body is None else [*device, body]))
 
@@ -216,7 +201,7 @@ def _device_stream(file: InputFile) -> Extent:
 
 def _truth_stream(file: InputFile) -> Extent:
     """Hands have no row where none was seen, as at the start of many recordings."""
-    if file.role in (UMETRACK, hot3d.MANO):
+    if file.role == UMETRACK:
         return replace(json_extent("hands", file), may_start_late=True)
     stream = {HEADSET: "glasses' ground truth", OBJECTS: "objects"}.get(file.role, "mask")
     return csv_extent(stream, file, hot3d.TIME, 1e-9)
@@ -384,10 +369,9 @@ def read_headset(path: Path) -> hot3d.PoseRows:
 
 
 _TRUTH = {"True": True, "False": False, "true": True, "false": False, "1": True, "0": False}
-_DEFAULTS = Hot3dOptions()
 
 
-def read_readings(found: RecordingFiles, options: Hot3dOptions = _DEFAULTS) -> hot3d.Hot3dReadings:
+def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
     """Read all that curation needs of one recording.
 
     Raises:
@@ -399,7 +383,6 @@ def read_readings(found: RecordingFiles, options: Hot3dOptions = _DEFAULTS) -> h
     headset = read_headset(found.require(HEADSET, hot3d.HEADSET_FILE))
     hands, hand_remarks = read_umetrack(found.require(UMETRACK, hot3d.UMETRACK_FILE))
     profile = found.path(PROFILE)
-    mano_hands, mano_remarks = read_mano_hands(found, options.mano_models) if options.hands == "mano" else (None, ())
     masks = _read_masks(found)
     mps = read_mps(found, thin=False)
     _require_z_up(found, mps.trajectory.up)
@@ -414,8 +397,7 @@ def read_readings(found: RecordingFiles, options: Hot3dOptions = _DEFAULTS) -> h
         masks=masks,
         mps=mps,
         body=body,
-        mano_hands=mano_hands,
-        messages=(*remarks, *hand_remarks, *mano_remarks, *(() if body is not None else (NO_OUTPUTS,))),
+        messages=(*remarks, *hand_remarks, *(() if body is not None else (NO_OUTPUTS,))),
     )
 
 

@@ -21,7 +21,6 @@ OBJECTS_FILE = "dynamic_objects.csv"
 HEADSET_FILE = "headset_trajectory.csv"
 UMETRACK_FILE = "umetrack_hand_pose_trajectory.jsonl"
 PROFILE_FILE = "umetrack_hand_user_profile.json"
-MANO_FILE = "mano_hand_pose_trajectory.jsonl"
 MASK_FOLDER = "masks"
 MPS_FOLDER = "mps"
 INSTANCES_FILE = "instance.json"
@@ -40,10 +39,6 @@ MASK = "mask"
 RGB_STREAM = "214-1"
 SLAM_STREAMS = ("1201-1", "1201-2")
 HAND_KEYS: dict[Side, str] = {"left": "0", "right": "1"}
-
-MANO = "mano"
-MANO_MODEL_PREFIX = "mano model:"
-"""Roles of the MANO poses and of the hand models; a model's is this and its side."""
 
 MaskName = Literal["qa_pass", "headset_pose_available", "object_pose_available", "hand_pose_available"]
 MASK_NAMES: tuple[MaskName, ...] = (
@@ -95,18 +90,16 @@ class Hot3dObject:
 
 @dataclass(frozen=True)
 class HandRows:
-    """One hand over time, UmeTrack or MANO: rows where it is tracked."""
+    """One hand over time, by UmeTrack: rows where it is tracked."""
 
     side: Side
     time_ns: Int[np.ndarray, " n"]
     position: Float[np.ndarray, "n 3"]
-    """UmeTrack: the wrist. MANO: the model's translation, which is not the wrist."""
+    """Of the wrist."""
     rotation: Float[np.ndarray, "n 4"]
     """w x y z, hand to world."""
-    angles: Float[np.ndarray, "n k"]
-    """UmeTrack: 22 joint angles, radians. MANO: 15 coefficients."""
-    betas: Float[np.ndarray, " b"]
-    """MANO: 10 shape numbers; empty for UmeTrack."""
+    angles: Float[np.ndarray, "n 22"]
+    """22 joint angles, radians."""
 
 
 @dataclass(frozen=True)
@@ -161,8 +154,6 @@ class Hot3dReadings:
     """With the whole trajectory, which tells the clocks' offset."""
     body: EgoAlloBody | None
     """On the device clock; None without EgoAllo's outputs."""
-    mano_hands: tuple[HandPoints, ...] | None = None
-    """Posed by the licensed MANO model, where that is asked for; they replace UmeTrack's."""
     egoallo_outputs: tuple[EgoAlloOutput, ...] = ()
     """Not read, only written: what ``body`` was computed from."""
     messages: tuple[str, ...] = ()

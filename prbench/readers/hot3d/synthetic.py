@@ -326,7 +326,7 @@ def _sense_hand(
     closed = uniform_filter1d(np.broadcast_to(held, performance.times.shape).astype(float), window)
     angles = finger_angles(interpolate(performance.times, closed, times[seen]))
     name = ("left", "right")[side]
-    return hot3d.HandRows(name, rows.time_ns, rows.position, rows.rotation, np.round(angles, _ANGLE), np.empty(0))
+    return hot3d.HandRows(name, rows.time_ns, rows.position, rows.rotation, np.round(angles, _ANGLE))
 
 
 def _native_rows(

@@ -335,10 +335,7 @@ def hand_streams(
         readings: The recording.
         good: Tells which times can be used.
     """
-    if readings.mano_hands is not None:
-        posed = [_instants(hand) for hand in readings.mano_hands]
-    else:
-        posed = [umetrack_points(rows, readings.hand_model) for rows in readings.hands]
+    posed = [umetrack_points(rows, readings.hand_model) for rows in readings.hands]
     streams = []
     for hand in posed:
         if len(hand.time_ns) == 0:
@@ -350,11 +347,6 @@ def hand_streams(
             points = y_up(hand.vertices).astype(np.float32)
             streams.append(HandStream(hand.side, "hand_vertex", times, points, valid))
     return tuple(streams), _hand_remarks(posed)
-
-
-def _instants(hand: hot3d.HandPoints) -> hot3d.HandPoints:
-    kept = hot3d.first_of_pairs(hand.time_ns)
-    return hot3d.HandPoints(hand.side, hand.time_ns[kept], hand.wrist[kept], hand.vertices[kept])
 
 
 def umetrack_points(rows: hot3d.HandRows, model: hot3d.HandModel | None) -> hot3d.HandPoints:

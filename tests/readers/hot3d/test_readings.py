@@ -324,6 +324,6 @@ def test_changed_models_change_the_digest_of_the_inputs(readings, tree) -> None:
 
 
 def test_options_are_named_and_unknown_ones_refused() -> None:
-    assert set(Hot3dOptions.names()) == {"poses", "smplh_model", "poses_root", "hands", "mano_models", "meshes"}
+    assert set(Hot3dOptions.names()) == {"poses", "smplh_model", "poses_root", "meshes"}
     with pytest.raises(PrbenchError, match=r"no option 'mesh'\. Did you mean 'meshes'"):
         reader_for("hot3d", {"mesh": "true"})

@@ -20,7 +20,6 @@ from prbench.readers.hot3d import Hot3dOptions, find_recordings, read_readings
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands as umetrack
 from prbench.readers.hot3d.files import read_glb
-from prbench.readers.hot3d.hands import read_mano_rows
 from prbench.readers.hot3d.to_recording import match_clocks, object_track, recording_from_hot3d, umetrack_points
 from prbench.recording import ObjectTrack, Recording
 
@@ -152,14 +151,6 @@ def test_the_in_hand_rule_on_the_real_hands(recording) -> None:
     pot = distances("coffee_pot", "left")
     assert 0.026 < pot.min() <= pot.max() < 0.035
     assert distances("mug_white", "right") == pytest.approx(np.full(len(pot), 0.064), abs=0.001)
-
-
-def test_the_mano_translation_is_not_the_wrist(found, readings, reference_values) -> None:
-    expect = reference_values["hot3d-mano-offset"]["expect"]
-    hands, _ = read_mano_rows(found.path("mano"))
-    for wrist, translation in zip(readings.hands, hands, strict=True):
-        offset = (wrist.position - translation.position).mean(axis=0)
-        assert offset == pytest.approx(expect[wrist.side], abs=1e-5)
 
 
 def test_clock_offset(readings, reference_values) -> None:

@@ -156,18 +156,6 @@ def test_without_a_profile_hands_are_wrists(readings) -> None:
     assert any("wrists only" in message for message in recording.messages)
 
 
-def test_hands_of_mano_replace_umetrack_s(readings) -> None:
-    points = tuple(
-        hot3d.HandPoints(rows.side, rows.time_ns, rows.position + 0.5, np.zeros((len(rows.time_ns), 3, 3)))
-        for rows in readings.hands
-    )
-    recording = _recording(replace(readings, mano_hands=points))
-    before = _recording(readings).hand_streams("wrist")
-    for one, other in zip(before, recording.hand_streams("wrist"), strict=True):
-        assert other.points - one.points == pytest.approx(np.broadcast_to([0.5, 0.5, -0.5], one.points.shape))
-    assert {stream.points.shape[1] for stream in recording.hand_streams("hand_vertex")} == {3}
-
-
 def test_vertices_belong_to_the_row_that_is_kept(readings) -> None:
     rows = readings.hands[0]
     points = umetrack_points(rows, readings.hand_model)
