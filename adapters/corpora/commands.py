@@ -4,46 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from prbench.cli.builds import (
-    NOT_EVERYTHING,
-    BuildsReport,
-    BuiltTable,
-    built_table,
-    made_shard,
-    note_unread,
-    planned,
-    print_plan,
-    print_stages,
-)
+from prbench.cli import builds
+from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, progress
-from prbench.cli.options import (
-    POSITIVE,
-    chosen_shard,
-    count_option,
-    engine_options,
-    on_error_option,
-    opened,
-    out_folder_option,
-    reader_options,
-    recordings_options,
-    replace_option,
-    root_option,
-    seed_option,
-    shard_answer,
-    shard_option,
-)
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.curation.provenance import FunnelRow
-    from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
-    from prbench.engine.shards import Shard, ShardRecord
-    from prbench_adapters.corpora import CorpusOptions, CorpusReport
+    from prbench.engine.shards import ShardRecord
+    from prbench_adapters.corpora import CorpusReport
 
 _SYNTHETIC = "synthetic"
 """Corpus that is generated on the spot."""
@@ -54,109 +28,72 @@ _SYNTHETIC = "synthetic"
     section="data",
     example="prbench build-corpus nymeria --root /data/Nymeria --out corpora/nymeria --workers 4",
     resumes=True,
-    report=BuildsReport,
+    report=builds.BuildsReport,
 )
 @click.argument("corpus")
-@root_option("Your copy of the dataset (not for synthetic).", required=False)
-@out_folder_option("Folder of the corpus; an earlier one is replaced once the new one is ready, if that lacks nothing.")
-@replace_option("corpus")
-@recordings_options
-@count_option("Number of synthetic recordings to make (only for synthetic; default 40).")
-@seed_option("of a synthetic corpus")
+@opt.root_option("Your copy of the dataset (not for synthetic).", required=False)
+@opt.out_folder_option(
+    "Folder of the corpus; an earlier one is replaced once the new one is ready, if that lacks nothing."
+)
+@opt.replace_option("corpus")
+@opt.recordings_options
+@opt.count_option("Number of synthetic recordings to make (only for synthetic; default 40).")
+@opt.seed_option("of a synthetic corpus")
 @click.option("--fps", type=float, metavar="N", help="Frames a second of the clips (default 20).")
-@click.option("--max-frames", type=POSITIVE, metavar="N", help="Cut clips that have more frames (default: 12 s).")
+@click.option("--max-frames", type=opt.POSITIVE, metavar="N", help="Cut clips that have more frames (default: 12 s).")
 @click.option("--dry-run", is_flag=True, help="Say what would be read, and write nothing.")
-@on_error_option()
-@reader_options("corpus'")
-@engine_options()
-@shard_option("the groups of recordings")
+@opt.on_error_option()
+@opt.reader_options("corpus'")
+@opt.engine_options()
+@opt.shard_option("the groups of recordings")
 def build_corpus(
     *,
     corpus: str,
     root: Path | None,
     out: Path | None,
-    replace: bool,
-    recordings: str,
-    max_recordings: int | None,
     count: int | None,
     seed: int,
-    fps: float | None,
-    max_frames: int | None,
+    max_recordings: int | None,
     dry_run: bool,
-    on_error: Literal["skip", "fail"],
     options: tuple[tuple[str, str], ...],
     engine: EngineChoice,
     shard: str | None,
+    **given: Any,
 ) -> Answer:
     """Turn text-motion data into a corpus for pre-training.
 
     CORPUS is nymeria, humanml3d or synthetic.
     """
-    from prbench_adapters.corpora import CorpusOptions
+    from prbench_adapters.corpora import CorpusOptions, plan_corpus
 
-    part = chosen_shard(shard, replace=replace, dry_run=dry_run)
-    chosen = CorpusOptions(
-        fps=fps,
-        max_frames=max_frames,
-        recordings=recordings,
-        limit=max_recordings,
-        source=_source_options(corpus, dict(options), count=count, seed=seed),
-        on_error=on_error,
-        replace=replace,
-    )
-    if dry_run:
-        return _plan(corpus, root, chosen, engine if isinstance(engine, int) else 1)
-    if out is None:
-        raise UsageError("--out DIR is needed: the folder of the corpus. (--dry-run does without.)")
-    roots = () if root is None else (root,)
-    where = opened(engine, reads=roots, writes=(out,))
-    if part is not None:
-        return _build_shard(corpus, root, out, part, chosen, where)
-    return _build(corpus, root, out, chosen, where)
-
-
-def _source_options(corpus: str, given: dict[str, str], *, count: int | None, seed: int) -> tuple[tuple[str, str], ...]:
-    """Return the reader's options; number and seed of synthetic recordings are options of their reader.
-
-    Raises:
-        UsageError: for ``--count`` with a corpus that is read from files.
-    """
-    if corpus == _SYNTHETIC:
-        given = {"seed": str(seed), **given}
+    part = opt.chosen_shard(shard, replace=given["replace"], dry_run=dry_run)
+    source = dict(options)
+    if corpus == _SYNTHETIC:  # number and seed of synthetic recordings are options of their reader
+        source = {"seed": str(seed), **source}
         if count is not None:
-            given = {"recordings": str(count), **given}
+            source = {"recordings": str(count), **source}
     elif count is not None:
         raise UsageError("--count: belongs to the corpus 'synthetic'; --max-recordings N takes the first N that exist.")
-    return tuple(sorted(given.items()))
+    chosen = CorpusOptions(limit=max_recordings, source=tuple(sorted(source.items())), **given)
+    if dry_run:
+        workers = engine if isinstance(engine, int) else 1
+        plan = builds.planned(plan_corpus(corpus, root, chosen), workers, dataset=corpus, root=root)
+        return Answer(builds.BuildsReport(planned=[plan]), lambda: builds.print_plan(plan, unfit="unfit"))
+    if out is None:
+        raise UsageError("--out DIR is needed: the folder of the corpus. (--dry-run does without.)")
+    where = opt.opened(engine, reads=() if root is None else (root,), writes=(out,))
+    with progress(f"building {f'shard {part} of ' if part else ''}{corpus}") as tell:
+        if part is None:
+            from prbench_adapters.corpora import build_corpus as build
 
+            return _corpus_answer(build(corpus, root, out, options=chosen, engine=where, progress=tell))
+        from prbench_adapters.corpora.build import build_corpus_shard
 
-def _plan(corpus: str, root: Path | None, options: CorpusOptions, workers: int) -> Answer:
-    from prbench_adapters.corpora import plan_corpus
-
-    plan = planned(plan_corpus(corpus, root, options), workers, dataset=corpus, root=root)
-    return Answer(BuildsReport(built=[], not_built=[], planned=[plan]), lambda: print_plan(plan, unfit="unfit"))
-
-
-def _build(corpus: str, root: Path | None, out: Path, options: CorpusOptions, engine: Engine) -> Answer:
-    from prbench_adapters.corpora import build_corpus as build
-
-    with progress(f"building {corpus}") as tell:
-        report = build(corpus, root, out, options=options, engine=engine, progress=tell)
-    return _corpus_answer(report)
-
-
-def _build_shard(
-    corpus: str, root: Path | None, out: Path, shard: Shard, options: CorpusOptions, engine: Engine
-) -> Answer:
-    from prbench_adapters.corpora.build import build_corpus_shard
-
-    with progress(f"building shard {shard} of {corpus}") as tell:
-        report = build_corpus_shard(corpus, root, out, shard, options=options, engine=engine, progress=tell)
-    note_unread(report.records, reused=report.reused)
-    made = made_shard(report, made_of=len(shard.places(report.planned)))
-    failed = any(record.status == "failed" for record in report.records)
-    answer = BuildsReport(built=[], not_built=[], planned=[], shard=made)
-    return shard_answer(answer, made, unit="groups of recordings", exit_code=NOT_EVERYTHING if failed else 0)
+        report = build_corpus_shard(corpus, root, out, part, options=chosen, engine=where, progress=tell)
+    builds.note_unread(report.records, reused=report.reused)
+    complete = all(record.status != "failed" for record in report.records)
+    made_of = len(part.places(report.planned))
+    return builds.shard_answer(report, made_of, unit="groups of recordings", complete=complete)
 
 
 def merge_corpus(shards: Sequence[tuple[Path, ShardRecord]], out: Path, *, replace: bool) -> Answer:
@@ -168,12 +105,12 @@ def merge_corpus(shards: Sequence[tuple[Path, ShardRecord]], out: Path, *, repla
 
 def _corpus_answer(report: CorpusReport) -> Answer:
     """Answer a command that has written a corpus."""
-    note_unread(report.records, reused=report.reused)
-    table = built_table(report, _stages(report))
+    builds.note_unread(report.records, reused=report.reused)
+    table = builds.built_table(report, _stages(report), corpus_recordings=report.records)
     return Answer(
-        BuildsReport(built=[table], not_built=[], planned=[]),
+        builds.BuildsReport(built=[table]),
         lambda: _print_corpus(table),
-        NOT_EVERYTHING if report.info.counts.recordings_failed else 0,
+        builds.NOT_EVERYTHING if report.info.counts.recordings_failed else 0,
     )
 
 
@@ -198,8 +135,8 @@ def _stages(report: CorpusReport) -> list[FunnelRow]:
     return [*stages, FunnelRow("captions", counts.captions, 0, size)]
 
 
-def _print_corpus(table: BuiltTable) -> None:
-    print_stages(f"{table.title}: from files to clips", table.stages)
+def _print_corpus(table: builds.BuiltTable) -> None:
+    builds.print_stages(f"{table.title}: from files to clips", table.stages)
     approximate = table.counts["approximate_clips"]
     if approximate:
         print(f"{approximate} clips are marked approximate: their texts were placed by aligning starts")

@@ -8,17 +8,7 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from prbench.api.arguments import (
-    PathLike,
-    Workers,
-    as_native_root,
-    as_optional_path,
-    as_options,
-    as_texts,
-    engine_of,
-    output_folder,
-    require_positive,
-)
+from prbench.api import arguments as args
 from prbench.api.pictures import frame_from_rows, notebook_table, progress
 from prbench.api.tables import Table, open_table
 from prbench.errors import UsageError
@@ -104,8 +94,8 @@ class Build:
 
 def build_dataset(
     dataset: str,
-    root: PathLike,
-    out: PathLike,
+    root: args.PathLike,
+    out: args.PathLike,
     *,
     replace: bool = False,
     recordings: str = "*",
@@ -116,11 +106,11 @@ def build_dataset(
     occlusion: Literal["off", "mark", "require"] = "off",
     minimum_movement: str = "wrist_to_goal",
     minimum_prime: float | None = None,
-    protocol: PathLike | None = None,
+    protocol: args.PathLike | None = None,
     on_error: Literal["skip", "fail"] = "skip",
     poses: str | None = None,
     option: Mapping[str, object] | None = None,
-    workers: Workers = 1,
+    workers: args.Workers = 1,
 ) -> Build:
     """Turn a dataset's recordings into a table of prime-and-reach sequences, as ``prbench build-dataset`` does.
 
@@ -169,7 +159,7 @@ def build_dataset(
             "dataset 'all' builds several tables: name one dataset, or run `prbench build-dataset all --root DIR --out"
             " DIR`."
         )
-    require_positive(max_recordings=max_recordings)
+    args.require_positive(max_recordings=max_recordings)
     if on_error not in ("skip", "fail"):
         raise UsageError(f"on_error: expected skip or fail, found '{on_error}'.")
     curation = CurationOptions(
@@ -180,8 +170,8 @@ def build_dataset(
         occlusion=occlusion,
         minimum_prime=minimum_prime,
     )
-    own = as_optional_path(protocol)
-    reader = mesh_options(dataset, in_hand=in_hand, occlusion=occlusion) | as_options(option)
+    own = args.as_optional_path(protocol)
+    reader = mesh_options(dataset, in_hand=in_hand, occlusion=occlusion) | args.as_options(option)
     if poses is not None:
         reader["poses"] = poses
     options = BuildOptions(
@@ -193,10 +183,10 @@ def build_dataset(
         protocol=None if own is None else read_protocol(own),
         replace=replace,
     )
-    source = as_native_root(root, dataset)
+    source = args.as_native_root(root, dataset)
     with (
-        output_folder(out) as folder,
-        engine_of(workers, reads=(source,), writes=(folder,), packages=options.packages) as engine,
+        args.output_folder(out) as folder,
+        args.engine_of(workers, reads=(source,), writes=(folder,), packages=options.packages) as engine,
         progress(f"building {dataset}") as show,
     ):
         report = build(
@@ -247,7 +237,7 @@ class SyntheticRecordings:
 
 def synthesize(
     layout: str,
-    out: PathLike,
+    out: args.PathLike,
     *,
     count: int | None = None,
     seed: int = 0,
@@ -284,10 +274,10 @@ def synthesize(
     """
     from prbench.synthetic.write_tree import planned_recordings, synthesize_tree
 
-    require_positive(count=count, events=events, workers=workers)
+    args.require_positive(count=count, events=events, workers=workers)
     planned = planned_recordings(size, count)
     done = itertools.count(1)
-    with output_folder(out) as folder, progress(f"writing {layout}") as show:
+    with args.output_folder(out) as folder, progress(f"writing {layout}") as show:
         tree = synthesize_tree(
             layout,
             folder,
@@ -297,7 +287,7 @@ def synthesize(
             workers=workers,
             n_events=events,
             bystander_objects=bystander_objects,
-            defects=as_texts(defect),
+            defects=args.as_texts(defect),
             estimates=egoallo,
             on_written=lambda written: show(next(done), planned, written.recording_id),
         )

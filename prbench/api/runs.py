@@ -17,20 +17,7 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float
 
-from prbench.api.arguments import (
-    PathLike,
-    Workers,
-    as_condition,
-    as_native_root,
-    as_optional_path,
-    as_options,
-    as_path,
-    as_texts,
-    engine_of,
-    local,
-    optional_output_folder,
-    require_positive,
-)
+from prbench.api import arguments as args
 from prbench.api.pictures import (
     Picture,
     Replay,
@@ -269,11 +256,11 @@ class Run:
         self,
         sequence: str | Iterable[str] = (),
         *,
-        data: PathLike | Table | Iterable[PathLike | Table] = (),
+        data: args.PathLike | Table | Iterable[args.PathLike | Table] = (),
         limit: int | None = None,
         sample: int = 0,
         permission: str | Iterable[str] = (),
-        scene: PathLike | None = None,
+        scene: args.PathLike | None = None,
     ) -> Picture:
         """Draw motions of the run beside the recorded ones, as ``prbench view`` does.
 
@@ -300,11 +287,11 @@ class Run:
         self,
         sequence: str | Iterable[str] = (),
         *,
-        data: PathLike | Table | Iterable[PathLike | Table] = (),
+        data: args.PathLike | Table | Iterable[args.PathLike | Table] = (),
         limit: int | None = None,
         sample: int = 0,
         permission: str | Iterable[str] = (),
-        scene: PathLike | None = None,
+        scene: args.PathLike | None = None,
     ) -> Replay:
         """Show motions of the run beside the recorded ones in 3-D, to turn and play.
 
@@ -331,25 +318,25 @@ class Run:
     def _scenes(
         self,
         sequence: str | Iterable[str],
-        data: PathLike | Table | Iterable[PathLike | Table],
+        data: args.PathLike | Table | Iterable[args.PathLike | Table],
         limit: int | None,
         sample: int,
         permission: str | Iterable[str],
-        scene: PathLike | None,
+        scene: args.PathLike | None,
     ) -> tuple[Scene, ...]:
         from prbench.viewing.view import ViewRequest, scenes_of
 
         self._require_motions()
-        require_positive(limit=limit)
+        args.require_positive(limit=limit)
         request = ViewRequest(
             out=Path("notebook.png"),  # never written
             runs=(self.folder,),
             data=table_folders(data) or self._data,
-            sequences=as_texts(sequence),
+            sequences=args.as_texts(sequence),
             limit=limit,
             sample=sample,
-            permitted=as_texts(permission),
-            scene=None if scene is None else as_native_root(scene),
+            permitted=args.as_texts(permission),
+            scene=None if scene is None else args.as_native_root(scene),
         )
         return scenes_of(request)
 
@@ -380,7 +367,7 @@ class Run:
         return shown + "".join(f"<p>{html(line)}</p>" for line in lines)
 
 
-def open_run(path: PathLike) -> Run:
+def open_run(path: args.PathLike) -> Run:
     """Open a run folder.
 
     Args:
@@ -392,7 +379,7 @@ def open_run(path: PathLike) -> Run:
     Raises:
         RunError: if the folder holds no run, or a damaged one.
     """
-    return Run(RunFolder.open(as_path(path), any_benchmark=True))
+    return Run(RunFolder.open(args.as_path(path), any_benchmark=True))
 
 
 _EVERYTHING = "all"
@@ -403,13 +390,13 @@ def run(
     *,
     benchmark: str = PROTOCOL_NAME,
     condition: Literal["none", "text", "goal-pose", "goal-loc", "pose", "pose+head", "pose+gaze"] | None = None,
-    data: PathLike | Table | Iterable[PathLike | Table] = (),
-    out: PathLike | None = None,
+    data: args.PathLike | Table | Iterable[args.PathLike | Table] = (),
+    out: args.PathLike | None = None,
     split: Literal["train", "validation", "test", "participants", "published"] = "test",
     fold: str | None = None,
     limit: int | None = None,
     sequence: str | Iterable[str] = (),
-    weights: PathLike | None = None,
+    weights: args.PathLike | None = None,
     option: Mapping[str, object] | None = None,
     device: str = "cpu",
     threads: int = 1,
@@ -419,8 +406,8 @@ def run(
     batch_size: int | None = None,
     isolate: bool = False,
     timeout: float | None = None,
-    protocol: PathLike | None = None,
-    workers: Workers = 1,
+    protocol: args.PathLike | None = None,
+    workers: args.Workers = 1,
 ) -> Run:
     """Run a method over tables and score what it generates, as ``prbench run`` does.
 
@@ -479,15 +466,15 @@ def run(
         )
     if (split == "participants") != (fold is not None):
         raise UsageError("split 'participants' and fold 'K/N' belong together.")
-    require_positive(limit=limit, threads=threads, samples=samples)
-    require_positive(batch_size=batch_size)
-    sequences = as_texts(sequence)
+    args.require_positive(limit=limit, threads=threads, samples=samples)
+    args.require_positive(batch_size=batch_size)
+    sequences = args.as_texts(sequence)
     folders = table_folders(data)
     about = find_benchmark(benchmark)
     if not folders and not about.default:
         raise UsageError(f"data: {benchmark} has no embedded tables; `{about.build}` makes one.")
     if not folders:
-        folders = table_folders(embedded_tables(workers=local(workers)))
+        folders = table_folders(embedded_tables(workers=args.local(workers)))
         if not sequences:
             limit = limit or first_run.SEQUENCES
             batch_size = batch_size or first_run.BATCH_SIZE
@@ -495,8 +482,8 @@ def run(
         method=str(method),
         benchmark=benchmark,
         data=folders,
-        weights=as_optional_path(weights),
-        options=as_options(option),
+        weights=args.as_optional_path(weights),
+        options=args.as_options(option),
         split="test" if fold is not None else split,
         fold=fold,
         limit=limit,
@@ -509,11 +496,11 @@ def run(
         control=control,
         isolate=isolate,
         timeout=timeout,
-        protocol=as_optional_path(protocol),
+        protocol=args.as_optional_path(protocol),
     )
     if condition is not None:
-        request = replace(request, condition=as_condition(condition) if about.default else str(condition))
-    with optional_output_folder(out) as folder:
+        request = replace(request, condition=args.as_condition(condition) if about.default else str(condition))
+    with args.optional_output_folder(out) as folder:
         needs: dict[str, Any] = {}
         if isinstance(workers, Cluster):  # every node needs the tables, the run folder and the method
             files = [path for path in (request.weights, Path(request.method)) if path is not None and path.exists()]
@@ -523,7 +510,7 @@ def run(
                 "writes": (folder or DEFAULT_PARENT / "run",),
                 "packages": packages_of((request.method,), about.entry_points),
             }
-        with engine_of(workers, **needs) as engine, progress(f"running {request.method_label}") as show:
+        with args.engine_of(workers, **needs) as engine, progress(f"running {request.method_label}") as show:
             report = run_method(
                 replace(request, out=folder),
                 engine=engine,

@@ -12,16 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from prbench.api.arguments import (
-    PathLike,
-    Workers,
-    as_condition,
-    as_optional_path,
-    as_path,
-    engine_of,
-    optional_output_folder,
-    require_positive,
-)
+from prbench.api import arguments as args
 from prbench.api.pictures import frame_from_rows, notebook_table, progress
 from prbench.api.runs import Run, described, irrelevant_metrics, scores_for_notebook, scores_frame, summary_frame
 from prbench.api.tables import Table, table_folders
@@ -89,10 +80,10 @@ class Scores:
 
 
 def score(
-    motions: PathLike | Mapping[str, ArrayLike],
-    table: PathLike | Table | Iterable[PathLike | Table],
+    motions: args.PathLike | Mapping[str, ArrayLike],
+    table: args.PathLike | Table | Iterable[args.PathLike | Table],
     *,
-    conditions: PathLike | None = None,
+    conditions: args.PathLike | None = None,
     name: str | None = None,
     split: Literal["train", "validation", "test"] | None = None,
     limit: int | None = None,
@@ -102,9 +93,9 @@ def score(
     max_frames: int | None = None,
     native_fps: float | None = None,
     allow_length_mismatch: bool = False,
-    protocol: PathLike | None = None,
-    out: PathLike | None = None,
-    workers: Workers = 1,
+    protocol: args.PathLike | None = None,
+    out: args.PathLike | None = None,
+    workers: args.Workers = 1,
 ) -> Scores:
     """Score finished motions against the recorded ones, as ``prbench score`` does.
 
@@ -148,25 +139,29 @@ def score(
     """
     from prbench.harness.score_predictions import ScoreRequest, score_predictions
 
-    require_positive(limit=limit, max_frames=max_frames)
+    args.require_positive(limit=limit, max_frames=max_frames)
     given = _given(motions) if isinstance(motions, Mapping) else None
     request = ScoreRequest(
-        predictions=_IN_MEMORY if isinstance(motions, Mapping) else as_path(motions),
+        predictions=_IN_MEMORY if isinstance(motions, Mapping) else args.as_path(motions),
         data=table_folders(table),
-        conditions=as_optional_path(conditions),
+        conditions=args.as_optional_path(conditions),
         split=split,
         limit=limit,
         seed=seed,
-        condition=None if condition is None else as_condition(condition),
+        condition=None if condition is None else args.as_condition(condition),
         control=control,
         max_frames=max_frames,
         native_fps=native_fps,
         name=name,
         allow_length_mismatch=allow_length_mismatch,
-        protocol=as_optional_path(protocol),
+        protocol=args.as_optional_path(protocol),
     )
     read = (*request.data, *(() if given else (request.predictions,)))
-    with optional_output_folder(out) as folder, engine_of(workers, reads=read) as engine, progress("scoring") as show:
+    with (
+        args.optional_output_folder(out) as folder,
+        args.engine_of(workers, reads=read) as engine,
+        progress("scoring") as show,
+    ):
         reports = score_predictions(
             replace(request, out=folder),
             given=given,
@@ -332,10 +327,10 @@ def _change(row: ComparedMetric) -> str:
 
 
 def compare(
-    first: PathLike | Run | Scores,
-    second: PathLike | Run | Scores,
+    first: args.PathLike | Run | Scores,
+    second: args.PathLike | Run | Scores,
     *,
-    data: PathLike | Table | Iterable[PathLike | Table] = (),
+    data: args.PathLike | Table | Iterable[args.PathLike | Table] = (),
     workers: int = 1,
 ) -> Comparison:
     """Say where two runs on the same sequences differ, and whether the data support it.
@@ -364,7 +359,7 @@ def compare(
     from prbench.harness.first_run import table_finder
     from prbench.harness.verification import RunChecker
 
-    require_positive(workers=workers)
+    args.require_positive(workers=workers)
     folders = _folder_of(first), _folder_of(second)
     remembered = [folder for run in (first, second) if isinstance(run, Run) for folder in run.tables]
     tables = table_folders(data) or tuple(dict.fromkeys(remembered))
@@ -372,7 +367,7 @@ def compare(
     return Comparison(*folders, compare_runs(*folders, checker=checker))
 
 
-def _folder_of(run: PathLike | Run | Scores) -> Path:
+def _folder_of(run: args.PathLike | Run | Scores) -> Path:
     """Return the folder of a run.
 
     Raises:
@@ -384,4 +379,4 @@ def _folder_of(run: PathLike | Run | Scores) -> Path:
         if run.folder is None:
             raise UsageError("these scores were not written: give score() a folder with out=, and compare that.")
         return run.folder
-    return as_path(run)
+    return args.as_path(run)

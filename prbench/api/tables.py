@@ -24,7 +24,7 @@ import pyarrow as pa
 from jaxtyping import Bool, Float
 
 from prbench import sequences
-from prbench.api.arguments import PathLike, as_native_root, as_path, as_texts, require_positive
+from prbench.api import arguments as args
 from prbench.api.pictures import (
     Picture,
     Replay,
@@ -188,7 +188,7 @@ class Sequence(sequences.Sequence):
             add("head_rotation", self.head.rotation, axes="wxyz")
         return pd.DataFrame(columns)
 
-    def plot(self, *, permission: str | Iterable[str] = (), scene: PathLike | None = None) -> Picture:
+    def plot(self, *, permission: str | Iterable[str] = (), scene: args.PathLike | None = None) -> Picture:
         """Draw the sequence: poses over time, the way from above, distances of gaze, head and wrists from the goal.
 
         Args:
@@ -204,7 +204,7 @@ class Sequence(sequences.Sequence):
         """
         return picture_of((self._scene(permission, scene),))
 
-    def replay(self, *, permission: str | Iterable[str] = (), scene: PathLike | None = None) -> Replay:
+    def replay(self, *, permission: str | Iterable[str] = (), scene: args.PathLike | None = None) -> Replay:
         """Show the sequence in 3-D, to turn and play.
 
         Args:
@@ -220,16 +220,16 @@ class Sequence(sequences.Sequence):
         """
         return replay_of((self._scene(permission, scene),))
 
-    def _scene(self, permission: str | Iterable[str], scene: PathLike | None) -> Scene:
+    def _scene(self, permission: str | Iterable[str], scene: args.PathLike | None) -> Scene:
         from prbench.sequences.redistribution import require_may_pass_on
         from prbench.viewing.replay.read import scene_of
         from prbench.viewing.view import Surroundings
 
         assert self._table is not None, "sequences are made by tables"
-        permitted = as_texts(permission)
+        permitted = args.as_texts(permission)
         info = self._table.info
         require_may_pass_on(info, "the view", permitted)
-        around = None if scene is None else Surroundings(info.dataset, as_native_root(scene)).around
+        around = None if scene is None else Surroundings(info.dataset, args.as_native_root(scene)).around
         return scene_of(self._table.row(self.sequence_id), info, permitted=permitted, around=around)
 
     def _repr_html_(self) -> str:
@@ -402,7 +402,7 @@ class Story:
         """The story as a picture; the motion is drawn if the event became a sequence."""
         return Picture(self._story.title, self._draw)
 
-    def save(self, path: PathLike) -> Path:
+    def save(self, path: args.PathLike) -> Path:
         """Write the picture into a PNG file; one that exists is replaced.
 
         Args:
@@ -478,7 +478,7 @@ class Table:
             UsageError: for an unknown split or a limit below 1.
         """
         _require_split(split)
-        require_positive(limit=limit)
+        args.require_positive(limit=limit)
         if split is None and limit is None:
             return tuple(self._table.sequence_ids())
         rows = self._table.scalars(split=split, columns=["sequence_id", "recording_id"])
@@ -548,7 +548,7 @@ class Table:
 
         if not event:  # every event would fit
             raise UsageError("expected an event's id or a part of one, found an empty text.")
-        return Story(explain_event(self.folder, event, permitted=as_texts(permission)))
+        return Story(explain_event(self.folder, event, permitted=args.as_texts(permission)))
 
     def plot(self) -> Picture:
         """Draw what the sequences of the table have in common, as ``prbench study figure-s2`` does.
@@ -647,7 +647,7 @@ def _require_split(split: str | None) -> None:
         raise UsageError(f"unknown split '{split}'; the splits are: {', '.join(SPLITS)}.")
 
 
-def open_table(path: PathLike) -> Table:
+def open_table(path: args.PathLike) -> Table:
     """Open a built dataset; versions, columns and digests of its files are checked, and nothing else is read.
 
     Args:
@@ -660,7 +660,7 @@ def open_table(path: PathLike) -> Table:
         TableError: if the folder holds no dataset, or one that is damaged, edited or of another version; names the
             file, what was expected and what was found.
     """
-    return Table(SequenceTable.open(as_path(path)))
+    return Table(SequenceTable.open(args.as_path(path)))
 
 
 def embedded_tables(*, workers: int = 1) -> tuple[Table, ...]:
@@ -682,12 +682,12 @@ def embedded_tables(*, workers: int = 1) -> tuple[Table, ...]:
     from prbench.engine import engine_for
     from prbench.harness.first_run import default_tables
 
-    require_positive(workers=workers)
+    args.require_positive(workers=workers)
     with progress("building synthetic data") as show:
         return tuple(map(Table, default_tables(engine_for(workers), show)))
 
 
-def table_folders(data: PathLike | Table | Iterable[PathLike | Table]) -> tuple[Path, ...]:
+def table_folders(data: args.PathLike | Table | Iterable[args.PathLike | Table]) -> tuple[Path, ...]:
     """Return the folders of one table or several.
 
     Args:
@@ -695,4 +695,4 @@ def table_folders(data: PathLike | Table | Iterable[PathLike | Table]) -> tuple[
     """
     if isinstance(data, str | Path | Table) or hasattr(data, "__fspath__"):
         data = (data,)  # type: ignore[assignment] - one of them, as was just asked
-    return tuple(each.folder if isinstance(each, Table) else as_path(each) for each in data)  # type: ignore[union-attr]
+    return tuple(each.folder if isinstance(each, Table) else args.as_path(each) for each in data)  # type: ignore[union-attr]

@@ -15,19 +15,8 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from prbench.cli import options as opt
 from prbench.cli.commands import Answer, Group, command, note, progress
-from prbench.cli.options import (
-    ALL_CONDITIONS,
-    OUT_FILE,
-    PATH,
-    POSITIVE,
-    SECONDS,
-    benchmark_option,
-    data_option,
-    method_settings,
-    out_folder_option,
-    seed_option,
-)
 from prbench.cli.terminal import print_columns
 from prbench.entry_points import InstalledEntry
 from prbench.protocol.benchmarks import default_benchmark
@@ -78,15 +67,17 @@ class MethodsReport(msgspec.Struct, frozen=True, kw_only=True):
     help="Import each in a process of its own and show its conditions, whether it trains, its limits and weights, or"
     " its error.",
 )
-@click.option("--timeout", type=SECONDS, default=30, metavar="SECONDS", help="Time limit of each import (default 30).")
+@click.option(
+    "--timeout", type=opt.SECONDS, default=30, metavar="SECONDS", help="Time limit of each import (default 30)."
+)
 @click.option(
     "--converters",
-    type=OUT_FILE,
+    type=opt.OUT_FILE,
     metavar="FILE",
     help="List nothing, but write the converters as one file for a program, such as prbench_converters.py: NumPy only,"
     " Python 3.8 or later.",
 )
-@benchmark_option
+@opt.benchmark_option
 def list_methods(
     names: tuple[str, ...], details: bool, timeout: float, converters: Path | None, benchmark: str | None
 ) -> Answer:
@@ -174,11 +165,11 @@ def _print_details(report: MethodsReport) -> None:
     report="prbench.checking.scaffold.create:ScaffoldReport",
 )
 @click.argument("name")
-@out_folder_option("New folder (default: ./prbench-NAME, or ./NAME for a program).")
+@opt.out_folder_option("New folder (default: ./prbench-NAME, or ./NAME for a program).")
 @click.option(
     "--condition",
     "conditions",
-    type=click.Choice(ALL_CONDITIONS),
+    type=click.Choice(opt.ALL_CONDITIONS),
     multiple=True,
     help="What the method is given (default goal-loc; motion-prediction pose); repeatable.",
 )
@@ -188,7 +179,7 @@ def _print_details(report: MethodsReport) -> None:
     is_flag=True,
     help="Write a program of its own instead of a package: one plain Python file and a TOML file.",
 )
-@benchmark_option
+@opt.benchmark_option
 def new(
     name: str,
     out: Path | None,
@@ -236,24 +227,24 @@ _FAILED = 5  # as for every other breach of the adapter contract
     writes_report=True,
 )
 @click.argument("method")
-@benchmark_option
+@opt.benchmark_option
 @click.option(
     "--data",
-    type=PATH,
+    type=opt.PATH,
     metavar="DIR",
     help="Ask about 12 test cases of this table (default: synthetic people).",
 )
-@method_settings
+@opt.method_settings
 @click.option(
     "--timeout",
-    type=SECONDS,
+    type=opt.SECONDS,
     default=600,
     metavar="SECONDS",
     help="Time limit of each call of the method (default 600).",
 )
 @click.option(
     "--start-timeout",
-    type=SECONDS,
+    type=opt.SECONDS,
     default=120,
     metavar="SECONDS",
     help="Time limit of importing an installed method, and of loading it (default 120).",
@@ -338,17 +329,19 @@ def _print_table(shown: list[tuple[str, str, str]]) -> None:
     report="prbench.checking.doctor.examine_file:DoctorReport",
     writes_report=True,
 )
-@click.argument("motions", type=PATH, metavar="FILE")
-@data_option(
+@click.argument("motions", type=opt.PATH, metavar="FILE")
+@opt.data_option(
     required=False,
     help="Built dataset folder(s): compare with their initial poses, lengths and recordings.",
 )
-@click.option("--conditions", type=PATH, metavar="FILE", help="Compare with this file of `prbench export-conditions`.")
-@seed_option("behind the opaque ids, with --data")
+@click.option(
+    "--conditions", type=opt.PATH, metavar="FILE", help="Compare with this file of `prbench export-conditions`."
+)
+@opt.seed_option("behind the opaque ids, with --data")
 @click.option("--fps", type=float, metavar="F", help="Rate of the motions (default: that asked for, else 20).")
 @click.option(
     "--max-motions",
-    type=POSITIVE,
+    type=opt.POSITIVE,
     default=200,
     metavar="N",
     help="Look at N motions at most, evenly spread (default 200).",

@@ -8,25 +8,9 @@ from typing import TYPE_CHECKING, Literal
 import click
 import msgspec
 
-from prbench.cli.builds import (
-    NOT_EVERYTHING,
-    made_shard,
-)
+from prbench.cli import builds
+from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, note, progress
-from prbench.cli.options import (
-    PATH,
-    MadeShard,
-    chosen_shard,
-    engine_options,
-    on_error_option,
-    opened,
-    out_folder_option,
-    reader_options,
-    recordings_options,
-    root_option,
-    shard_answer,
-    shard_option,
-)
 from prbench.cli.terminal import print_table
 from prbench.entry_points import CORPORA, load_built_in
 from prbench.errors import UsageError
@@ -36,72 +20,20 @@ if TYPE_CHECKING:
     from prbench.prediction.table import WindowsInfo
 
 
-class WindowsBuilt(msgspec.Struct, frozen=True, kw_only=True):
-    """One table of windows that was written.
-
-    Attributes:
-        dataset: Name of the dataset; ``synthetic-`` stands before that of synthetic people.
-        title: Its title.
-        folder: The table.
-        joint_set: ``smpl22``, or native joints such as ``mogaze21``.
-        fps: Frames a second.
-        observed_frames: Frames that a predictor is given.
-        future_frames: Frames that it predicts.
-        has_gaze: False where no recording has measured gaze.
-        estimated_bodies: True where bodies were estimated from whole tracks of the head.
-        participants: Number of participants.
-        recordings: Number of recordings with windows.
-        runs: Number of runs of frames (segments, sequences).
-        frames: Number of frames in all runs.
-        windows: Number of windows by what became of them: ``window``, or the reason why they are not scored.
-        left_out: Recordings without windows because they could not be read or are known to be bad, and why.
-    """
-
-    dataset: str
-    title: str
-    folder: Path
-    joint_set: str
-    fps: float
-    observed_frames: int
-    future_frames: int
-    has_gaze: bool
-    estimated_bodies: bool
-    participants: int
-    recordings: int
-    runs: int
-    frames: int
-    windows: dict[str, int]
-    left_out: dict[str, str]
-
-
-class PublishedCount(msgspec.Struct, frozen=True, kw_only=True):
-    """One split of a study, counted from the file that lists its segments.
-
-    Attributes:
-        split: ``train``, ``test`` or ``unused``.
-        segments: Number of segments.
-        frames: Number of frames in them.
-        windows: Number of windows in them.
-    """
-
-    split: str
-    segments: int
-    frames: int
-    windows: int
-
-
 class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
     """The work of ``build-windows``, done or counted.
 
     Attributes:
-        built: The table that was written; null with ``--dry-run`` and ``--shard``.
-        counted: One entry for each split of the study, with ``--dry-run``.
+        folder: The table of windows that was written; null with ``--dry-run`` and ``--shard``.
+        built: The content of its ``windows.json``; null likewise.
+        counted: With ``--dry-run``: maps the splits of the study to their numbers of segments, frames and windows.
         shard: The shard that was made, with ``--shard``; else null.
     """
 
-    built: WindowsBuilt | None
-    counted: list[PublishedCount]
-    shard: MadeShard | None = None
+    folder: Path | None = None
+    built: WindowsInfo | None = None
+    counted: dict[str, tuple[int, int, int]] = {}
+    shard: opt.MadeShard | None = None
 
 
 @command(
@@ -110,9 +42,11 @@ class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
     report=WindowsReport,
 )
 @click.argument("dataset", required=False)
-@root_option(required=False)
-@click.option("--data", type=PATH, metavar="DIR", help="In place of a dataset, a built table: windows at its events.")
-@out_folder_option("Folder of the windows; earlier ones are replaced once the new ones are ready.")
+@opt.root_option(required=False)
+@click.option(
+    "--data", type=opt.PATH, metavar="DIR", help="In place of a dataset, a built table: windows at its events."
+)
+@opt.out_folder_option("Folder of the windows; earlier ones are replaced once the new ones are ready.")
 @click.option(
     "--anchor",
     "anchors",
@@ -126,11 +60,11 @@ class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
     type=click.Choice(["native", "smpl22"]),
     help="Joints that a study scored (default for mogaze and gimo), or the 22 joints of any dataset.",
 )
-@recordings_options
-@on_error_option()
-@reader_options()
-@engine_options()
-@shard_option("the dataset's recordings")
+@opt.recordings_options
+@opt.on_error_option()
+@opt.reader_options()
+@opt.engine_options()
+@opt.shard_option("the dataset's recordings")
 def build_windows(
     *,
     dataset: str | None,
@@ -153,7 +87,7 @@ def build_windows(
     """
     if (data is None) is (dataset is None) or (dataset is None) is not (root is None):
         raise UsageError("expected either DATASET with --root DIR, or --data DIR alone.")
-    part = chosen_shard(shard, dry_run=dry_run, data=data)
+    part = opt.chosen_shard(shard, dry_run=dry_run, data=data)
     if anchors and data is None:
         raise UsageError("--anchor: belongs to --data; windows of recordings slide.")
     if dry_run:
@@ -173,7 +107,7 @@ def build_windows(
     # Nymeria has no reader of recordings: its windows are cut where its corpus is read.
     planner = load_built_in(CORPORA, "windows") if dataset == "nymeria" else plan_windows
     plan = planner(dataset, root, joints=joints, recordings=recordings, limit=max_recordings, reader=options)
-    where = opened(engine, reads=(root,), writes=(out,))
+    where = opt.opened(engine, reads=(root,), writes=(out,))
     if part is None:
         with progress(f"cutting {dataset}") as tell:
             report = build_planned_windows(plan, out, on_error=on_error, engine=where, progress=tell)
@@ -183,26 +117,30 @@ def build_windows(
     for each in done.records:
         if each.status != "read":
             note(f"{each.recording_id}: {each.status}: {each.message}")
-    made = made_shard(done, made_of=len(done.records))
-    failed = any(each.status == "failed" for each in done.records)
-    answer = WindowsReport(built=None, counted=[], shard=made)
-    return shard_answer(answer, made, unit="recordings", exit_code=NOT_EVERYTHING if failed else 0)
+    report = builds.made_shard(done, len(done.records))
+    complete = all(each.status != "failed" for each in done.records)
+    exit_code = 0 if complete else builds.NOT_EVERYTHING
+    return opt.shard_answer(WindowsReport(shard=report), report, unit="recordings", exit_code=exit_code)
 
 
 def windows_answer(info: WindowsInfo, folder: Path) -> Answer:
     """Answer a command that has written a table of windows."""
-    built = WindowsBuilt(
-        **{name: getattr(info, name) for name in WindowsBuilt.__struct_fields__ if hasattr(info, name)},
-        folder=folder,
-        windows=info.outcomes,
-        left_out={each.recording_id: f"{each.status}: {each.message}" for each in info.quarantine},
-    )
-    for recording, why in built.left_out.items():
-        note(f"{recording}: {why}")
-    if built.estimated_bodies:
+    for each in info.quarantine:
+        note(f"{each.recording_id}: {each.status}: {each.message}")
+    if info.estimated_bodies:
         note("bodies were estimated from whole tracks of the head: an observed frame may carry later head motion")
+
+    def show() -> None:
+        rows = [(name, str(getattr(info, name))) for name in ("participants", "recordings", "runs", "frames")]
+        for outcome, number in info.outcomes.items():
+            rows.append(("windows" if outcome == "window" else f"windows: {outcome}", str(number)))
+        print_table(
+            f"{info.title}: {info.joint_set}, {info.fps:g} frames a second", ("of", "number"), rows, numbers=(1,)
+        )
+        print(f"windows: {folder}")
+
     failed = any(each.status == "failed" for each in info.quarantine)
-    return Answer(WindowsReport(built=built, counted=[]), lambda: _show(built), NOT_EVERYTHING if failed else 0)
+    return Answer(WindowsReport(folder=folder, built=info), show, builds.NOT_EVERYTHING if failed else 0)
 
 
 def _counted(dataset: str | None, root: Path | None) -> Answer:
@@ -211,26 +149,8 @@ def _counted(dataset: str | None, root: Path | None) -> Answer:
 
     if dataset is None or root is None:
         raise UsageError("--dry-run: expected DATASET with --root DIR.")
-    counts = [
-        PublishedCount(split=split, segments=segments, frames=frames, windows=windows)
-        for split, (segments, frames, windows) in published_counts(dataset, root).items()
-    ]
-    rows = [(each.split, str(each.segments), str(each.frames), str(each.windows)) for each in counts]
+    counts = published_counts(dataset, root)
+    rows = [(split, *map(str, numbers)) for split, numbers in counts.items()]
     title = f"{dataset}: what the study of prediction used"
-    return Answer(
-        WindowsReport(built=None, counted=counts),
-        lambda: print_table(title, ("split", "segments", "frames", "windows"), rows, numbers=(1, 2, 3)),
-    )
-
-
-def _show(built: WindowsBuilt) -> None:
-    rows = [
-        ("participants", built.participants),
-        ("recordings", built.recordings),
-        ("runs", built.runs),
-        ("frames", built.frames),
-        *((f"windows: {outcome}" if outcome != "window" else "windows", n) for outcome, n in built.windows.items()),
-    ]
-    title = f"{built.title}: {built.joint_set}, {built.fps:g} frames a second"
-    print_table(title, ("of", "number"), [(name, str(number)) for name, number in rows], numbers=(1,))
-    print(f"windows: {built.folder}")
+    header = ("split", "segments", "frames", "windows")
+    return Answer(WindowsReport(counted=counts), lambda: print_table(title, header, rows, numbers=(1, 2, 3)))

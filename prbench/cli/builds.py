@@ -8,31 +8,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
 
+from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, note, progress
-from prbench.cli.options import (
-    OUT_FILE,
-    PATH,
-    MadeShard,
-    chosen_shard,
-    engine_options,
-    on_error_option,
-    opened,
-    out_folder_option,
-    protocol_option,
-    reader_options,
-    recordings_options,
-    replace_option,
-    root_option,
-    shard_answer,
-    shard_option,
-)
 from prbench.cli.terminal import print_table
+from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.curation import BuildPlan, BuildReport
@@ -40,7 +26,6 @@ if TYPE_CHECKING:
     from prbench.curation.provenance import FunnelRow
     from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
-    from prbench.engine.shards import Shard
     from prbench.readers.discover import BrokenDataset
     from prbench.sequences import Recording
     from prbench.sequences.corpus import CorpusRecord
@@ -53,24 +38,6 @@ _SKIPPED_SHOWN = 10
 """Known-bad recordings that a printed plan names."""
 
 
-class BuiltRecording(msgspec.Struct, frozen=True, kw_only=True):
-    """One recording of a built table.
-
-    Attributes:
-        recording: Its id.
-        status: ``read``, ``failed`` or ``skipped``.
-        message: What the reader said about it; empty if there is nothing to say.
-        outcomes: Number of its events (in a corpus: of its texts) by what became of them.
-        cut_short: One message for each of its streams that ends early, so that events may be missing.
-    """
-
-    recording: str
-    status: str
-    message: str
-    outcomes: dict[str, int]
-    cut_short: list[str]
-
-
 class BuiltTable(msgspec.Struct, frozen=True, kw_only=True):
     """One table that was written.
 
@@ -80,7 +47,8 @@ class BuiltTable(msgspec.Struct, frozen=True, kw_only=True):
         folder: The table.
         counts: How much of everything it holds, as in its ``dataset.json`` or ``corpus.json``.
         stages: From files to sequences, or to clips.
-        recordings: Every recording that was found, also those that could not be read.
+        recordings: Of a table of sequences: every recording that was found, also those that could not be read.
+        corpus_recordings: Of a corpus: likewise.
         taken_over: Number of recordings that an interrupted build had already finished.
     """
 
@@ -89,8 +57,9 @@ class BuiltTable(msgspec.Struct, frozen=True, kw_only=True):
     folder: Path
     counts: dict[str, int]
     stages: list[FunnelRow]
-    recordings: list[BuiltRecording]
     taken_over: int
+    recordings: tuple[Recording, ...] = ()
+    corpus_recordings: tuple[CorpusRecord, ...] = ()
 
 
 class Plan(msgspec.Struct, frozen=True, kw_only=True):
@@ -109,8 +78,8 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
 
     dataset: str
     root: Path | None
-    recordings: list[str]
-    skipped: list[str]
+    recordings: tuple[str, ...]
+    skipped: tuple[str, ...]
     input_bytes: int
     workers: int
     estimated_seconds: float
@@ -148,32 +117,17 @@ class BuildsReport(msgspec.Struct, frozen=True, kw_only=True):
         proposed: One entry for each segment, with ``--propose-events``.
     """
 
-    built: list[BuiltTable]
-    not_built: list[BrokenDataset]
-    planned: list[Plan]
-    shard: MadeShard | None = None
+    built: list[BuiltTable] = []
+    not_built: list[BrokenDataset] = []
+    planned: list[Plan] = []
+    shard: opt.MadeShard | None = None
     proposed: list[ProposedPick] = []
 
 
 def planned(plan: BuildPlan | Any, workers: int, *, dataset: str, root: Path | None) -> Plan:
-    """Put the plan of one dataset into its documented shape.
-
-    Args:
-        plan: What would be read; a corpus' plan has the same fields.
-        workers: Processes to use.
-        dataset: Name of the dataset.
-        root: Its folder.
-    """
-    return Plan(
-        dataset=dataset,
-        root=root,
-        recordings=list(plan.recordings),
-        skipped=list(plan.skipped),
-        input_bytes=plan.input_bytes,
-        workers=workers,
-        estimated_seconds=plan.estimated_seconds / workers,
-        estimated_disk_bytes=plan.estimated_disk_bytes,
-    )
+    """Return a plan with its place, and with the time that it takes so many workers."""
+    shared = vars(plan) | {"estimated_seconds": plan.estimated_seconds / workers}
+    return Plan(dataset=dataset, root=root, workers=workers, **shared)
 
 
 def print_plan(plan: Plan, *, unfit: str) -> None:
@@ -190,47 +144,16 @@ def print_plan(plan: Plan, *, unfit: str) -> None:
     )
 
 
-def made_shard(report: ShardReport[Any], *, made_of: int) -> MadeShard:
-    """Put the report of one shard of a build into its documented shape.
-
-    Args:
-        report: Of the shard.
-        made_of: Number of its items.
-    """
-    return MadeShard(
-        shard=str(report.shard),
-        folder=report.folder,
-        made_of=made_of,
-        planned=report.planned,
-        taken_over=report.reused,
-    )
-
-
-def built_table(report: BuildReport | Any, stages: Iterable[FunnelRow]) -> BuiltTable:
-    """Put the report of one build into its documented shape.
-
-    Args:
-        report: Of the build; a corpus' report has the same fields.
-        stages: From its files to its rows.
-    """
+def built_table(report: BuildReport | Any, stages: Iterable[FunnelRow], **records: Any) -> BuiltTable:
+    """Return the report of one build with the stages from its files to its rows, and its recordings."""
     return BuiltTable(
         dataset=report.info.dataset,
         title=report.info.title,
         folder=report.folder,
         counts=msgspec.to_builtins(report.info.counts),
         stages=list(stages),
-        recordings=[_built_recording(record) for record in report.records],
         taken_over=report.reused,
-    )
-
-
-def _built_recording(record: Recording | CorpusRecord) -> BuiltRecording:
-    return BuiltRecording(
-        recording=record.recording_id,
-        status=record.status,
-        message=record.message,
-        outcomes=dict(record.outcomes),
-        cut_short=list(getattr(record, "shortfalls", ())),
+        **records,
     )
 
 
@@ -275,14 +198,16 @@ EVERYTHING = "all"
     report=BuildsReport,
 )
 @click.argument("dataset")
-@root_option()
-@out_folder_option("Folder of the table; an earlier one is replaced once the new one is ready, if that lacks nothing.")
-@replace_option()
-@recordings_options
+@opt.root_option()
+@opt.out_folder_option(
+    "Folder of the table; an earlier one is replaced once the new one is ready, if that lacks nothing."
+)
+@opt.replace_option()
+@opt.recordings_options
 @click.option("--dry-run", is_flag=True, help="Say what would be read, and write nothing.")
 @click.option(
     "--propose-events",
-    type=OUT_FILE,
+    type=opt.OUT_FILE,
     metavar="FILE",
     help="Write picks for a person to confirm into this new CSV file, and no table (gimo: docs/gimo-events.md).",
 )
@@ -313,38 +238,29 @@ EVERYTHING = "all"
     metavar="SECONDS",
     help="How long a look must last to prime (default 0: a single gaze sample primes, as in the study).",
 )
-@protocol_option("every number of the curation, stamped into the table (docs/protocol-choices.md).")
-@on_error_option()
+@opt.protocol_option("every number of the curation, stamped into the table (docs/protocol-choices.md).")
+@opt.on_error_option()
 @click.option(
     "--poses",
     metavar="SOURCE",
     help="Where bodies come from, for example egoallo in place of ADT's suit; short for --option poses=SOURCE.",
 )
-@reader_options()
-@engine_options()
-@shard_option("the dataset's recordings")
+@opt.reader_options()
+@opt.engine_options()
+@opt.shard_option("the dataset's recordings")
 def build_dataset(
     *,
     dataset: str,
     root: Path,
     out: Path | None,
-    replace: bool,
-    recordings: str,
-    max_recordings: int | None,
     dry_run: bool,
     propose_events: Path | None,
-    in_hand: str | None,
-    ray_origin: str | None,
-    priming: Literal["rule", "published"],
-    occlusion: Literal["off", "mark", "require"],
-    minimum_movement: str,
-    minimum_prime: float | None,
     protocol: Path | None,
-    on_error: Literal["skip", "fail"],
     poses: str | None,
     options: tuple[tuple[str, str], ...],
     engine: EngineChoice,
     shard: str | None,
+    **given: Any,
 ) -> Answer:
     """Turn a dataset's recordings into a table of prime-and-reach sequences.
 
@@ -353,41 +269,58 @@ def build_dataset(
     from prbench.curation.options import BuildOptions, CurationOptions, mesh_options
     from prbench.protocol.own_protocol import read_protocol
 
-    part = chosen_shard(shard, replace=replace, dry_run=dry_run, everything=dataset == EVERYTHING)
+    part = opt.chosen_shard(shard, replace=given["replace"], dry_run=dry_run, everything=dataset == EVERYTHING)
     named = None if dataset == EVERYTHING else dataset
-    source = mesh_options(named, in_hand=in_hand, occlusion=occlusion) | dict(options)
+    source = mesh_options(named, in_hand=given["in_hand"], occlusion=given["occlusion"]) | dict(options)
     if poses is not None:
         source["poses"] = poses
     chosen = BuildOptions(
-        curation=CurationOptions(
-            in_hand=in_hand,
-            ray_origin=ray_origin,
-            minimum_movement=minimum_movement,
-            priming=priming,
-            occlusion=occlusion,
-            minimum_prime=minimum_prime,
-        ),
+        curation=CurationOptions(**{each.name: given[each.name] for each in fields(CurationOptions)}),
         protocol=read_protocol(protocol) if protocol is not None else None,
-        recordings=recordings,
-        limit=max_recordings,
+        recordings=given["recordings"],
+        limit=given["max_recordings"],
         reader=tuple(sorted(source.items())),
-        on_error=on_error,
-        replace=replace,
+        on_error=given["on_error"],
+        replace=given["replace"],
     )
     if propose_events is not None:
-        return _propose(dataset, root, propose_events, source, opened(engine, reads=(root,)))
+        return _propose(dataset, root, propose_events, source, opt.opened(engine, reads=(root,)))
     if dry_run:
         return _plan(dataset, root, chosen, engine if isinstance(engine, int) else 1)
     if out is None:
-        from prbench.errors import UsageError
-
         raise UsageError("--out DIR is needed: the folder of the table. (--dry-run and --propose-events do without.)")
-    where = opened(engine, reads=(root,), writes=(out,), packages=chosen.packages)
-    if part is not None:
-        return _build_shard(dataset, root, out, part, chosen, where)
+    where = opt.opened(engine, reads=(root,), writes=(out,), packages=chosen.packages)
     if dataset == EVERYTHING:
         return _build_all(root, out, chosen, where)
-    return _build_one(dataset, root, out, chosen, where)
+    with progress(f"building {f'shard {part} of ' if part else ''}{dataset}") as tell:
+        more = {
+            "options": chosen,
+            "engine": where,
+            "progress": lambda step: tell(step.done, step.total, step.record.recording_id),
+        }
+        if part is None:
+            from prbench.curation import build_dataset as build
+
+            return table_answer(build(dataset, root, out, **more))
+        from prbench.curation.build import build_dataset_shard
+
+        report = build_dataset_shard(dataset, root, out, part, **more)
+    note_recordings(report.records, reused=report.reused)
+    complete = all(record.status != "failed" and not record.shortfalls for record in report.records)
+    return shard_answer(report, len(report.records), unit="recordings", complete=complete)
+
+
+def made_shard(report: ShardReport[Any], made_of: int) -> opt.MadeShard:
+    """Return the report of one shard of a build that is made of so many items."""
+    return opt.MadeShard(
+        shard=str(report.shard), folder=report.folder, made_of=made_of, planned=report.planned, taken_over=report.reused
+    )
+
+
+def shard_answer(report: ShardReport[Any], made_of: int, *, unit: str, complete: bool) -> Answer:
+    """Answer a command that has made one shard of a build."""
+    made = made_shard(report, made_of)
+    return opt.shard_answer(BuildsReport(shard=made), made, unit=unit, exit_code=0 if complete else NOT_EVERYTHING)
 
 
 def _propose(dataset: str, root: Path, out: Path, options: dict[str, str], engine: Engine) -> Answer:
@@ -417,7 +350,7 @@ def _propose(dataset: str, root: Path, out: Path, options: dict[str, str], engin
         print(f"{found} proposals for {len(proposed)} segments, {unread} not read")
         print(f"look at the videos, write yes or no into the column 'confirmed', and build with it: {out}")
 
-    report = BuildsReport(built=[], not_built=[], planned=[], proposed=proposed)
+    report = BuildsReport(proposed=proposed)
     return Answer(report, show_proposals, NOT_EVERYTHING if unread else 0)
 
 
@@ -438,51 +371,19 @@ def _plan(dataset: str, root: Path, options: BuildOptions, workers: int) -> Answ
                 print(f"{plan.dataset} in {plan.root}:")
             print_plan(plan, unfit="bad")
 
-    return Answer(BuildsReport(built=[], not_built=[], planned=plans), show)
-
-
-def _build_one(dataset: str, root: Path, out: Path, options: BuildOptions, engine: Engine) -> Answer:
-    from prbench.curation import build_dataset as build
-
-    with progress(f"building {dataset}") as tell:
-        report = build(
-            dataset,
-            root,
-            out,
-            options=options,
-            engine=engine,
-            progress=lambda step: tell(step.done, step.total, step.record.recording_id),
-        )
-    return table_answer(report)
-
-
-def _build_shard(dataset: str, root: Path, out: Path, shard: Shard, options: BuildOptions, engine: Engine) -> Answer:
-    from prbench.curation.build import build_dataset_shard
-
-    with progress(f"building shard {shard} of {dataset}") as tell:
-        report = build_dataset_shard(
-            dataset,
-            root,
-            out,
-            shard,
-            options=options,
-            engine=engine,
-            progress=lambda step: tell(step.done, step.total, step.record.recording_id),
-        )
-    note_recordings(report.records, reused=report.reused)
-    made = made_shard(report, made_of=len(report.records))
-    complete = all(record.status != "failed" and not record.shortfalls for record in report.records)
-    answer = BuildsReport(built=[], not_built=[], planned=[], shard=made)
-    return shard_answer(answer, made, unit="recordings", exit_code=0 if complete else NOT_EVERYTHING)
+    return Answer(BuildsReport(planned=plans), show)
 
 
 def table_answer(report: BuildReport) -> Answer:
     """Answer a command that has written one table."""
-    table = _built(report)
+    from prbench.curation.provenance import funnel_rows
+
+    note_recordings(report.records, reused=report.reused)
+    table = built_table(report, funnel_rows(report.info), recordings=report.records)
     counts = report.info.counts
     complete = not counts.recordings_failed and not counts.recordings_cut_short
     return Answer(
-        BuildsReport(built=[table], not_built=[], planned=[]),
+        BuildsReport(built=[table]),
         lambda: _print_table(table),
         0 if complete else NOT_EVERYTHING,
     )
@@ -500,7 +401,7 @@ def _build_all(root: Path, out: Path, options: BuildOptions, engine: Engine) -> 
             engine=engine,
             progress=lambda name, step: tell(step.done, step.total, f"{name} {step.record.recording_id}"),
         )
-    built = [_built(outcome.report) for outcome in outcomes if outcome.report is not None]
+    built = [table_answer(outcome.report).report.built[0] for outcome in outcomes if outcome.report is not None]
     not_built = [
         BrokenDataset(outcome.dataset, outcome.root, outcome.message) for outcome in outcomes if outcome.report is None
     ]
@@ -519,15 +420,7 @@ def _build_all(root: Path, out: Path, options: BuildOptions, engine: Engine) -> 
         print_table("datasets", ("dataset", "recordings", "not read", "sequences", "problem"), rows, numbers=(1, 2, 3))
 
     complete = all(outcome.complete for outcome in outcomes)
-    return Answer(BuildsReport(built=built, not_built=not_built, planned=[]), show, 0 if complete else NOT_EVERYTHING)
-
-
-def _built(report: BuildReport) -> BuiltTable:
-    """Report one table, and note what of its recordings is missing from it."""
-    from prbench.curation.provenance import funnel_rows
-
-    note_recordings(report.records, reused=report.reused)
-    return built_table(report, funnel_rows(report.info))
+    return Answer(BuildsReport(built=built, not_built=not_built), show, 0 if complete else NOT_EVERYTHING)
 
 
 def _print_table(table: BuiltTable) -> None:
@@ -560,10 +453,10 @@ class SplitReport(msgspec.Struct, frozen=True, kw_only=True):
     example="prbench split-dataset tables/mogaze --split participants --fold 2/6 --out tables/mogaze-2",
     report=SplitReport,
 )
-@click.argument("data", type=PATH, metavar="DIR")
+@click.argument("data", type=opt.PATH, metavar="DIR")
 @click.option("--split", type=click.Choice(["participants"]), default="participants", help="What is kept together.")
 @click.option("--fold", required=True, metavar="K/N", help="The fold to test on, such as 2/6.")
-@out_folder_option("Folder of the new table; the old one stays as it is.", required=True)
+@opt.out_folder_option("Folder of the new table; the old one stays as it is.", required=True)
 def split_dataset(data: Path, split: str, fold: str, out: Path) -> Answer:
     """Write a copy of a table in which nobody is both learnt from and tested on.
 

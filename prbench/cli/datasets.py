@@ -16,17 +16,9 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from prbench.cli import options as opt
 from prbench.cli.builds import NOT_EVERYTHING
 from prbench.cli.commands import Answer, SeveralValues, command, note, progress
-from prbench.cli.options import (
-    LOCAL_PATH,
-    NATIVE,
-    PATH,
-    reader_options,
-    recordings_options,
-    root_option,
-    workers_option,
-)
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
@@ -43,11 +35,11 @@ if TYPE_CHECKING:
     writes_report=True,
 )
 @click.argument("name", required=False)
-@root_option("Look here for copies, and one folder below.", required=False)
+@opt.root_option("Look here for copies, and one folder below.", required=False)
 @click.option(
     "--cite",
     cls=SeveralValues,
-    type=PATH,
+    type=opt.PATH,
     metavar="DIR...",
     help="Print BibTeX and licence terms of everything that these tables contain, such as --cite tables/adt, and"
     " nothing else.",
@@ -116,7 +108,7 @@ _NOT_COMPLETE = 3
     report="prbench.checking.inspection:Inspection",
     writes_report=True,
 )
-@click.argument("places", type=NATIVE, nargs=-1, required=True, metavar="DIR...")
+@click.argument("places", type=opt.NATIVE, nargs=-1, required=True, metavar="DIR...")
 @click.option("--thorough", is_flag=True, help="Read every recording as a build would; takes as long.")
 @click.option("--all", "everything", is_flag=True, help="List complete recordings too, and every incomplete one.")
 def inspect(*, places: tuple[Path, ...], thorough: bool, everything: bool) -> Answer:
@@ -190,11 +182,13 @@ def _print_tables(tables: tuple[InspectedTable, ...]) -> None:
     writes_report=True,
 )
 @click.argument("dataset", type=click.Choice(["hd-epic"]))
-@root_option("Your copy of the dataset: both ways of priming.", required=False)
-@click.option("--data", type=PATH, metavar="DIR", help="A table of it that was built by the rule, in place of --root.")
-@recordings_options
-@reader_options(remark="with --root")
-@workers_option()
+@opt.root_option("Your copy of the dataset: both ways of priming.", required=False)
+@click.option(
+    "--data", type=opt.PATH, metavar="DIR", help="A table of it that was built by the rule, in place of --root."
+)
+@opt.recordings_options
+@opt.reader_options(remark="with --root")
+@opt.workers_option()
 def validate(
     *,
     dataset: str,
@@ -307,12 +301,12 @@ class PosesReport(msgspec.Struct, frozen=True, kw_only=True):
     writes_report=True,
 )
 @click.argument("estimator", type=click.Choice(["egoallo"]))
-@root_option(type=LOCAL_PATH)
+@opt.root_option(type=opt.LOCAL_PATH)
 @click.option("--dataset", metavar="NAME", help="Name of the dataset, such as adt (default: what the folder holds).")
-@click.option("--config", type=PATH, metavar="FILE", help="How to run EgoAllo; without it, says what to do.")
-@recordings_options
+@click.option("--config", type=opt.PATH, metavar="FILE", help="How to run EgoAllo; without it, says what to do.")
+@opt.recordings_options
 @click.option(
-    "--poses-root", type=LOCAL_PATH, metavar="DIR", help="Folder of EgoAllo's outputs (default: ROOT/egoallo)."
+    "--poses-root", type=opt.LOCAL_PATH, metavar="DIR", help="Folder of EgoAllo's outputs (default: ROOT/egoallo)."
 )
 @click.option("--dry-run", is_flag=True, help="Say which recordings lack a body, and run nothing.")
 @click.option("--prepare", is_flag=True, help="Only write EgoAllo's input folders, to run it by hand.")

@@ -18,21 +18,8 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from prbench.cli import options as opt
 from prbench.cli.commands import Answer, Group, command, note, progress, session
-from prbench.cli.options import (
-    FIRST_RUN_SEQUENCES,
-    PATH,
-    collected_runs,
-    data_option,
-    embedded_tables,
-    limit_option,
-    out_file_option,
-    out_folder_option,
-    run_checker,
-    split_option,
-    tables_option,
-    workers_option,
-)
 from prbench.cli.summaries import phi_cell
 from prbench.cli.terminal import print_table, shown_width
 from prbench.errors import UsageError, did_you_mean
@@ -82,18 +69,18 @@ class BoardReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @command("export", example=EXAMPLE, report=BoardReport)
-@click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")
+@click.argument("runs", type=opt.PATH, nargs=-1, required=True, metavar="RUN...")
 @click.option(
     "--format", type=click.Choice(["md", "csv", "json"]), default="md", help="Markdown (default), CSV or JSON."
 )
-@out_file_option("Write the leaderboard to this file instead of printing it.")
+@opt.out_file_option("Write the leaderboard to this file instead of printing it.")
 @click.option(
     "--with-published",
     is_flag=True,
     help="Show the study's numbers behind the measured ones, and how far runs on real recordings are from them.",
 )
-@tables_option
-@workers_option()
+@opt.tables_option
+@opt.workers_option()
 def export(
     runs: tuple[Path, ...], format: str, out: Path | None, with_published: bool, data: tuple[Path, ...], workers: int
 ) -> Answer:
@@ -106,7 +93,7 @@ def export(
     from prbench.files.storage import sole_writer, write_text
     from prbench.workflows.study.beside import add_published, differences, why_none
 
-    board = boards.make_leaderboard(collected_runs(runs, data, workers, any_benchmark=True))
+    board = boards.make_leaderboard(opt.collected_runs(runs, data, workers, any_benchmark=True))
     text = boards.export(board, format)
     if with_published:
         text = add_published(text, board, format)
@@ -129,15 +116,15 @@ def export(
     report="prbench.board.comparison:RunComparison",
     writes_report=True,
 )
-@click.argument("first", type=PATH, metavar="RUN")
-@click.argument("second", type=PATH, metavar="RUN")
-@tables_option
-@workers_option()
+@click.argument("first", type=opt.PATH, metavar="RUN")
+@click.argument("second", type=opt.PATH, metavar="RUN")
+@opt.tables_option
+@opt.workers_option()
 def compare(first: Path, second: Path, data: tuple[Path, ...], workers: int) -> Answer:
     """Say where two runs on the same sequences differ, and whether the data support it."""
     from prbench.board import compare_runs
 
-    compared = compare_runs(first, second, checker=run_checker(data, workers))
+    compared = compare_runs(first, second, checker=opt.run_checker(data, workers))
     for line in compared.left_out:
         note(line)
     return Answer(compared, lambda: _print_comparison(compared))
@@ -221,7 +208,7 @@ class ParetoReport(msgspec.Struct, frozen=True, kw_only=True):
 @command(
     "pareto", example="prbench leaderboard pareto runs/pr runs/mdm runs/static --out pareto.svg", report=ParetoReport
 )
-@click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")
+@click.argument("runs", type=opt.PATH, nargs=-1, required=True, metavar="RUN...")
 @click.option("--metric", default="prime_success", metavar="ID", help="Metric of the score (default prime_success).")
 @click.option(
     "--against",
@@ -229,9 +216,9 @@ class ParetoReport(msgspec.Struct, frozen=True, kw_only=True):
     default="seconds",
     help="Which cost (default seconds).",
 )
-@out_file_option("Write the plot as PNG or SVG.", required=True)
-@tables_option
-@workers_option()
+@opt.out_file_option("Write the plot as PNG or SVG.", required=True)
+@opt.tables_option
+@opt.workers_option()
 def pareto(
     runs: tuple[Path, ...], metric: str, against: str, out: Path, data: tuple[Path, ...], workers: int
 ) -> Answer:
@@ -253,7 +240,7 @@ def pareto(
             f" ones are: {', '.join(known)}."
         )
     info = known[metric]
-    board = boards.make_leaderboard(collected_runs(runs, data, workers))
+    board = boards.make_leaderboard(opt.collected_runs(runs, data, workers))
     # Where a method left sequences out, all are shown on those that every one generated.
     tables = of_all_methods(board.tables)
     if len(tables) != 1:
@@ -340,11 +327,11 @@ class AuditReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @command("audit", example="prbench audit --data tables/adt --limit 100", report=AuditReport)
-@data_option(required=False, help="Built dataset folder(s); without it the five embedded synthetic ones are used.")
-@split_option()
-@limit_option(f"{_SEQUENCES}; {FIRST_RUN_SEQUENCES} without --data")
-@out_folder_option("Keep the run folders in this one (default: they are thrown away).")
-@workers_option()
+@opt.data_option(required=False, help="Built dataset folder(s); without it the five embedded synthetic ones are used.")
+@opt.split_option()
+@opt.limit_option(f"{_SEQUENCES}; {opt.FIRST_RUN_SEQUENCES} without --data")
+@opt.out_folder_option("Keep the run folders in this one (default: they are thrown away).")
+@opt.workers_option()
 def audit(data: tuple[Path, ...], split: str, limit: int | None, out: Path | None, workers: int) -> Answer:
     """Print what cheats, controls and recorded people earn under each metric.
 
@@ -356,8 +343,8 @@ def audit(data: tuple[Path, ...], split: str, limit: int | None, out: Path | Non
     from prbench.engine import engine_for
 
     engine = engine_for(workers)
-    default = _SEQUENCES if data else FIRST_RUN_SEQUENCES
-    tables = data or embedded_tables(engine)
+    default = _SEQUENCES if data else opt.FIRST_RUN_SEQUENCES
+    tables = data or opt.embedded_tables(engine)
     with progress("running controls") as show:
         found = run_audit(tables, split=split, limit=limit or default, out=out, engine=engine, progress=show)
     over = means_of_controls(found)

@@ -8,17 +8,9 @@ from typing import Literal
 
 import click
 
+from prbench.cli import options as opt
 from prbench.cli.builds import NOT_EVERYTHING
 from prbench.cli.commands import Answer, command, note, session
-from prbench.cli.options import (
-    PATH,
-    KeyValue,
-    data_arguments,
-    on_error_option,
-    out_folder_option,
-    permission_option,
-    replace_option,
-)
 from prbench.cli.terminal import print_table
 from prbench.release.report import ExportReleaseReport, ImportReleaseReport
 
@@ -28,13 +20,13 @@ from prbench.release.report import ExportReleaseReport, ImportReleaseReport
     example="prbench import-release /data/PR --out tables/released",
     report=ImportReleaseReport,
 )
-@click.argument("root", type=PATH)
-@out_folder_option("Gets a table folder for each dataset; with --dataset it is the table.", required=True)
+@click.argument("root", type=opt.PATH)
+@opt.out_folder_option("Gets a table folder for each dataset; with --dataset it is the table.", required=True)
 @click.option("--dataset", metavar="NAME", help="Only this dataset, for example hd-epic.")
 @click.option("--fps", type=float, metavar="N", help="Frames a second, where the files do not tell.")
 @click.option(
     "--field-map",
-    type=KeyValue(),
+    type=opt.KeyValue(),
     multiple=True,
     metavar="CANONICAL=THEIRS",
     help="What a field of target_information.json means, for example goal=centre; repeatable.",
@@ -45,8 +37,8 @@ from prbench.release.report import ExportReleaseReport, ImportReleaseReport
     default="sequence",
     help="Frame 0 belongs to the sequence (default), or is the frame before it.",
 )
-@on_error_option(what="sequences", them="them")
-@replace_option()
+@opt.on_error_option(what="sequences", them="them")
+@opt.replace_option()
 def import_release(
     *,
     root: Path,
@@ -111,15 +103,15 @@ def _print_imported(report: ImportReleaseReport) -> None:
     example="prbench export-release tables/adt tables/mogaze --out release",
     report=ExportReleaseReport,
 )
-@data_arguments
-@out_folder_option("Folder of the release; each dataset gets a folder in it.", required=True)
+@opt.data_arguments
+@opt.out_folder_option("Folder of the release; each dataset gets a folder in it.", required=True)
 @click.option(
     "--frame",
     type=click.Choice(["canonical", "world"]),
     default="canonical",
     help="Each sequence's canonical frame (default; comes back without change), or its recording's world.",
 )
-@permission_option
+@opt.permission_option
 def export_release(
     *, data: tuple[Path, ...], out: Path, frame: Literal["canonical", "world"], permission: tuple[str, ...]
 ) -> Answer:

@@ -22,36 +22,8 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
+from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, note, progress, session
-from prbench.cli.options import (
-    ALL_CONDITIONS,
-    FIRST_RUN_SEQUENCES,
-    OUT_FILE,
-    PATH,
-    POSITIVE,
-    PUBLISHED,
-    SECONDS,
-    MadeShard,
-    benchmark_option,
-    chosen_shard,
-    complete_method,
-    conditions_by_benchmark,
-    control_option,
-    data_option,
-    embedded_tables,
-    engine_options,
-    fold_options,
-    limit_option,
-    method_settings,
-    opened,
-    out_folder_option,
-    permission_option,
-    protocol_option,
-    seed_option,
-    sequence_option,
-    shard_option,
-    usual_number,
-)
 from prbench.cli.summaries import RunAnswer, run_answer, shards_answer
 from prbench.cli.table_two import ALL, run_table_two
 from prbench.engine import end_with_parent
@@ -82,57 +54,59 @@ _FIRST_RUN_WORKERS = 2
         *("--weights", "--option", "--seed", "--workers", "--json"),
     ),
 )
-@benchmark_option
+@opt.benchmark_option
 @click.option(
     "--method",
     metavar="NAME|cmd:…|FILE",
-    shell_complete=complete_method,
+    shell_complete=opt.complete_method,
     help="An installed method; a program: 'cmd:python glide.py', or a .toml file that describes one; or a control:"
     " ground-truth, scripted, nearest-neighbour, stare, … (docs/audit.md); all: the rows of the study's Table 2.",
 )
 @click.option(
     "--condition",
-    type=click.Choice([*ALL_CONDITIONS, ALL]),
-    help=f"What the method is given (default: the only condition that it takes): {conditions_by_benchmark()}; all:"
+    type=click.Choice([*opt.ALL_CONDITIONS, ALL]),
+    help=f"What the method is given (default: the only condition that it takes): {opt.conditions_by_benchmark()}; all:"
     " every row that Table 2 has of it.",
 )
 @click.option(
     "--config",
-    type=PATH,
+    type=opt.PATH,
     metavar="FILE|RUN",
     help="An experiment's TOML file (docs/experiments.md), or a run folder or run.json to repeat; --data, --out,"
     " --weights and the like replace what it says.",
 )
 @click.option("--show-config", is_flag=True, help="Print the experiment that the command line means, and stop.")
-@data_option(required=False, help="Built dataset folder(s); without it small synthetic ones are built and used.")
-@out_folder_option("Run folder (default: one under ./runs); resumes. Several runs: the folder of their folders.")
-@fold_options(more_splits=(PUBLISHED,))
-@limit_option(f"all; {FIRST_RUN_SEQUENCES} without --data; with all: what fits into --minutes")
+@opt.data_option(required=False, help="Built dataset folder(s); without it small synthetic ones are built and used.")
+@opt.out_folder_option("Run folder (default: one under ./runs); resumes. Several runs: the folder of their folders.")
+@opt.fold_options(more_splits=(opt.PUBLISHED,))
+@opt.limit_option(f"all; {opt.FIRST_RUN_SEQUENCES} without --data; with all: what fits into --minutes")
 @click.option(
     "--minutes",
-    type=POSITIVE,
+    type=opt.POSITIVE,
     metavar="N",
     help="With all: run as many sequences of each dataset as fit into this time (default 30), unless --limit says.",
 )
-@sequence_option("Run this one only")
-@click.option("--view", type=OUT_FILE, metavar="FILE", help="Show the motions as .png, .mp4 or .html.")
+@opt.sequence_option("Run this one only")
+@click.option("--view", type=opt.OUT_FILE, metavar="FILE", help="Show the motions as .png, .mp4 or .html.")
 @click.option("--with-controls", is_flag=True, help="With all: the cheats of docs/audit.md and nearest-neighbour, too.")
-@protocol_option("the numbers of the metrics, stamped into the run; the table must have been built by the same rules.")
-@permission_option
-@method_settings
-@control_option("Give every sequence another one's goal.")
-@seed_option("of the run")
+@opt.protocol_option(
+    "the numbers of the metrics, stamped into the run; the table must have been built by the same rules."
+)
+@opt.permission_option
+@opt.method_settings
+@opt.control_option("Give every sequence another one's goal.")
+@opt.seed_option("of the run")
 @click.option(
     "--samples",
-    type=POSITIVE,
+    type=opt.POSITIVE,
     metavar="N",
-    help=f"Answers to each case: motions a sequence, futures a window (default {usual_number('samples')}).",
+    help=f"Answers to each case: motions a sequence, futures a window (default {opt.usual_number('samples')}).",
 )
 @click.option(
     "--batch-size",
-    type=POSITIVE,
+    type=opt.POSITIVE,
     metavar="N",
-    help=f"Sequences, or other cases, a batch (default {usual_number('batch_size')}; with all: up to 16, so that two"
+    help=f"Cases a batch (default {opt.usual_number('batch_size')}; with all: up to 16, so that two"
     " workers have as many).",
 )
 @click.option(
@@ -143,15 +117,15 @@ _FIRST_RUN_WORKERS = 2
 )
 @click.option(
     "--timeout",
-    type=SECONDS,
+    type=opt.SECONDS,
     metavar="SECONDS",
     help="For each batch, of a program or with --isolate (default 600); a program that is late is stopped.",
 )
-@engine_options(
+@opt.engine_options(
     help="Processes to use (default 1; without --data and with all: 2; with --engine ray all processors); changes no"
     " result."
 )
-@shard_option("the batches")
+@opt.shard_option("the batches")
 def run(
     config: Path | None,
     show_config: bool,
@@ -169,7 +143,7 @@ def run(
     """
     _require_fits_benchmark({**given, "config": config})
     of_table_two = ALL in (given["method"], given["condition"])
-    part = chosen_shard(shard, view=view, table_two=of_table_two)
+    part = opt.chosen_shard(shard, view=view, table_two=of_table_two)
     if of_table_two:
         single = {"config": config, "show-config": show_config, "view": view, "permission": permission}
         for option, value in single.items():
@@ -234,7 +208,7 @@ def _run_all(
     from prbench.harness.methods.installed import list_adapters
 
     if shard is not None:
-        chosen_shard(str(shard), first_run=not experiment.data)
+        opt.chosen_shard(str(shard), first_run=not experiment.data)
     if view is not None:
         from prbench.viewing.replay.sheet import file_kind
 
@@ -297,7 +271,7 @@ def _run_all(
     return replace(answer, show=show)
 
 
-def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> MadeShard:
+def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> opt.MadeShard:
     from prbench.harness.sharded import run_shard
 
     with _told(request, f"running shard {shard} of {request.method_label}") as tell:
@@ -305,7 +279,7 @@ def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> MadeS
         report = run_shard(request, shard, tables_at=tables, engine=engine, progress=tell)
     if report.batches_found:
         note(f"{report.batches_found} batches were taken over from an earlier run.")
-    return MadeShard(
+    return opt.MadeShard(
         shard=str(shard),
         folder=report.folder,
         made_of=report.batches_made + report.batches_found,
@@ -360,7 +334,7 @@ def _opened(choice: EngineChoice, experiment: Experiment) -> Engine:
         reads += [Path(text) for text in (method.weights, method.name) if text and Path(text).exists()]
     names = {method.name for method in experiment.methods}
     packages = packages_of(names, _group(experiment)) if isinstance(choice, Cluster) else ()
-    return opened(
+    return opt.opened(
         choice,
         usual=_FIRST_RUN_WORKERS if first_run else 1,
         threads=experiment.threads,
@@ -388,7 +362,7 @@ def _on_embedded_tables(experiment: Experiment, engine: Engine) -> Experiment:
     """Run on the embedded datasets, by default on a part of each, in batches that two workers can share."""
     from prbench.harness import first_run
 
-    changes: dict[str, Any] = {"data": tuple(map(str, embedded_tables(engine)))}
+    changes: dict[str, Any] = {"data": tuple(map(str, opt.embedded_tables(engine)))}
     if not experiment.sequences:
         changes["limit"] = experiment.limit or first_run.SEQUENCES
         changes["batch_size"] = experiment.batch_size or first_run.BATCH_SIZE

@@ -17,32 +17,10 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from prbench.cli.build_windows import WindowsBuilt, windows_answer
+from prbench.cli import options as opt
+from prbench.cli.build_windows import windows_answer
 from prbench.cli.builds import BuiltTable, table_answer
 from prbench.cli.commands import Answer, command, note, progress
-from prbench.cli.options import (
-    ALL_CONDITIONS,
-    CONDITIONS,
-    FIRST_RUN_SEQUENCES,
-    PATH,
-    POSITIVE,
-    benchmark_option,
-    control_option,
-    data_option,
-    engine_options,
-    limit_option,
-    opened,
-    out_file_option,
-    out_folder_option,
-    permission_option,
-    protocol_option,
-    replace_option,
-    run_checker,
-    seed_option,
-    split_option,
-    usual_number,
-    workers_option,
-)
 from prbench.cli.summaries import MadeRun, print_agreement, print_scene, print_summary, run_answer
 from prbench.entry_points import CORPORA, load_built_in
 from prbench.errors import UsageError
@@ -54,6 +32,7 @@ if TYPE_CHECKING:
     from prbench.harness.run_folder.agreement import DatasetAgreement
     from prbench.harness.run_folder.summary import DatasetSummary
     from prbench.harness.score_predictions import ScoreReport as Scored
+    from prbench.prediction.table import WindowsInfo
 
 
 class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
@@ -89,32 +68,32 @@ class ScoreReport(msgspec.Struct, frozen=True, kw_only=True):
     example="prbench score predictions.npz --conditions conditions.npz --data tables/adt --out scores/mine",
     report=ScoreReport,
 )
-@click.argument("predictions", type=PATH)
-@data_option(required=True)
+@click.argument("predictions", type=opt.PATH)
+@opt.data_option(required=True)
 @click.option(
     "--conditions",
-    type=PATH,
+    type=opt.PATH,
     metavar="FILE",
     help="The file of `prbench export-conditions` that the motions were made from; says seed, split, limit, samples and"
     " condition, and is checked.",
 )
 @click.option("--name", help="Name of the method, for summaries and leaderboards (default: that of the file).")
-@split_option(None, help="Split of the table (default: that of the run, else test).")
-@limit_option("those of the run or the conditions")
-@seed_option("behind the opaque ids, if the predictions have those", default=None)
-@click.option("--condition", type=click.Choice(CONDITIONS), help="What the method was given; leaderboards need it.")
-@control_option("The method was given other sequences' goals.")
-@click.option("--max-frames", type=POSITIVE, metavar="N", help="Longer sequences count as unsupported.")
+@opt.split_option(None, help="Split of the table (default: that of the run, else test).")
+@opt.limit_option("those of the run or the conditions")
+@opt.seed_option("behind the opaque ids, if the predictions have those", default=None)
+@click.option("--condition", type=click.Choice(opt.CONDITIONS), help="What the method was given; leaderboards need it.")
+@opt.control_option("The method was given other sequences' goals.")
+@click.option("--max-frames", type=opt.POSITIVE, metavar="N", help="Longer sequences count as unsupported.")
 @click.option(
     "--native-fps", type=float, metavar="F", help="Rate of the motions in frames per second, if not the table's."
 )
 @click.option(
     "--allow-length-mismatch", is_flag=True, help="Score motions of another length than the recorded one, too."
 )
-@protocol_option("the numbers of the metrics; the table must have been built by the same rules.")
-@out_folder_option("Write scores.parquet, summary.json … into this folder.")
-@engine_options()
-@benchmark_option
+@opt.protocol_option("the numbers of the metrics; the table must have been built by the same rules.")
+@opt.out_folder_option("Write scores.parquet, summary.json … into this folder.")
+@opt.engine_options()
+@opt.benchmark_option
 @click.option(
     "--one-design",
     is_flag=True,
@@ -187,7 +166,7 @@ def score(
     with progress("scoring") as show:
         scored = score_predictions(
             request,
-            engine=opened(engine, reads=(predictions, *data)),
+            engine=opt.opened(engine, reads=(predictions, *data)),
             progress=lambda step: show(step.done, step.total, step.dataset),
         )
     datasets = [
@@ -218,7 +197,7 @@ def _futures(
     with progress("scoring") as show:
         scored = score_futures(
             request,
-            engine=opened(engine, reads=(futures, conditions, *data)),
+            engine=opt.opened(engine, reads=(futures, conditions, *data)),
             progress=lambda step: show(step.done, step.total, step.dataset),
         )
     made = ScoredMotions(origin=scored.origin, motionless=False, scores=scored.summary, agreement=None)
@@ -250,19 +229,19 @@ def _print(scored: Sequence[Scored], out: Path | None) -> None:
     example="prbench export-conditions --data tables/adt --condition goal-loc --seed 0 --out conditions.npz",
     report="prbench.harness.offline.export:ExportReport",
 )
-@data_option(required=True)
-@benchmark_option
-@click.option("--condition", type=click.Choice(ALL_CONDITIONS), required=True, help="What the method is given.")
-@out_file_option(".parquet, or .npz for NumPy alone.", required=True)
-@seed_option("behind opaque ids and noise seeds")
+@opt.data_option(required=True)
+@opt.benchmark_option
+@click.option("--condition", type=click.Choice(opt.ALL_CONDITIONS), required=True, help="What the method is given.")
+@opt.out_file_option(".parquet, or .npz for NumPy alone.", required=True)
+@opt.seed_option("behind opaque ids and noise seeds")
 @click.option(
-    "--samples", type=POSITIVE, metavar="K", help=f"Answers to each case (default {usual_number('samples')})."
+    "--samples", type=opt.POSITIVE, metavar="K", help=f"Answers to each case (default {opt.usual_number('samples')})."
 )
-@split_option()
-@limit_option()
+@opt.split_option()
+@opt.limit_option()
 @click.option(
     "--max-frames",
-    type=POSITIVE,
+    type=opt.POSITIVE,
     metavar="N",
     help="Leave out sequences of more than N frames; scoring counts them as unsupported.",
 )
@@ -272,8 +251,8 @@ def _print(scored: Sequence[Scored], out: Path | None) -> None:
     metavar="F",
     help="Ask for motions at F frames per second; scoring resamples them to the table's rate.",
 )
-@control_option("Give every sequence another one's goal; the file does not tell.")
-@permission_option
+@opt.control_option("Give every sequence another one's goal; the file does not tell.")
+@opt.permission_option
 def export_conditions(
     data: tuple[Path, ...],
     benchmark: str | None,
@@ -372,8 +351,8 @@ def _tell_first_run(data: Sequence[Path]) -> None:
     embedded = {os.path.realpath(folder) for folder in default_table_folders()}
     if any(os.path.realpath(folder) in embedded for folder in data):
         note(
-            f"these are embedded datasets, of which `prbench run` without --data takes {FIRST_RUN_SEQUENCES}"
-            f" sequences each: --limit {FIRST_RUN_SEQUENCES} exports the same ones."
+            f"these are embedded datasets, of which `prbench run` without --data takes {opt.FIRST_RUN_SEQUENCES}"
+            f" sequences each: --limit {opt.FIRST_RUN_SEQUENCES} exports the same ones."
         )
 
 
@@ -402,22 +381,22 @@ class MergeReport(msgspec.Struct, frozen=True, kw_only=True):
     kind: str
     shards: int
     table: BuiltTable | None = None
-    windows: WindowsBuilt | None = None
+    windows: WindowsInfo | None = None
     run: MadeRun | None = None
     folds: DatasetSummary | None = None
     unverified: list[str] = []
 
 
 @command("merge", example="prbench merge shards/adt-* --out tables/adt", report=MergeReport, resumes=True)
-@click.argument("parts", type=PATH, nargs=-1, required=True, metavar="DIR...")
-@out_folder_option("Folder of the table, corpus, windows or run.", required=True)
-@data_option(
+@click.argument("parts", type=opt.PATH, nargs=-1, required=True, metavar="DIR...")
+@opt.out_folder_option("Folder of the table, corpus, windows or run.", required=True)
+@opt.data_option(
     required=False,
     help="Tables of a run, where they no longer lie where its shards found them; of runs on folds, the tables on which"
     " their scores are checked.",
 )
-@replace_option("table or corpus")
-@workers_option(help="Processes that score a run (default 1); changes no result.")
+@opt.replace_option("table or corpus")
+@opt.workers_option(help="Processes that score a run (default 1); changes no result.")
 def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: bool, workers: int) -> Answer:
     """Put the shards of a build or run together, with the bytes of an unsharded one, or runs on folds as one run.
 
@@ -475,7 +454,7 @@ def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: b
 def _merged_folds(runs: Sequence[Path], out: Path, data: tuple[Path, ...], workers: int) -> Answer:
     from prbench.board.merging import merge_folds
 
-    merged = merge_folds(runs, checker=run_checker(data, workers))
+    merged = merge_folds(runs, checker=opt.run_checker(data, workers))
     protocol = merged.folds[0].protocol
     if protocol is not None and protocol.is_own:
         note(f"scored under a protocol of your own, {protocol.label}: no number here is the study's")

@@ -10,17 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 import msgspec
 
+from prbench.cli import options as opt
 from prbench.cli.builds import BuiltTable, built_table
 from prbench.cli.commands import Answer, command, progress
-from prbench.cli.options import (
-    OUT_FILE,
-    POSITIVE,
-    count_option,
-    out_folder_option,
-    replace_option,
-    seed_option,
-    workers_option,
-)
 from prbench.cli.terminal import print_table
 from prbench.entry_points import CORPORA, load_built_in
 from prbench.errors import UsageError
@@ -71,19 +63,19 @@ class SynthesizeReport(msgspec.Struct, kw_only=True):
     report=SynthesizeReport,
 )
 @click.argument("layout", required=False)
-@out_folder_option("Folder of the recordings.")
+@opt.out_folder_option("Folder of the recordings.")
 @click.option(
     "--table",
     is_flag=True,
     help="Write the finished table of sequences instead of native files (the only way for size large).",
 )
-@replace_option()
-@count_option("Number of recordings to make (default: the size's number).")
-@seed_option("of everything")
+@opt.replace_option()
+@opt.count_option("Number of recordings to make (default: the size's number).")
+@opt.seed_option("of everything")
 @click.option(
     "--size", type=click.Choice(["tiny", "default", "large"]), default="tiny", help="How much (default tiny)."
 )
-@click.option("--events", type=POSITIVE, metavar="N", help="Picks and puts of each recording.")
+@click.option("--events", type=opt.POSITIVE, metavar="N", help="Picks and puts of each recording.")
 @click.option("--bystander-objects", type=int, metavar="N", help="Objects that never move.")
 @click.option(
     "--defect",
@@ -99,17 +91,23 @@ class SynthesizeReport(msgspec.Struct, kw_only=True):
 )
 @click.option("--no-verify", is_flag=True, help="Do not compare what curation finds in the files with the truth.")
 @click.option(
-    "--gallery", type=OUT_FILE, metavar="FILE", help="Draw sequences of LAYOUT, or of all presets without one, as PNG."
+    "--gallery",
+    type=opt.OUT_FILE,
+    metavar="FILE",
+    help="Draw sequences of LAYOUT, or of all presets without one, as PNG.",
 )
 @click.option(
-    "--histograms", type=OUT_FILE, metavar="FILE", help="Draw durations, gaps and movements beside the study's, as PNG."
+    "--histograms",
+    type=opt.OUT_FILE,
+    metavar="FILE",
+    help="Draw durations, gaps and movements beside the study's, as PNG.",
 )
 @click.option(
     "--people",
     is_flag=True,
     help="Print how the people of LAYOUT, or of all presets, act and move beside the ranges asked of them.",
 )
-@workers_option()
+@opt.workers_option()
 def synthesize(
     *,
     layout: str | None,
@@ -234,7 +232,7 @@ def _write_table(
             options=BuildOptions(replace=replace),
             progress=tell,
         )
-    report.table = built_table(made, funnel_rows(made.info))
+    report.table = built_table(made, funnel_rows(made.info), recordings=made.records)
 
 
 def _measure_people(layout: str | None, *, seed: int, count: int | None, workers: int) -> list[PeopleNumber]:

@@ -14,17 +14,8 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
+from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, progress
-from prbench.cli.options import (
-    NATIVE,
-    OUT_FILE,
-    PATH,
-    data_option,
-    limit_option,
-    out_file_option,
-    permission_option,
-    sequence_option,
-)
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
@@ -63,19 +54,19 @@ class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @command("view", example="prbench view runs/static --data tables/adt --out static.png", report=ViewReport)
-@click.argument("runs", type=PATH, nargs=-1, metavar="[RUN...]")
-@data_option(required=False, help="The table(s) of the runs; not needed for the embedded synthetic datasets.")
-@out_file_option("Picture (.png), film (.mp4) or page (.html).", required=True)
-@sequence_option("Show this sequence")
-@limit_option("4")
+@click.argument("runs", type=opt.PATH, nargs=-1, metavar="[RUN...]")
+@opt.data_option(required=False, help="The table(s) of the runs; not needed for the embedded synthetic datasets.")
+@opt.out_file_option("Picture (.png), film (.mp4) or page (.html).", required=True)
+@opt.sequence_option("Show this sequence")
+@opt.limit_option("4")
 @click.option("--sample", type=int, default=0, metavar="K", help="Sample of runs with several (default 0, the first).")
 @click.option(
     "--scene",
-    type=NATIVE,
+    type=opt.NATIVE,
     metavar="DIR",
     help="Your copy of the dataset: draws what stood around the bodies behind them (needs the extra open3d).",
 )
-@permission_option
+@opt.permission_option
 def view(
     runs: tuple[Path, ...],
     data: tuple[Path, ...],
@@ -201,9 +192,9 @@ class ExplainReport(msgspec.Struct, frozen=True, kw_only=True):
     writes_report=True,
 )
 @click.argument("event")
-@click.option("--data", type=PATH, required=True, metavar="DIR", help="Built dataset folder.")
-@click.option("--draw", type=OUT_FILE, metavar="FILE", help="Draw the story as PNG.")
-@permission_option
+@click.option("--data", type=opt.PATH, required=True, metavar="DIR", help="Built dataset folder.")
+@click.option("--draw", type=opt.OUT_FILE, metavar="FILE", help="Draw the story as PNG.")
+@opt.permission_option
 def explain(event: str, data: Path, draw: Path | None, permission: tuple[str, ...]) -> Answer:
     """Tell what became of one event and why.
 
@@ -244,9 +235,9 @@ _COLUMNS = ("kind", "recording_id", "event", "first", "second", "decided_by")
     report="prbench.curation.differences:Difference",
     writes_report=True,
 )
-@click.argument("first", type=PATH, metavar="BUILD_A")
-@click.argument("second", type=PATH, metavar="BUILD_B")
-@click.option("--csv", type=OUT_FILE, metavar="FILE", help="Write every change as a line of CSV.")
+@click.argument("first", type=opt.PATH, metavar="BUILD_A")
+@click.argument("second", type=opt.PATH, metavar="BUILD_B")
+@click.option("--csv", type=opt.OUT_FILE, metavar="FILE", help="Write every change as a line of CSV.")
 @click.option("--all", "everything", is_flag=True, help=f"Print every change, not only the first {SHOWN}.")
 def diff(first: Path, second: Path, csv: Path | None, everything: bool) -> Answer:
     """Say which events and sequences differ between two builds of a dataset, and which stage decided.

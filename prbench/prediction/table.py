@@ -158,18 +158,27 @@ class WindowsInfo(Provenance, frozen=True, kw_only=True):
     build_command = "build-windows"
 
     fps: float
+    """Frames a second."""
     observed_frames: int
+    """Frames that a predictor is given."""
     future_frames: int
+    """Frames that it predicts."""
     fewest_gaze_frames: int
+    """Observed frames with measured gaze that a window has at least."""
     joint_set: str
+    """``smpl22``, or native joints such as ``mogaze21``."""
     has_gaze: bool
     """False where no frame of any recording has measured gaze."""
     estimated_bodies: bool
     """Bodies were estimated from whole tracks of the head: an observed frame may carry later head motion."""
     participants: int
+    """Number of participants."""
     recordings: int
+    """Number of recordings with windows."""
     runs: int
+    """Number of runs of frames (segments, sequences)."""
     frames: int
+    """Number of frames in all runs."""
 
 
 @dataclass(frozen=True)

@@ -119,17 +119,25 @@ class CorpusRecord:
     """One row of ``recordings``."""
 
     recording_id: str
+    """Name of the recording."""
     participant_id: str
+    """Name of the person."""
     split: str
+    """``train``, ``validation`` or ``test``."""
     split_group: str
+    """Recordings of one group share the split."""
     duration: float
+    """Length, seconds."""
     outcomes: Mapping[str, int]
     """Number of annotations by outcome."""
     clock_method: str
+    """The way from the text's clock to the motion's."""
     clock_quality: float | None
+    """How well the clocks agree, as the dataset has it; null where it does not tell."""
     status: str
     """``read``, ``failed`` or ``skipped``."""
     message: str
+    """Why it was not read, or what was noticed when it was."""
     measured: Texts = field(default_factory=dict)
     """Measurements of the recording, as text."""
 

@@ -30,34 +30,54 @@ class QuarantinedRecording(msgspec.Struct, frozen=True, kw_only=True):
     """A recording that was left out, and why."""
 
     recording_id: str
+    """Name of the recording."""
     status: str
+    """``failed`` or ``skipped``."""
     message: str
+    """Why."""
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     """The description of every built table. Holds no time of day, host, absolute path or worker count."""
 
     schema_version: int
+    """Version of the table."""
     protocol_version: int
+    """Version of the protocol."""
     protocol_digest: str
+    """Digest of the rules that it was built by."""
     dataset: str
+    """Name of the dataset; ``synthetic-`` stands before that of synthetic people."""
     title: str
+    """Its title."""
     synthetic: bool
+    """The people are synthetic."""
     prbench_version: str
+    """Version of prbench that built it."""
     manifest_digest: str
+    """Digest of the dataset's manifest."""
     input_digest: str
     """Over the names and contents of all files that were used."""
     options: dict[str, str]
+    """Options of the build by name."""
     outcomes: dict[str, int]
+    """Number of events (in a corpus: texts, of windows: windows) by what became of them."""
     quarantine: tuple[QuarantinedRecording, ...]
+    """Recordings that could not be read or are known to be bad."""
     identity_digest: str
+    """Digest of its ids."""
     content_digest: str
+    """Digest of its content."""
     file_digests: dict[str, str] = {}
     """SHA-256 of each Parquet file beside this one, by relative path; empty in tables of earlier versions."""
     licence: str
+    """Licence of the data."""
     redistribution: str
+    """Whether data made from it may be passed on: ``yes``, ``non-commercial`` or ``none``."""
     homepage: str
+    """Homepage of the dataset."""
     citation: str
+    """BibTeX of what is to be cited."""
     file_name: ClassVar[str]
     """Name of the file that holds it, in the folder of the table."""
     described: ClassVar[str]

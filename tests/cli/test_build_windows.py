@@ -27,7 +27,7 @@ def test_recordings_become_windows(root, tmp_path, capsys):
     words = ["build-windows", "mogaze", "--root", str(root), "--out", str(tmp_path / "w")]
     report = reported(words, capsys)
     assert report.built is not None
-    assert (report.built.joint_set, report.built.windows) == ("mogaze21", {"window": 3})
+    assert (report.built.joint_set, report.built.outcomes) == ("mogaze21", {"window": 3})
 
 
 def test_a_table_becomes_anchored_windows(tmp_path, capsys):

@@ -78,7 +78,7 @@ def test_a_build_reports_its_clips_and_every_recording(tree, tmp_path, capsys):
     counts = json.loads((tmp_path / "c" / "corpus.json").read_text())["counts"]
     assert built.counts == counts
     assert built.stages[-1].kept == counts["captions"]
-    assert sorted(each.status for each in built.recordings) == ["failed", "read"]
+    assert sorted(each.status for each in built.corpus_recordings) == ["failed", "read"]
     (plan,) = reported(["build-corpus", "synthetic", "--count", "3", "--dry-run"], capsys).planned
     assert (len(plan.recordings), plan.root) == (3, None)
     refused(["build-corpus", "nymerya", "--out", "x"], capsys, code=2, message="nymeria, humanml3d, synthetic")
