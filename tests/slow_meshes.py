@@ -1,15 +1,15 @@
-"""Rays and closest points on a mesh by a loop over its triangles: the oracle of :mod:`prbench.geometry.meshes`."""
+"""Rays and closest points on a mesh by a loop over its triangles: the oracle of :mod:`prbench.geometry.shapes`."""
 
 from __future__ import annotations
 
 import numpy as np
 import trimesh
 
-from prbench.geometry.meshes import TriangleMesh
+from prbench.geometry.shapes import TriangleMesh
 
 
 class SlowMesh(TriangleMesh):
-    """Answers what :class:`prbench.geometry.meshes.TriangleMesh` answers."""
+    """Answers what :class:`prbench.geometry.shapes.TriangleMesh` answers."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         self._triangles = vertices[faces]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prbench.files.arrays import first_repeated, require_times
-from prbench.geometry.axes import y_up
+from prbench.geometry.skeleton import y_up
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.foot_skating import Fps
 from prbench.metrics.targets import GazeRays

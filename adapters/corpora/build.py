@@ -19,10 +19,9 @@ from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.files.storage import require_replaceable, sole_writer, text_digest
 from prbench.protocol.manifests import digest_of, load_protocol
 from prbench.sequences import parts
-from prbench.sequences.corpus import CORPUS_TABLES, CorpusRecord
-from prbench.sequences.corpus_table import write_corpus
+from prbench.sequences.corpus import CORPUS_TABLES, CorpusRecord, write_corpus
 from prbench.sequences.dataset_info import CORPUS_FILE, CorpusInfo
-from prbench.sequences.shard_parts import ShardReport, finish_shard, making_shard, shard_parts
+from prbench.sequences.parts import ShardReport, finish_shard, making_shard, shard_parts
 from prbench_adapters.corpora.job import CorpusJob, FinishedGroup, GroupReceipt, describe
 from prbench_adapters.corpora.sources import Corpus, CorpusOptions, RecordingGroup, corpus_for, find_groups
 

@@ -14,10 +14,10 @@ from prbench.cli.commands import Answer, command, progress
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
-    from prbench.curation.provenance import FunnelRow
+    from prbench.curation.job import FunnelRow
     from prbench.engine.choice import EngineChoice
     from prbench.engine.shards import ShardRecord
-    from prbench_adapters.corpora import CorpusReport
+    from prbench_adapters.corpora.build import CorpusReport
 
 _SYNTHETIC = "synthetic"
 """Corpus that is generated on the spot."""
@@ -64,7 +64,8 @@ def build_corpus(
 
     CORPUS is nymeria, humanml3d or synthetic.
     """
-    from prbench_adapters.corpora import CorpusOptions, plan_corpus
+    from prbench_adapters.corpora.build import plan_corpus
+    from prbench_adapters.corpora.sources import CorpusOptions
 
     part = opt.chosen_shard(shard, replace=given["replace"], dry_run=dry_run)
     source = dict(options)
@@ -84,7 +85,7 @@ def build_corpus(
     where = opt.opened(engine, reads=() if root is None else (root,), writes=(out,))
     with progress(f"building {f'shard {part} of ' if part else ''}{corpus}") as tell:
         if part is None:
-            from prbench_adapters.corpora import build_corpus as build
+            from prbench_adapters.corpora.build import build_corpus as build
 
             return _corpus_answer(build(corpus, root, out, options=chosen, engine=where, progress=tell))
         from prbench_adapters.corpora.build import build_corpus_shard
@@ -116,7 +117,7 @@ def _corpus_answer(report: CorpusReport) -> Answer:
 
 def _stages(report: CorpusReport) -> list[FunnelRow]:
     """Count what is left from files to captions."""
-    from prbench.curation.provenance import FunnelRow
+    from prbench.curation.job import FunnelRow
 
     counts = report.info.counts
     left_out = counts.recordings_failed + counts.recordings_skipped

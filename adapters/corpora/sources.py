@@ -42,7 +42,7 @@ class CorpusOptions:
     on_error: Literal["skip", "fail"] = "skip"
     """``skip`` reports a recording that cannot be read while the others go on, ``fail`` ends the build."""
     replace: bool = False
-    """Replace a corpus that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
+    """Replace a corpus that holds recordings which the new one lacks (:mod:`prbench.sequences.write`)."""
 
     def __post_init__(self) -> None:
         if self.max_frames is not None and self.max_frames < 2:

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from torch import nn
 
 from prbench.contract import Adapter
-from prbench.representation.statistics import StatisticsAccumulator
+from prbench.representation.features import StatisticsAccumulator
 from prbench_adapters.diffusion.goal_frame import smoothed
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.diffusion.sampling import CosineSchedule

@@ -19,8 +19,8 @@ from prbench.errors import InputFileError, TableError
 from prbench.files.storage import atomic_path, in_turn, read_json, sole_writer, text_digest, write_json
 from prbench.representation import N_FEATURES, Mode, check_joints
 from prbench.sequences import CorpusTable
-from prbench.sequences.chunk import column
-from prbench.sequences.rows import table_parts
+from prbench.sequences.schema import table_parts
+from prbench.sequences.sequence import column
 from prbench_adapters.training.feature_store import STORE, FeatureStore
 from prbench_adapters.training.motions import (
     Row,

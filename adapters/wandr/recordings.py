@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from prbench.geometry.skeleton import Joint
-from prbench.representation.clips import MIRRORED_JOINTS
+from prbench.representation.encoding import MIRRORED_JOINTS
 from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.kinematics import rest_offsets, root_orientation
 from prbench_adapters.training import MotionBatch

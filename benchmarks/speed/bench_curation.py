@@ -17,7 +17,7 @@ from benchmarks.speed.timing import Row, print_rows, timed
 from prbench.curation import curate_recording
 from prbench.curation.in_hand import find_holdings
 from prbench.curation.priming import gaze_rays
-from prbench.geometry.rays import near_miss, slab_test
+from prbench.geometry.shapes import near_miss, slab_test
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.recording import ObjectTrack, Recording
 from prbench.synthetic.layouts import synthetic_recording

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.speed.timing import Row, print_rows, timed
-from prbench.geometry.meshes import TriangleMesh, import_open3d
+from prbench.geometry.shapes import TriangleMesh, import_open3d
 
 EXACT_RAYS = 100
 """Rays whose distances the slow loop computes."""
@@ -63,7 +63,7 @@ def main() -> None:
     print(f"the first way: at most {error:.1e} m from the loop over all triangles, on {EXACT_RAYS} rays")
     points = problem.origins
     closest = timed(lambda: mesh.distance(points), 3)
-    print(f"closest points by prbench.geometry.meshes: {len(points) / closest:,.0f} points a second")
+    print(f"closest points by prbench.geometry.shapes: {len(points) / closest:,.0f} points a second")
 
 
 def scanned_room(n_rays: int) -> Problem:

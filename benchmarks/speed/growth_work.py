@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from prbench.harness.run_folder.scores import predictions_schema
 from prbench.sequences import SequenceTable
-from prbench.sequences.rows import open_parquet
+from prbench.sequences.schema import open_parquet
 from prbench.sequences.write import write_dataset, write_table
 
 

@@ -24,7 +24,7 @@ import pyarrow as pa
 from prbench.api.arguments import PathLike, output_file
 from prbench.errors import UsageError
 from prbench.progress_bar import ProgressCallback, progress_bar
-from prbench.sequences.chunk import row_values
+from prbench.sequences.sequence import row_values
 from prbench.shown import html
 from prbench.viewing.replay.scene import Scene
 

@@ -34,8 +34,7 @@ from prbench.engine.choice import Cluster
 from prbench.errors import RunError, UsageError
 from prbench.harness.run_folder import DatasetSummary, Predictions, RunCost, RunFolder, RunRecord, read_scores
 from prbench.metrics import METRICS, printed_scale, printed_unit
-from prbench.protocol.benchmarks import find_benchmark
-from prbench.protocol.manifests import PROTOCOL_NAME
+from prbench.protocol.manifests import PROTOCOL_NAME, find_benchmark
 from prbench.shown import html
 
 if TYPE_CHECKING:

@@ -39,10 +39,8 @@ from prbench.api.pictures import (
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import Joint, invert_rigid, transform_points
 from prbench.sequences import DatasetInfo, Event, Recording, SequenceChunk, SequenceTable
-from prbench.sequences.chunk import row_values
-from prbench.sequences.columns import KEY_VALUES
-from prbench.sequences.rows import is_bulky
-from prbench.sequences.sequence import SEQUENCES, event_of, recording_of
+from prbench.sequences.schema import is_bulky
+from prbench.sequences.sequence import KEY_VALUES, SEQUENCES, event_of, recording_of, row_values
 from prbench.sequences.table import SPLITS, by_share, why_no_sequences
 from prbench.shown import html
 
@@ -221,7 +219,7 @@ class Sequence(sequences.Sequence):
         return replay_of((self._scene(permission, scene),))
 
     def _scene(self, permission: str | Iterable[str], scene: args.PathLike | None) -> Scene:
-        from prbench.sequences.redistribution import require_may_pass_on
+        from prbench.sequences.dataset_info import require_may_pass_on
         from prbench.viewing.replay.read import scene_of
         from prbench.viewing.view import Surroundings
 
@@ -562,7 +560,7 @@ class Table:
         Raises:
             TableError: if the table holds no sequence.
         """
-        from prbench.sequences.table_one import table_statistics
+        from prbench.sequences.table import table_statistics
         from prbench.viewing.distributions import draw_table_one
 
         statistics = table_statistics(self._table.with_sequences())

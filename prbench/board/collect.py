@@ -24,7 +24,7 @@ from prbench.harness.run_folder.record import RunRecord, TableRecord
 from prbench.harness.run_folder.scores import read_scores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
 from prbench.harness.verification import CheckedSummary, RunChecker, ScoredSequences
-from prbench.protocol.benchmarks import benchmarks, find_benchmark
+from prbench.protocol.manifests import benchmarks, find_benchmark
 
 _MEBIBYTE = 2**20
 _DASH = "–"

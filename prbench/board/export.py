@@ -28,7 +28,7 @@ from prbench.harness.benchmark import Benchmark, load_benchmark
 from prbench.harness.run_folder.record import CONTROL, RunRecord
 from prbench.harness.run_folder.summary import EDGE_ARRIVAL, DatasetSummary
 from prbench.metrics import MetricInfo, exported_unit, printed_scale, printed_unit
-from prbench.protocol.benchmarks import default_benchmark
+from prbench.protocol.manifests import default_benchmark
 from prbench.shown import csv_text, markdown, markdown_code
 
 _CSV_COLUMNS: tuple[str, ...] = (

@@ -23,7 +23,7 @@ from prbench.harness.run_folder.scores import read_scores, write_scores
 from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.harness.verification import RunChecker
 from prbench.protocol.own_protocol import write_protocol
-from prbench.sequences.ids import recording_key
+from prbench.sequences.sequence import recording_key
 
 
 @dataclass(frozen=True, eq=False)

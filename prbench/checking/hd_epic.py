@@ -20,8 +20,8 @@ import numpy as np
 
 from prbench.checking.matching import PRIMED_STAGES, Spread
 from prbench.curation import curate_recording
+from prbench.curation.job import NativeSource, native_sources
 from prbench.curation.options import BuildOptions, CurationOptions
-from prbench.curation.sources import NativeSource, native_sources
 from prbench.engine import Engine, InProcess
 from prbench.errors import PrbenchError, TableError, UsageError
 from prbench.protocol.manifests import load_manifest, load_protocol

@@ -20,8 +20,7 @@ from prbench.readers.extents import damage
 from prbench.readers.files import source_of
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
-from prbench.sequences.table import why_no_sequences
-from prbench.sequences.table_one import table_statistics
+from prbench.sequences.table import table_statistics, why_no_sequences
 
 State = Literal["complete", "cut short", "incomplete", "damaged", "left out", "unreadable"]
 

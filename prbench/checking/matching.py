@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.recording.reaching_hand import LEAST_DIFFERENCE
+from prbench.recording.streams import LEAST_DIFFERENCE
 from prbench.sequences.sequence import Event
 from prbench.synthetic.performance import TrueEvent
 

@@ -19,7 +19,7 @@ from prbench.cli import options as opt
 from prbench.cli.commands import Answer, Group, command, note, progress
 from prbench.cli.terminal import print_columns
 from prbench.entry_points import InstalledEntry
-from prbench.protocol.benchmarks import default_benchmark
+from prbench.protocol.manifests import default_benchmark
 from prbench.shown import clean
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def list_methods(
         return Answer(MethodsReport(methods=[], converters=converters), lambda: print(line))
     from prbench.harness.methods.describe import describe_adapters
     from prbench.harness.methods.installed import list_adapters, no_such_method, offered_twice
-    from prbench.protocol.benchmarks import default_benchmark, find_benchmark
+    from prbench.protocol.manifests import default_benchmark, find_benchmark
 
     about = find_benchmark(benchmark or default_benchmark().name)
     found = list_adapters(about.entry_points)
@@ -193,7 +193,7 @@ def new(
     NAME is that of the method, such as glide: what --method will be given.
     """
     from prbench.checking.scaffold import ScaffoldRequest, new_adapter
-    from prbench.protocol.benchmarks import default_benchmark
+    from prbench.protocol.manifests import default_benchmark
 
     request = ScaffoldRequest(
         name=name,

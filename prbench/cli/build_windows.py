@@ -102,7 +102,7 @@ def build_windows(
         return windows_answer(build_anchored_windows(data, out, only=anchors), out)
     assert dataset is not None
     assert root is not None
-    from prbench.curation.window_building import build_planned_windows, build_windows_shard, plan_windows
+    from prbench.curation.windows import build_planned_windows, build_windows_shard, plan_windows
 
     # Nymeria has no reader of recordings: its windows are cut where its corpus is read.
     planner = load_built_in(CORPORA, "windows") if dataset == "nymeria" else plan_windows
@@ -145,7 +145,7 @@ def windows_answer(info: WindowsInfo, folder: Path) -> Answer:
 
 def _counted(dataset: str | None, root: Path | None) -> Answer:
     """Count a study's segments and windows."""
-    from prbench.curation.window_building import published_counts
+    from prbench.curation.windows import published_counts
 
     if dataset is None or root is None:
         raise UsageError("--dry-run: expected DATASET with --root DIR.")

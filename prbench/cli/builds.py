@@ -22,14 +22,14 @@ from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.curation import BuildPlan, BuildReport
+    from prbench.curation.job import FunnelRow
     from prbench.curation.options import BuildOptions
-    from prbench.curation.provenance import FunnelRow
     from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
     from prbench.readers.discover import BrokenDataset
     from prbench.sequences import Recording
     from prbench.sequences.corpus import CorpusRecord
-    from prbench.sequences.shard_parts import ShardReport
+    from prbench.sequences.parts import ShardReport
 
 
 NOT_EVERYTHING = 3
@@ -357,7 +357,7 @@ def _propose(dataset: str, root: Path, out: Path, options: dict[str, str], engin
 def _plan(dataset: str, root: Path, options: BuildOptions, workers: int) -> Answer:
     """Say what would be read, of one dataset or of all that are found."""
     if dataset == EVERYTHING:
-        from prbench.curation.build_all import plan_all
+        from prbench.curation.build import plan_all
 
         plans = [planned(plan, workers, dataset=name, root=place) for name, place, plan in plan_all(root, options)]
     else:
@@ -376,7 +376,7 @@ def _plan(dataset: str, root: Path, options: BuildOptions, workers: int) -> Answ
 
 def table_answer(report: BuildReport) -> Answer:
     """Answer a command that has written one table."""
-    from prbench.curation.provenance import funnel_rows
+    from prbench.curation.job import funnel_rows
 
     note_recordings(report.records, reused=report.reused)
     table = built_table(report, funnel_rows(report.info), recordings=report.records)
@@ -390,7 +390,7 @@ def table_answer(report: BuildReport) -> Answer:
 
 
 def _build_all(root: Path, out: Path, options: BuildOptions, engine: Engine) -> Answer:
-    from prbench.curation.build_all import build_all
+    from prbench.curation.build import build_all
     from prbench.readers.discover import BrokenDataset
 
     with progress("building") as tell:

@@ -25,7 +25,7 @@ from prbench.cli.places import PlaceType
 from prbench.engine import close_engine
 from prbench.engine.choice import DEFAULT_SPILL_LIMIT_GB, LOCAL, RAY, Cluster, open_engine
 from prbench.errors import UsageError
-from prbench.protocol.benchmarks import benchmarks, default_benchmark
+from prbench.protocol.manifests import benchmarks, default_benchmark
 
 if TYPE_CHECKING:
     from prbench.board.collect import CollectedRuns
@@ -381,7 +381,7 @@ def replace_option(what: str = "table") -> _Decorator:
 def complete_method(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:  # noqa: ARG001
     """Return the installed methods and the controls that begin with what was typed, for the shell's completion."""
     from prbench.harness.methods.installed import METHOD_CONTROLS, list_adapters
-    from prbench.protocol.benchmarks import find_benchmark
+    from prbench.protocol.manifests import find_benchmark
 
     about = find_benchmark(ctx.params.get("benchmark") or default_benchmark().name)
     names = {adapter.name for adapter in list_adapters(about.entry_points) if not adapter.problem}

@@ -176,7 +176,7 @@ def _require_fits_benchmark(given: Mapping[str, Any]) -> None:
     Raises:
         UsageError: naming the option.
     """
-    from prbench.protocol.benchmarks import default_benchmark, find_benchmark
+    from prbench.protocol.manifests import default_benchmark, find_benchmark
 
     own = default_benchmark()
     about = find_benchmark(given["benchmark"] or own.name)
@@ -371,7 +371,7 @@ def _on_embedded_tables(experiment: Experiment, engine: Engine) -> Experiment:
 
 def _group(experiment: Experiment) -> str:
     """Entry-point group of the methods of an experiment."""
-    from prbench.protocol.benchmarks import find_benchmark
+    from prbench.protocol.manifests import find_benchmark
 
     return find_benchmark(experiment.benchmark).entry_points
 

@@ -24,7 +24,7 @@ from prbench.cli.commands import Answer, command, note, progress
 from prbench.cli.summaries import MadeRun, print_agreement, print_scene, print_summary, run_answer
 from prbench.entry_points import CORPORA, load_built_in
 from prbench.errors import UsageError
-from prbench.protocol.benchmarks import default_benchmark
+from prbench.protocol.manifests import default_benchmark
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
@@ -126,7 +126,7 @@ def score(
     """
     from prbench.contract import Condition
     from prbench.harness.score_predictions import ScoreRequest, score_predictions
-    from prbench.protocol.benchmarks import default_benchmark, find_benchmark
+    from prbench.protocol.manifests import default_benchmark, find_benchmark
 
     about = find_benchmark(benchmark or default_benchmark().name)
     if not about.default:
@@ -274,7 +274,7 @@ def export_conditions(
     from prbench.contract import Condition
     from prbench.harness.offline import ExportRequest
     from prbench.harness.offline import export_conditions as export
-    from prbench.protocol.benchmarks import find_benchmark
+    from prbench.protocol.manifests import find_benchmark
 
     about = find_benchmark(benchmark or default_benchmark().name)
     if condition not in about.conditions:
@@ -429,7 +429,7 @@ def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: b
         answer = load_built_in(CORPORA, "merge")(opened, out, replace=replace)
         report = msgspec.structs.replace(report, table=answer.report.built[0])
     elif kind == "windows":
-        from prbench.curation.window_building import merge_windows_shards
+        from prbench.curation.windows import merge_windows_shards
 
         made = merge_windows_shards(opened, out)
         answer = windows_answer(made.info, made.folder)

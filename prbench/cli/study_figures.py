@@ -63,7 +63,7 @@ def figure_s2(data: tuple[Path, ...], out: Path) -> Answer:
     """Draw where goals lie, how far people move and when they look (Figure S2)."""
     from prbench.errors import TableError
     from prbench.sequences import SequenceTable
-    from prbench.sequences.table_one import table_statistics
+    from prbench.sequences.table import table_statistics
     from prbench.viewing.distributions import draw_table_one
     from prbench.viewing.figures import require_drawable
     from prbench.workflows.study.sizes import table_one

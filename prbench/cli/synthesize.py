@@ -213,7 +213,7 @@ def _write_table(
 ) -> None:
     """Act out, sense and curate recordings in memory: training data without native files."""
     from prbench.curation import BuildOptions
-    from prbench.curation.provenance import funnel_rows
+    from prbench.curation.job import funnel_rows
     from prbench.engine import engine_for
     from prbench.harness.synthetic_table import LARGE_RECORDINGS, Staging, build_synthetic_table
     from prbench.synthetic.write_tree import planned_recordings

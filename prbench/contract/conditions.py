@@ -8,7 +8,7 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.geometry.boxes import Boxes
+from prbench.geometry.shapes import Boxes
 
 _INITIAL_STATE = frozenset({"initial_joints", "previous_joints"})
 

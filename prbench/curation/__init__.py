@@ -2,9 +2,8 @@
 
 from prbench.curation.build import BuildPlan, BuildReport, Progress, build_dataset, build_from_sources, plan_build
 from prbench.curation.curate import CuratedRecording, curate_recording
+from prbench.curation.job import FunnelRow, RecordingSource, funnel_rows
 from prbench.curation.options import BuildOptions, CurationOptions
-from prbench.curation.provenance import FunnelRow, funnel_rows
-from prbench.curation.sources import RecordingSource
 
 __all__ = [
     "BuildOptions",

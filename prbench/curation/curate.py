@@ -11,19 +11,74 @@ from scipy.spatial.transform import Rotation
 
 from prbench.curation.clipping import Clip, clip
 from prbench.curation.events import Decision, PickPutEvent, Place, find_events
-from prbench.curation.occlusion import Surroundings, View, occlusion_remarks
 from prbench.curation.options import DEFAULTS, CurationOptions, minimum_movement
-from prbench.curation.priming import Prime, find_prime, gaze_rays, published_prime
-from prbench.curation.scene import scene_boxes
+from prbench.curation.priming import (
+    Prime,
+    Surroundings,
+    View,
+    find_prime,
+    gaze_rays,
+    occlusion_remarks,
+    published_prime,
+)
 from prbench.errors import RecordingUnusable
+from prbench.geometry.shapes import Boxes, deepest
 from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
 from prbench.protocol.manifests import BenchmarkProtocol, InHandRule, Manifest, SplitRule
 from prbench.randomness import hash_fraction
-from prbench.recording import Recording
-from prbench.recording.reaching_hand import wrists_at
+from prbench.recording import ObjectTrack, Recording
+from prbench.recording.streams import wrists_at
 from prbench.sequences.sequence import Event, SceneBox, Sequence
 from prbench.sequences.sequence import Recording as RecordingRow
-from prbench.sequences.table_one import body_movement, hand_movement
+from prbench.sequences.table import body_movement, hand_movement
+
+_STILL = 0.01
+"""Metres within which a thing keeps its place through the recording; choice: above the noise of optical tracking."""
+
+
+def scene_boxes(recording: Recording) -> tuple[SceneBox, ...]:
+    """Boxes of furniture and other things that nobody moves, with how far the recorded person comes into each.
+
+    Left out is what the dataset tracks as movable, what has hinges, what changes its place, and boxes without volume.
+
+    Args:
+        recording: What a reader yields.
+    """
+    tracks = [track for track in (*recording.objects, *recording.furniture) if _stands(track, recording)]
+    return tuple(_box(track, recording) for track in sorted(tracks, key=lambda track: track.object_id))
+
+
+def _stands(track: ObjectTrack, recording: Recording) -> bool:
+    if track.movable or track.object_id in recording.hinged_objects or not track.valid.any():
+        return False
+    places = track.position[track.valid]
+    return bool((np.ptp(places, axis=0) <= _STILL).all() and (track.box_max > track.box_min).all())
+
+
+def _box(track: ObjectTrack, recording: Recording) -> SceneBox:
+    first = int(np.argmax(track.valid))
+    rotation = track.rotation[first]
+    turn = Rotation.from_quat(rotation, scalar_first=True)
+    centre = track.position[first] + turn.apply((track.box_min + track.box_max) / 2)
+    half_extents = (track.box_max - track.box_min) / 2
+    box = Boxes(centre[None], turn.as_matrix()[None], half_extents[None], np.array([0, 1]))
+    return SceneBox(
+        recording_id=recording.recording_id,
+        object_id=track.object_id,
+        name=track.name,
+        category=track.category,
+        centre=centre,
+        rotation=rotation,
+        half_extents=half_extents,
+        entered=_entered(box, recording),
+    )
+
+
+def _entered(box: Boxes, recording: Recording) -> float | None:
+    if recording.body is None or not recording.body.valid.any():
+        return None
+    return float(deepest(recording.body.joints[recording.body.valid], box).max())
+
 
 Split = Literal["train", "validation", "test"]
 

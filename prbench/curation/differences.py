@@ -18,9 +18,8 @@ import pyarrow as pa
 
 from prbench.errors import UsageError
 from prbench.sequences import DatasetInfo, SequenceTable
-from prbench.sequences.columns import KEY_VALUES
-from prbench.sequences.rows import is_bulky
-from prbench.sequences.sequence import OUTCOMES, SEQUENCES
+from prbench.sequences.schema import is_bulky
+from prbench.sequences.sequence import KEY_VALUES, OUTCOMES, SEQUENCES
 
 Row = Mapping[str, Any]
 """Values by column; in place of per-frame values and poses their digest."""

@@ -10,13 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from prbench.curation.contact import contact_streams, nearest_hand
-from prbench.curation.in_hand import Holding, find_holdings
-from prbench.curation.rest import LONGEST_SURE_GAP, Departure
+from prbench.curation.in_hand import LONGEST_SURE_GAP, Departure, Holding, contact_streams, find_holdings, nearest_hand
 from prbench.protocol.manifests import InHandRule
 from prbench.recording import AnnotatedEvent, PublishedPriming, Recording
-from prbench.recording.reaching_hand import ReachingHand, reaching_hand, wrists_at
-from prbench.recording.streams import Action, HandSource, Side
+from prbench.recording.streams import Action, HandSource, ReachingHand, Side, reaching_hand, wrists_at
 
 
 @dataclass(frozen=True)

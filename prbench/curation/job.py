@@ -1,27 +1,200 @@
-"""Curate one recording and keep the result as a part: the unit of work of a build that can be resumed.
+"""The recordings of a build: where they come from, the work on one of them, and what the table says about them.
 
-Parts are described in :mod:`prbench.sequences.parts`.
+Sources are native files of a dataset, or anything else that yields recordings.
 """
 
 from __future__ import annotations
 
+import fnmatch
+import os
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence as SequenceOf
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import msgspec
 
+import prbench
 from prbench.curation.curate import CuratedRecording, curate_recording, split_of
-from prbench.curation.options import CurationOptions
-from prbench.curation.sources import RecordingSource
+from prbench.curation.options import BuildOptions, CurationOptions
 from prbench.engine import is_out_of_memory
 from prbench.errors import InputFileError, PrbenchError
+from prbench.files.arrays import first_repeated
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import text_digest
-from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of
+from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of, load_manifest
+from prbench.protocol.own_protocol import OPTION
+from prbench.readers import (
+    SYNTHETIC_PREFIX,
+    Reader,
+    RecordingFiles,
+    cut_short,
+    described_options,
+    read_synthetic_tree,
+    reader_for,
+    require_marked,
+    require_one_origin,
+)
+from prbench.readers.parse_cache import remembered_digest
+from prbench.recording import Recording
 from prbench.sequences import parts
-from prbench.sequences.sequence import Recording, event_batch, recording_batch, scene_batch, sequence_batch
+from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
+from prbench.sequences.schema import SCHEMA_VERSION
+from prbench.sequences.sequence import OUTCOMES, event_batch, recording_batch, scene_batch, sequence_batch
+from prbench.sequences.sequence import Recording as RecordingRow
 from prbench.shown import quoted
+
+
+@runtime_checkable
+class RecordingSource(Protocol):
+    """One recording that can be read, here or in another process; instances are picklable."""
+
+    @property
+    def dataset(self) -> str:
+        """Name of the dataset that the recording will carry."""
+        ...
+
+    @property
+    def recording_id(self) -> str:
+        """Unique within a build."""
+        ...
+
+    @property
+    def split(self) -> str | None:
+        """The split, where the source decides it; None = by the split rule."""
+        ...
+
+    @property
+    def skip_reason(self) -> str | None:
+        """The reason why the recording must not be read; None for all that are fine."""
+        ...
+
+    def input_digest(self) -> str:
+        """Digest of everything that reading depends on."""
+        ...
+
+    def read(self) -> Recording:
+        """Read it."""
+        ...
+
+    def without_places(self, message: str) -> str:
+        """A message without the folders of this machine, so that equal inputs give equal datasets anywhere."""
+        ...
+
+
+@dataclass(frozen=True)
+class NativeSource:
+    """A recording in a dataset's own files."""
+
+    root: Path
+    """The folder that was searched."""
+    found: RecordingFiles
+    split: str | None
+    skip_reason: str | None
+    reader_options: tuple[tuple[str, str], ...] = ()
+    """See :class:`prbench.curation.options.BuildOptions`."""
+
+    @property
+    def dataset(self) -> str:
+        """See :class:`RecordingSource`."""
+        return self.found.dataset
+
+    @property
+    def recording_id(self) -> str:
+        """See :class:`RecordingSource`."""
+        return self.found.recording_id
+
+    @property
+    def size(self) -> int:
+        """Bytes of all input files."""
+        return sum(file.size for file in self.found.files)
+
+    @foreign_input()
+    def input_digest(self) -> str:
+        """See :class:`RecordingSource`: roles, names and contents of the files, a split of their own, and options."""
+        files = sorted(self.found.files, key=lambda file: file.role)
+        digests = {path: remembered_digest(path) for path in {file.path for file in files}}  # many lie in one archive
+        parts = [text for file in files for text in (file.role, file.path.name, file.member, digests[file.path])]
+        chosen = [text for item in described_options(self._reader.options).items() for text in item]
+        return text_digest(self.dataset, self.recording_id, self.split or "", *parts, *chosen)
+
+    @property
+    def _reader(self) -> Reader:
+        return reader_for(self.dataset, dict(self.reader_options))
+
+    def read(self) -> Recording:
+        """See :class:`RecordingSource`; streams that end before the recording does are named."""
+        recording = self._reader.read(self.found)
+        return replace(recording, shortfalls=cut_short(self.found, recording))
+
+    def without_places(self, message: str) -> str:
+        """See :class:`RecordingSource`."""
+        root = self.root.expanduser().resolve()
+        for folder in (root, root.parent):
+            message = message.replace(f"{folder}{os.sep}", "")
+        return message
+
+
+@foreign_input()
+def native_sources(dataset: str, root: Path | str, options: BuildOptions) -> tuple[NativeSource, ...]:
+    """The recordings of a dataset's folder that the options choose, sorted by id.
+
+    Raises:
+        UsageError: for a dataset without a reader, or options that it cannot fulfil.
+        InputFileError: if there is no recording, or none that matches the glob.
+    """
+    root = Path(root)
+    reader = reader_for(dataset, dict(options.reader))
+    manifest = load_manifest(reader.dataset)
+    options.curation.require_fits(manifest)
+    recordings = reader.find(root)
+    repeated = first_repeated(recording.recording_id for recording in recordings)
+    if repeated is not None:
+        folders = [str(recording.folder) for recording in recordings if recording.recording_id == repeated]
+        raise InputFileError(
+            root,
+            "",
+            expected="recordings with different names",
+            found=f"'{repeated}' in {' and '.join(folders)}",
+            remedy="Move one of the two copies away.",
+        )
+    found = {recording.recording_id: recording for recording in recordings}
+    require_one_origin(root, (recording.dataset for recording in found.values()))
+    require_marked(root, {name: recording.dataset for name, recording in found.items()})
+    tree = read_synthetic_tree(root)
+    return tuple(
+        NativeSource(
+            root,
+            found[name],
+            tree.split.get(name) if tree else found[name].split,
+            manifest.why_bad(name) or found[name].skip_reason,
+            options.reader,
+        )
+        for name in chosen_ids(list(found), options, where=root)
+    )
+
+
+def chosen_ids(recording_ids: SequenceOf[str], options: BuildOptions, *, where: Path | str) -> list[str]:
+    """Ids that match the glob, in table order, at most ``options.limit`` of them.
+
+    Table order is that of ``recording_id + "/"``: sequence ids, which go on with a slash, then come out sorted.
+
+    Raises:
+        InputFileError: if none matches.
+    """
+    chosen = [name for name in recording_ids if fnmatch.fnmatchcase(name, options.recordings)]
+    if not chosen:
+        shown = ", ".join(sorted(recording_ids)[:5]) + (" …" if len(recording_ids) > 5 else "")
+        raise InputFileError(
+            where,
+            "",
+            expected=f"recordings whose name matches '{options.recordings}'",
+            found=f"{len(recording_ids)} others: {shown}",
+            remedy="Change the glob of --recordings.",
+        )
+    return sorted(chosen, key=lambda name: f"{name}/")[: options.limit]
 
 
 @dataclass(frozen=True)
@@ -30,14 +203,14 @@ class PartReceipt:
 
     folder: Path
     input_digest: str
-    record: Recording
+    record: RecordingRow
     reused: bool
     """True if an earlier, interrupted build had made it."""
 
 
 def part_receipt(folder: Path, entries: Mapping[str, Any], *, reused: bool) -> PartReceipt:
     """Turn what stands in a finished part into its description."""
-    return PartReceipt(folder, entries["input_digest"], msgspec.convert(entries["record"], Recording), reused)
+    return PartReceipt(folder, entries["input_digest"], msgspec.convert(entries["record"], RecordingRow), reused)
 
 
 @dataclass(frozen=True)
@@ -93,7 +266,7 @@ class CurationJob:
     def _left_out(self, source: RecordingSource, status: str, message: str) -> CuratedRecording:
         name = source.recording_id
         split = source.split or split_of(name, name, self.manifest, self.protocol.splits)
-        return CuratedRecording((), (), Recording(name, "unknown", split, name, 0.0, {}, status, message))
+        return CuratedRecording((), (), RecordingRow(name, "unknown", split, name, 0.0, {}, status, message))
 
     def _folder(self, source: RecordingSource, input_digest: str) -> Path:
         settings = text_digest(
@@ -111,3 +284,143 @@ class CurationJob:
         }
         parts.write_part(folder, batches, {"input_digest": input_digest, "record": parts.plain(curated.record)})
         return PartReceipt(folder, input_digest, curated.record, reused=False)
+
+
+_STAGES = {
+    "located": ("other_wearer", "excluded_category", "no_location", "tracking_lost"),
+    "primed": ("not_primed", "excluded_by_dataset", "not_published"),
+    "long_enough": ("too_short", "no_body"),
+    "moved_enough": ("minimum_movement",),
+}
+"""Outcomes that end an event at each stage, in the order of the stages."""
+_REASONS = {
+    "other_wearer": "somebody else's hand was nearer",
+    "excluded_category": "doors, drawers and the like",
+    "no_location": "never came to rest, or no place annotated",
+    "tracking_lost": "object not tracked around the event",
+    "not_primed": "gaze never met the place in the window before",
+    "excluded_by_dataset": "never tested by the dataset itself",
+    "not_published": "the dataset publishes nothing about it",
+    "too_short": "recording or body does not cover the sequence",
+    "no_body": "no body poses",
+    "minimum_movement": "started beside the goal",
+}
+
+
+def describe(
+    dataset: str,
+    manifest: Manifest,
+    protocol: BenchmarkProtocol,
+    options: BuildOptions,
+    receipts: SequenceOf[PartReceipt],
+    extra_options: Mapping[str, str],
+) -> DatasetInfo:
+    """Provenance of a build; its two digests are filled in when the tables are written."""
+    synthetic = dataset.startswith(SYNTHETIC_PREFIX)
+    outcomes = Counter[str]()
+    for receipt in receipts:
+        outcomes.update(receipt.record.outcomes)
+    statuses = Counter(receipt.record.status for receipt in receipts)
+    return DatasetInfo(
+        schema_version=SCHEMA_VERSION,
+        protocol_version=protocol.version,
+        protocol_digest=protocol.digest,
+        dataset=dataset,
+        title=f"Invented recordings in the layout of {manifest.title}" if synthetic else manifest.title,
+        synthetic=synthetic,
+        prbench_version=prbench.__version__,
+        manifest_digest=digest_of(manifest),
+        input_digest=text_digest(*(text for r in receipts for text in (r.record.recording_id, r.input_digest))),
+        options=_options(manifest, protocol, options) | dict(extra_options),
+        counts=msgspec.structs.replace(
+            funnel_counts(statuses, outcomes),
+            recordings_cut_short=sum(bool(receipt.record.shortfalls) for receipt in receipts),
+        ),
+        outcomes={outcome: outcomes[outcome] for outcome in OUTCOMES},
+        quarantine=tuple(
+            QuarantinedRecording(recording_id=r.record.recording_id, status=r.record.status, message=r.record.message)
+            for r in receipts
+            if r.record.status != "read"
+        ),
+        identity_digest="",
+        content_digest="",
+        licence="MIT (invented by prbench, no recorded person)" if synthetic else manifest.licence,
+        redistribution="yes" if synthetic else manifest.redistribution,
+        homepage="" if synthetic else manifest.homepage,
+        citation="" if synthetic else _citation(manifest, options),
+    )
+
+
+def _citation(manifest: Manifest, options: BuildOptions) -> str:
+    """BibTeX of the dataset and, where they are not its own, of the body poses."""
+    body = manifest.body_source(dict(options.reader).get("poses"))
+    return "\n\n".join(text.strip() for text in (manifest.citation, body.citation) if text)
+
+
+def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> FunnelCounts:
+    """Count the candidates that each stage left, from recordings by status and events by outcome."""
+    events = sum(outcomes.values())
+    left = events
+    by_stage = {}
+    for stage, ending in _STAGES.items():
+        left -= sum(outcomes.get(name, 0) for name in ending)
+        by_stage[stage] = left
+    return FunnelCounts(
+        recordings_found=sum(statuses.values()),
+        recordings_read=statuses.get("read", 0),
+        recordings_failed=statuses.get("failed", 0),
+        recordings_skipped=statuses.get("skipped", 0),
+        events=events,
+        **by_stage,
+        sequences=outcomes.get("sequence", 0),
+    )
+
+
+def _options(manifest: Manifest, protocol: BenchmarkProtocol, options: BuildOptions) -> dict[str, str]:
+    chosen = {
+        "recordings": options.recordings,
+        "limit": "all" if options.limit is None else str(options.limit),
+    }
+    if options.reader:
+        reader = reader_for(manifest.name, dict(options.reader))
+        chosen |= {f"reader.{name}": value for name, value in described_options(reader.options).items()}
+    if protocol.is_own:  # tables of prbench's own protocol keep their bytes
+        chosen[OPTION] = protocol.label
+    return chosen | options.curation.described(manifest, protocol)
+
+
+@dataclass(frozen=True)
+class FunnelRow:
+    """One stage between the files and the table."""
+
+    stage: str
+    """Name of the stage, such as ``located``."""
+    kept: int
+    """How many recordings, events or texts passed it."""
+    dropped: int
+    """How many of those that came to it did not pass."""
+    reason: str
+    """Counts by reason for what was dropped; empty if nothing was."""
+
+
+def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:
+    """Return one row a stage, from files found to sequences."""
+    counts = info.counts
+    outcomes = info.outcomes
+    left_out = counts.recordings_failed + counts.recordings_skipped
+    read_reason = f"{counts.recordings_failed} failed, {counts.recordings_skipped} skipped" if left_out else ""
+    if counts.recordings_cut_short:
+        cut = f"{counts.recordings_cut_short} of those that were read are cut short: events may be missing"
+        read_reason = f"{read_reason}; {cut}" if read_reason else cut
+    rows = [
+        FunnelRow("recordings found", counts.recordings_found, 0, ""),
+        FunnelRow("recordings read", counts.recordings_read, left_out, read_reason),
+        FunnelRow("candidate events", counts.events, 0, ""),
+    ]
+    before = counts.events
+    for stage, names in _STAGES.items():
+        kept = getattr(counts, stage)
+        reasons = "; ".join(f"{outcomes[name]} {name}: {_REASONS[name]}" for name in names if outcomes.get(name))
+        rows.append(FunnelRow(stage.replace("_", " "), kept, before - kept, reasons))
+        before = kept
+    return [*rows, FunnelRow("sequences", counts.sequences, before - counts.sequences, "")]

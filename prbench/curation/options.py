@@ -15,13 +15,12 @@ import numpy as np
 
 from prbench.curation.clipping import Clip
 from prbench.curation.events import Decision, PickPutEvent, Place
-from prbench.curation.occlusion import OcclusionMode
-from prbench.curation.priming import RAY_ORIGINS
+from prbench.curation.priming import RAY_ORIGINS, OcclusionMode
 from prbench.errors import UsageError
-from prbench.geometry.meshes import import_open3d
+from prbench.geometry.shapes import import_open3d
 from prbench.geometry.skeleton import WRISTS
 from prbench.protocol.manifests import BenchmarkProtocol, CurationConstants, InHandRule, Manifest, digest_of
-from prbench.sequences.table_one import body_movement
+from prbench.sequences.table import body_movement
 
 _PrimingSource = Literal["rule", "published"]
 
@@ -69,7 +68,7 @@ class CurationOptions:
     priming: _PrimingSource = "rule"
     """Prime times from gaze by the equations, or taken over from what the dataset itself publishes."""
     occlusion: OcclusionMode = "off"
-    """Treatment of looks through meshes; see :data:`prbench.curation.occlusion.OcclusionMode`."""
+    """Treatment of looks through meshes; see :data:`prbench.curation.priming.OcclusionMode`."""
     minimum_prime: float | None = None
     """Seconds that a look must last to prime; None = the protocol's."""
 
@@ -168,7 +167,7 @@ class BuildOptions:
     protocol: BenchmarkProtocol | None = None
     """The user's own protocol (:func:`prbench.protocol.own_protocol.read_protocol`); None = prbench's."""
     replace: bool = False
-    """Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
+    """Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.write`)."""
 
     @property
     def packages(self) -> tuple[str, ...]:

@@ -31,8 +31,7 @@ from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.predictions import PredictionRows
 from prbench.harness.run_folder.record import MethodRecord
 from prbench.metrics import MetricInfo
-from prbench.protocol.benchmarks import AboutBenchmark, find_benchmark
-from prbench.protocol.manifests import BenchmarkProtocol
+from prbench.protocol.manifests import AboutBenchmark, BenchmarkProtocol, find_benchmark
 from prbench.sequences.dataset_info import Provenance
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 from prbench.contract import GIVEN, Condition, ConditionBatch
 from prbench.errors import UsageError
 from prbench.files.storage import text_digest
-from prbench.geometry.boxes import Boxes
+from prbench.geometry.shapes import Boxes
 from prbench.harness.obstacles import SCENE_COLUMNS, SolidBoxes
 from prbench.harness.planning import Selection
 from prbench.randomness import named_generator, noise_seed

@@ -43,7 +43,7 @@ from prbench.harness.nearest_neighbour import retrieved_motions
 from prbench.harness.planning import Selection
 from prbench.harness.scripted import ScriptedStart, scripted_motions
 from prbench.representation import decode, encode
-from prbench.sequences.chunk import SequenceChunk
+from prbench.sequences.sequence import SequenceChunk
 
 _ROUND_TRIP_FPS = {GROUND_TRUTH_20_FPS: 20.0, GROUND_TRUTH_30_FPS: 30.0}
 RECORDED_MOTION = frozenset({GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, *_ROUND_TRIP_FPS})

@@ -23,8 +23,7 @@ from prbench.harness.methods.installed import list_adapters
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder import RunFolder
 from prbench.harness.run_folder.record import TableRecord
-from prbench.protocol.benchmarks import benchmarks
-from prbench.protocol.manifests import digest_of, load_manifest, load_protocol
+from prbench.protocol.manifests import benchmarks, digest_of, load_manifest, load_protocol
 from prbench.sequences import DatasetInfo, SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.schema import SCHEMA_VERSION

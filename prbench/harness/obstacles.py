@@ -10,7 +10,7 @@ import pyarrow as pa
 from jaxtyping import Bool
 from scipy.spatial.transform import Rotation
 
-from prbench.geometry.boxes import Boxes
+from prbench.geometry.shapes import Boxes
 from prbench.geometry.skeleton import invert_rigid
 from prbench.protocol.manifests import load_scene_constants
 from prbench.sequences import SequenceChunk, SequenceTable

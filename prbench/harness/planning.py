@@ -18,7 +18,7 @@ from jaxtyping import Int
 from prbench.errors import TableError, UsageError
 from prbench.files.storage import text_digest
 from prbench.harness.methods.motions import native_frames
-from prbench.sequences.chunk import SequenceChunk
+from prbench.sequences.sequence import SequenceChunk
 from prbench.sequences.table import SPLITS, SequenceTable, by_share, find_sequence_id
 
 WINDOW = 1024

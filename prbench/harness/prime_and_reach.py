@@ -43,7 +43,7 @@ from prbench.protocol.own_protocol import protocol_for
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
 from prbench.sequences.folds import fold_table
-from prbench.sequences.ids import names_its_recording, recording_key
+from prbench.sequences.sequence import names_its_recording, recording_key
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.record import PACKAGE
 from prbench.harness.run_folder.scores import write_scores
 from prbench.harness.run_folder.summary import DatasetSummary
-from prbench.sequences.redistribution import run_notice
+from prbench.sequences.dataset_info import run_notice
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from prbench.contract import Condition, ConditionBatch, Gaze, Motions
 from prbench.engine import Engine, InProcess
 from prbench.errors import PredictionsError
-from prbench.geometry.boxes import Boxes
+from prbench.geometry.shapes import Boxes
 from prbench.harness.conditions import opaque_ids, run_salt
 from prbench.harness.lengths import length_problem
 from prbench.harness.methods.motions import (
@@ -44,7 +44,7 @@ from prbench.metrics import (
 from prbench.metrics.prime_success_gaze import INVALID as INVALID_GAZE
 from prbench.metrics.registry import MetricValues
 from prbench.protocol.manifests import MetricConstants
-from prbench.sequences.chunk import SequenceChunk
+from prbench.sequences.sequence import SequenceChunk
 
 COLUMNS = ["goal_location", "prime_time", "start_time", "hand", "head_tilt_deg", "fps", "joints"]
 _GAZE_COLUMNS = ["gaze_origin", "gaze_direction", "gaze_valid"]

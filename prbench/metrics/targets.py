@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from prbench.geometry.boxes import Boxes
+from prbench.geometry.shapes import Boxes
 from prbench.geometry.skeleton import WRISTS
 from prbench.metrics.batch import MotionBatch
 

@@ -18,9 +18,9 @@ from prbench.files.storage import sole_writer
 from prbench.geometry.skeleton import head_forward, transform_points
 from prbench.prediction.protocol import AnchoredRules, WindowRules, load_prediction_protocol
 from prbench.prediction.table import SCHEMA_VERSION, CutRun, Run, Window, WindowsInfo, write_windows
-from prbench.recording.pose_origin import is_estimated
-from prbench.sequences.chunk import SequenceChunk
+from prbench.recording.streams import is_estimated
 from prbench.sequences.dataset_info import Provenance
+from prbench.sequences.sequence import SequenceChunk
 from prbench.sequences.table import SequenceTable
 
 _TEXT = ("sequence_id", "recording_id", "participant_id", "split", "action", "pose_source")

@@ -24,12 +24,17 @@ from prbench.files.storage import atomic_folder, require_replaceable
 from prbench.prediction.batch import Condition, ObservedBatch, window_keys
 from prbench.prediction.joint_sets import JointSet, invert_each, joint_set, rotations_alone, transform_each
 from prbench.prediction.protocol import FrameName
-from prbench.recording.pose_origin import is_estimated
-from prbench.sequences.chunk import row_batch
-from prbench.sequences.columns import column_field
+from prbench.recording.streams import is_estimated
 from prbench.sequences.dataset_info import Provenance
-from prbench.sequences.digests import require_unchanged
-from prbench.sequences.rows import naming, open_parquet, read_parquet, require_distinct, table_parts
+from prbench.sequences.schema import (
+    naming,
+    open_parquet,
+    read_parquet,
+    require_distinct,
+    require_unchanged,
+    table_parts,
+)
+from prbench.sequences.sequence import column_field, row_batch
 from prbench.sequences.write import write_tables
 
 SCHEMA_VERSION = 1

@@ -13,7 +13,7 @@ import pyarrow as pa
 from prbench.prediction.joint_sets import JointSet
 from prbench.prediction.table import WINDOWS, CutRun, Window, run_of, streams_schema
 from prbench.sequences import parts
-from prbench.sequences.chunk import row_batch
+from prbench.sequences.sequence import row_batch
 
 
 def write_cut_runs(folder: Path, runs: Sequence[CutRun], joints: JointSet, receipt: Mapping[str, object]) -> None:

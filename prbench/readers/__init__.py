@@ -47,7 +47,7 @@ from prbench.readers.extents import Extent, shortfalls
 from prbench.readers.files import Source, decode_json
 from prbench.readers.found import InputFile, RecordingFiles, is_present
 from prbench.recording import Recording
-from prbench.recording.published_tracks import PublishedTrack
+from prbench.recording.streams import PublishedTrack
 from prbench.shown import quoted
 
 if TYPE_CHECKING:

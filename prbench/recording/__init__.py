@@ -1,6 +1,5 @@
 """``Recording`` and its streams: the one form that every reader yields and all of curation works on."""
 
-from prbench.recording.body_quality import plausible_body_frames
 from prbench.recording.streams import (
     AnnotatedEvent,
     BodyStream,
@@ -12,6 +11,7 @@ from prbench.recording.streams import (
     PoseStream,
     PublishedPriming,
     Recording,
+    plausible_body_frames,
 )
 
 __all__ = [

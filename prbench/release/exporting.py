@@ -16,14 +16,21 @@ import prbench
 from prbench.errors import UsageError
 from prbench.files.storage import atomic_folder, inside, require_replaceable, sole_writer, write_json
 from prbench.geometry.skeleton import transform_points
-from prbench.release.arrays import FURTHER_ARRAYS, pack_arrays
-from prbench.release.block import block_of
-from prbench.release.known import folder_of
-from prbench.release.layout import EXPORT_RECORD, FURTHER, GAZES, MOTIONS, TARGETS
+from prbench.release.layout import (
+    EXPORT_RECORD,
+    FURTHER,
+    FURTHER_ARRAYS,
+    GAZES,
+    MOTIONS,
+    TARGETS,
+    block_of,
+    folder_of,
+    pack_arrays,
+)
 from prbench.release.report import ExportedTable, ExportReleaseReport
 from prbench.sequences import Sequence as Record
 from prbench.sequences import SequenceTable
-from prbench.sequences.redistribution import NOTICE_FILE, notice, require_may_pass_on
+from prbench.sequences.dataset_info import NOTICE_FILE, notice, require_may_pass_on
 from prbench.sequences.sequence import sequences_in
 
 Frame = Literal["canonical", "world"]

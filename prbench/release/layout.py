@@ -1,19 +1,98 @@
-"""The files of a release: a folder for each dataset, with one JSON file and arrays numbered by sequence."""
+"""The layout of the authors' release: files, names of fields, arrays, our own block, and what the authors state.
+
+Arrays are read without trust: headers are held against the file's size, and nothing is unpickled. The ``prbench`` block
+of an entry holds the columns of a sequence for which the layout has no field; other tools pass over it. Together with
+the layout's own fields and the arrays of ``further/`` it holds every column of the sequence table, so that a table
+comes back unchanged.
+"""
 
 from __future__ import annotations
 
+import io
 import json
+import math
 import os
 import re
+import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+import pyarrow as pa
 
 from prbench.errors import InputFileError
-from prbench.files.bounded import foreign_input, read_text
-from prbench.limits import LARGEST_JSON
+from prbench.files.arrays import Archive, read_header
+from prbench.files.bounded import foreign_input, read_text, read_whole
+from prbench.limits import HARMLESS_SIZE, LARGEST_JSON
+from prbench.protocol.manifests import read_toml
 from prbench.readers.found import names_in
-from prbench.release.known import dataset_of
+from prbench.sequences import Sequence
+from prbench.sequences.schema import is_bulky
+from prbench.sequences.sequence import SEQUENCES
+
+SYNTHETIC_PREFIX = "synthetic-"
+
+
+class KnownDataset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One dataset of the study: its folder, and its sequences of each split."""
+
+    folder: str
+    train: int
+    test: int
+
+
+class KnownRelease(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """``benchmarks/prime_and_reach/release.toml``, which explains every number."""
+
+    frame_rates: tuple[float, ...]
+    frame_rate_tolerance: float
+    agreeing_primes: float
+    lowest_pelvis_to_head: float
+    highest_pelvis_to_head: float
+    goal_to_wrist: float
+    goal_to_gaze: float
+    gazing_share: float
+    canonical_position: float
+    canonical_yaw_deg: float
+    unit_gaze_tolerance: float
+    gaze_tolerance: float
+    required_fields: tuple[str, ...]
+    fields: dict[str, tuple[str, ...]]
+    datasets: dict[str, KnownDataset]
+
+
+@cache
+def load_known() -> KnownRelease:
+    """Read the constants, once."""
+    return read_toml("prbench_benchmarks.prime_and_reach", "release.toml", KnownRelease)
+
+
+def dataset_of(folder: str) -> str | None:
+    """Return the dataset that a folder name means (``HD-EPIC``, ``hd_epic`` …, ``synthetic-adt``), or None."""
+    # The prefix is cut off before hyphens go, so that a synthetic copy keeps its own name.
+    name = folder.lower()
+    prefix = SYNTHETIC_PREFIX if name.startswith(SYNTHETIC_PREFIX) else ""
+    wanted = letters(name.removeprefix(prefix))
+    for dataset in load_known().datasets:
+        if letters(dataset) == wanted:
+            return prefix + dataset
+    return None
+
+
+def folder_of(dataset: str) -> str:
+    """Return the folder name of a dataset; a dataset that is not the study's keeps its own name."""
+    known = load_known().datasets.get(dataset)
+    return dataset if known is None else known.folder
+
+
+def letters(name: str) -> str:
+    """Return a name in lower case, letters and digits only: ``HD-EPIC`` and ``hd_epic`` become equal."""
+    return re.sub(r"[^a-z0-9]", "", str(name).lower())
+
 
 TARGETS = "target_information.json"
 MOTIONS = "motions"
@@ -165,3 +244,158 @@ def _require_inside(root: Path, path: Path) -> None:
             found="a link that leads out of it",
             remedy="Copy what it points to into the release.",
         )
+
+
+FURTHER_ARRAYS = {
+    "previous_joints": (22, 3),
+    "next_joints": (22, 3),
+    "gaze_origin": (-1, 3),
+    "gaze_direction": (-1, 3),
+    "gaze_valid": (-1,),
+    "head_position": (-1, 3),
+    "head_rotation": (-1, 4),
+}
+"""Columns for whose arrays the authors' layout has no place, and their shapes; -1 is the number of frames."""
+_HEAD = ("head_position", "head_rotation")  # both or none
+_REMEDY = "Copy or download the file again."
+
+
+@foreign_input()
+def read_array(path: Path, per_frame: tuple[int, ...]) -> tuple[np.ndarray, bytes]:
+    """Read the array (N, *per_frame) of a ``.npy`` file in single or double precision.
+
+    Returns:
+        The array as it stands in the file, and the bytes of the file.
+
+    Raises:
+        InputFileError: if this is no ``.npy`` file, holds objects, is truncated, or has another shape or other
+            numbers.
+    """
+    content = read_whole(path, largest=HARMLESS_SIZE)
+    header = read_header(io.BytesIO(content), path, "", remedy=_REMEDY)
+    wanted = ", ".join(("N", *map(str, per_frame)))
+    for expected, found, right in (
+        (f"{header.offset + header.nbytes} bytes for shape {header.shape}", str(len(content)),
+         len(content) == header.offset + header.nbytes),
+        # Either byte order is accepted, so the comparison must not see it.
+        ("float32 or float64", str(header.dtype), header.dtype.newbyteorder("=") in (np.float32, np.float64)),
+        (f"shape ({wanted})", str(header.shape), len(header.shape) > 0 and header.shape[1:] == per_frame),
+    ):  # fmt: skip
+        if not right:
+            raise InputFileError(path, "", expected=expected, found=found, remedy=_REMEDY)
+    return header.shaped(np.frombuffer(content, header.dtype, math.prod(header.shape), header.offset)), content
+
+
+def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """Pack arrays as an uncompressed ``.npz``, with equal bytes for equal values."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
+        for name, values in arrays.items():
+            content = io.BytesIO()
+            np.lib.format.write_array(content, np.ascontiguousarray(values), allow_pickle=False)
+            # A fresh ZipInfo holds a fixed date, so that equal arrays give equal bytes.
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getvalue())
+    return stream.getvalue()
+
+
+@foreign_input()
+def read_further(path: Path, n_frames: int) -> tuple[dict[str, np.ndarray], bytes]:
+    """Read the arrays of a ``.npz`` that :func:`pack_arrays` made, without trusting it.
+
+    Returns:
+        The arrays by name, and the bytes of the file.
+
+    Raises:
+        InputFileError: if it is damaged, compressed, holds objects, or belongs to a motion of another length.
+    """
+    content = read_whole(path, largest=HARMLESS_SIZE)
+    archive = Archive(path, content)
+    # Our exporter never compresses; a compressed member may unpack to any size.
+    if not all(map(archive.stored_as_is, archive.members)):
+        raise InputFileError(path, "", expected="arrays without compression", found="compressed ones")
+    arrays = archive.load(tuple(FURTHER_ARRAYS))
+    shapes = {name: tuple(n_frames if size < 0 else size for size in shape) for name, shape in FURTHER_ARRAYS.items()}
+    whole = set(FURTHER_ARRAYS) - set(arrays) in (set(), set(_HEAD))
+    fits = all(
+        values.shape == shapes[name] and values.dtype.kind in "fb" and np.isfinite(values).all()
+        for name, values in arrays.items()
+    )
+    if not (whole and fits):
+        raise InputFileError(
+            path, "", expected="the arrays of this sequence", found="others", remedy="Export it again."
+        )
+    return arrays, content
+
+
+_IN_THE_LAYOUT = ("dataset", "split", "fps", "prime_frame", "goal_location")
+_COLUMNS = [each for each in SEQUENCES if not is_bulky(each.type) and each.name not in _IN_THE_LAYOUT]
+_JSON = {pa.string(): str, pa.float64(): float, pa.int32(): int}
+
+
+def _json_type(column: pa.Field) -> Any:
+    if pa.types.is_fixed_size_list(column.type):
+        size = column.type.list_size
+        return Annotated[list[float], msgspec.Meta(min_length=size, max_length=size)]
+    # JSON has no NaN, so None stands for it.
+    nullable = column.nullable or column.name == "prime_time_uncertainty"
+    return _JSON[column.type] | None if nullable else _JSON[column.type]
+
+
+_Block = msgspec.defstruct(
+    "_Block",
+    [
+        *((each.name, _json_type(each)) for each in _COLUMNS),
+        ("extra", dict[str, str]),
+        ("event_id", str),
+        ("motion_frame", Literal["canonical", "world"]),
+        ("goal_frame", Literal["known", "unknown"], "known"),
+    ],
+)
+
+
+def block_of(sequence: Sequence, *, event_id: str, motion_frame: str, goal_frame: str) -> dict[str, Any]:
+    """Return the block of a sequence, as JSON holds it.
+
+    Args:
+        sequence: One row of the table.
+        event_id: Id of its event.
+        motion_frame: Frame of motion, goal and gaze as they are written: ``canonical`` or ``world``.
+        goal_frame: ``unknown`` where the table itself came from a release whose goals could not be placed.
+    """
+    block: dict[str, Any] = {"sequence_id": sequence.sequence_id, "event_id": event_id}
+    for column in _COLUMNS:
+        value = getattr(sequence, column.name)
+        if isinstance(value, np.ndarray):
+            value = value.ravel().tolist()
+        block[column.name] = None if value != value else value  # NaN alone differs from itself
+    return block | {"motion_frame": motion_frame, "goal_frame": goal_frame, "extra": dict(sequence.extra)}
+
+
+def convert_block(value: Any, *, fps: float, primed_frame: float, n_frames: int) -> dict[str, Any] | None:
+    """Return the columns of a block, and the three names beside them; None for one that does not fit its sequence.
+
+    Args:
+        value: What stands in the entry; a user's file like any other, which may have been edited.
+        fps: Frame rate of the import.
+        primed_frame: Frame of the prime, from the entry.
+        n_frames: Frames of the motion.
+    """
+    try:
+        block = msgspec.structs.asdict(msgspec.convert(value, _Block))
+    except msgspec.ValidationError:
+        return None
+    numbers = [number for each in block.values() for number in (each if isinstance(each, list) else [each])]
+    if not all(math.isfinite(number) for number in numbers if isinstance(number, float)):
+        return None
+    # A block that no longer fits belongs to an entry that somebody changed; its fields then count, not the block.
+    same_prime = abs(block["preroll"] * fps - primed_frame) <= 0.5 + 1e-6
+    span = block["event_time"] - block["start_time"]
+    same_length = block["n_frames"] == n_frames and abs(span * fps - n_frames + 1) < 1e-3
+    if not (same_prime and same_length):
+        return None
+    if block["prime_time_uncertainty"] is None:
+        block["prime_time_uncertainty"] = math.nan
+    for name in ("goal_box_world_min", "goal_box_world_max"):
+        block[name] = np.array(block[name])
+    block["world_from_canonical"] = np.array(block["world_from_canonical"]).reshape(4, 4)
+    return block

@@ -20,10 +20,19 @@ from prbench.errors import InputFileError, UsageError
 from prbench.files.storage import bytes_digest
 from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame
 from prbench.metrics.ray_track import ray_distance
-from prbench.release.arrays import read_array, read_further
-from prbench.release.block import convert_block
-from prbench.release.known import SYNTHETIC_PREFIX, letters, load_known
-from prbench.release.layout import TARGETS, DatasetFiles, index_of, list_files, read_targets
+from prbench.release.layout import (
+    SYNTHETIC_PREFIX,
+    TARGETS,
+    DatasetFiles,
+    convert_block,
+    index_of,
+    letters,
+    list_files,
+    load_known,
+    read_array,
+    read_further,
+    read_targets,
+)
 from prbench.release.report import Certainty, Inference, SequenceProblem, count_splits
 
 AS_THE_MOTIONS = "as the motions"
@@ -48,7 +57,7 @@ class ImportOptions:
     on_error: Literal["skip", "fail"] = "skip"
     """Leave out sequences (and datasets) that cannot be read, or fail at the first."""
     replace: bool = False
-    """Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.replacing`)."""
+    """Replace a table that holds recordings which the new one lacks (:mod:`prbench.sequences.write`)."""
 
 
 @dataclass(frozen=True, kw_only=True)

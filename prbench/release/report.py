@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import msgspec
 
 if TYPE_CHECKING:
-    from prbench.release.known import KnownDataset
+    from prbench.release.layout import KnownDataset
 
 FILE_NAME = "import_report.json"
 Certainty = Literal["certain", "likely", "assumed", "unknown"]

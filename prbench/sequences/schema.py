@@ -1,19 +1,41 @@
-"""The tables of a built dataset: their versions, and the check of a file's columns.
+"""The tables of a built dataset: versions, the check of a file's columns, rows in Parquet files, and digests.
 
 The columns themselves are the fields of the records in :mod:`prbench.sequences.sequence`.
+Sources: docs/specification/sequence-table.md#schema-version, and for digests what follows.
 
-Source: docs/specification/sequence-table.md#schema-version.
+Digests of a table's rows and files, and the check that nobody edited a file after the build.
+
+The identity digest says which sequences a table holds, the content digest says which values. ``dataset.json`` and
+``corpus.json`` also hold the SHA-256 of every Parquet file beside them. Hashing costs 0.25 s for 10,000 sequences, so
+it is done whenever a table is opened, and nothing is remembered that an edit could get past. A main table whose bytes
+differ is compared value by value before it is refused: written anew with equal values it is still the same table.
+Tables of earlier versions have no such digests: there the values of the main table decide, and a warning says that
+nothing vouches for the others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+import hashlib
+import warnings
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Sequence as SequenceOf
+from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from prbench.errors import TableError
+from prbench.files import arrays
+from prbench.files.arrays import first_repeated
+from prbench.files.bounded import foreign_input
+from prbench.files.storage import file_digest
 from prbench.geometry.skeleton import JOINT_SET
-from prbench.sequences.sequence import EVENTS, RECORDINGS, SCENES, SEQUENCES
+from prbench.sequences.sequence import EVENTS, RECORDINGS, SCENES, SEQUENCES, SequenceChunk
+from prbench.shown import quoted
 
 SCHEMA_VERSION = 3
 """2: ``events`` tell wrists and published priming, ``recordings`` count two more outcomes. 3: ``events`` tell what told
@@ -113,3 +135,340 @@ def with_later_columns(table: pa.Table, expected: pa.Schema) -> pa.Table:
         values = pa.nulls(len(table), field.type) if field.nullable else pa.repeat(pa.scalar(0, field.type), len(table))
         table = table.append_column(field, values)
     return table
+
+
+_ROUNDING = 1e-5  # metres, seconds and unit vectors alike: 10 micrometres
+_SHOWN = 12  # characters of a digest
+
+
+def identity_of_rows(rows: pa.Table, *, protocol_version: int) -> str:
+    """Digest what two laboratories with the same licensed data share: sorted ids with split, action and length.
+
+    Args:
+        rows: The columns ``sequence_id``, ``split``, ``action`` (of a corpus ``kind``) and ``n_frames``, in this order.
+        protocol_version: Version of the protocol that the table was built with.
+    """
+    digest = hashlib.sha256(f"prbench schema {SEQUENCES_VERSION} protocol {protocol_version}\n".encode())
+    batches = rows.to_batches(max_chunksize=1024)
+    in_order: Iterable[tuple] = (row for batch in batches for row in zip(*(column.to_pylist() for column in batch)))
+    # Sorted: two laboratories may have built the same rows in another order. A table is sorted already, so its rows
+    # need not all become Python's objects.
+    ids = rows.column(0)
+    rising = pc.call_function("less", [ids.slice(0, max(len(ids) - 1, 0)), ids.slice(1)])
+    if not pc.call_function("all", [rising]).as_py():
+        in_order = sorted(in_order)
+    for row in in_order:
+        digest.update("\t".join(map(str, row)).encode() + b"\n")
+    return digest.hexdigest()
+
+
+class RowDigests:
+    """Passes the rows of a main table on, and remembers what its two digests need.
+
+    Args:
+        columns: Every column of the table, for the content digest.
+        identity_columns: The columns of :func:`identity_of_rows`, in its order.
+    """
+
+    def __init__(self, columns: SequenceOf[str], identity_columns: SequenceOf[str]) -> None:
+        self.content = ContentDigest(columns)
+        self._identity_columns = list(identity_columns)
+        self._identifying: list[pa.RecordBatch] = []
+
+    def pass_on(self, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+        """Yield the batches unchanged; the digests are those of what was taken so far."""
+        for batch in batches:
+            self.content.update(batch)
+            self._identifying.append(batch.select(self._identity_columns))
+            yield batch
+
+    def identity(self, protocol_version: int) -> str:
+        """The identity digest of all rows that were passed on."""
+        rows = pa.table({name: pa.array([], pa.string()) for name in self._identity_columns})
+        if self._identifying:
+            rows = pa.Table.from_batches(self._identifying)
+        return identity_of_rows(rows, protocol_version=protocol_version)
+
+
+class ContentDigest:
+    """Digest of the values, rounded to 10 µm, in the order of the rows; not of the file's bytes."""
+
+    def __init__(self, columns: SequenceOf[str] = tuple(SEQUENCES.names)) -> None:
+        self._columns = {name: _ColumnDigest() for name in columns}
+
+    def update(self, batch: pa.RecordBatch) -> None:
+        """Take up rows; how they are cut into batches leaves no trace."""
+        for name, column in self._columns.items():
+            column.update(batch.column(name))
+
+    def hexdigest(self) -> str:
+        """SHA-256 over the digests of the columns."""
+        total = hashlib.sha256()
+        for name, column in self._columns.items():
+            total.update(name.encode() + column.digest())
+        return total.hexdigest()
+
+
+class _ColumnDigest:
+    """Presence, lengths and values of one column, each a stream of its own so that batch borders do not show."""
+
+    def __init__(self) -> None:
+        self._presence = hashlib.sha256()
+        self._lengths = hashlib.sha256()
+        self._values = hashlib.sha256()
+
+    def update(self, column: pa.Array) -> None:
+        self._presence.update(np.asarray(column.is_valid(), dtype=np.uint8).tobytes())
+        kind = column.type
+        if pa.types.is_string(kind) or (pa.types.is_list(kind) and pa.types.is_struct(kind.value_type)):
+            for value in column.to_pylist():
+                self._values.update(repr(value).encode() + b"\n")
+            return
+        if pa.types.is_list(kind):
+            self._lengths.update(np.asarray(column.value_lengths().fill_null(0), dtype=np.int64).tobytes())
+            column = column.flatten()
+        if pa.types.is_fixed_size_list(column.type):
+            column = column.flatten()
+        self._values.update(_rounded(column).tobytes())
+
+    def digest(self) -> bytes:
+        return self._presence.digest() + self._lengths.digest() + self._values.digest()
+
+
+def _rounded(leaf: pa.Array) -> np.ndarray:
+    """Integers that stand for the values: multiples of 10 µm for floats (32 bits hold 21 km)."""
+    if pa.types.is_boolean(leaf.type):
+        return np.asarray(leaf.fill_null(False), dtype=np.uint8)
+    numbers = np.asarray(leaf.fill_null(0) if leaf.null_count else leaf)
+    if not pa.types.is_floating(leaf.type):
+        return numbers.astype(np.int64)
+    integer = np.int32 if leaf.type == pa.float32() else np.int64
+    # A product, not a quotient, and in float64: other processors then round to the same integers.
+    return np.rint(numbers * np.float64(1 / _ROUNDING)).astype(integer)
+
+
+class UnverifiedTableWarning(UserWarning):
+    """Some files of a table have no digest, so that an edit of them would go unnoticed."""
+
+
+def digests_of_files(folder: Path, tables: Iterable[str]) -> dict[str, str]:
+    """SHA-256 of each Parquet file of some tables, by its path relative to the folder; absent files are left out."""
+    paths = [path for name in tables for path in files_of_table(folder, name)]
+    return {path.relative_to(folder).as_posix(): file_digest(path) for path in paths}
+
+
+def require_unchanged(
+    folder: Path,
+    described_in: Path,
+    expected: Mapping[str, str],
+    *,
+    main: str,
+    others: Iterable[str],
+    require_same_values: Callable[[], object],
+) -> None:
+    """Refuse a table of which a file was edited.
+
+    Args:
+        folder: Holds the Parquet files.
+        described_in: ``dataset.json`` or ``corpus.json``.
+        expected: The digests that stand in there, by relative path; empty in tables of earlier versions.
+        main: Name of the table whose values the content digest is of.
+        others: Names of the further tables; where one is absent, whoever wants to read it says so.
+        require_same_values: Compares the values of the main table with the content digest and raises the error.
+
+    Raises:
+        TableError: naming the first file that was edited.
+    """
+    if not expected:
+        require_same_values()
+        there = [name for name in others if files_of_table(folder, name)]
+        warnings.warn(
+            f"{described_in}: was written by an earlier version, without digests of {' and '.join(there)}, so"
+            " these are unverified. Build it again to have edits of them noticed.",
+            UnverifiedTableWarning,
+            stacklevel=4,
+        )
+        return
+    if digests_of_files(folder, [main]) != _of_table(expected, main):
+        require_same_values()
+    for name in others:
+        for path, found in digests_of_files(folder, [name]).items():
+            if found != expected.get(path):
+                described = f"SHA-256 {expected[path][:_SHOWN]}…" if path in expected else "no such file"
+                raise TableError(
+                    f"{folder / path}: expected the file that {described_in.name} describes ({described}), found"
+                    f" another one ({found[:_SHOWN]}…). It was changed after the build: copy the folder again, or build"
+                    " it again."
+                )
+
+
+def files_of_table(folder: Path, table: str) -> list[Path]:
+    """The Parquet file of a table, or the parts of a folder in order; none where it is absent."""
+    single = folder / f"{table}.parquet"
+    return [single] if single.is_file() else sorted((folder / table).glob("part-*.parquet"))
+
+
+def _of_table(digests: Mapping[str, str], table: str) -> dict[str, str]:
+    return {path: digest for path, digest in digests.items() if path.split("/")[0].removesuffix(".parquet") == table}
+
+
+def table_parts(folder: Path, name: str) -> list[Path]:
+    """The Parquet files of one table: a single file, or the parts of a folder in order.
+
+    Raises:
+        TableError: if neither exists.
+    """
+    found = files_of_table(folder, name)
+    if not found:
+        raise TableError(f"{folder}: expected {name}.parquet or {name}/part-*.parquet, found neither.")
+    return found
+
+
+def stream_chunks(
+    paths: SequenceOf[Path],
+    columns: list[str],
+    *,
+    split: str | None,
+    ids: Collection[str] | None,
+    rows: int,
+) -> Iterator[SequenceChunk]:
+    """Stream rows of Parquet files in order.
+
+    Args:
+        paths: The parts of one table.
+        columns: What the chunks hold.
+        split: Only this split; all if None.
+        ids: Only the rows with these ``sequence_id``; all if None.
+        rows: Largest number of rows read at once.
+    """
+    needed = [name for name, chosen in (("split", split), ("sequence_id", ids)) if chosen is not None]
+    read = list(dict.fromkeys([*columns, *needed]))
+    wanted: dict[str, list[str]] = {}
+    if split is not None:
+        wanted["split"] = [split]
+    ordered = sorted(ids or ())
+    if ids is not None:
+        wanted["sequence_id"] = ordered
+    for path in paths:
+        with naming(path):
+            file = open_parquet(path)
+            groups = groups_that_may_hold(file.metadata, wanted)
+            for batch in file.iter_batches(batch_size=rows, row_groups=groups, columns=read):
+                if split is not None:
+                    batch = _kept(batch, pc.call_function("equal", [batch.column("split"), pa.scalar(split)]))
+                if ids is not None and batch.num_rows:
+                    names = batch.column("sequence_id").to_pylist()
+                    # Not Arrow's is_in, which builds its table of all ids anew for every batch.
+                    near = set(ordered[bisect_left(ordered, min(names)) : bisect_right(ordered, max(names))])
+                    batch = _kept(batch, pa.array([name in near for name in names]))
+                if batch.num_rows:
+                    yield SequenceChunk(batch.select(columns))
+
+
+def groups_that_may_hold(metadata: pq.FileMetaData, wanted: Mapping[str, SequenceOf[str]]) -> list[int]:
+    """Return the numbers of the row groups that may hold wanted rows, as the footer of a Parquet file tells.
+
+    Args:
+        metadata: The footer. It holds the smallest and the largest text of each column of every row group.
+        wanted: Maps names of text columns to sorted values; a row is wanted if it has one of them in each column.
+    """
+    if not metadata.num_row_groups:
+        return []
+    first = metadata.row_group(0)
+    # Not from `metadata.schema`: pyarrow then never frees the footer (a cycle that no collector sees).
+    paths = [first.column(place).path_in_schema for place in range(metadata.num_columns)]
+    places = {paths.index(name): values for name, values in wanted.items() if name in paths}
+    return [
+        number
+        for number in range(metadata.num_row_groups)
+        if all(_may_hold(metadata.row_group(number).column(place), values) for place, values in places.items())
+    ]
+
+
+def _may_hold(column: pq.ColumnChunkMetaData, values: SequenceOf[str]) -> bool:
+    """Return False where no value lies between the smallest and the largest text; a file may lack these."""
+    statistics = column.statistics
+    if statistics is None or not statistics.has_min_max or not isinstance(statistics.min, str):
+        return True
+    place = bisect_left(values, statistics.min)
+    return place < len(values) and values[place] <= statistics.max
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Turn what goes wrong while a file is read into an error that names it; bytes may be damaged anywhere."""
+    with foreign_input(path):
+        try:
+            yield
+        except FileNotFoundError as error:
+            raise TableError(f"{path}: expected a Parquet file, found none.") from error
+        except (pa.ArrowException, OSError) as error:
+            # MemoryError of Arrow is an ArrowException too, and the file is not to blame for it.
+            if isinstance(error, MemoryError):
+                raise
+            first = str(error).splitlines()[0] if str(error) else "damaged"
+            raise TableError(f"{path}: not a readable Parquet file ({first}). Build the dataset again.") from error
+
+
+def open_parquet(path: Path) -> pq.ParquetFile:
+    """A Parquet file, opened.
+
+    Raises:
+        TableError: if it is missing or damaged.
+    """
+    with naming(path):
+        return arrays.open_parquet(path)
+
+
+def read_parquet(path: Path, columns: list[str]) -> pa.Table:
+    """Some columns of a Parquet file.
+
+    Raises:
+        TableError: if it is missing or damaged.
+    """
+    with naming(path):
+        return arrays.read_parquet(path, columns)
+
+
+def require_distinct(ids: SequenceOf[str], where: Path | str) -> None:
+    """Refuse rows of one id: which of them is meant would depend on their order, and counts would count them twice.
+
+    Raises:
+        TableError: naming the first repeated id.
+    """
+    repeated = first_repeated(ids)
+    if repeated is not None:
+        raise TableError(
+            f"{where}: expected rows with different ids, found '{quoted(repeated)}' twice. Build the dataset again."
+        )
+
+
+def require_distinct_rows(paths: SequenceOf[Path], column: str, where: Path | str) -> None:
+    """Refuse rows of one id in a column of Parquet files; sorted rows are looked at a batch at a time.
+
+    Raises:
+        TableError: naming the first repeated id, or the file that is missing or damaged.
+    """
+    last = ""
+    for name in _texts(paths, column):
+        if name <= last:  # not sorted, so that any two rows have to be compared
+            require_distinct(list(_texts(paths, column)), where)
+            return
+        last = name
+
+
+def _texts(paths: SequenceOf[Path], column: str) -> Iterator[str]:
+    for path in paths:
+        with naming(path):
+            for batch in open_parquet(path).iter_batches(batch_size=1024, columns=[column]):
+                yield from batch.column(0).to_pylist()
+
+
+def _kept(batch: pa.RecordBatch, wanted: pa.BooleanArray) -> pa.RecordBatch:
+    """The wanted rows; without a copy where these are all."""
+    return batch if wanted.true_count == len(wanted) else batch.filter(wanted)
+
+
+def is_bulky(kind: pa.DataType) -> bool:
+    """Return True if a column holds per-frame values or whole poses."""
+    return pa.types.is_list(kind) or (pa.types.is_fixed_size_list(kind) and kind.list_size > 16)

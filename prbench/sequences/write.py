@@ -1,27 +1,249 @@
 """Write tables as Parquet (byte-stream split, zstd 1, row groups of 256 rows), and dataset folders as a whole.
 
 Source: docs/specification/sequence-table.md#encoding.
+
+Beside the tables stands ``croissant.json``: what a built dataset is, in the words that dataset search engines and
+loaders understand. It is JSON-LD of the Croissant vocabulary 1.1 (https://docs.mlcommons.org/croissant/), whose terms
+``croissant_context.json`` holds; one record set a table, one field a column. It holds no time of day, host or path.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Iterable, Mapping
 from collections.abc import Sequence as SequenceOf
+from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from prbench.files.storage import atomic_folder, atomic_path, require_replaceable
+from prbench.errors import RecordingsWouldBeLost, TableError
+from prbench.files.storage import atomic_folder, atomic_path, file_digest, require_replaceable, write_json
 from prbench.protocol.manifests import BenchmarkProtocol
 from prbench.protocol.own_protocol import write_protocol
-from prbench.sequences.croissant import write_croissant
-from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
-from prbench.sequences.digests import RowDigests, digests_of_files
-from prbench.sequences.replacing import Holdings, require_no_loss
-from prbench.sequences.schema import DATASET_TABLES, OPTIONAL_TABLES, with_metadata
+from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo, counts_stated
+from prbench.sequences.schema import (
+    DATASET_TABLES,
+    OPTIONAL_TABLES,
+    RowDigests,
+    digests_of_files,
+    files_of_table,
+    read_parquet,
+    table_parts,
+    with_metadata,
+)
+from prbench.sequences.sequence import KEY_VALUES
 from prbench.sequences.table import Info, SequenceTable
+from prbench.shown import clean, quoted
+
+_CROISSANT = "croissant.json"
+_PARQUET = "application/x-parquet"
+
+
+def write_croissant(
+    folder: Path, info: DatasetInfo, tables: dict[str, pa.Schema], descriptions: dict[str, str]
+) -> None:
+    """Write ``croissant.json`` beside tables that are complete.
+
+    Args:
+        folder: Holds each table as ``<name>.parquet`` or as a folder ``<name>`` of parts.
+        info: Provenance with its digests.
+        tables: Columns of each table by its name.
+        descriptions: What a row of each table is.
+    """
+    document: dict[str, Any] = {
+        "@context": json.loads(files("prbench.sequences").joinpath("croissant_context.json").read_text("utf-8")),
+        "@type": "sc:Dataset",
+        "conformsTo": "http://mlcommons.org/croissant/1.1",
+        "name": f"{info.dataset}-prime-and-reach",
+        "description": (
+            f"{info.title}: {info.counts.sequences} prime-and-reach sequences built by prbench {info.prbench_version},"
+            f" protocol {info.protocol_version}. Identity digest {info.identity_digest}."
+        ),
+        "version": f"{info.schema_version}.{info.protocol_version}.0",
+        "license": info.licence,
+        "conditionsOfAccess": f"redistribution: {info.redistribution}",
+        "isLiveDataset": False,
+        "distribution": [entry for name in tables for entry in _files(folder, name)],
+        "recordSet": [_record_set(folder, name, schema, descriptions[name]) for name, schema in tables.items()],
+    }
+    if info.homepage:
+        document["url"] = info.homepage
+    if info.citation:
+        document["citeAs"] = info.citation
+    write_json(folder / _CROISSANT, document)
+
+
+def _files(folder: Path, table: str) -> list[dict[str, Any]]:
+    """Return the file of a table, or its parts and the set that they form."""
+    entries: list[dict[str, Any]] = []
+    for path in files_of_table(folder, table):
+        name = path.relative_to(folder).as_posix()
+        entry = {
+            "@type": "cr:FileObject",
+            "@id": name,
+            "name": name,
+            "contentUrl": name,
+            "contentSize": f"{path.stat().st_size} B",
+            "encodingFormat": _PARQUET,
+            "sha256": file_digest(path),
+        }
+        entries.append(entry)
+    if not (folder / f"{table}.parquet").is_file():
+        part_set = {
+            "@type": "cr:FileSet",
+            "@id": _part_set(table),
+            "name": _part_set(table),
+            "encodingFormat": _PARQUET,
+            "includes": f"{table}/part-*.parquet",
+            "containedIn": [{"@id": entry["@id"]} for entry in entries],
+        }
+        entries.append(part_set)
+    return entries
+
+
+def _part_set(table: str) -> str:
+    """Return the id of the set that a table's parts form; the table's own name is its record set's."""
+    return f"{table}-parts"
+
+
+def _record_set(folder: Path, name: str, schema: pa.Schema, description: str) -> dict[str, Any]:
+    single = folder / f"{name}.parquet"
+    source = {"fileObject": {"@id": single.name}} if single.is_file() else {"fileSet": {"@id": _part_set(name)}}
+    return {
+        "@type": "cr:RecordSet",
+        "@id": name,
+        "name": name,
+        "description": description,
+        "key": {"@id": f"{name}/{schema.names[0]}"},
+        "field": [_field(name, field, source | {"extract": {"column": field.name}}) for field in schema],
+    }
+
+
+def _field(table: str, column: pa.Field, source: dict[str, Any]) -> dict[str, Any]:
+    described: dict[str, Any] = {
+        "@type": "cr:Field",
+        "@id": f"{table}/{column.name}",
+        "name": column.name,
+        "description": f"{column.type}, explained in the table page of prbench's documentation",
+    }
+    if column.type == KEY_VALUES:
+        pair = [
+            {
+                "@type": "cr:Field",
+                "@id": f"{described['@id']}/{part}",
+                "name": part,
+                "dataType": "sc:Text",
+                "source": source | {"transform": {"jsonPath": f"$[*].{part}"}},
+            }
+            for part in ("key", "value")
+        ]
+        return described | {"isArray": True, "arrayShape": "-1", "subField": pair}
+    # Lists nest: frames of poses are a list of fixed-size lists.
+    shape = []
+    kind = column.type
+    while pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind):
+        shape.append(str(kind.list_size) if pa.types.is_fixed_size_list(kind) else "-1")
+        kind = kind.value_type
+    named = {pa.types.is_floating: "sc:Float", pa.types.is_boolean: "sc:Boolean", pa.types.is_integer: "sc:Integer"}
+    described["dataType"] = next((name for is_kind, name in named.items() if is_kind(kind)), "sc:Text")
+    described["source"] = source
+    if shape:
+        described |= {"isArray": True, "arrayShape": ",".join(shape)}
+    return described
+
+
+_SHOWN = 3
+"""Lost recordings that the message names."""
+_LONGEST_REASON = 160
+"""Characters of the reason of one."""
+
+
+@dataclass(frozen=True)
+class Holdings:
+    """The contents of a table by recording."""
+
+    yields: dict[str, int]
+    """Sequences (of a corpus: clips) of every recording that was read."""
+    reasons: dict[str, str] = field(default_factory=dict)
+    """Maps each of the other recordings to the reason why it was left out."""
+
+    @classmethod
+    def of(cls, recordings: Iterable[pa.RecordBatch], outcome: str) -> Holdings:
+        """Count from the rows of ``recordings``, whose column ``outcome`` counts what became a sequence or clip."""
+        found = cls({})
+        for batch in recordings:
+            for row in batch.select(["recording_id", "status", "message", outcome]).to_pylist():
+                if row["status"] == "read":
+                    found.yields[row["recording_id"]] = row[outcome]
+                else:
+                    found.reasons[row["recording_id"]] = f"{row['status']}: {row['message']}"
+        return found
+
+
+def require_no_loss(
+    folder: Path, marker: str, new: Holdings, *, outcome: str, what: str, incomplete: Collection[str] = ()
+) -> None:
+    """Refuse to replace what stands in a folder by something that holds less.
+
+    Less is: a recording that was read is missing or could not be read; one of which a part could not be read, or a file
+    now ends early, yields fewer sequences; or there are no sequences any more. A folder whose recordings cannot be
+    listed is replaced by one in which every recording could be read.
+
+    Args:
+        folder: Where the new one would stand.
+        marker: Name of the file that describes what stands there.
+        new: What the new one holds.
+        outcome: Column of ``recordings`` that counts its sequences or clips.
+        what: What these are called.
+        incomplete: Recordings of the new one of which a part could not be read, or a file ends early.
+
+    Raises:
+        RecordingsWouldBeLost: counting both, and naming the first recordings that would be lost.
+    """
+    if not (folder / marker).is_file():
+        return
+    after = sum(new.yields.values())
+    holds = f"{len(new.yields)} with {after}"
+    try:
+        columns = ["recording_id", "status", "message", outcome]
+        tables = [read_parquet(path, columns) for path in table_parts(folder, "recordings")]
+    except TableError:
+        # What cannot be listed cannot be compared. A complete build mends it, as long as that does not go wrong itself.
+        before = counts_stated(folder / marker).get("recordings_read", 0)
+        failed = any(reason.startswith("failed") for reason in new.reasons.values())
+        if new.yields and not failed and len(new.yields) >= before:
+            return
+        counts = (
+            f"its recordings cannot be listed (by {marker} {before or 'an unknown number of'} were read), and the new"
+            f" one holds {holds} {what}"
+        )
+        raise RecordingsWouldBeLost(_message(folder, counts, new.reasons)) from None
+    old = Holdings.of(pa.concat_tables(tables).to_batches(), outcome).yields
+    lost = {name: new.reasons.get(name, "not found") for name in old if name not in new.yields}
+    for name in sorted(set(incomplete) & old.keys() & new.yields.keys()):
+        if new.yields[name] < old[name]:
+            lost[name] = f"{new.yields[name]} of {old[name]} {what}: a part of it is missing or ends early"
+    before = sum(old.values())
+    if lost or (before and not after):
+        counts = f"it holds {len(old)} recordings with {before} {what}, the new one {holds}"
+        raise RecordingsWouldBeLost(_message(folder, counts, lost))
+
+
+def _message(folder: Path, counts: str, lost: dict[str, str]) -> str:
+    names = "; ".join(f"{clean(name)} ({quoted(lost[name], longest=_LONGEST_REASON)})" for name in list(lost)[:_SHOWN])
+    more = f"; and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
+    told = f" Would be lost: {names}{more}." if names else ""
+    return (
+        f"{folder}: not replaced: {counts}.{told} What stands there is untouched, and finished parts are kept."
+        " Is all of the data there (`prbench inspect`)? Then run the same command again; with `--replace` to replace"
+        " it all the same, or with another --out to have both."
+    )
+
 
 _ROW_GROUP_ROWS = 256
 _LARGEST_PART_BYTES = 512 * 1024**2

@@ -10,7 +10,7 @@ import numpy as np
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.protocol.published import Spread, load_table_one
-from prbench.sequences.table_one import TableStatistics
+from prbench.sequences.table import TableStatistics
 from prbench.shown import figure_text
 from prbench.synthetic.behaviour import TARGETS, clips_of
 from prbench.synthetic.performance import Performance

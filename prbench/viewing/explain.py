@@ -19,7 +19,7 @@ from prbench.geometry.skeleton import WRISTS, Joint, head_forward
 from prbench.metrics.ray_track import ray_distance
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import Event, SequenceChunk, SequenceTable
-from prbench.sequences.redistribution import may_pass_on, notice
+from prbench.sequences.dataset_info import may_pass_on, notice
 from prbench.sequences.sequence import event_of
 from prbench.shown import clean, figure_text
 from prbench.viewing.figures import draw_box, draw_figure, flattened, horizontal_direction, new_figure, write_png

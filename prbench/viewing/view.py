@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from prbench.errors import InputFileError, UsageError
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import turn_into_paths
-from prbench.geometry.meshes import import_open3d
+from prbench.geometry.shapes import import_open3d
 from prbench.geometry.skeleton import Joint, invert_rigid, transform_points
 from prbench.harness.controls import GROUND_TRUTH
 from prbench.harness.first_run import tables_of_runs

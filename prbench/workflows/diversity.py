@@ -21,7 +21,7 @@ from prbench.harness.score_predictions.again import scored_sequences
 from prbench.harness.similar_tasks import Tasks, at_length, laid_on_goal, read_motions
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import SequenceTable
-from prbench.sequences.redistribution import may_pass_on, notice, require_may_pass_on
+from prbench.sequences.dataset_info import may_pass_on, notice, require_may_pass_on
 from prbench.sequences.table import find_sequence_id
 from prbench.viewing.fan import Fan, FanGroup
 from prbench.viewing.replay.read import RunMotions, run_labels

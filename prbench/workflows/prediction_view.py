@@ -19,7 +19,7 @@ from prbench.prediction.metrics import displacements, frame_errors
 from prbench.prediction.protocol import load_prediction_protocol
 from prbench.prediction.published import TableRow
 from prbench.prediction.table import Truth, WindowsTable
-from prbench.sequences.redistribution import notice, require_may_pass_on
+from prbench.sequences.dataset_info import notice, require_may_pass_on
 from prbench.sequences.table import find_sequence_id
 from prbench.viewing.figures import FORMATS
 from prbench.viewing.futures import MOST_ROWS, Fan, ShownWindow, draw_futures

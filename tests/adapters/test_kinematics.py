@@ -7,8 +7,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from prbench.geometry.axes import z_up
-from prbench.geometry.skeleton import Joint
+from prbench.geometry.skeleton import Joint, z_up
 from prbench_adapters.kinematics import (
     DART,
     WANDR,

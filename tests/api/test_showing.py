@@ -66,7 +66,7 @@ def test_without_the_extra_a_replay_says_what_to_install(synthetic, monkeypatch)
 
 def test_a_table_is_drawn_as_by_the_command(synthetic, empty, tmp_path):
     from prbench.sequences import SequenceTable
-    from prbench.sequences.table_one import table_statistics
+    from prbench.sequences.table import table_statistics
     from prbench.viewing.distributions import draw_table_one
 
     draw_table_one([table_statistics(SequenceTable.open(synthetic.folder))], tmp_path / "stats.png")

@@ -18,7 +18,7 @@ from prbench.harness.run import run_method
 from prbench.harness.run_folder import DatasetSummary, read_scores
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.metrics import METRICS
-from prbench.sequences.ids import recording_key
+from prbench.sequences.sequence import recording_key
 from tests.cli.reports import plain, refused, reported
 from tests.fakes import fake_dataset
 

@@ -8,7 +8,7 @@ from prbench.checking.inspection import inspect_folder
 from prbench.errors import InputFileError, TableError, UsageError
 from prbench.protocol.manifests import dataset_names, load_manifest
 from prbench.sequences import SequenceTable
-from prbench_adapters.corpora import build_corpus
+from prbench_adapters.corpora.build import build_corpus
 from prbench_adapters.corpora.synthetic import synthesize_corpus_tree
 from tests.fakes import fake_dataset
 

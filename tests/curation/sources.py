@@ -19,7 +19,7 @@ from tests.curation.scenes import PICK, PUT, clock, cup_centre, finger_path, han
 
 @dataclass(frozen=True)
 class SceneSource:
-    """See :class:`prbench.curation.sources.RecordingSource`."""
+    """See :class:`prbench.curation.job.RecordingSource`."""
 
     recording_id: str
     version: int = 0

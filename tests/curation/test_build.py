@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from prbench.curation import BuildOptions, CurationOptions, Progress, build_from_sources, funnel_rows
-from prbench.curation.provenance import funnel_counts
-from prbench.curation.sources import chosen_ids
+from prbench.curation.job import chosen_ids, funnel_counts
 from prbench.engine import InProcess, ProcessPool
 from prbench.errors import InputFileError, MemoryFullError, PrbenchError, StorageError, UsageError
 from prbench.sequences import SequenceTable

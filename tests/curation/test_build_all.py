@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from prbench.curation.build_all import build_all, plan_all
+from prbench.curation.build import build_all, plan_all
 from prbench.curation.options import BuildOptions, CurationOptions
 from prbench.errors import InputFileError, UsageError
 from prbench.sequences import SequenceTable

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from prbench.curation.candidates import propose_pick
+from prbench.curation.propose_events import propose_pick
 from prbench.geometry.skeleton import Joint
 from prbench.recording import BodyStream, GazeStream, Recording
 from tests.curation.scenes import minimum_jerk

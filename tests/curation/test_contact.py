@@ -11,8 +11,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prbench.curation.contact import close_to, contact_distance, held_segments, require_surfaces, runs
-from prbench.curation.in_hand import find_holdings
+from prbench.curation.in_hand import close_to, contact_distance, find_holdings, held_segments, require_surfaces, runs
 from prbench.errors import UsageError
 from prbench.protocol.manifests import load_manifest
 from prbench.recording import HandStream, ObjectTrack, Occluder

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.curation.contact import contact_distance
 from prbench.curation.events import find_events
-from prbench.curation.rest import Departure, placed_in_gap
+from prbench.curation.in_hand import Departure, contact_distance, placed_in_gap
 from prbench.errors import RecordingUnusable
 from prbench.protocol.manifests import InHandRule
 from prbench.recording import AnnotatedEvent, HandStream, Recording

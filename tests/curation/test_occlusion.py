@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prbench.curation import CurationOptions, curate_recording
-from prbench.curation.occlusion import MARGIN, Surroundings
+from prbench.curation.priming import MARGIN, Surroundings
 from prbench.errors import MissingExtraError, UsageError
 from prbench.protocol.manifests import load_manifest
 from prbench.recording import Occluder, Recording

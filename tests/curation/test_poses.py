@@ -13,8 +13,7 @@ import pytest
 
 from prbench.cli.main import main
 from prbench.curation.poses import make_poses, pose_states, read_config
-from prbench.curation.poses.prepare import prepare
-from prbench.curation.poses.states import Selection
+from prbench.curation.poses.states import Selection, prepare
 from prbench.errors import InputFileError, UsageError
 from prbench.geometry.skeleton import Joint
 from prbench.readers import reader_for

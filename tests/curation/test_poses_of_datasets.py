@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from prbench.curation.poses import make_poses, pose_states, read_config
-from prbench.curation.poses.prepare import prepare
-from prbench.curation.poses.states import Selection
+from prbench.curation.poses.states import Selection, prepare
 from prbench.readers import reader_for
 from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.synthetic.write_tree import synthesize_tree

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.curation.poses.prepare import prepare
+from prbench.curation.poses.states import prepare
 from prbench.readers.adt import READER, find_recordings
 from prbench.readers.adt.format import Z_UP_FROM_SCENE
 from prbench.readers.adt.synthetic import write

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from prbench.curation.scene import scene_boxes
+from prbench.curation.curate import scene_boxes
 from prbench.geometry.skeleton import Joint
 from prbench.recording import ObjectTrack
 from tests.curation.scenes import UPRIGHT, scene

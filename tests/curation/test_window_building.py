@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from prbench.curation.window_building import build_windows, published_counts
+from prbench.curation.windows import build_windows, published_counts
 from prbench.errors import InputFileError, StorageError, TableError
 from prbench.prediction.batch import Condition
 from prbench.prediction.table import WindowsTable
@@ -97,7 +97,7 @@ def test_a_damaged_recording_is_left_out_and_named(root, tmp_path):
 
 
 def test_native_joints_of_a_dataset_without_them_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("prbench.curation.window_building.native_sources", lambda *_: [_Source()])
+    monkeypatch.setattr("prbench.curation.windows.native_sources", lambda *_: [_Source()])
     with pytest.raises(InputFileError, match="published"):
         build_windows("adt", tmp_path, tmp_path / "windows", joints="native")
 

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prbench.curation.window_runs import latest_gaze, runs_of_recording, runs_of_tracks, window_starts
+from prbench.curation.windows import latest_gaze, runs_of_recording, runs_of_tracks, window_starts
 from prbench.prediction.protocol import load_prediction_protocol
-from prbench.recording.published_tracks import PublishedTrack
-from prbench.recording.streams import BodyStream, GazeStream, PoseStream, Recording
+from prbench.recording.streams import BodyStream, GazeStream, PoseStream, PublishedTrack, Recording
 from tests.fakes import STANDING
 
 RULES = load_prediction_protocol().windows

@@ -12,7 +12,7 @@ from prbench.files import arrays
 from prbench.harness.offline.files import _read_parquet as read_conditions
 from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.scores import read_scores
-from prbench.sequences.rows import open_parquet
+from prbench.sequences.schema import open_parquet
 
 ROWS = 10**6
 

@@ -17,9 +17,9 @@ from prbench.checking.doctor.examine_file import DoctorRequest
 from prbench.checking.inspection import inspect_folder
 from prbench.contract import Condition
 from prbench.curation import build_dataset, plan_build
-from prbench.curation.build_all import build_all, plan_all
+from prbench.curation.build import build_all, plan_all
 from prbench.curation.differences import compare_builds
-from prbench.curation.window_building import build_windows
+from prbench.curation.windows import build_windows
 from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError, PrbenchError, StorageError
 from prbench.files.storage import (
@@ -47,7 +47,7 @@ from prbench.release.importing import import_release
 from prbench.sequences import CorpusInfo, CorpusTable, DatasetInfo, SequenceTable
 from prbench.viewing.explain import explain_event
 from prbench.viewing.view import ViewRequest
-from prbench_adapters.corpora import build_corpus, plan_corpus
+from prbench_adapters.corpora.build import build_corpus, plan_corpus
 
 
 def write_half(path):

@@ -16,8 +16,8 @@ import pyarrow.parquet as pq
 
 from prbench.checking.inspection import inspect_folder
 from prbench.cli import main
+from prbench.curation.job import native_sources
 from prbench.curation.options import BuildOptions
-from prbench.curation.sources import native_sources
 from prbench.errors import PrbenchError, UnforeseenInput
 from prbench.harness.methods.programs import read_description
 from prbench.harness.offline import ConditionsFile, read_conditions, read_conditions_file

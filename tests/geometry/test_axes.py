@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.geometry.axes import Y_UP_FROM_Z_UP, y_up, z_up
-from prbench.geometry.skeleton import transform_points
+from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, transform_points, y_up, z_up
 
 POINTS = np.random.default_rng(3).normal(size=(4, 5, 3))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.geometry.boxes import Boxes, deepest
+from prbench.geometry.shapes import Boxes, deepest
 
 
 def boxes(*centres, half=(0.5, 0.5, 0.5), turn=None, offsets=None) -> Boxes:

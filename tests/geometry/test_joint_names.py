@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from prbench.geometry.joint_names import match_names, normalised
-from prbench.geometry.skeleton import Joint
+from prbench.geometry.skeleton import Joint, match_names, normalised
 from tests.readers.gimo_sample import skeleton
 
 

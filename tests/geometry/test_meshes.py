@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from prbench.errors import MissingExtraError, UnloadableExtraError
-from prbench.geometry.meshes import TriangleMesh, import_open3d
+from prbench.geometry.shapes import TriangleMesh, import_open3d
 from tests.slow_meshes import SlowMesh
 
 FAR_AWAY = np.array([7.0, 1.5, -9.0])

@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 import pytest
 
-from prbench.geometry.rays import near_miss, slab_test
+from prbench.geometry.shapes import near_miss, slab_test
 
 UNIT_BOX = (np.array([[-1.0, -1.0, -1.0]]), np.array([[1.0, 1.0, 1.0]]))
 

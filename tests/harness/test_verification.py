@@ -22,7 +22,7 @@ from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.scores import read_scores
 from prbench.harness.verification import RunChecker
 from prbench.sequences import SequenceTable
-from prbench.sequences.ids import recording_key
+from prbench.sequences.sequence import recording_key
 from tests.fakes import fake_dataset
 
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from prbench.geometry.boxes import Boxes
+from prbench.geometry.shapes import Boxes
 from prbench.geometry.skeleton import Joint
 from prbench.metrics import score
 from prbench.metrics.scene_penetration import scene_penetration

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from prbench.curation.window_runs import sliding_windows
+from prbench.curation.windows import sliding_windows
 from prbench.geometry.skeleton import head_forward
 from prbench.prediction.joint_sets import SMPL22
 from prbench.prediction.protocol import load_prediction_protocol

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from prbench.curation import build_dataset
+from prbench.curation.job import native_sources
 from prbench.curation.options import NO_OPTIONS
-from prbench.curation.sources import native_sources
 from prbench.errors import InputFileError
 from prbench.readers.found import input_file, is_present
 from prbench.readers.gimo import format as gimo

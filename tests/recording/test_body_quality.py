@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.recording.body_quality import plausible_body_frames
+from prbench.recording.streams import plausible_body_frames
 from tests.readers.conftest import STANDING
 
 RATE = 120.0

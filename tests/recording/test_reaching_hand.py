@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from prbench.geometry.skeleton import N_JOINTS, WRISTS
-from prbench.recording.reaching_hand import Wrist, reaching_hand, wrists_at
-from prbench.recording.streams import BodyStream, HandStream
+from prbench.recording.streams import BodyStream, HandStream, Wrist, reaching_hand, wrists_at
 
 PLACE = np.zeros(3)
 

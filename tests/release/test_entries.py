@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from prbench.errors import InputFileError, UsageError
 from prbench.release.importing import import_release
-from prbench.release.known import load_known
-from prbench.release.layout import index_of, read_targets
+from prbench.release.layout import index_of, load_known, read_targets
 from prbench.release.reading import ImportOptions
 from prbench.sequences import SequenceTable
 from tests.release.releases import NAMES, Style, plain_entry, rows, write_release

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from prbench.release.known import load_known
+from prbench.release.layout import load_known
 from prbench.release.report import count_splits
 from prbench.sequences import DatasetInfo
 from tests.release.imports import imported

@@ -12,7 +12,7 @@ import pytest
 from prbench.harness.synthetic_table import build_synthetic_table
 from prbench.release.exporting import export_release
 from prbench.release.importing import import_release
-from prbench.release.known import folder_of, load_known
+from prbench.release.layout import folder_of, load_known
 from prbench.sequences import SequenceTable
 from prbench.synthetic.people import PRESETS as ALL_PRESETS
 

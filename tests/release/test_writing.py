@@ -12,9 +12,9 @@ from prbench.errors import RedistributionError
 from prbench.protocol.manifests import load_manifest
 from prbench.release.exporting import export_release
 from prbench.release.importing import import_release, terms_of
-from prbench.release.known import dataset_of, folder_of, load_known
+from prbench.release.layout import dataset_of, folder_of, load_known
 from prbench.sequences import DatasetInfo
-from prbench.sequences.redistribution import NOTICE_FILE, may_pass_on
+from prbench.sequences.dataset_info import NOTICE_FILE, may_pass_on
 from tests.release.releases import rows, write_release
 from tests.release.tables import looking_table
 

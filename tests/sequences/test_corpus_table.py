@@ -20,8 +20,8 @@ from prbench.sequences.corpus import (
     annotation_batch,
     clip_batch,
     corpus_recording_batch,
+    write_corpus,
 )
-from prbench.sequences.corpus_table import write_corpus
 from prbench.sequences.dataset_info import CorpusCounts, CorpusInfo
 from prbench.sequences.schema import SEQUENCES
 from tests.fakes import smooth_motion

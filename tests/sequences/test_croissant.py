@@ -5,10 +5,9 @@ import json
 import pytest
 
 from prbench.sequences import SequenceTable
-from prbench.sequences.croissant import write_croissant
 from prbench.sequences.schema import EVENTS, RECORDINGS, SEQUENCES
 from prbench.sequences.sequence import sequence_batch
-from prbench.sequences.write import write_table_in_parts
+from prbench.sequences.write import write_croissant, write_table_in_parts
 from tests.fakes import fake_dataset, fake_sequence
 
 

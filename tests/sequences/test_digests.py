@@ -14,7 +14,7 @@ import pytest
 from prbench.cli.main import main
 from prbench.errors import TableError
 from prbench.sequences import CorpusTable, SequenceTable
-from prbench.sequences.digests import UnverifiedTableWarning
+from prbench.sequences.schema import UnverifiedTableWarning
 from tests.adapters.training.tables import corpus_table
 from tests.fakes import fake_dataset
 

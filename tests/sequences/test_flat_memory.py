@@ -12,9 +12,8 @@ import pytest
 
 from prbench.errors import TableError
 from prbench.files.arrays import open_parquet
-from prbench.sequences import SequenceTable, rows
-from prbench.sequences.digests import identity_of_rows
-from prbench.sequences.rows import groups_that_may_hold, require_distinct_rows
+from prbench.sequences import SequenceTable, schema
+from prbench.sequences.schema import groups_that_may_hold, identity_of_rows, require_distinct_rows
 from tests.fakes import fake_dataset
 
 
@@ -54,13 +53,13 @@ def test_one_sequence_is_read_without_the_groups_of_the_others(tmp_path, monkeyp
     table = fake_dataset(tmp_path / "table", 700, recordings=40)
     wanted = table.scalars(columns=["sequence_id"])["sequence_id"][600].as_py()
     read: list[list[int]] = []
-    chosen = rows.groups_that_may_hold
+    chosen = schema.groups_that_may_hold
 
     def noted(*arguments):
         read.append(chosen(*arguments))
         return read[-1]
 
-    monkeypatch.setattr(rows, "groups_that_may_hold", noted)
+    monkeypatch.setattr(schema, "groups_that_may_hold", noted)
     (found,) = table.chunks(ids=frozenset({wanted}))
     assert found.sequence_ids == [wanted]
     assert read == [[2]]

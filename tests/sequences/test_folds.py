@@ -24,7 +24,7 @@ from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.harness.verification import RunChecker
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import participant_folds, write_fold
-from prbench.sequences.ids import recording_key
+from prbench.sequences.sequence import recording_key
 from tests.cli.reports import refused, reported
 from tests.fakes import fake_dataset
 

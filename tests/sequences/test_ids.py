@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from prbench.cli.main import main
+from prbench.curation.job import native_sources
 from prbench.curation.options import NO_OPTIONS
-from prbench.curation.sources import native_sources
 from prbench.errors import InputFileError, RunError, TableError
 from prbench.files.storage import is_path_part
 from prbench.harness.run_folder.scores import SCORES, read_scores, write_scores
@@ -73,7 +73,7 @@ def test_one_recording_in_two_folders_is_refused_and_both_are_named(tmp_path: Pa
 
             return tuple(RecordingFiles("adt", "kitchen", root / part, ()) for part in ("one", "two"))
 
-    monkeypatch.setattr("prbench.curation.sources.reader_for", lambda *_: Twice())
+    monkeypatch.setattr("prbench.curation.job.reader_for", lambda *_: Twice())
     with pytest.raises(InputFileError, match=r"'kitchen' in .*one and .*two"):
         native_sources("adt", tmp_path, NO_OPTIONS)
 

@@ -11,7 +11,7 @@ import pytest
 
 from prbench.errors import TableError
 from prbench.sequences import SequenceTable
-from prbench.sequences.digests import UnverifiedTableWarning, identity_of_rows
+from prbench.sequences.schema import UnverifiedTableWarning, identity_of_rows
 from tests.fakes import fake_dataset
 
 LATER = {

@@ -12,7 +12,7 @@ from prbench.errors import RedistributionError
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.sequences import DatasetInfo
-from prbench.sequences.redistribution import (
+from prbench.sequences.dataset_info import (
     NOTICE_FILE,
     may_pass_on,
     notice,

@@ -10,12 +10,11 @@ import pytest
 
 from prbench.errors import RecordingsWouldBeLost
 from prbench.sequences import CorpusInfo, Recording
-from prbench.sequences.corpus import CorpusRecord, corpus_recording_batch
-from prbench.sequences.corpus_table import write_corpus
+from prbench.sequences.corpus import CorpusRecord, corpus_recording_batch, write_corpus
 from prbench.sequences.dataset_info import CORPUS_FILE, FILE_NAME
 from prbench.sequences.parts import plain
-from prbench.sequences.replacing import Holdings, require_no_loss
 from prbench.sequences.sequence import recording_batch
+from prbench.sequences.write import Holdings, require_no_loss
 from tests.adapters.training.tables import corpus_table
 from tests.curation.sources import folder_bytes
 from tests.fakes import fake_dataset

@@ -10,7 +10,7 @@ import pytest
 from prbench.protocol.published import QUANTITIES, load_table_one
 from prbench.sequences import SequenceTable
 from prbench.sequences.sequence import event_batch, recording_batch, sequence_batch
-from prbench.sequences.table_one import table_statistics
+from prbench.sequences.table import table_statistics
 from prbench.sequences.write import write_dataset
 from tests.fakes import fake_dataset, fake_info, fake_sequence
 

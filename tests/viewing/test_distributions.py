@@ -6,7 +6,7 @@ import matplotlib.image
 import pytest
 
 from prbench.errors import UsageError
-from prbench.sequences.table_one import table_statistics
+from prbench.sequences.table import table_statistics
 from prbench.synthetic.people import perform
 from prbench.viewing.distributions import draw_table_one, render_histograms
 from tests.fakes import fake_dataset

@@ -15,8 +15,7 @@ import pytest
 from prbench.cli import main
 from prbench.curation import build_dataset
 from prbench.errors import InputFileError, MissingExtraError, UsageError
-from prbench.geometry.axes import Y_UP_FROM_Z_UP
-from prbench.geometry.skeleton import invert_rigid, transform_points
+from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, invert_rigid, transform_points
 from prbench.sequences import SequenceChunk, SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench.viewing.replay.read import scene_of

@@ -15,9 +15,7 @@ from jaxtyping import Float
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
-from prbench.geometry.axes import y_up
-from prbench.geometry.joint_names import XSENS_SEGMENTS
-from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths
+from prbench.geometry.skeleton import PARENTS, XSENS_SEGMENTS, Joint, bone_lengths, y_up
 from prbench.representation.converters import SmplParameters, read_rest_joints, smpl_joints
 from prbench_adapters.corpora.nymeria.format import SUIT_RATE, Suit
 from prbench_adapters.corpora.nymeria.suit import CleanSuit

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from prbench.geometry.joint_names import XSENS_SEGMENTS
+from prbench.geometry.skeleton import XSENS_SEGMENTS
 
 SUIT_FILE = "xdata.npz"
 SMPL_FILE = "xdata_smpl_neutral.npz"

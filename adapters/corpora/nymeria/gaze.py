@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from prbench.geometry.axes import y_up
+from prbench.geometry.skeleton import y_up
 from prbench.geometry.timelines import slerp
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.files import find_gaze_file

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
-from prbench.geometry.joint_names import XSENS_SEGMENTS
+from prbench.geometry.skeleton import XSENS_SEGMENTS
 from prbench_adapters.corpora.nymeria.format import N_SEGMENTS, SUIT_RATE, Suit
 
 _DOWNLOAD = "The file may be truncated or another version; download it again."

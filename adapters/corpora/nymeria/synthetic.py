@@ -13,9 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.files.storage import atomic_path, write_bytes, write_json
-from prbench.geometry.axes import Y_UP_FROM_Z_UP, z_up
-from prbench.geometry.joint_names import XSENS_SEGMENTS
-from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths
+from prbench.geometry.skeleton import PARENTS, XSENS_SEGMENTS, Y_UP_FROM_Z_UP, Joint, bone_lengths, z_up
 from prbench.protocol.manifests import load_manifest
 from prbench.randomness import named_generator
 from prbench.readers.aria_mps import format as mps

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from prbench.curation.window_building import JointChoice, WindowsPlan
-from prbench.curation.window_runs import runs_of_recording
+from prbench.curation.windows import JointChoice, WindowsPlan, runs_of_recording
 from prbench.errors import InputFileError, UsageError
 from prbench.files.storage import text_digest
 from prbench.prediction.joint_sets import SMPL22
@@ -23,13 +22,13 @@ from prbench_adapters.corpora.sources import CorpusOptions
 
 @dataclass(frozen=True)
 class NymeriaWindows:
-    """One sequence of Nymeria (see :class:`prbench.curation.window_job.WindowSource`)."""
+    """One sequence of Nymeria (see :class:`prbench.curation.windows.WindowSource`)."""
 
     source: NymeriaSource
 
     @property
     def recording_id(self) -> str:
-        """See :class:`prbench.curation.window_job.WindowSource`."""
+        """See :class:`prbench.curation.windows.WindowSource`."""
         return self.source.identity.recording_id
 
     @property
@@ -39,25 +38,25 @@ class NymeriaWindows:
 
     @property
     def joint_set(self) -> str:
-        """See :class:`prbench.curation.window_job.WindowSource`."""
+        """See :class:`prbench.curation.windows.WindowSource`."""
         return SMPL22.name
 
     @property
     def settings(self) -> str:
-        """See :class:`prbench.curation.window_job.WindowSource`."""
+        """See :class:`prbench.curation.windows.WindowSource`."""
         options = described_options(self.source.options)
         return text_digest(digest_of(CORPUS.manifest), self.source.identity.split, *map(str, options.items()))
 
     def input_digest(self) -> str:
-        """See :class:`prbench.curation.window_job.WindowSource`."""
+        """See :class:`prbench.curation.windows.WindowSource`."""
         return SuitRecording(self.source).input_digest()
 
     def without_places(self, message: str) -> str:
-        """See :class:`prbench.curation.window_job.WindowSource`."""
+        """See :class:`prbench.curation.windows.WindowSource`."""
         return self.source.without_places(message)
 
     def cut(self, protocol: PredictionProtocol) -> Iterator[CutRun]:
-        """See :class:`prbench.curation.window_job.WindowSource`."""
+        """See :class:`prbench.curation.windows.WindowSource`."""
         recording = SuitRecording(self.source).read()
         yield from runs_of_recording(recording, protocol.windows, split=self.source.identity.split)
 
@@ -71,7 +70,7 @@ def plan_windows(
     limit: int | None,
     reader: tuple[tuple[str, str], ...],
 ) -> WindowsPlan:
-    """See :func:`prbench.curation.window_building.plan_windows`; Nymeria's joints are the 22.
+    """See :func:`prbench.curation.windows.plan_windows`; Nymeria's joints are the 22.
 
     Raises:
         UsageError: as there, and for native joints.

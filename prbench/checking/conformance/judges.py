@@ -17,7 +17,7 @@ from prbench.checking.conformance.report import CheckRequest
 from prbench.checking.conformance.subject import Subject
 from prbench.errors import UsageError
 from prbench.harness.methods.loading import MethodSpec
-from prbench.protocol.benchmarks import default_benchmark
+from prbench.protocol.manifests import default_benchmark
 
 
 @dataclass(frozen=True)

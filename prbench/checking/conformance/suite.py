@@ -19,7 +19,7 @@ from prbench.checking.conformance.predictors.subject import BENCHMARK
 from prbench.checking.conformance.report import START_LIMIT, TIME_LIMIT, CheckRequest, Finding, Outcome, Report
 from prbench.checking.conformance.session import check
 from prbench.errors import UsageError
-from prbench.protocol.benchmarks import default_benchmark
+from prbench.protocol.manifests import default_benchmark
 
 
 class ConformanceWarning(UserWarning):

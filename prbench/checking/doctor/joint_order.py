@@ -31,8 +31,8 @@ from prbench.checking.doctor.motion_set import (
 from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint, bone_lengths
 from prbench.randomness import named_generator
 from prbench.representation import REST_OFFSETS
-from prbench.representation.clips import MIRRORED_JOINTS
 from prbench.representation.converters import JOINT_MAPS
+from prbench.representation.encoding import MIRRORED_JOINTS
 
 _STARTS = 120
 _LOOSENESS = 0.5  # of the last guess: how much chance may change a joint's likeness
@@ -117,7 +117,7 @@ def _another_skeleton(motion_set: MotionSet, distances: Distances) -> Finding:
     best = min(misfits, key=lambda name: misfits[name], default=None)
     if best is not None and misfits[best] < _FITS:
         evidence += f"; as '{best}', bones miss people's lengths by {misfits[best]:.0%}"
-        remedy = f"Convert them: prbench.representation.converters.joint_map('{best}').to_22(joints)."
+        remedy = f"Convert them: prbench.representation.converters.named_skeletons('{best}').to_22(joints)."
         if best.startswith("smpl"):
             remedy += " That is joints[:, :22]."
         found = Diagnosis("joint-order", True, evidence, f"the joints are those of the skeleton '{best}'", remedy)
@@ -327,7 +327,7 @@ def _half(motion_set: MotionSet, evidence: str, *, arms: bool) -> Finding:
 def _whole(motion_set: MotionSet, evidence: str) -> Finding:
     toes_backwards = float(front(motion_set.first_poses())[:, 2].mean()) < 0
     mirrored, reason = _is_mirrored(motion_set)
-    swap = "joints[:, prbench.representation.clips.MIRRORED_JOINTS]"
+    swap = "joints[:, prbench.representation.encoding.MIRRORED_JOINTS]"
     axis = 2 if toes_backwards else 0
     flip = f"joints * [{'1, 1, -1' if toes_backwards else '-1, 1, 1'}]"
     remedy_mirrored = f"Undo the mirroring, for instance {flip}; check where two axes were exchanged without a sign."

@@ -88,7 +88,7 @@ def examine_up_axis(motion_set: MotionSet) -> Finding:
         cause += f", and the world is mirrored as well: axes were exchanged or negated to {exchange} without a turn"
     remedy = f"Turn the axes, (x, y, z) to {exchange}: {exchange.as_code()}."
     if str(exchange) == "(x, z, -y)":
-        remedy += " prbench.geometry.axes.y_up does this."
+        remedy += " prbench.geometry.skeleton.y_up does this."
     elif not mirrored:
         remedy += f" Or prbench.representation.converters.to_y_up(joints, up='{name.lstrip('+')}'), then canonicalise."
     found = Diagnosis("up-axis", angle < _CLEAR, evidence, cause, remedy)

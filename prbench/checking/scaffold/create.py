@@ -22,7 +22,7 @@ from prbench.contract import Condition
 from prbench.errors import StorageError, UsageError
 from prbench.files.storage import atomic_folder, sole_writer
 from prbench.harness.methods.installed import list_adapters
-from prbench.protocol.benchmarks import default_benchmark, find_benchmark
+from prbench.protocol.manifests import default_benchmark, find_benchmark
 
 _USUAL = {default_benchmark().name: Condition.GOAL_LOCATION.value, predictors.BENCHMARK: "pose"}
 """The condition of a new method of which nothing is said, by benchmark."""

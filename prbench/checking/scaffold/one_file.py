@@ -29,8 +29,7 @@ _LEFT_OUT = frozenset({"SmplxModel"})
 """Needs torch and the package ``smplx``; ``smpl_joints`` gives the same joints."""
 _ROOTS: Mapping[str, tuple[str, ...]] = {
     "prbench.errors": ("PrbenchError", "InputFileError", "UsageError"),
-    "prbench.geometry.skeleton": ("Joint", "PARENTS"),
-    "prbench.geometry.axes": ("y_up", "z_up"),
+    "prbench.geometry.skeleton": ("Joint", "PARENTS", "y_up", "z_up"),
     "prbench.randomness": ("sequence_generator",),
     "prbench.contract.noise": ("batch_noise", "sequence_noise"),
     "prbench.representation": ("Statistics", "UniformSkeleton", "canonicalise", "rest_offsets", "retarget"),

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from prbench.checking.scaffold.values import MethodNames, aligned, common_values, first_commands
 from prbench.prediction.batch import Condition
-from prbench.protocol.benchmarks import find_benchmark
+from prbench.protocol.manifests import find_benchmark
 
 BENCHMARK = "motion-prediction"
 _DOES = "lets the last pose go on, at a speed that differs from sample to sample"

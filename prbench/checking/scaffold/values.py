@@ -18,7 +18,7 @@ import prbench
 from prbench.contract import GIVEN, Condition
 from prbench.errors import UsageError
 from prbench.harness.methods.installed import name_problem
-from prbench.protocol.benchmarks import benchmarks, default_benchmark
+from prbench.protocol.manifests import benchmarks, default_benchmark
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _LONGEST = 40

@@ -1,7 +1,6 @@
 """EgoAllo as a step: which recordings lack a body, and how to make one (docs/specification/egoallo.md#time)."""
 
-from prbench.curation.poses.config import instructions, read_config
-from prbench.curation.poses.make import make_poses
+from prbench.curation.poses.make import instructions, make_poses, read_config
 from prbench.curation.poses.states import PoseState, pose_states
 
 __all__ = ["PoseState", "instructions", "make_poses", "pose_states", "read_config"]

@@ -31,8 +31,7 @@ from prbench.harness.methods.loading import find_adapter, load_adapter
 from prbench.harness.methods.motions import Declared
 from prbench.harness.methods.process import python_words, users_environment
 from prbench.harness.methods.remote import MethodGroup, group_of
-from prbench.protocol.benchmarks import find_benchmark
-from prbench.protocol.manifests import PROTOCOL_NAME
+from prbench.protocol.manifests import PROTOCOL_NAME, find_benchmark
 
 TIME_LIMIT = 30.0  # seconds; the slowest of our own takes 5 s on a busy core
 _TAIL = 4096  # bytes of output that are kept

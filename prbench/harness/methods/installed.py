@@ -23,7 +23,7 @@ from typing import Any
 from prbench.entry_points import ADAPTERS, PREDICTORS, InstalledEntry, installed_entries
 from prbench.errors import AdapterError, PrbenchError, did_you_mean
 from prbench.files.storage import file_digest
-from prbench.protocol.benchmarks import benchmark_of_group, default_benchmark
+from prbench.protocol.manifests import benchmark_of_group, default_benchmark
 from prbench.shown import quoted
 
 GROUND_TRUTH = "ground-truth"

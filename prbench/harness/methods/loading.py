@@ -34,7 +34,7 @@ from prbench.harness.methods.process import Program, users_environment
 from prbench.harness.methods.programs import MethodProgram, is_program, own_environment, program_of, short_name
 from prbench.harness.methods.remote import MOTIONS, MethodGroup, RemoteMethod
 from prbench.harness.methods.training_split import FIT_SEED, TrainingSplit, temporary_training_copy
-from prbench.protocol.benchmarks import benchmark_of_group, benchmarks
+from prbench.protocol.manifests import benchmark_of_group, benchmarks
 from prbench.sequences import SequenceTable
 
 

@@ -36,7 +36,7 @@ from prbench.harness.methods.process import (
     ReportedError,
     TimedOut,
 )
-from prbench.protocol.benchmarks import find_benchmark
+from prbench.protocol.manifests import find_benchmark
 
 _SHOWN_TEXT = 2000  # characters of what a program says about its own error
 _TEXT_LIMIT = 100

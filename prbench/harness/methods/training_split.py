@@ -16,8 +16,8 @@ import pyarrow.compute as pc
 
 from prbench.errors import AdapterError
 from prbench.sequences import DatasetInfo, SequenceTable
-from prbench.sequences.chunk import SequenceChunk
 from prbench.sequences.schema import DATASET_TABLES, SEQUENCES
+from prbench.sequences.sequence import SequenceChunk
 from prbench.sequences.write import write_table
 
 FIT_SEED = 0

@@ -23,7 +23,7 @@ from prbench.harness.methods.motions import Declared, release_memory, told
 from prbench.harness.methods.process import computing_threads
 from prbench.harness.methods.remote import MethodGroup, group_of
 from prbench.harness.methods.training_split import FIT_SEED, TrainingCopy
-from prbench.protocol.benchmarks import default_benchmark
+from prbench.protocol.manifests import default_benchmark
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -28,7 +28,7 @@ from prbench.harness.offline.files import write_conditions
 from prbench.harness.planning import Selection, open_tables, select, supported
 from prbench.protocol.manifests import load_protocol
 from prbench.sequences import DatasetInfo, SequenceTable
-from prbench.sequences.redistribution import may_pass_on, notice
+from prbench.sequences.dataset_info import may_pass_on, notice
 
 _RECORDED_MOTION = frozenset({"initial_joints", "previous_joints", "goal_joints", "goal_location"})
 GOALS = frozenset({"goal_joints", "goal_location"})

@@ -17,11 +17,10 @@ from prbench.files.bounded import foreign_input
 from prbench.files.storage import inside, remove_half_written, remove_leftovers
 from prbench.harness.run_folder import agreement, record, summary
 from prbench.harness.run_folder.record import RunRecord
-from prbench.protocol.benchmarks import default_benchmark
-from prbench.protocol.manifests import BenchmarkProtocol
+from prbench.protocol.manifests import BenchmarkProtocol, default_benchmark
 from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.protocol.own_protocol import protocol_beside, write_protocol
-from prbench.sequences.redistribution import NOTICE_FILE
+from prbench.sequences.dataset_info import NOTICE_FILE
 from prbench.shown import quoted
 
 

@@ -11,7 +11,7 @@ from prbench.errors import RunError
 from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import text_digest, write_json
 from prbench.limits import LARGEST_JSON
-from prbench.protocol.benchmarks import default_benchmark
+from prbench.protocol.manifests import default_benchmark
 from prbench.shown import clean
 
 FILE_NAME = "run.json"

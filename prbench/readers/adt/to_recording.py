@@ -23,7 +23,6 @@ from prbench.readers.aria_mps.to_recording import gaze_in_world, head_and_camera
 from prbench.readers.egoallo.files import POINT_FILES, EgoalloInputs, aria_inputs, require_trajectory
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS, body_stream
 from prbench.readers.found import RecordingFiles
-from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
 from prbench.recording.streams import (
     SIDES,
     BodyStream,
@@ -34,6 +33,8 @@ from prbench.recording.streams import (
     OtherPerson,
     PoseStream,
     Recording,
+    hold_neighbours,
+    plausible_body_frames,
 )
 
 ASSUMED_SIZE: GlassesSize = "DVT-L"

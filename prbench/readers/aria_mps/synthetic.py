@@ -21,8 +21,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.files.storage import atomic_path, write_json
-from prbench.geometry.axes import Y_UP_FROM_Z_UP
-from prbench.geometry.skeleton import WRISTS, invert_rigid
+from prbench.geometry.skeleton import WRISTS, Y_UP_FROM_Z_UP, invert_rigid
 from prbench.geometry.timelines import interpolate
 from prbench.readers.aria_mps import format as mps
 from prbench.synthetic.people.kinematics import wobble

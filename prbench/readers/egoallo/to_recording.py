@@ -15,8 +15,7 @@ from jaxtyping import Float
 from prbench.geometry.skeleton import transform_points
 from prbench.geometry.timelines import covered
 from prbench.readers.egoallo import format as ego
-from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
-from prbench.recording.streams import BodyStream, PoseStream
+from prbench.recording.streams import BodyStream, PoseStream, hold_neighbours, plausible_body_frames
 
 NO_OUTPUTS = "no EgoAllo outputs: no body (`prbench poses egoallo` says how to make them)"
 """Message about a recording without outputs."""

@@ -15,7 +15,7 @@ from prbench.readers.gimo.files import GimoOptions, extents, find_segments, read
 from prbench.readers.gimo.table import published_lengths
 from prbench.readers.gimo.to_recording import published_track, recording_from_gimo
 from prbench.recording import Recording
-from prbench.recording.published_tracks import PublishedTrack
+from prbench.recording.streams import PublishedTrack
 
 __all__ = ["READER", "GimoOptions", "GimoReader", "find_segments", "read_readings"]
 

@@ -13,8 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
 from prbench.files.bounded import read_text
-from prbench.geometry.joint_names import match_names
-from prbench.geometry.skeleton import Joint
+from prbench.geometry.skeleton import Joint, match_names
 from prbench.geometry.timelines import interpolate
 from prbench.readers.files import missing_file
 

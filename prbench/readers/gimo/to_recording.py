@@ -19,8 +19,6 @@ from prbench.protocol.manifests import Manifest
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import place_skeleton
 from prbench.readers.gimo.gaze import GlassesStreams, glasses_streams
-from prbench.recording.body_quality import hold_neighbours
-from prbench.recording.published_tracks import PublishedTrack
 from prbench.recording.streams import (
     SIDES,
     AnnotatedEvent,
@@ -29,8 +27,10 @@ from prbench.recording.streams import (
     HandStream,
     Occluder,
     PoseStream,
+    PublishedTrack,
     Recording,
     Side,
+    hold_neighbours,
 )
 
 Target = Literal["point", "cube"]

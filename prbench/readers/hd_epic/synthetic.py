@@ -22,8 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.files.storage import atomic_path, write_json
-from prbench.geometry.axes import Y_UP_FROM_Z_UP
-from prbench.geometry.skeleton import transform_points
+from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, transform_points
 from prbench.geometry.timelines import interpolate
 from prbench.protocol.manifests import Manifest
 from prbench.readers.aria_mps import format as mps

@@ -19,16 +19,23 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
-from prbench.geometry.axes import Y_UP_FROM_Z_UP
-from prbench.geometry.skeleton import transform_points
+from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, transform_points
 from prbench.geometry.timelines import covered, interpolate, require_overlap, slerp, stream_ranges
 from prbench.protocol.manifests import Manifest
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, MpsReadings
 from prbench.readers.aria_mps.to_recording import ASSUMED_SIZE, MpsStreams, head_and_camera, mps_streams, size_remark
 from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.recording.reaching_hand import reaching_hand, wrists_at
-from prbench.recording.streams import AnnotatedEvent, BodyStream, GazeStream, PoseStream, PublishedPriming, Recording
+from prbench.recording.streams import (
+    AnnotatedEvent,
+    BodyStream,
+    GazeStream,
+    PoseStream,
+    PublishedPriming,
+    Recording,
+    reaching_hand,
+    wrists_at,
+)
 
 
 def recording_from_hd_epic(

@@ -21,8 +21,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from prbench.files.storage import atomic_folder, read_json, write_bytes, write_json
-from prbench.geometry.axes import z_up
-from prbench.geometry.skeleton import Joint
+from prbench.geometry.skeleton import Joint, z_up
 from prbench.geometry.timelines import interpolate, slerp
 from prbench.readers.aria_mps.synthetic import GAZE_RATE, gaze_bias, sense_mps, split_columns, write_csv, write_mps
 from prbench.readers.egoallo import format as ego

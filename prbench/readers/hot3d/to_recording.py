@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import RecordingUnusable
-from prbench.geometry.axes import Y_UP_FROM_Z_UP, y_up
+from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, y_up
 from prbench.geometry.timelines import nearest_index, require_overlap, stream_ranges
 from prbench.protocol.manifests import Manifest
 from prbench.readers.aria_mps.format import MpsReadings, thinned

@@ -14,7 +14,7 @@ from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.files import extents, find_recordings, read_readings
 from prbench.readers.mogaze.to_recording import JointMapping, published_tracks, recording_from_mogaze
 from prbench.recording import Recording
-from prbench.recording.published_tracks import PublishedTrack
+from prbench.recording.streams import PublishedTrack
 
 __all__ = ["READER", "MogazeOptions", "MogazeReader", "find_recordings", "read_readings"]
 

@@ -21,8 +21,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from prbench.files.storage import atomic_path, write_json, write_text
-from prbench.geometry.axes import Y_UP_FROM_Z_UP
-from prbench.geometry.skeleton import Joint
+from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, Joint
 from prbench.geometry.timelines import interpolate, slerp
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.aria_mps.format import gaze_directions_cpf

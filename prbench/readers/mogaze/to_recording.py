@@ -12,14 +12,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from prbench.geometry.axes import Y_UP_FROM_Z_UP
-from prbench.geometry.skeleton import WRISTS, transform_points
+from prbench.geometry.skeleton import WRISTS, Y_UP_FROM_Z_UP, transform_points
 from prbench.protocol.manifests import Manifest
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.format import NULL_LABEL, RATE, Segment
-from prbench.recording.body_quality import hold_neighbours, plausible_body_frames
-from prbench.recording.published_tracks import PublishedTrack
-from prbench.recording.reaching_hand import reaching_hand, wrists_at
 from prbench.recording.streams import (
     SIDES,
     Action,
@@ -30,7 +26,12 @@ from prbench.recording.streams import (
     ObjectTrack,
     Occluder,
     PoseStream,
+    PublishedTrack,
     Recording,
+    hold_neighbours,
+    plausible_body_frames,
+    reaching_hand,
+    wrists_at,
 )
 
 JointMapping = Literal["anatomical", "named"]

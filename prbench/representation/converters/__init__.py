@@ -6,30 +6,41 @@ NumPy; nothing here imports torch except :class:`SmplxModel`.
 
 from __future__ import annotations
 
-from prbench.representation.converters.axes import at_rate, at_times, frames_needed, to_y_up
-from prbench.representation.converters.feature_checks import FeatureWarning, check_features
 from prbench.representation.converters.features import (
+    FeatureWarning,
+    check_features,
     feature_rows,
     joints_from_features,
     motions_from_features,
     read_feature_statistics,
     relative_root,
 )
-from prbench.representation.converters.joint_map import JointMap
-from prbench.representation.converters.named_skeletons import JOINT_MAPS, joint_map, joint_map_by_names
+from prbench.representation.converters.named_skeletons import JOINT_MAPS, JointMap, joint_map, joint_map_by_names
 from prbench.representation.converters.placement import (
+    at_rate,
+    at_times,
+    check_limbs,
+    check_sides,
+    frames_needed,
+    front_of_legs,
     in_frame_of,
     on_body_of,
     on_floor,
     padded,
     placed_on,
     to_canonical,
+    to_y_up,
 )
-from prbench.representation.converters.plausibility import check_limbs, check_sides, front_of_legs
-from prbench.representation.converters.smpl_joints import RestJoints, read_rest_joints, smpl_joints
-from prbench.representation.converters.smpl_parameters import SmplParameters, read_amass
-from prbench.representation.converters.smpl_rotations import RotationForm, quaternions_of
-from prbench.representation.converters.smplx_package import SmplxModel
+from prbench.representation.converters.smpl import (
+    RestJoints,
+    RotationForm,
+    SmplParameters,
+    SmplxModel,
+    quaternions_of,
+    read_amass,
+    read_rest_joints,
+    smpl_joints,
+)
 
 __all__ = [
     "JOINT_MAPS",

@@ -1,15 +1,301 @@
-"""Maps of skeletons in common use. Names and orders are facts of those formats; ratios are ours, from anatomy."""
+"""Checked maps from any skeleton to the 22 joints, and those of skeletons that are known by name.
+
+Missing joints follow from the proportions of the 22-joint skeleton. The ratios are means of two bodies: the mean pose
+of HumanML3D (the public ``Mean.npy``), and the proportions of the synthetic people. Unit is the trunk, from the middle
+of the hips to the middle of the shoulders, about 0.53 m in an adult. What each costs is measured in
+``docs/wrapping.md``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 
-from prbench.errors import UsageError, did_you_mean
-from prbench.geometry.joint_names import XSENS_SEGMENTS, match_names
-from prbench.geometry.skeleton import CHAINS, Joint
-from prbench.representation.converters.anatomy import NAMES
-from prbench.representation.converters.joint_map import JointMap
+import numpy as np
+from jaxtyping import Float, Num
+
+from prbench.errors import InputFileError, UsageError, did_you_mean
+from prbench.files.bounded import foreign_input, read_text
+from prbench.geometry.skeleton import CHAINS, N_JOINTS, XSENS_SEGMENTS, Joint, match_names
+from prbench.limits import HARMLESS_SIZE
+
+_AXES = ("@up", "@forward", "@left", "@ahead", "@above")
+"""Directions of the trunk, each as long as the trunk (middle of the hips to middle of the shoulders): ``@up`` along it,
+``@forward`` and ``@left`` across; ``@ahead`` is forward on the ground plane, ``@above`` the vertical."""
+
+_TERM = re.compile(r"(?P<number>\d+\.?\d*|\.\d+)?\s*(?P<name>[@A-Za-z_].*)")
+_SUM_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A sum of joints whose weights add up to 1, plus offsets along the axes of the trunk."""
+
+    joints: tuple[tuple[str, float], ...]
+    axes: tuple[tuple[str, float], ...] = ()
+
+    def __str__(self) -> str:
+        terms = [name if weight == 1 else f"{weight:g} {name}" for name, weight in (*self.joints, *self.axes)]
+        return " + ".join(terms).replace("+ -", "- ")
+
+
+def parse_expression(text: str, known: Iterable[str], *, where: str) -> Expression:
+    """``wrist``, ``a + b`` (the mean of two), ``0.6 a + 0.4 b``, ``neck + 0.2 @up - 0.1 @forward``.
+
+    Args:
+        text: The expression; spaces around signs.
+        known: Names of the source's joints.
+        where: What the message begins with.
+
+    Raises:
+        UsageError: if a name is unknown (with the nearest one), weights are given to some joints only, or do not add
+            up to 1.
+    """
+    names = list(known)
+    joints: list[tuple[str, float | None]] = []
+    axes: list[tuple[str, float]] = []
+    for sign, term in _signed_terms(text):
+        matched = _TERM.fullmatch(term)
+        if matched is None:
+            raise UsageError(f"{where}: expected joints and numbers such as '0.6 neck + 0.4 head', found '{text}'.")
+        name = matched["name"].strip()
+        number = matched["number"]
+        weight = None if number is None and sign > 0 else sign * float(number or 1)
+        if name in names:
+            joints.append((name, weight))
+        elif name in _AXES:
+            axes.append((name, 1.0 if weight is None else weight))
+        else:
+            raise UsageError(
+                f"{where}: unknown joint '{name}'.{did_you_mean(name, [*names, *_AXES])} The source has: "
+                f"{', '.join(names)}."
+            )
+    return Expression(_weighted(joints, text, where), tuple(axes))
+
+
+def _signed_terms(text: str) -> list[tuple[float, str]]:
+    parts = re.split(r"\s+([+-])\s+", text.strip())
+    return [(1.0, parts[0])] + [(1.0 if sign == "+" else -1.0, term) for sign, term in zip(parts[1::2], parts[2::2])]
+
+
+def _weighted(joints: list[tuple[str, float | None]], text: str, where: str) -> tuple[tuple[str, float], ...]:
+    given = [weight for _, weight in joints if weight is not None]
+    if not given and joints:
+        return tuple((name, 1 / len(joints)) for name, _ in joints)
+    if len(given) != len(joints) or abs(sum(given) - 1) > _SUM_TOLERANCE:
+        raise UsageError(
+            f"{where}: expected weights of all joints, which add up to 1, or of none, found '{text}'"
+            f" ({sum(given):g} in all)."
+        )
+    return tuple((name, weight) for name, weight in joints if weight is not None)
+
+
+NAMES: tuple[str, ...] = tuple(joint.name.lower() for joint in Joint)
+"""The 22 joints as maps write them."""
+
+LIMBS: tuple[Joint, ...] = tuple(
+    Joint[f"{side}_{part}"]
+    for part in ("HIP", "KNEE", "ANKLE", "SHOULDER", "ELBOW", "WRIST")
+    for side in ("LEFT", "RIGHT")
+)
+"""Joints that every source must have: without them nothing can be completed."""
+
+_HIPS = "0.5 left_hip + 0.5 right_hip"
+_SHOULDERS = "0.5 left_shoulder + 0.5 right_shoulder"
+_RULES: Mapping[str, str] = MappingProxyType(
+    {
+        "pelvis": f"{_HIPS} + 0.19 @up + 0.015 @forward",
+        "spine1": f"{_HIPS} + 0.385 @up - 0.03 @forward",
+        "spine2": f"{_HIPS} + 0.657 @up + 0.01 @forward",
+        "spine3": f"{_HIPS} + 0.767 @up + 0.03 @forward",
+        "neck": f"{_SHOULDERS} + 0.172 @up + 0.016 @forward",
+        "left_collar": "0.685 left_shoulder + 0.315 right_shoulder - 0.01 @up + 0.01 @forward",
+        "right_collar": "0.315 left_shoulder + 0.685 right_shoulder - 0.01 @up + 0.01 @forward",
+        "head": "neck + 0.104 @up + 0.119 @forward",
+        "left_foot": "left_ankle + 0.244 @ahead - 0.112 @above",
+        "right_foot": "right_ankle + 0.244 @ahead - 0.112 @above",
+    }
+)
+
+COMPLETIONS: Mapping[Joint, Expression] = MappingProxyType(
+    {Joint[name.upper()]: parse_expression(rule, NAMES, where=name) for name, rule in _RULES.items()}
+)
+"""Maps each joint that may be missing to the rule that makes it; each rule needs only joints of earlier ones."""
+
+
+def trunk_axes(joints: Float[np.ndarray, "*batch 22 3"]) -> dict[str, Float[np.ndarray, "*batch 3"]]:
+    """The axes of expressions, each as long as the trunk; hips and shoulders must be there.
+
+    Args:
+        joints: Y up, metres; joints that are still missing may be NaN.
+    """
+    hips = (joints[..., Joint.LEFT_HIP, :] + joints[..., Joint.RIGHT_HIP, :]) / 2
+    shoulders = (joints[..., Joint.LEFT_SHOULDER, :] + joints[..., Joint.RIGHT_SHOULDER, :]) / 2
+    trunk = shoulders - hips
+    length = np.linalg.norm(trunk, axis=-1, keepdims=True)
+    up = _unit(trunk)
+    across = joints[..., Joint.LEFT_HIP, :] - joints[..., Joint.RIGHT_HIP, :]
+    across = _unit(across) + _unit(joints[..., Joint.LEFT_SHOULDER, :] - joints[..., Joint.RIGHT_SHOULDER, :])
+    left = _unit(across - (across * up).sum(axis=-1, keepdims=True) * up)
+    ahead = np.stack([-left[..., 2], np.zeros(left.shape[:-1]), left[..., 0]], axis=-1)
+    above = np.broadcast_to(np.array([0.0, 1.0, 0.0]), up.shape)
+    directions = (up, np.cross(left, up), left, _unit(ahead), above)
+    return {name: direction * length for name, direction in zip(_AXES, directions)}
+
+
+def complete(joints: Float[np.ndarray, "frames 22 3"], missing: tuple[Joint, ...]) -> Float[np.ndarray, "frames 22 3"]:
+    """The motion with the missing joints filled in.
+
+    Args:
+        joints: Y up, metres; missing ones hold anything.
+        missing: Keys of :data:`COMPLETIONS`.
+    """
+    filled = joints.copy()
+    axes = trunk_axes(joints)
+    for joint in (joint for joint in COMPLETIONS if joint in missing):
+        filled[:, joint] = placed(COMPLETIONS[joint], dict(zip(NAMES, range(N_JOINTS))), filled, axes)
+    return filled
+
+
+def placed(
+    expression: Expression,
+    columns: Mapping[str, int],
+    joints: Float[np.ndarray, "frames joints 3"],
+    axes: Mapping[str, Float[np.ndarray, "frames 3"]],
+) -> Float[np.ndarray, "frames 3"]:
+    """Evaluate an expression, frame by frame."""
+    place = sum(weight * joints[:, columns[name]] for name, weight in expression.joints)
+    return np.asarray(place + sum(weight * axes[name] for name, weight in expression.axes))
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+
+
+_KEYS = ("name", "joints", "map")
+_TRUNK = (Joint.LEFT_HIP, Joint.RIGHT_HIP, Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER)
+
+
+@dataclass(frozen=True)
+class JointMap:
+    """The 22 joints in terms of another skeleton's. Make one with :meth:`of`, which checks it."""
+
+    name: str
+    source_joints: tuple[str, ...]
+    """Names of the source, in the order of its arrays."""
+    expressions: Mapping[Joint, Expression]
+    """Expressions of the joints that the source has."""
+
+    @classmethod
+    def of(cls, name: str, source_joints: Sequence[str], given: Mapping[str, str]) -> JointMap:
+        """A checked map.
+
+        Args:
+            name: For messages.
+            source_joints: Names of the source's joints, in the order of its arrays, each once.
+            given: Source expression of each of the 22 (``{"pelvis": "hips", "neck": "0.7 thorax + 0.3 head"}``). The
+                twelve limb joints must be there; of the others, the missing ones are completed (:attr:`completed`).
+
+        Raises:
+            UsageError: if a name is unknown (with the nearest one), a limb joint is missing, or weights do not add up.
+        """
+        names = tuple(source_joints)
+        repeated = sorted({joint for joint in names if names.count(joint) > 1})
+        if repeated:
+            raise UsageError(f"joint map '{name}': source joints named more than once: {', '.join(repeated)}.")
+        unknown = [target for target in given if target not in NAMES]
+        if unknown:
+            near = did_you_mean(unknown[0], NAMES)
+            raise UsageError(
+                f"joint map '{name}': '{unknown[0]}' is none of the 22 joints.{near} They are: {', '.join(NAMES)}."
+            )
+        missing = [joint.name.lower() for joint in LIMBS if joint.name.lower() not in given]
+        if missing:
+            raise UsageError(f"joint map '{name}': expected the twelve limb joints, missing: {', '.join(missing)}.")
+        expressions = {
+            Joint[target.upper()]: parse_expression(text, names, where=f"joint map '{name}', {target}")
+            for target, text in given.items()
+        }
+        for joint in _TRUNK:
+            if expressions[joint].axes:
+                raise UsageError(
+                    f"joint map '{name}', {joint.name.lower()}: hips and shoulders give the trunk its axes and cannot"
+                    " themselves be offset along them."
+                )
+        return cls(name, names, expressions)
+
+    @classmethod
+    @foreign_input()
+    def from_toml(cls, path: Path) -> JointMap:
+        """A user's map: keys ``name``, ``joints`` (list of the source's names) and a table ``[map]``.
+
+        Raises:
+            InputFileError: if the file is missing, no TOML, or lacks a key.
+            UsageError: as :meth:`of`.
+        """
+        import tomllib  # here, because Python before 3.11 has none, and programs of such a Python use this class
+
+        try:
+            content = tomllib.loads(read_text(path, encoding="utf-8", largest=HARMLESS_SIZE))
+        except FileNotFoundError as error:
+            raise InputFileError(path, "", expected="this file", found="no such file") from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputFileError(path, "", expected="TOML", found=str(error)) from error
+        unknown = [key for key in content if key not in _KEYS]
+        if unknown:
+            hint = did_you_mean(unknown[0], _KEYS).strip()
+            raise InputFileError(path, unknown[0], expected=", ".join(_KEYS), found="another key", remedy=hint)
+        joints = content.get("joints")
+        given = content.get("map")
+        if not isinstance(joints, list) or not all(isinstance(joint, str) for joint in joints):
+            raise InputFileError(
+                path, "joints", expected="a list of names, in the order of the arrays", found=f"{joints}"
+            )
+        if not isinstance(given, dict) or not all(isinstance(text, str) for text in given.values()):
+            raise InputFileError(path, "[map]", expected='lines such as neck = "Neck"', found=f"{given}")
+        return cls.of(str(content.get("name", path.stem)), joints, given)
+
+    @property
+    def completed(self) -> tuple[Joint, ...]:
+        """Joints that the source lacks, and that are made from the others with fixed proportions."""
+        return tuple(joint for joint in COMPLETIONS if joint not in self.expressions)
+
+    def to_22(
+        self, joints: Num[np.ndarray, "frames ..."], *, source: Path | str = "joints"
+    ) -> Float[np.ndarray, "frames 22 3"]:
+        """The 22 joints.
+
+        Args:
+            joints: (frames, joints of the source, 3): Y up, right-handed
+                (:func:`prbench.representation.converters.to_y_up`), any unit.
+            source: Name that messages begin with.
+
+        Returns:
+            Same world and unit; floating point.
+
+        Raises:
+            InputFileError: if the array has another number of joints.
+        """
+        if joints.ndim != 3 or joints.shape[1:] != (len(self.source_joints), 3):
+            raise InputFileError(
+                source,
+                "",
+                expected=f"(frames, {len(self.source_joints)}, 3) for the skeleton '{self.name}'",
+                found=str(joints.shape),
+                remedy="Name the skeleton that the joints are of (JOINT_MAPS), or write its map.",
+            )
+        native = joints.astype(np.float64)
+        columns = {name: index for index, name in enumerate(self.source_joints)}
+        body = np.full((len(joints), N_JOINTS, 3), np.nan)
+        for joint in _TRUNK:
+            body[:, joint] = placed(self.expressions[joint], columns, native, {})
+        axes = trunk_axes(body)
+        for joint, expression in self.expressions.items():
+            body[:, joint] = placed(expression, columns, native, axes)
+        return complete(body, self.completed).astype(np.result_type(joints.dtype, np.float32))
 
 
 def joint_map(name: str) -> JointMap:

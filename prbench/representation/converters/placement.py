@@ -1,20 +1,321 @@
-"""Placement of a generated motion: in the canonical frame, on the initial pose, on the body of the person."""
+"""Positions of any common world and rate as the benchmark asks for them: Y up, right-handed, metres, 20 fps.
+
+Frames are resampled by time, never by index. Wrong units, exchanged sides and a wrong order of joints pass every check
+of shapes; checks of limbs and sides show them here, before they become a score. ``prbench doctor`` looks at more.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Num
 
-from prbench.geometry.skeleton import N_JOINTS, Joint, canonical_frame, facing_yaw, invert_rigid, transform_points
-from prbench.representation.clips import IN_MEMORY, canonicalise, check_joints, no_heading
-from prbench.representation.converters.axes import at_rate, to_y_up
-from prbench.representation.converters.plausibility import check_limbs, check_sides
+from prbench.errors import InputFileError, UsageError, did_you_mean
+from prbench.geometry.skeleton import (
+    N_JOINTS,
+    PARENTS,
+    Joint,
+    canonical_frame,
+    facing_yaw,
+    invert_rigid,
+    transform_points,
+)
+from prbench.geometry.timelines import interpolate
+from prbench.representation.encoding import (
+    IN_MEMORY,
+    canonicalise,
+    check_finite,
+    check_joints,
+    check_rate,
+    no_heading,
+    rest_offsets,
+    retarget,
+)
 from prbench.representation.features import FRAME_RATE
-from prbench.representation.uniform_skeleton import rest_offsets, retarget
+
+_TURNS: Mapping[str, tuple[tuple[int, int], ...]] = MappingProxyType(
+    {
+        "y": ((0, 1), (1, 1), (2, 1)),
+        "-y": ((0, 1), (1, -1), (2, -1)),
+        "z": ((0, 1), (2, 1), (1, -1)),
+        "-z": ((0, 1), (2, -1), (1, 1)),
+        "x": ((1, -1), (0, 1), (2, 1)),
+        "-x": ((1, 1), (0, -1), (2, 1)),
+    }
+)
+"""Maps each axis that may point up to source column and sign of x, y and z: rotations by a quarter or half turn."""
+
+UNITS: Mapping[str, float] = MappingProxyType({"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048})
+"""Metres a unit."""
+_ROUNDING = 1e-6  # seconds
+
+
+def to_y_up(
+    points: Num[np.ndarray, "*batch 3"], *, up: str = "y", left_handed: bool = False, unit: str | float = "m"
+) -> Float[np.ndarray, "*batch 3"]:
+    """Positions with Y up, right-handed, in metres.
+
+    The heading that comes out is arbitrary; :func:`prbench.representation.converters.placed_on` or
+    :func:`prbench.representation.canonicalise` gives it a meaning.
+
+    Args:
+        points: In the world of the source.
+        up: Axis that points up there: ``y``, ``z``, ``x``, or one of them with a minus sign. ``-y`` is that of camera
+            coordinates (x right, y down, z forward).
+        left_handed: The source's axes are left-handed (Unity: Y up, Unreal: Z up). One horizontal axis is negated;
+            names of joints stay, because the body is the same.
+        unit: ``m``, ``cm``, ``mm``, ``inch``, ``foot``, or metres a unit.
+
+    Raises:
+        UsageError: if axis or unit is unknown.
+    """
+    if up not in _TURNS:
+        raise UsageError(f"unknown up axis '{up}'.{did_you_mean(up, _TURNS)} Choose one of: {', '.join(_TURNS)}.")
+    columns, signs = np.transpose(_TURNS[up])
+    exact = np.result_type(points.dtype, np.float32)  # millimetres may come as integers
+    turned = points[..., columns].astype(exact) * (signs * _metres_of(unit)).astype(exact)
+    if left_handed:
+        turned[..., 0] = -turned[..., 0]
+    return turned
+
+
+def _metres_of(unit: str | float) -> float:
+    """Metres a unit.
+
+    Raises:
+        UsageError: if the name is unknown, or the number is none above 0.
+    """
+    if isinstance(unit, str):
+        if unit not in UNITS:
+            raise UsageError(f"unknown unit '{unit}'.{did_you_mean(unit, UNITS)} Choose one of: {', '.join(UNITS)}.")
+        return UNITS[unit]
+    if not (np.isfinite(unit) and unit > 0):
+        raise UsageError(f"unit: expected metres a unit, a number above 0, found {unit:g}.")
+    return float(unit)
+
+
+def frames_needed(n_frames: int, fps: float, *, wanted_fps: float = FRAME_RATE) -> int:
+    """Frames at ``fps`` that cover ``n_frames`` at ``wanted_fps``: what to ask a model of another rate for.
+
+    >>> frames_needed(101, 30.0)  # five seconds
+    151
+    """
+    return int(np.ceil((n_frames - 1) * fps / wanted_fps - 1e-9)) + 1
+
+
+def at_rate(
+    values: Num[np.ndarray, "frames *shape"],
+    fps: float,
+    *,
+    n_frames: int | None = None,
+    wanted_fps: float = FRAME_RATE,
+    source: Path | str = IN_MEMORY,
+) -> Float[np.ndarray, "wanted *shape"]:
+    """Resample a motion to another rate, linearly interpolated; both begin on the first frame.
+
+    The first frame of a generated motion is the initial pose, so the grid begins there
+    (:func:`prbench.representation.at_20_fps` ends its grid on the last frame, which is the event of a recording).
+
+    Args:
+        values: Uniformly sampled positions or other vectors.
+        fps: Their rate.
+        n_frames: Frames to give back; None for as many as the motion covers.
+        wanted_fps: Rate to come to.
+        source: File or name that messages begin with.
+
+    Raises:
+        InputFileError: if a rate is no positive number, or the motion ends before the last frame that is asked for.
+    """
+    for rate in (fps, wanted_fps):
+        check_rate(rate, source)
+    return at_times(np.arange(len(values)) / fps, values, n_frames=n_frames, wanted_fps=wanted_fps, source=source)
+
+
+def at_times(
+    times: Float[np.ndarray, " frames"],
+    values: Num[np.ndarray, "frames *shape"],
+    *,
+    n_frames: int | None = None,
+    wanted_fps: float = FRAME_RATE,
+    source: Path | str = IN_MEMORY,
+) -> Float[np.ndarray, "wanted *shape"]:
+    """:func:`at_rate` for a motion with a time stamp a frame, however they are spaced.
+
+    Args:
+        times: Seconds, strictly increasing; the first one is the start.
+        values: One a time.
+        n_frames: Frames to give back; None for as many as the motion covers.
+        wanted_fps: Rate to come to.
+        source: File or name that messages begin with.
+
+    Raises:
+        InputFileError: if there is no frame, time does not increase, or the motion is too short.
+    """
+    if not len(times) or (np.diff(times) <= 0).any():
+        raise InputFileError(source, "times", expected="increasing times, at least one", found=_fault(times))
+    covered = float(times[-1] - times[0])
+    most = int(np.floor((covered + _ROUNDING) * wanted_fps)) + 1
+    wanted = most if n_frames is None else n_frames
+    if wanted > most:
+        raise InputFileError(
+            source,
+            "",
+            expected=f"{(wanted - 1) / wanted_fps:.3f} s of motion, for {wanted} frames at {wanted_fps:g} fps",
+            found=f"{covered:.3f} s ({len(times)} frames)",
+            remedy="Ask the model for frames_needed(n_frames, fps) frames; a motion is never stretched.",
+        )
+    query = times[0] + np.arange(wanted) / wanted_fps
+    return interpolate(times.astype(np.float64), values, query).astype(np.result_type(values.dtype, np.float32))
+
+
+def _fault(times: np.ndarray) -> str:
+    if not len(times):
+        return "none"
+    frame = int(np.flatnonzero(np.diff(times) <= 0)[0]) + 1
+    return f"{times[frame]:g} s after {times[frame - 1]:g} s on frame {frame}"
+
+
+_BEND = 0.01  # metres between knee and the line from hip to ankle; below it a leg says nothing about its front
+_BACKWARDS = -0.3  # mean cosine between the front of the legs and that of the hips
+_LIMB_LENGTHS = (0.12, 0.75)  # metres; thighs, shins and arms of children and of tall people
+_ADULT_LIMB = 0.33  # metres, mean of the eight limbs
+_TINIEST_BODY = 1e-9
+_LIMB_RATIO = 1.6  # between a left limb and the right one
+
+
+def check_limbs(joints: Float[np.ndarray, "frames 22 3"], *, source: Path | str = IN_MEMORY) -> None:
+    """Refuse thighs, shins, upper arms and forearms that no person has.
+
+    Args:
+        joints: Metres, any axes.
+        source: File or name that the message begins with.
+
+    Raises:
+        InputFileError: if a position is not finite, or there is none; if a limb is shorter than 12 cm or longer than
+            75 cm in the median frame (with the unit that would explain it), or left and right differ by more than a
+            factor of 1.6.
+    """
+    check_finite(joints, source)
+    if not len(joints):
+        raise InputFileError(source, "", expected="one frame or more", found="none")
+    lengths = {limb: _median_length(joints, limb) for pair in _LIMB_PAIRS for limb in pair}
+    _check_unit(lengths, source)
+    for left, right in _LIMB_PAIRS:
+        for limb in (left, right):
+            if not _LIMB_LENGTHS[0] < lengths[limb] < _LIMB_LENGTHS[1]:
+                raise _no_limb(
+                    source, limb, f"{_LIMB_LENGTHS[0] * 100:.0f} to {_LIMB_LENGTHS[1] * 100:.0f} cm", lengths[limb]
+                )
+        if not 1 / _LIMB_RATIO < lengths[left] / lengths[right] < _LIMB_RATIO:
+            raise _no_limb(source, left, f"about {lengths[right] * 100:.0f} cm, as on the right", lengths[left])
+
+
+_LIMB_PAIRS = tuple((Joint[f"LEFT_{end}"], Joint[f"RIGHT_{end}"]) for end in ("KNEE", "ANKLE", "ELBOW", "WRIST"))
+"""Joints in which thighs, shins, upper arms and forearms end."""
+
+
+def _check_unit(lengths: dict[Joint, float], source: Path | str) -> None:
+    """All limbs too long or too short by one factor: another unit."""
+    factor = float(np.median(list(lengths.values()))) / _ADULT_LIMB
+    if 1 / 3 < factor < 3:
+        return
+    if factor < _TINIEST_BODY:
+        raise InputFileError(source, "", expected="joints of a body", found="joints that lie on one another")
+    name = min(UNITS, key=lambda unit: abs(np.log(factor * UNITS[unit])))
+    fits = 1 / 2 < factor * UNITS[name] < 2
+    raise InputFileError(
+        source,
+        "unit",
+        expected="a body in metres, whose thighs, shins and arms are 20 to 50 cm long",
+        found=f"limbs {factor:.3g} times as long as an adult's",
+        remedy=f"This looks like {name}: say unit='{name}'."
+        if fits
+        else f"If the model's bodies are normalised, unit={1 / factor:.3g} (metres a unit) makes them adults.",
+    )
+
+
+def _median_length(joints: np.ndarray, end: Joint) -> float:
+    return float(np.median(np.linalg.norm(joints[:, end] - joints[:, PARENTS[end]], axis=-1)))
+
+
+def _no_limb(source: Path | str, end: Joint, expected: str, length: float) -> InputFileError:
+    bone = f"{Joint(PARENTS[end]).name.lower()} to {end.name.lower()}"
+    return InputFileError(
+        source,
+        bone,
+        expected=expected,
+        found=f"{length * 100:.1f} cm in the median frame",
+        remedy="The order of the joints is another one: name the skeleton (joint_map) and compare its list with yours.",
+    )
+
+
+def front_of_legs(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True) -> float | None:
+    """Measure how far feet and bent knees point to the front that hips and shoulders give.
+
+    Args:
+        joints: Y up, right-handed, metres.
+        feet: False if the toes were computed from the hips, so that only the knees know.
+
+    Returns:
+        Mean cosine on the ground plane, 1 for a body that is in order, -1 where left and right are exchanged (or where
+        a left-handed world was not said to be one); None if legs are straight throughout and feet are not asked.
+    """
+    across = joints[:, Joint.LEFT_HIP] - joints[:, Joint.RIGHT_HIP]
+    across = across + joints[:, Joint.LEFT_SHOULDER] - joints[:, Joint.RIGHT_SHOULDER]
+    front = np.stack([-across[:, 2], across[:, 0]], axis=-1)
+    pointers = [_knee_bends(joints)]
+    if feet:
+        pointers += [joints[:, Joint.LEFT_FOOT] - joints[:, Joint.LEFT_ANKLE]]
+        pointers += [joints[:, Joint.RIGHT_FOOT] - joints[:, Joint.RIGHT_ANKLE]]
+    pointing = np.stack(pointers)[..., ::2]  # (pointers, frames, 2)
+    length = np.linalg.norm(pointing, axis=-1)
+    size = length * np.linalg.norm(front, axis=-1)
+    decisive = length > _BEND
+    if not decisive.any():
+        return None
+    cosine = (pointing * front).sum(axis=-1) / np.where(size > 0, size, 1.0)
+    return float((cosine * length)[decisive].sum() / length[decisive].sum())
+
+
+def check_sides(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True, source: Path | str = IN_MEMORY) -> None:
+    """Refuse a body whose feet and knees point to its back.
+
+    Args:
+        joints: Y up, right-handed, metres.
+        feet: See :func:`front_of_legs`.
+        source: File or name that the message begins with.
+
+    Raises:
+        InputFileError: if left and right are exchanged, or the world is left-handed.
+    """
+    cosine = front_of_legs(joints, feet=feet)
+    if cosine is not None and cosine < _BACKWARDS:
+        raise InputFileError(
+            source,
+            "left and right",
+            expected="feet and knees that point to the body's front",
+            found=f"a mean cosine of {cosine:.2f} between them and the front that hips and shoulders give",
+            remedy="Left and right joints are exchanged, or the world is left-handed: check the order of the joints,"
+            " then say left_handed=True.",
+        )
+
+
+def _knee_bends(joints: np.ndarray) -> np.ndarray:
+    """Sum over both legs of the knee's offset from the line between hip and ankle (frames, 3)."""
+    bends = np.zeros((len(joints), 3))
+    for hip, knee, ankle in (
+        (Joint.LEFT_HIP, Joint.LEFT_KNEE, Joint.LEFT_ANKLE),
+        (Joint.RIGHT_HIP, Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE),
+    ):
+        leg = joints[:, ankle] - joints[:, hip]
+        part = ((joints[:, knee] - joints[:, hip]) * leg).sum(axis=-1) / np.maximum((leg**2).sum(axis=-1), 1e-12)
+        bends += joints[:, knee] - joints[:, hip] - part[:, None] * leg
+    return bends
+
 
 Height = Literal["pelvis", "floor"]
 

@@ -17,7 +17,7 @@ from prbench.harness.run_folder import DatasetFolder, Predictions, RunFolder, Ru
 from prbench.metrics import UNKNOWN_HAND, GazeRays, MotionBatch, ScoringTargets, score
 from prbench.protocol.manifests import MetricConstants, load_protocol
 from prbench.sequences import DatasetInfo, SequenceChunk, SequenceTable
-from prbench.sequences.redistribution import may_pass_on, notice, require_may_pass_on
+from prbench.sequences.dataset_info import may_pass_on, notice, require_may_pass_on
 from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED, RECORDED_COLOUR, Gaze, Goal, Scene, ShownMotion
 
 _SIDES = {"left": 0, "right": 1}

@@ -22,7 +22,7 @@ from prbench.harness.scoring import COLUMNS, targets_of
 from prbench.metrics import MotionBatch, ScoringTargets
 from prbench.protocol.manifests import MetricConstants, load_protocol
 from prbench.sequences import SequenceTable
-from prbench.sequences.chunk import SequenceChunk
+from prbench.sequences.sequence import SequenceChunk
 
 METHOD = "method"
 BESIDE = "beside"

@@ -23,7 +23,7 @@ from prbench.prediction.published import TableRow, load_tables
 from prbench.prediction.references import references, score_reference
 from prbench.prediction.scoring import Scores, SimilarPasts, score_predictor
 from prbench.prediction.table import WindowsTable
-from prbench.sequences.rows import open_parquet
+from prbench.sequences.schema import open_parquet
 from prbench.shown import quoted
 from prbench.viewing.prediction_charts import draw_chart
 from prbench.workflows.prediction_tables.as_markdown import as_builtins, as_markdown

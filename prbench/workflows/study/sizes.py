@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.protocol.published import DATASETS, QUANTITIES, Spread, cite, load_table_one, published_table
 from prbench.sequences import SequenceTable
-from prbench.sequences.table_one import TableStatistics, table_statistics
+from prbench.sequences.table import TableStatistics, table_statistics
 from prbench.workflows.study.document import DASH, MEASURED, SYNTHETIC, StudyBlock, StudyTable, StudyValue
 
 _TITLES = {

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from prbench.geometry.joint_names import XSENS_SEGMENTS
+from prbench.geometry.skeleton import XSENS_SEGMENTS
 from prbench.protocol.manifests import load_manifest
 from prbench_adapters.corpora.nymeria.format import Suit
 from tests.fakes import STANDING

@@ -9,9 +9,10 @@ import pytest
 
 from prbench.errors import UsageError
 from prbench.synthetic.layouts import Defect
-from prbench_adapters.corpora import CorpusOptions, build_corpus
+from prbench_adapters.corpora.build import build_corpus
 from prbench_adapters.corpora.humanml3d.synthetic import DEFECTS as HUMANML3D_DEFECTS
 from prbench_adapters.corpora.nymeria.synthetic import DEFECTS as NYMERIA_DEFECTS
+from prbench_adapters.corpora.sources import CorpusOptions
 from prbench_adapters.corpora.synthetic import synthesize_corpus_tree
 
 

@@ -10,10 +10,11 @@ import pytest
 from prbench.engine import ProcessPool
 from prbench.errors import InputFileError, UsageError
 from prbench.sequences import CorpusTable
-from prbench_adapters.corpora import CorpusOptions, build_corpus
+from prbench_adapters.corpora.build import build_corpus
 from prbench_adapters.corpora.humanml3d import files as layout
 from prbench_adapters.corpora.humanml3d.files import read_joints, read_texts
 from prbench_adapters.corpora.humanml3d.source import HumanML3DSource
+from prbench_adapters.corpora.sources import CorpusOptions
 from tests.fakes import smooth_motion
 
 

@@ -12,10 +12,11 @@ from prbench.engine import ProcessPool
 from prbench.errors import InputFileError, UsageError
 from prbench.protocol.manifests import load_manifest
 from prbench.sequences import CorpusTable
-from prbench_adapters.corpora import CorpusOptions, build_corpus, plan_corpus
+from prbench_adapters.corpora.build import build_corpus, plan_corpus
 from prbench_adapters.corpora.nymeria.files import find_sequences
 from prbench_adapters.corpora.nymeria.format import participant_of
 from prbench_adapters.corpora.nymeria.source import CORPUS, split_by_participant
+from prbench_adapters.corpora.sources import CorpusOptions
 from tests.adapters.corpora.conftest import SEED
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.geometry.axes import y_up
-from prbench.geometry.joint_names import XSENS_SEGMENTS
+from prbench.geometry.skeleton import XSENS_SEGMENTS, y_up
 from prbench.readers.aria_mps import format as mps
 from prbench_adapters.corpora.nymeria.clock import ClockOffset
 from prbench_adapters.corpora.nymeria.gaze import gaze_in_suit_world, head_from_device

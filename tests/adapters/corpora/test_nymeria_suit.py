@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.geometry.axes import y_up
-from prbench.geometry.joint_names import XSENS_SEGMENTS
-from prbench.geometry.skeleton import Joint
+from prbench.geometry.skeleton import XSENS_SEGMENTS, Joint, y_up
 from prbench.protocol.manifests import load_manifest
 from prbench_adapters.corpora.nymeria.body import measured_head_tilt, suit_motion
 from prbench_adapters.corpora.nymeria.format import Suit

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.curation.window_building import build_planned_windows
+from prbench.curation.windows import build_planned_windows
 from prbench.engine import InProcess
 from prbench.errors import InputFileError, UsageError
-from prbench.geometry.axes import y_up
-from prbench.geometry.joint_names import XSENS_SEGMENTS
+from prbench.geometry.skeleton import XSENS_SEGMENTS, y_up
 from prbench.prediction.batch import Condition
 from prbench.prediction.table import WindowsTable
 from prbench.readers.aria_mps import format as mps

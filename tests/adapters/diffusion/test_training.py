@@ -12,7 +12,7 @@ import torch
 from prbench.contract import Condition
 from prbench.errors import InputFileError, TableError, UsageError
 from prbench.geometry.skeleton import Joint
-from prbench.representation.statistics import Statistics
+from prbench.representation.features import Statistics
 from prbench.representation.tensors import decode
 from prbench_adapters import mdm, pr
 from prbench_adapters.diffusion.tasks import DiffusionTask

@@ -17,8 +17,8 @@ from prbench.sequences.corpus import (
     CorpusRecord,
     clip_batch,
     corpus_recording_batch,
+    write_corpus,
 )
-from prbench.sequences.corpus_table import write_corpus
 from prbench.sequences.dataset_info import CorpusCounts
 from prbench.sequences.sequence import event_batch, recording_batch, sequence_batch
 from prbench.sequences.write import write_dataset

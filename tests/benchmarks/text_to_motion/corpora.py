@@ -15,8 +15,8 @@ from prbench.sequences.corpus import (
     CorpusRecord,
     clip_batch,
     corpus_recording_batch,
+    write_corpus,
 )
-from prbench.sequences.corpus_table import write_corpus
 from prbench.sequences.dataset_info import CorpusCounts
 from tests.fakes import fake_info, smooth_motion
 

@@ -10,7 +10,7 @@ import numpy as np
 from prbench.checking.doctor.motion_set import ORDERS_OF_22
 from prbench.geometry.skeleton import Joint
 from prbench.representation import canonicalise, encode
-from prbench.representation.clips import MIRRORED_JOINTS
+from prbench.representation.encoding import MIRRORED_JOINTS
 
 Change = Callable[[np.ndarray], np.ndarray]
 _NAMES = [joint.name.lower() for joint in Joint]

@@ -17,9 +17,9 @@ import prbench.errors
 from prbench import randomness, representation
 from prbench.checking.scaffold import one_file
 from prbench.cli import main
-from prbench.geometry import axes, skeleton
-from prbench.geometry.axes import z_up
-from prbench.representation import converters, encode, uniform_skeleton
+from prbench.geometry import skeleton
+from prbench.geometry.skeleton import z_up
+from prbench.representation import converters, encode, encoding
 from tests.checking.scaffold import calculations
 from tests.docs.interpreters import older_python
 from tests.representation.converters.bodies import person, person_rotations
@@ -30,7 +30,7 @@ OURS = SimpleNamespace(
     **{
         name: getattr(module, name)
         for module in (
-            axes, randomness, skeleton, representation, uniform_skeleton, converters, prbench.contract, prbench.errors
+            randomness, skeleton, representation, encoding, converters, prbench.contract, prbench.errors
         )
         for name in dir(module)
         if not name.startswith("_")

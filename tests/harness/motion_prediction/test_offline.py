@@ -140,6 +140,6 @@ def test_the_commands_go_round(table, answer, tmp_path, capsys):
 
 
 def test_terms_that_keep_recordings_are_kept(monkeypatch, table, tmp_path):
-    monkeypatch.setattr("prbench.sequences.redistribution._known", lambda _terms: "none")
+    monkeypatch.setattr("prbench.sequences.dataset_info._known", lambda _terms: "none")
     with pytest.raises(RedistributionError):
         export_windows(WindowsRequest(data=(table,), condition="pose", out=tmp_path / "w.npz"))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.geometry.rays import slab_test
+from prbench.geometry.shapes import slab_test
 from prbench.readers.adt import find_recordings, read_readings, read_recording
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps.format import device_from_cpf, gaze_directions_cpf

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.geometry.rays import slab_test
+from prbench.geometry.shapes import slab_test
 from prbench.geometry.timelines import nearest_index
 from prbench.readers.adt import find_recordings, read_readings, read_recording
 from prbench.readers.adt import format as adt

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.skeleton import Y_UP_FROM_Z_UP
 from prbench.geometry.timelines import interpolate
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.files import find_mps_files, read_first_calibration, read_gaze_angles, read_wrists

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from prbench.curation import build_dataset
+from prbench.curation.job import native_sources
 from prbench.curation.options import BuildOptions
-from prbench.curation.sources import native_sources
 from prbench.errors import InputFileError
 from prbench.geometry.skeleton import Joint, transform_points
 from prbench.protocol.manifests import load_manifest

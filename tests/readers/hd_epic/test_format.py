@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prbench.geometry.axes import Y_UP_FROM_Z_UP
-from prbench.geometry.skeleton import transform_points
+from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, transform_points
 from prbench.readers.hd_epic import format as hd_epic
 
 # Frames 0 to 6 at 30 fps from 100 s on; frame 3 repeats frame 2, and an image is skipped after it.

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError, StreamsDoNotOverlap
-from prbench.geometry.axes import Y_UP_FROM_Z_UP
+from prbench.geometry.skeleton import Y_UP_FROM_Z_UP
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.format import device_from_cpf

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from prbench.curation import BuildOptions, build_dataset
-from prbench.curation.sources import native_sources
+from prbench.curation.job import native_sources
 from prbench.errors import InputFileError, PrbenchError, RecordingUnusable
 from prbench.readers import reader_for
 from prbench.readers.hot3d import READER, Hot3dOptions, find_recordings, read_readings

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.curation.contact import contact_distance
-from prbench.geometry.axes import z_up
-from prbench.geometry.rays import slab_test
+from prbench.curation.in_hand import contact_distance
+from prbench.geometry.shapes import slab_test
+from prbench.geometry.skeleton import z_up
 from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.aria_mps.files import read_gaze_angles

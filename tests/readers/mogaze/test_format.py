@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.geometry.axes import Y_UP_FROM_Z_UP
-from prbench.geometry.skeleton import Joint
+from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, Joint
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.format import (

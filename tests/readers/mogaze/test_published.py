@@ -11,7 +11,7 @@ from prbench.geometry.skeleton import Joint
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.mogaze.format import LINKS, MogazeReadings, Segment
 from prbench.readers.mogaze.to_recording import published_tracks, recording_from_mogaze
-from prbench.recording.published_tracks import PublishedTrack
+from prbench.recording.streams import PublishedTrack
 from tests.recording.mogaze_scene import STANDING_HEIGHT, N, still_life
 
 

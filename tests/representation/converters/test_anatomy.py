@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from prbench.errors import UsageError
-from prbench.representation.converters.anatomy import parse_expression
+from prbench.representation.converters.named_skeletons import parse_expression
 
 KNOWN = ("Hips", "Left Hand", "neck", "head", "j1")
 

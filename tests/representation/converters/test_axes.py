@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError, UsageError
-from prbench.geometry.axes import z_up
+from prbench.geometry.skeleton import z_up
 from prbench.representation.converters import at_rate, at_times, frames_needed, to_y_up
 from tests.representation.converters.bodies import person
 

@@ -13,8 +13,8 @@ from prbench.representation import Statistics, canonicalise, encode, rest_offset
 from prbench.representation.converters import (
     FeatureWarning,
     check_features,
-    feature_checks,
     feature_rows,
+    features,
     joints_from_features,
     motions_from_features,
     on_body_of,
@@ -22,7 +22,7 @@ from prbench.representation.converters import (
     read_feature_statistics,
     relative_root,
 )
-from prbench.representation.uniform_skeleton import retarget
+from prbench.representation.encoding import retarget
 from tests.representation.converters.bodies import person
 
 FEATURES = encode(person())
@@ -208,13 +208,13 @@ WALKING = encode(person(606, 380)[::6])
 def test_the_person_who_is_to_walk_walks(rows) -> None:
     """Slower pelvises have no vote on steps, so that the tests below would ask nothing."""
     steps = np.linalg.norm(WALKING[:rows, 1:3], axis=1)
-    assert steps.mean() > feature_checks._WALKS
+    assert steps.mean() > features._WALKS
 
 
 @pytest.fixture
 def untold(monkeypatch) -> None:
     """As in a new process, in which nothing was warned of."""
-    monkeypatch.setattr(feature_checks, "_warned", set())
+    monkeypatch.setattr(features, "_warned", set())
 
 
 @pytest.mark.usefixtures("untold")

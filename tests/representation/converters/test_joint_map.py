@@ -8,7 +8,7 @@ import pytest
 from prbench.errors import InputFileError, UsageError
 from prbench.geometry.skeleton import Joint
 from prbench.representation.converters import JointMap, joint_map, joint_map_by_names
-from prbench.representation.converters.anatomy import LIMBS
+from prbench.representation.converters.named_skeletons import LIMBS
 from tests.representation.converters.bodies import joint_errors, person
 from tests.representation.converters.foreign import known_motion
 from tests.representation.motions import turned

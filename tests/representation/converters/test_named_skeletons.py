@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prbench.geometry.joint_names import XSENS_SEGMENTS
-from prbench.geometry.skeleton import Joint, bone_lengths, head_forward
+from prbench.geometry.skeleton import XSENS_SEGMENTS, Joint, bone_lengths, head_forward
 from prbench.protocol.manifests import load_manifest
 from prbench.representation import mirror
 from prbench.representation.converters import JOINT_MAPS, check_limbs, check_sides
-from prbench.representation.converters.anatomy import LIMBS
+from prbench.representation.converters.named_skeletons import LIMBS
 from tests.representation.converters.bodies import joint_errors
 from tests.representation.converters.foreign import known_motion, seen_as
 

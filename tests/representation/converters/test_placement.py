@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.geometry.axes import z_up
-from prbench.geometry.skeleton import Joint, bone_lengths, facing_yaw
+from prbench.geometry.skeleton import Joint, bone_lengths, facing_yaw, z_up
 from prbench.representation import canonicalise
 from prbench.representation.converters import (
     in_frame_of,

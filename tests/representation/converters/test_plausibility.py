@@ -9,8 +9,8 @@ import pytest
 
 from prbench.errors import InputFileError
 from prbench.geometry.skeleton import PARENTS, Joint
-from prbench.representation.clips import MIRRORED_JOINTS
 from prbench.representation.converters import check_limbs, check_sides, front_of_legs, to_canonical
+from prbench.representation.encoding import MIRRORED_JOINTS
 from tests.fakes import STANDING
 from tests.representation.converters.bodies import person
 from tests.representation.motions import golden, turned

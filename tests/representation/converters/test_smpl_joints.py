@@ -13,7 +13,7 @@ from scipy.sparse import csc_matrix
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError, UsageError
-from prbench.geometry.axes import z_up
+from prbench.geometry.skeleton import z_up
 from prbench.readers.egoallo.synthetic import synthetic_smplh
 from prbench.representation.converters import (
     RestJoints,
@@ -26,8 +26,7 @@ from prbench.representation.converters import (
     smpl_joints,
     to_canonical,
 )
-from prbench.representation.converters.smpl_joints import HOW_TO_CONVERT
-from prbench.representation.converters.smpl_rotations import numbers_of
+from prbench.representation.converters.smpl import HOW_TO_CONVERT, numbers_of
 from tests.representation.converters.bodies import person_rotations, write_body_model
 
 REST = RestJoints.fixed(synthetic_smplh().template)

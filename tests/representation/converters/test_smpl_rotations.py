@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from prbench.readers.egoallo.format import forward_kinematics
 from prbench.representation.converters import RestJoints, SmplParameters, smpl_joints
-from prbench.representation.converters.smpl_rotations import from_axis_angle, from_matrices, to_matrices
+from prbench.representation.converters.smpl import from_axis_angle, from_matrices, to_matrices
 
 RNG = np.random.default_rng(0)
 VECTORS = np.concatenate(

@@ -15,12 +15,10 @@ from prbench.checking.doctor import Expected, diagnose
 from prbench.cli import main
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions
 from prbench.errors import InputFileError
-from prbench.geometry.axes import z_up
-from prbench.geometry.skeleton import Joint
+from prbench.geometry.skeleton import Joint, z_up
 from prbench.geometry.timelines import interpolate
 from prbench.harness.methods.motions import at_native_rate, at_table_rate
 from prbench.representation import canonicalise, encode
-from prbench.representation.clips import MIRRORED_JOINTS
 from prbench.representation.converters import (
     JointMap,
     RestJoints,
@@ -29,7 +27,7 @@ from prbench.representation.converters import (
     smpl_joints,
     to_canonical,
 )
-from prbench.representation.uniform_skeleton import retarget
+from prbench.representation.encoding import MIRRORED_JOINTS, retarget
 from tests.representation.converters.bodies import mean_error, person, person_rotations, write_body_model
 from tests.representation.converters.foreign import known_motion, seen_as
 from tests.representation.converters.test_smpl_joints import written

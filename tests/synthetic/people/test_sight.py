@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import prbench.synthetic
-from prbench.geometry.rays import near_miss, slab_test
+from prbench.geometry.shapes import near_miss, slab_test
 from prbench.synthetic.people.truth import first_sight, meets_box, passing_distance, slab_interval
 
 LOW = [-1.0, -1.0, -1.0]
@@ -146,5 +146,5 @@ def test_the_synthetic_truth_shares_no_code_with_what_it_judges() -> None:
                 names = [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom):
                 names = [f"{node.module}.{alias.name}" for alias in node.names]
-            judged = [name for name in names if name.startswith(("prbench.geometry.rays", "prbench.curation"))]
+            judged = [name for name in names if name.startswith(("prbench.geometry.shapes", "prbench.curation"))]
             assert not judged, f"{path.relative_to(folder)} imports {judged}"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from prbench.curation.window_runs import sliding_windows
+from prbench.curation.windows import sliding_windows
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import head_forward
 from prbench.prediction.joint_sets import SMPL22

@@ -21,7 +21,7 @@ from prbench.harness.methods.remote import RemoteMethod
 from prbench.prediction.batch import Condition, ObservedBatch
 from prbench.prediction.protocol import load_prediction_protocol
 from prbench.prediction.table import WindowsTable
-from prbench.protocol.benchmarks import find_benchmark
+from prbench.protocol.manifests import find_benchmark
 
 BENCHMARK = "motion-prediction"
 RICHEST_FIRST = (Condition.POSE_GAZE, Condition.POSE_HEAD, Condition.POSE)

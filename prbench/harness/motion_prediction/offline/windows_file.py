@@ -20,7 +20,7 @@ from prbench.harness.benchmark import load_benchmark
 from prbench.harness.request import RunRequest
 from prbench.prediction.batch import Condition, ObservedBatch
 from prbench.prediction.protocol import load_prediction_protocol
-from prbench.sequences.redistribution import notice, require_may_pass_on
+from prbench.sequences.dataset_info import notice, require_may_pass_on
 
 BENCHMARK = "motion-prediction"
 METADATA_KEY = "prbench_windows"
