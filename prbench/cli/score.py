@@ -28,7 +28,7 @@ from prbench.protocol.manifests import default_benchmark
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
-    from prbench.harness.offline.export import ExportReport
+    from prbench.harness.offline import ExportReport
     from prbench.harness.run_folder.agreement import DatasetAgreement
     from prbench.harness.run_folder.summary import DatasetSummary
     from prbench.harness.score_predictions import ScoreReport as Scored
@@ -125,7 +125,8 @@ def score(
     motion-prediction it is .npz with opaque_id and joints (windows, samples, frames, joints, 3).
     """
     from prbench.contract import Condition
-    from prbench.harness.score_predictions import ScoreRequest, score_predictions
+    from prbench.harness.score_predictions import score_predictions
+    from prbench.harness.score_request import ScoreRequest
     from prbench.protocol.manifests import default_benchmark, find_benchmark
 
     about = find_benchmark(benchmark or default_benchmark().name)
@@ -227,7 +228,7 @@ def _print(scored: Sequence[Scored], out: Path | None) -> None:
 @command(
     "export-conditions",
     example="prbench export-conditions --data tables/adt --condition goal-loc --seed 0 --out conditions.npz",
-    report="prbench.harness.offline.export:ExportReport",
+    report="prbench.harness.offline:ExportReport",
 )
 @opt.data_option(required=True)
 @opt.benchmark_option
@@ -319,7 +320,7 @@ def _windows(
 ) -> Answer:
     """Write what a predictor may see."""
     from prbench.harness.motion_prediction.offline import WindowsRequest, export_windows
-    from prbench.harness.offline.export import ExportReport
+    from prbench.harness.offline import ExportReport
 
     exported = export_windows(
         WindowsRequest(

@@ -27,7 +27,8 @@ from prbench.harness.methods.programs import read_description
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import RunRecord
-from prbench.harness.score_predictions import ScoreRequest, score_predictions
+from prbench.harness.score_predictions import score_predictions
+from prbench.harness.score_request import ScoreRequest
 from tests.harness.test_run import request
 from tests.method_fixtures import adapter_source
 
