@@ -18,7 +18,7 @@ from prbench.harness.synthetic_table import Staging, World
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.readers import reader_for
 from prbench.readers.found import RecordingFiles
-from prbench.recording.reaching_hand import LEAST_DIFFERENCE
+from prbench.recording.streams import LEAST_DIFFERENCE
 from prbench.sequences import Event
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import TrueEvent

@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from prbench.protocol.benchmarks import default_benchmark
+from prbench.protocol.manifests import default_benchmark
 
 TIME_LIMIT = 600.0
 """Default limit of each call of the method, seconds."""

@@ -26,7 +26,7 @@ from prbench.checking.conformance.subject import (
     metres,
     same_bytes,
 )
-from prbench.curation.window_runs import sliding_windows
+from prbench.curation.windows import sliding_windows
 from prbench.errors import PrbenchError, UsageError
 from prbench.geometry.skeleton import head_forward
 from prbench.harness.benchmark import load_benchmark
@@ -40,7 +40,7 @@ from prbench.prediction.metrics import bone_error, first_frame_jump
 from prbench.prediction.protocol import load_prediction_protocol
 from prbench.prediction.table import FILE_NAME, SCHEMA_VERSION, CutRun, Run, Window, WindowsInfo, WindowsTable
 from prbench.prediction.table import write_windows as write
-from prbench.protocol.benchmarks import find_benchmark
+from prbench.protocol.manifests import find_benchmark
 from prbench.sequences.table import by_share
 
 

@@ -51,7 +51,7 @@ from prbench.harness.methods.installed import METHOD_CONTROLS
 from prbench.harness.methods.loading import MethodSpec, forget_loaded_methods, method_spec
 from prbench.harness.methods.process import exit_story, python_words, users_environment
 from prbench.harness.methods.programs import is_program
-from prbench.protocol.benchmarks import default_benchmark
+from prbench.protocol.manifests import default_benchmark
 
 
 @dataclass(frozen=True)

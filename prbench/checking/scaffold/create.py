@@ -21,7 +21,7 @@ from prbench.errors import StorageError, UsageError
 from prbench.files.storage import atomic_folder, sole_writer
 from prbench.harness.methods.installed import list_adapters, name_problem
 from prbench.prediction.batch import Condition as PredictorCondition
-from prbench.protocol.benchmarks import benchmarks, default_benchmark, find_benchmark
+from prbench.protocol.manifests import benchmarks, default_benchmark, find_benchmark
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _LONGEST = 40
