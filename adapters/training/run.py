@@ -1,23 +1,26 @@
-"""A whole training, from a user's request to trained weights: task, configuration, data, loop."""
+"""A whole training, from a user's request to trained weights: task, configuration, precision, data, loop."""
 
 from __future__ import annotations
 
+import platform
+import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import msgspec
 import torch
+from torch import nn
 
 from prbench.engine import Engine, InProcess, close_engine
 from prbench.errors import TrainingStopped, UsageError
-from prbench.files.storage import sole_writer
+from prbench.files.storage import cache_folder, read_json, sole_writer, write_json
 from prbench.harness.methods.installed import load_task
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.folds import fold_table, parse_fold
-from prbench_adapters.training.batches import LengthBatches, load_batches
+from prbench_adapters.training.batches import LengthBatches, WindowsDataset, load_batches
 from prbench_adapters.training.configuration import (
     DEFAULT_STAGES,
     TrainingConfiguration,
@@ -25,13 +28,12 @@ from prbench_adapters.training.configuration import (
     load_configuration,
 )
 from prbench_adapters.training.dataset import SequenceDataset, configured_dataset
-from prbench_adapters.training.loop import Progress, fit, silent
-from prbench_adapters.training.motions import REFIT
-from prbench_adapters.training.outputs import WEIGHTS
-from prbench_adapters.training.precision import chosen_precision
-from prbench_adapters.training.processes import make_fabric
-from prbench_adapters.training.record import (
+from prbench_adapters.training.loop import Progress, fit, make_fabric, silent
+from prbench_adapters.training.report import (
+    RECORD,
+    WEIGHTS,
     TrainingRecord,
+    read_record,
     require_same_training,
     table_records,
     training_card,
@@ -39,13 +41,70 @@ from prbench_adapters.training.record import (
     write_record,
 )
 from prbench_adapters.training.state import Row, TrainingState
+from prbench_adapters.training.store import REFIT
 from prbench_adapters.training.task import TrainingData, TrainingModule, TrainingTask, WindowsTask
 from prbench_adapters.training.validation import Validation
 from prbench_adapters.training.weights import read_weights
-from prbench_adapters.training.windows import WindowsDataset
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
+
+Precision = Literal["32-true", "bf16-mixed"]
+
+_ROWS = 2048
+_WIDTH = 128
+"""Sizes of a small network's layer over a batch."""
+_SECONDS = 0.5
+_PRECISIONS: tuple[Precision, Precision] = ("32-true", "bf16-mixed")
+
+
+def chosen_precision(wanted: Literal["32-true", "bf16-mixed", "auto"], *, device: str, out: Path) -> Precision:
+    """Return the precision to train in.
+
+    Args:
+        wanted: ``auto`` for the quicker one on this machine.
+        device: ``cpu``, ``cuda`` …
+        out: The training folder; a training that goes on keeps its precision.
+    """
+    if wanted != "auto":
+        return wanted
+    if (out / RECORD).is_file():
+        earlier = read_record(out).configuration.training.precision
+        return "32-true" if earlier == "auto" else earlier
+    if not device.startswith("cpu"):
+        return "bf16-mixed"  # every GPU that trains such networks has units for it
+    kept = cache_folder() / "precision.json"
+    machine = f"{platform.node()}/{platform.machine()}/{torch.__version__}/{torch.get_num_threads()}"
+    known = read_json(kept) if kept.is_file() else {}
+    known = dict(known) if isinstance(known, dict) else {}
+    if known.get(machine) not in _PRECISIONS:
+        known[machine] = quicker_precision()
+        write_json(kept, known)
+    return known[machine]
+
+
+def quicker_precision() -> Precision:
+    """Train a layer on the processor for a second, half of it in each precision, and return the quicker one."""
+    layer = nn.Sequential(nn.Linear(_WIDTH, 3 * _WIDTH), nn.GELU(), nn.Linear(3 * _WIDTH, _WIDTH))
+    rows = torch.ones((_ROWS, _WIDTH))
+    seconds = {precision: _seconds_a_step(layer, rows, precision) for precision in _PRECISIONS}
+    return min(_PRECISIONS, key=lambda precision: seconds[precision])
+
+
+def _seconds_a_step(layer: nn.Module, rows: torch.Tensor, precision: Precision) -> float:
+    def step() -> None:
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=precision == "bf16-mixed"):
+            made = layer(rows)
+        made.float().square().mean().backward()
+
+    step()  # the first one chooses kernels and reserves memory
+    steps = 0
+    started = time.perf_counter()
+    while time.perf_counter() - started < _SECONDS:
+        step()
+        steps = steps + 1
+    return (time.perf_counter() - started) / steps
+
 
 _DEFAULT_CONFIGURATION = "small"
 _IN_PROCESS = InProcess()

@@ -11,7 +11,6 @@ import pytest
 from prbench.contract import Condition, Motions
 from prbench.errors import AdapterError, InputFileError
 from prbench.geometry.skeleton import BONES, Joint
-from prbench_adapters.diffusion import bundled
 from prbench_adapters.pr import PR, load
 from tests.adapters.diffusion import tiny
 from tests.adapters.diffusion.goal_batches import conditions

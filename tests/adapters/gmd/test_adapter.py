@@ -14,9 +14,8 @@ from prbench.harness.methods.loading import load_adapter
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.predictions import Predictions
-from prbench_adapters.diffusion import bundled
 from prbench_adapters.gmd.adapter import GMD, generate
-from prbench_adapters.gmd.stages import GMDSettings
+from prbench_adapters.gmd.sampling import GMDSettings
 from tests.adapters.gmd import tiny
 from tests.fakes import fake_dataset, fake_sequence
 

@@ -11,12 +11,10 @@ import torch
 from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError
 from prbench.geometry.skeleton import Joint, bone_lengths
-from prbench_adapters.diffusion.batches import SequenceNoise
+from prbench_adapters.diffusion.generation import SequenceNoise
 from prbench_adapters.diffusion.sampling import CosineSchedule
-from prbench_adapters.gmd import stages
 from prbench_adapters.gmd.adapter import generate
-from prbench_adapters.gmd.sampling import Ends, RootGoal, clean_of_noise, guided_mean, imputed_root
-from prbench_adapters.gmd.stages import GMDSettings
+from prbench_adapters.gmd.sampling import Ends, GMDSettings, RootGoal, clean_of_noise, guided_mean, imputed_root
 from tests.adapters.gmd import tiny
 
 

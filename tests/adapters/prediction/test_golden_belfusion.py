@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from prbench_adapters.prediction.behaviour import BehaviourAutoencoder, BehaviourConfiguration, PastAutoencoder
-from prbench_adapters.prediction.belfusion import BeLFusion
-from prbench_adapters.prediction.latent_unet import UNetConfiguration
+from prbench_adapters.prediction.belfusion import (
+    BehaviourAutoencoder,
+    BehaviourConfiguration,
+    BeLFusion,
+    PastAutoencoder,
+    UNetConfiguration,
+)
 from tests.adapters.prediction.golden import (
     largest_difference,
     load,

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from prbench_adapters.prediction.cvae import CVAE, CVAEConfiguration, rate_factor
-from prbench_adapters.prediction.dlow import DLow, DLowConfiguration
-from prbench_adapters.prediction.recurrent import last_state
+from prbench_adapters.prediction.recurrent import (
+    CVAE,
+    CVAEConfiguration,
+    DLow,
+    DLowConfiguration,
+    last_state,
+    rate_factor,
+)
 from tests.adapters.prediction.golden import largest_difference, load, load_cvae, load_dlow, tensor
 
 TOLERANCE = 5e-6

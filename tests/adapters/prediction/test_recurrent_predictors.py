@@ -5,11 +5,14 @@ from __future__ import annotations
 import pytest
 import torch
 
-from prbench_adapters.prediction.behaviour import BehaviourConfiguration, PastAutoencoder
-from prbench_adapters.prediction.belfusion import BeLFusion
-from prbench_adapters.prediction.cvae import CVAE, CVAEConfiguration
-from prbench_adapters.prediction.dlow import DLow, DLowConfiguration
-from prbench_adapters.prediction.latent_unet import LatentUNet, UNetConfiguration
+from prbench_adapters.prediction.belfusion import (
+    BehaviourConfiguration,
+    BeLFusion,
+    LatentUNet,
+    PastAutoencoder,
+    UNetConfiguration,
+)
+from prbench_adapters.prediction.recurrent import CVAE, CVAEConfiguration, DLow, DLowConfiguration
 
 
 def _count(module):

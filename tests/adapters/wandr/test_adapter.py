@@ -16,9 +16,8 @@ from prbench.errors import AdapterError, InputFileError
 from prbench.geometry.skeleton import Joint, bone_lengths
 from prbench.harness.methods.loading import load_adapter
 from prbench.representation import mirror
-from prbench_adapters.diffusion import bundled
 from prbench_adapters.wandr.adapter import WANDR, Generation
-from prbench_adapters.wandr.state import TRANSLATION
+from prbench_adapters.wandr.network import TRANSLATION
 from tests.adapters.wandr import tiny
 
 RIGHT, LEFT = Joint.RIGHT_WRIST, Joint.LEFT_WRIST

@@ -11,13 +11,12 @@ from prbench.cli.main import main
 from prbench.contract import Condition, Motions
 from prbench.errors import AdapterError, InputFileError, TableError, UsageError
 from prbench.representation import encode
-from prbench_benchmarks.text_to_motion import generated
 from prbench_benchmarks.text_to_motion.clips import EvaluatedClips, Pass, draw, recorded_features
 from prbench_benchmarks.text_to_motion.evaluate import MISMATCHED, REAL, TextEvaluationRequest, evaluate_text
 from prbench_benchmarks.text_to_motion.generated import MethodRequest, generated_features
 from prbench_benchmarks.text_to_motion.networks import EvaluatorConfiguration
 from prbench_benchmarks.text_to_motion.report import TextEvaluation
-from prbench_benchmarks.text_to_motion.task import load_evaluator
+from prbench_benchmarks.text_to_motion.training import load_evaluator
 from tests.benchmarks.text_to_motion.corpora import TINY
 from tests.benchmarks.text_to_motion.test_training import trained
 from tests.cli.reports import plain, refused, reported

@@ -120,7 +120,7 @@ def test_a_package_never_trains_in_place_of_a_method_of_prbench(install, tmp_pat
     found = [(point.name, point.value) for point in entry_points_of("prbench.training_tasks")]
     assert ("mdm", "prbench_made:task") not in found
     assert [value for name, value in found if name == "t2m-evaluator"] == [
-        "prbench_benchmarks.text_to_motion.task:t2m_evaluator"
+        "prbench_benchmarks.text_to_motion.training:t2m_evaluator"
     ]
 
 
