@@ -18,7 +18,17 @@ from prbench.text import EncodedText, text_encoder
 from prbench.text import TextEncoder as TokenVectors
 from prbench_adapters.training.store import Motion, cut, encoded, frame_rate, open_table, read_rows
 from prbench_benchmarks.text_to_motion.metrics import BATCH
-from prbench_benchmarks.text_to_motion.networks import GLOVE, MOVEMENT_FEATURES, SNIPPET, EvaluatorConfiguration, GloveCaptions, MotionEncoder, MovementEncoder, TextEncoder, WordVectors
+from prbench_benchmarks.text_to_motion.networks import (
+    GLOVE,
+    MOVEMENT_FEATURES,
+    SNIPPET,
+    EvaluatorConfiguration,
+    GloveCaptions,
+    MotionEncoder,
+    MovementEncoder,
+    TextEncoder,
+    WordVectors,
+)
 
 _SHORTER = 1 / 3
 

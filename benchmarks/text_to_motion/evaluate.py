@@ -13,10 +13,20 @@ from jaxtyping import Float
 import prbench
 from prbench.errors import UsageError
 from prbench_adapters.training.store import open_table
-from prbench_benchmarks.text_to_motion.clips import EvaluatedClips, Pass, draw, recorded_features
-from prbench_benchmarks.text_to_motion.clips import Extractor
+from prbench_benchmarks.text_to_motion.clips import EvaluatedClips, Extractor, Pass, draw, recorded_features
 from prbench_benchmarks.text_to_motion.generated import Generator, MethodRequest, Prompt
-from prbench_benchmarks.text_to_motion.metrics import DIVERSITY_PAIRS, FEWEST, MULTIMODALITY, MULTIMODALITY_PROMPTS, MULTIMODALITY_SAMPLES, EmbeddedPairs, draw_multimodality_pairs, measure_motions, measure_pairs, multimodality
+from prbench_benchmarks.text_to_motion.metrics import (
+    DIVERSITY_PAIRS,
+    FEWEST,
+    MULTIMODALITY,
+    MULTIMODALITY_PROMPTS,
+    MULTIMODALITY_SAMPLES,
+    EmbeddedPairs,
+    draw_multimodality_pairs,
+    measure_motions,
+    measure_pairs,
+    multimodality,
+)
 from prbench_benchmarks.text_to_motion.networks import EvaluatorConfiguration
 from prbench_benchmarks.text_to_motion.report import ResultRow, RowTally, TextEvaluation
 from prbench_benchmarks.text_to_motion.training import LoadedEvaluator, load_evaluator

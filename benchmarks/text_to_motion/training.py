@@ -22,7 +22,16 @@ from prbench_adapters.training import MotionBatch
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import Weights, read_weights, representation_entry
 from prbench_benchmarks.text_to_motion.clips import Extractor, cut_tokens, token_vectors
-from prbench_benchmarks.text_to_motion.networks import GLOVE, MOVEMENT_FEATURES, SNIPPET, EvaluatorConfiguration, MotionEncoder, MovementDecoder, MovementEncoder, TextEncoder
+from prbench_benchmarks.text_to_motion.networks import (
+    GLOVE,
+    MOVEMENT_FEATURES,
+    SNIPPET,
+    EvaluatorConfiguration,
+    MotionEncoder,
+    MovementDecoder,
+    MovementEncoder,
+    TextEncoder,
+)
 
 Stage = Literal["full", "autoencoder", "contrastive"]
 STAGES: tuple[Stage, ...] = ("full", "autoencoder", "contrastive")

@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from prbench_benchmarks.text_to_motion.metrics import FewSamplesWarning, Repeated, diversity, draw_diversity_pairs, draw_multimodality_pairs, fid, multimodal_distance, multimodality, r_precision
+from prbench_benchmarks.text_to_motion.metrics import (
+    FewSamplesWarning,
+    Repeated,
+    diversity,
+    draw_diversity_pairs,
+    draw_multimodality_pairs,
+    fid,
+    multimodal_distance,
+    multimodality,
+    r_precision,
+)
 
 FEW = "ignore::prbench_benchmarks.text_to_motion.metrics.FewSamplesWarning"
 

@@ -8,7 +8,13 @@ from torch import nn
 from prbench.representation import Statistics
 from prbench.text import text_encoder
 from prbench_benchmarks.text_to_motion.clips import Extractor
-from prbench_benchmarks.text_to_motion.networks import EvaluatorConfiguration, MotionEncoder, MovementDecoder, MovementEncoder, TextEncoder
+from prbench_benchmarks.text_to_motion.networks import (
+    EvaluatorConfiguration,
+    MotionEncoder,
+    MovementDecoder,
+    MovementEncoder,
+    TextEncoder,
+)
 
 TINY = EvaluatorConfiguration(
     movement_width=8, motion_width=6, text_width=6, embedding=5, text="hashed-ngrams", max_frames=60

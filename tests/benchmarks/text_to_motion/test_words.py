@@ -5,7 +5,14 @@ import pytest
 import torch
 
 from prbench.errors import InputFileError
-from prbench_benchmarks.text_to_motion.networks import LISTS, POS_CLASSES, EvaluatorConfiguration, GloveCaptions, TextEncoder, WordVectors
+from prbench_benchmarks.text_to_motion.networks import (
+    LISTS,
+    POS_CLASSES,
+    EvaluatorConfiguration,
+    GloveCaptions,
+    TextEncoder,
+    WordVectors,
+)
 
 WORDS = ["unk", "sos", "eos", "walk", "left", "hand"]
 
