@@ -20,13 +20,7 @@ from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.diffusion.training import Draw, losses, scored_losses
 from prbench_adapters.diffusion.training import Objective as DenoiserObjective
 from prbench_adapters.gmd.adapter import GMD
-from prbench_adapters.gmd.features import (
-    N_ROOT,
-    FeatureSpace,
-    decode_absolute,
-    emphasis_projection,
-    with_absolute_root,
-)
+from prbench_adapters.gmd.features import N_ROOT, FeatureSpace, decode_absolute, emphasis_projection, with_absolute_root
 from prbench_adapters.gmd.model import (
     KIND,
     GMDConfiguration,

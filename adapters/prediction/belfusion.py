@@ -298,16 +298,6 @@ class Behaviour:
         return self.mean + self.log_deviation.exp() * noise
 
 
-@dataclass(frozen=True)
-class BehaviourLoss:
-    """Sums over frames and values, averaged over windows, m²; the weighted sum is ``total``."""
-
-    squared_error: Float[Tensor, ""]
-    kl: Float[Tensor, ""]
-    auxiliary: Float[Tensor, ""]
-    total: Float[Tensor, ""]
-
-
 class BehaviourAutoencoder(nn.Module):
     """A behaviour of context and future, and poses from a behaviour and any context.
 
@@ -357,8 +347,8 @@ class BehaviourAutoencoder(nn.Module):
 
     def loss(
         self, sequence: Float[Tensor, "windows frames joints 3"], noise: Float[Tensor, "windows behaviour"]
-    ) -> BehaviourLoss:
-        """The loss of encoder and coupler, and that of the auxiliary decoder beside it."""
+    ) -> dict[str, Float[Tensor, ""]]:
+        """The published loss of encoder and coupler, m²; ``auxiliary`` is that of the auxiliary decoder beside it."""
         found = self.encode(sequence)
         behaviour = found.draw(noise)
         n = len(sequence)
@@ -368,7 +358,7 @@ class BehaviourAutoencoder(nn.Module):
         kl = gaussian_kl(found.mean, found.log_deviation).sum() / n
         auxiliary = (self.decode_without_context(behaviour) - sequence).square().sum() / n
         total = squared_error + self.configuration.beta * kl - self.configuration.delta * auxiliary
-        return BehaviourLoss(squared_error, kl, auxiliary, total)
+        return {"loss": total, "squared_error": squared_error, "kl": kl, "auxiliary": auxiliary}
 
 
 class _ScaledLinear(nn.Module):
@@ -393,15 +383,6 @@ def square_root_schedule(steps: int) -> Chain:
     level = np.maximum(0.0, 1.0 - np.sqrt(np.arange(steps + 1) / steps + _OFFSET))
     betas = np.minimum(1.0 - level[1:] / level[:-1], _LARGEST_BETA)
     return Chain(np.arange(steps), np.cumprod(1.0 - betas))
-
-
-@dataclass(frozen=True)
-class BeLFusionLoss:
-    """Of each window: the best sample's error of the latent vector, and of the decoded future."""
-
-    latent: Float[Tensor, " windows"]
-    decoded: Float[Tensor, " windows"]
-    total: Float[Tensor, " windows"]
 
 
 class BeLFusion(nn.Module):
@@ -475,8 +456,8 @@ class BeLFusion(nn.Module):
         step: Int[Tensor, " windows"],
         noise: Float[Tensor, "windows samples behaviour"],
         behaviour_noise: Float[Tensor, "windows behaviour"],
-    ) -> BeLFusionLoss:
-        """Errors of the best of several noises at one step.
+    ) -> dict[str, Float[Tensor, " windows"]]:
+        """Errors of the best of several noises at one step, of each window: of the latent vector and of the future.
 
         Args:
             motion: Whole windows, metres.
@@ -493,7 +474,7 @@ class BeLFusion(nn.Module):
         clean = self.denoised(level.sqrt() * target + (1.0 - level).sqrt() * noise, step, condition)
         latent = (clean - target).abs().sum(dim=-1).amin(dim=1)
         decoded = (self.decode(observed, clean).flatten(2) - decoded_target).norm(dim=-1).amin(dim=1)
-        return BeLFusionLoss(latent, decoded, latent + self.decoded_weight * decoded)
+        return {"loss": latent + self.decoded_weight * decoded, "latent": latent, "decoded": decoded}
 
     @torch.no_grad()
     def predict(

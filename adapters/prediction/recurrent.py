@@ -6,7 +6,6 @@ Source: docs/specification/prediction-baselines.md#common.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import msgspec
@@ -84,10 +83,6 @@ def gaussian_kl(
     return -0.5 * (1.0 + log_variance - mean.square() - log_variance.exp()).sum(dim=-1)
 
 
-_CONSTANT_EPOCHS = 100
-_EPOCHS = 500
-
-
 class CVAEConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Sizes and weights of the loss.
 
@@ -118,16 +113,6 @@ class CVAEConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     def values(self) -> int:
         """Numbers of a pose."""
         return 3 * self.n_joints
-
-
-@dataclass(frozen=True)
-class CVAELoss:
-    """Sums over frames and values, averaged over windows; the weighted sum is ``total``."""
-
-    squared_error: Float[Tensor, ""]
-    first_frame: Float[Tensor, ""]
-    kl: Float[Tensor, ""]
-    total: Float[Tensor, ""]
 
 
 class CVAE(nn.Module):
@@ -189,8 +174,12 @@ class CVAE(nn.Module):
         observed: Float[Tensor, "windows observed joints 3"],
         future: Float[Tensor, "windows predicted joints 3"],
         noise: Float[Tensor, "windows latent"],
-    ) -> CVAELoss:
-        """The loss of the reconstruction from a latent vector drawn with ``noise``, standard normal."""
+    ) -> dict[str, Float[Tensor, ""]]:
+        """The loss of the reconstruction from a latent vector drawn with ``noise``, standard normal.
+
+        Returns:
+            ``loss``, the weighted sum, and its parts: sums over frames and values, averaged over windows, m².
+        """
         mean, log_variance = self.posterior_of(observed, future)
         latent = mean + (0.5 * log_variance).exp() * noise
         reconstruction = self.decode(observed, latent[:, None])[:, 0]
@@ -200,12 +189,7 @@ class CVAE(nn.Module):
         first_frame = (reconstruction[:, 0] - observed[:, -1]).square().sum() / n
         kl = gaussian_kl(mean, log_variance).sum() / n
         total = squared_error + self.configuration.first_frame * first_frame + self.configuration.beta * kl
-        return CVAELoss(squared_error, first_frame, kl, total)
-
-
-def rate_factor(epoch: int, *, constant: int = _CONSTANT_EPOCHS, epochs: int = _EPOCHS) -> float:
-    """Factor of the learning rate in an epoch counted from 0: 1 at first, then linearly to almost 0 at the end."""
-    return 1.0 - max(0, epoch - constant) / (epochs - constant + 1)
+        return {"loss": total, "squared_error": squared_error, "first_frame": first_frame, "kl": kl}
 
 
 _SMALLEST_VARIANCE = 1e-12
@@ -238,16 +222,6 @@ class DLowConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
             raise ValueError(f"'state' and 'mlp' must be positive widths, found {self.state} and {list(self.mlp)}")
         if not self.scale > 0:
             raise ValueError(f"'scale' must be positive, found {self.scale}")
-
-
-@dataclass(frozen=True)
-class DLowLoss:
-    """Means over windows; the weighted sum is ``total``."""
-
-    kl: Float[Tensor, ""]
-    diversity: Float[Tensor, ""]
-    best_of_k: Float[Tensor, ""]
-    total: Float[Tensor, ""]
 
 
 class DLow(nn.Module):
@@ -309,8 +283,8 @@ class DLow(nn.Module):
         observed: Float[Tensor, "windows observed joints 3"],
         future: Float[Tensor, "windows predicted joints 3"],
         noise: Float[Tensor, "windows latent"],
-    ) -> DLowLoss:
-        """Divergence from the prior, similarity of the samples, and error of the best one."""
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Divergence from the prior, similarity of the samples, and error of the best one; ``loss`` is their sum."""
         scale, shift = self.maps(observed)
         predicted = self.cvae.decode(observed, scale * noise[:, None] + shift).flatten(2)
         # A scale of 0 would have no logarithm.
@@ -319,7 +293,7 @@ class DLow(nn.Module):
         best = (predicted - future.flatten(1)[:, None]).square().sum(dim=-1).amin(dim=1).mean()
         weights = self.configuration
         total = weights.kl * kl + weights.diversity * diversity + weights.best_of_k * best
-        return DLowLoss(kl, diversity, best, total)
+        return {"loss": total, "kl": kl, "diversity": diversity, "best_of_k": best}
 
     @property
     def scale(self) -> float:

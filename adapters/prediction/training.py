@@ -238,13 +238,7 @@ class CVAETraining(PredictorTraining[CVAERecord, CVAE]):
         """The reconstruction of the future from a latent vector that was drawn for it."""
         observed = self.record.windows.observed
         noise = self._normal((len(motion), self.record.network.latent), generator, motion)
-        loss = self.network.loss(motion[:, :observed], motion[:, observed:], noise)
-        return {
-            "loss": loss.total,
-            "squared_error": loss.squared_error,
-            "first_frame": loss.first_frame,
-            "kl": loss.kl,
-        }
+        return self.network.loss(motion[:, :observed], motion[:, observed:], noise)
 
 
 class DLowTraining(PredictorTraining[DLowRecord, DLow]):
@@ -254,8 +248,7 @@ class DLowTraining(PredictorTraining[DLowRecord, DLow]):
         """The losses of the K futures of one noise vector a window."""
         observed = self.record.windows.observed
         noise = self._normal((len(motion), self.record.cvae.latent), generator, motion)
-        loss = self.network.loss(motion[:, :observed], motion[:, observed:], noise)
-        return {"loss": loss.total, "kl": loss.kl, "diversity": loss.diversity, "best_of_k": loss.best_of_k}
+        return self.network.loss(motion[:, :observed], motion[:, observed:], noise)
 
 
 class AutoencoderTraining(PredictorTraining[AutoencodersRecord, Autoencoders]):
@@ -332,7 +325,7 @@ class BeLFusionTraining(PredictorTraining[BeLFusionRecord, BeLFusion]):
         noise = self._normal((count, self.noises, size), generator, motion)
         behaviour_noise = self._normal((count, size), generator, motion)
         loss = self.network.loss(motion, index, noise, behaviour_noise)
-        return {"loss": loss.total.mean(), "latent": loss.latent.mean(), "decoded": loss.decoded.mean()}
+        return {name: values.mean() for name, values in loss.items()}
 
 
 TRAIN = "train"

@@ -20,14 +20,12 @@ from prbench.randomness import named_generator
 from prbench.representation import Mode, Statistics, StatisticsAccumulator
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.sequences.table import SPLITS
-from prbench_adapters.training.configuration import TrainingConfiguration
+from prbench_adapters.training.configuration import DataConfiguration, TrainingConfiguration
 from prbench_adapters.training.store import (
     REFIT,
     Crop,
-    Encoding,
     FeatureStore,
     LeftOut,
-    Motion,
     Table,
     cut,
     encoded,
@@ -50,19 +48,29 @@ class MotionItem:
     features: Float[np.ndarray, "n 263"]
     """Raw features, one row a frame, not standardised (docs/specification/humanml3d.md#forward-conversion)."""
     joints: Float[np.ndarray, "n 22 3"]
-    n_frames: int
     text: str
     """Caption, one of those of the row."""
-    initial_joints: Float[np.ndarray, "22 3"]
-    """The first frame."""
     previous_joints: Float[np.ndarray, "22 3"]
-    """The frame before it, for the initial velocity."""
-    goal_joints: Float[np.ndarray, "22 3"]
-    """The last frame."""
+    """The frame before the first, for the initial velocity."""
     goal_location: Float[np.ndarray, "3"]
     """Place that is reached; NaN for motions of a corpus."""
     fps: float
     sequence_id: str
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames."""
+        return len(self.joints)
+
+    @property
+    def initial_joints(self) -> Float[np.ndarray, "22 3"]:
+        """The first frame."""
+        return self.joints[0]
+
+    @property
+    def goal_joints(self) -> Float[np.ndarray, "22 3"]:
+        """The last frame."""
+        return self.joints[-1]
 
 
 @dataclass(frozen=True)
@@ -248,8 +256,9 @@ class SequenceDataset(Dataset[MotionItem]):
         left_out: list[LeftOut] = []
         for table in opened:
             for part in _filled_parts(table, split):
-                encoding = Encoding(part, mode, max_frames, crop, mirrored and not holds_mirrored(table))
-                store, unusable = table_store(table, encoding, cache or cache_folder() / "training", engine=engine)
+                mirrors = mirrored and not holds_mirrored(table)
+                wanted = DataConfiguration(max_frames=max_frames, crop=crop, mode=mode, mirrored=mirrors)
+                store, unusable = table_store(table, part, wanted, cache or cache_folder() / "training", engine=engine)
                 self._stores.append(store)
                 left_out += unusable
         self.left_out: tuple[LeftOut, ...] = tuple(left_out)
@@ -267,16 +276,17 @@ class SequenceDataset(Dataset[MotionItem]):
         motion = store.motion(place)
         features = store.features(place)
         text, *others = store.texts(place)
-        if features is not None and not others:
-            return _item(motion, features, text, self.fps, name)
-        # A function of seed, epoch and row alone: workers and resumption change no draw.
-        generator = named_generator("prbench-training-item", self.seed, epoch, row)
-        text = (text, *others)[int(generator.integers(1 + len(others)))]
-        if features is None:
-            start = int(generator.integers(motion.n_frames - self.max_frames + 1))
-            motion = cut(motion, start, self.max_frames, name=name)
-            features = encoded(motion, self.mode, name=name)
-        return _item(motion, features, text, self.fps, name)
+        if features is None or others:
+            # A function of seed, epoch and row alone: workers and resumption change no draw.
+            generator = named_generator("prbench-training-item", self.seed, epoch, row)
+            text = (text, *others)[int(generator.integers(1 + len(others)))]
+            if features is None:
+                start = int(generator.integers(motion.n_frames - self.max_frames + 1))
+                motion = cut(motion, start, self.max_frames, name=name)
+                features = encoded(motion, self.mode, name=name)
+        return MotionItem(
+            features, motion.joints, text, motion.previous_joints, motion.goal_location, self.fps, sequence_id=name
+        )
 
     @cached_property
     def lengths(self) -> Int[np.ndarray, " rows"]:
@@ -337,21 +347,6 @@ def configured_dataset(
         mirrored=wanted.mirrored and split in ("train", REFIT),
         seed=configuration.training.seed,
         engine=engine,
-    )
-
-
-def _item(motion: Motion, features: np.ndarray, text: str, fps: float, sequence_id: str) -> MotionItem:
-    return MotionItem(
-        features=features,
-        joints=motion.joints,
-        n_frames=motion.n_frames,
-        text=text,
-        initial_joints=motion.joints[0],
-        previous_joints=motion.previous_joints,
-        goal_joints=motion.joints[-1],
-        goal_location=motion.goal_location,
-        fps=fps,
-        sequence_id=sequence_id,
     )
 
 

@@ -20,6 +20,7 @@ from prbench.files.storage import cache_folder, read_json, sole_writer, write_js
 from prbench.harness.methods.installed import load_task
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.folds import fold_table, parse_fold
+from prbench_adapters.commands import TrainedNetwork
 from prbench_adapters.training.batches import LengthBatches, WindowsDataset, load_batches
 from prbench_adapters.training.configuration import (
     DEFAULT_STAGES,
@@ -144,23 +145,10 @@ class TrainRequest:
     """Processes that load data for each training process; they change no result."""
 
 
-@dataclass(frozen=True)
-class TrainReport:
-    """Summary of a finished training."""
-
-    weights: Path
-    steps: int
-    seconds: float
-    waiting: float
-    """Fraction of the time spent waiting for data."""
-    first_process: bool
-    """False in all but one of several processes; these have nothing to tell."""
-
-
 def train(
     request: TrainRequest, *, report: Callable[[Progress], None] = silent, engine: Engine = _IN_PROCESS
-) -> TrainReport:
-    """Train, or go on training, to the last step.
+) -> TrainedNetwork | None:
+    """Train, or go on training, to the last step; None in all but the first of several processes.
 
     Args:
         request: What to train on what.
@@ -232,7 +220,7 @@ def run(
     report: Callable[[Progress], None] = silent,
     *,
     engine: Engine = _IN_PROCESS,
-) -> TrainReport:
+) -> TrainedNetwork | None:
     """Train in this process, which is one of those that Fabric has launched; the first one holds the folder."""
     with sole_writer(request.out) if fabric.is_global_zero else nullcontext():
         return _run(request, task, stage, configuration, fabric, report, engine)
@@ -246,7 +234,7 @@ def _run(
     fabric: Fabric,
     report: Callable[[Progress], None],
     engine: Engine,
-) -> TrainReport:
+) -> TrainedNetwork | None:
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
         data = _data(request, task, configuration, engine)
         record = _record(request, stage, configuration, data)
@@ -282,7 +270,9 @@ def _run(
         if fabric.is_global_zero:
             raise  # one process speaks for all; Fabric would kill it if another left with a code that is not 0
         raise SystemExit(0) from stopped
-    return TrainReport(request.out / WEIGHTS, state.step, state.seconds, state.waiting, fabric.is_global_zero)
+    if not fabric.is_global_zero:
+        return None
+    return TrainedNetwork(weights=request.out / WEIGHTS, steps=state.step, seconds=state.seconds, waiting=state.waiting)
 
 
 def _data(

@@ -29,9 +29,10 @@ from prbench.files.storage import atomic_path, in_turn, read_json, sole_writer, 
 from prbench.geometry.skeleton import N_JOINTS, Joint, canonical_frame, invert_rigid, transform_points
 from prbench.representation import N_FEATURES, Mode, check_joints, encode, mirror
 from prbench.sequences import CorpusTable, SequenceChunk, SequenceTable
-from prbench.sequences.sequence import column
 from prbench.sequences.dataset_info import CORPUS_FILE
 from prbench.sequences.schema import table_parts
+from prbench.sequences.sequence import column
+from prbench_adapters.training.configuration import DataConfiguration
 
 _LEFT_RIGHT = re.compile(r"\b(left|right)", re.IGNORECASE)
 _SHORTEST_ACROSS = 1e-6  # metres
@@ -349,25 +350,15 @@ class LeftOut(msgspec.Struct, frozen=True):
     reason: str
 
 
-@dataclass(frozen=True)
-class Encoding:
-    """Settings by which rows become items; stores of different encodings stand beside each other."""
-
-    split: str
-    mode: Mode
-    max_frames: int
-    crop: Crop
-    mirrored: bool
-
-
 def table_store(
-    table: Table, encoding: Encoding, cache: Path, *, engine: Engine = _IN_PROCESS
+    table: Table, split: str, encoding: DataConfiguration, cache: Path, *, engine: Engine = _IN_PROCESS
 ) -> tuple[FeatureStore, tuple[LeftOut, ...]]:
     """Open the store of a table; where there is none yet, or the table has changed, make it.
 
     Args:
         table: The table.
-        encoding: How its rows become items.
+        split: Which of its rows.
+        encoding: How they become items; stores of different encodings stand beside each other.
         cache: Folder of the stores.
         engine: Where rows are encoded; the store has the same bytes for any.
 
@@ -378,22 +369,24 @@ def table_store(
         TableError: if the rows are not those that the table's own description promises, or none of them can be used.
         StorageError: if the store cannot be written.
     """
-    path = cache / f"{_key(table, encoding)}.arrow"
+    path = cache / f"{_key(table, split, encoding)}.arrow"
     found = _opened(path)
     if found is None:
-        found = _made_once(table, encoding, path, engine)
+        found = _made_once(table, split, encoding, path, engine)
     notes, store = found
     if notes.files != _files(table):
         _require_unchanged(table)  # another copy of the same table is welcome
     return store, notes.left_out
 
 
-def _made_once(table: Table, encoding: Encoding, path: Path, engine: Engine) -> tuple[_Notes, FeatureStore]:
+def _made_once(
+    table: Table, split: str, encoding: DataConfiguration, path: Path, engine: Engine
+) -> tuple[_Notes, FeatureStore]:
     """Make the store and its notes, unless another process has made them while this one waited for it."""
     with in_turn(path), sole_writer(path.with_suffix(".json")):
         found = _opened(path)
         if found is None:
-            _make(table, encoding, path, engine)
+            _make(table, split, encoding, path, engine)
             found = _opened(path)
     assert found is not None, "what was just made can be opened"
     return found
@@ -421,11 +414,11 @@ def _files(table: Table) -> list[tuple[int, int]]:
     return [(path.stat().st_size, path.stat().st_mtime_ns) for path in table_parts(table.folder, name)]
 
 
-def _key(table: Table, encoding: Encoding) -> str:
-    parts = (encoding.split, encoding.mode, encoding.max_frames, encoding.crop, encoding.mirrored)
+def _key(table: Table, split: str, encoding: DataConfiguration) -> str:
+    parts = (split, encoding.mode, encoding.max_frames, encoding.crop, encoding.mirrored)
     # Whatever decides the features is part of the name, so that a stale store is never opened.
     digest = text_digest(_VERSION, _representation_digest(), table.info.content_digest, *map(str, parts))
-    return f"{table.info.dataset}-{encoding.split}-{digest[:24]}"
+    return f"{table.info.dataset}-{split}-{digest[:24]}"
 
 
 def _representation_digest() -> str:
@@ -446,14 +439,14 @@ def _require_unchanged(table: Table) -> None:
     _ = table.content
 
 
-def _make(table: Table, encoding: Encoding, path: Path, engine: Engine) -> None:
+def _make(table: Table, split: str, encoding: DataConfiguration, path: Path, engine: Engine) -> None:
     files = _files(table)
     _require_unchanged(table)
     _remove_abandoned(path.parent)
     left_out: list[LeftOut] = []
     kept = 0
     with atomic_path(path) as temporary, pyarrow.ipc.new_file(str(temporary), STORE) as writer:
-        for batch, unusable in engine.map(_Encoder(encoding), read_rows(table, encoding.split)):
+        for batch, unusable in engine.map(_Encoder(encoding), read_rows(table, split)):
             left_out += unusable
             if batch.num_rows:
                 writer.write_batch(batch)
@@ -461,7 +454,7 @@ def _make(table: Table, encoding: Encoding, path: Path, engine: Engine) -> None:
         if not kept:
             example = f" The first of them: {left_out[0].reason}" if left_out else ""
             raise TableError(
-                f"{table.folder}: expected rows of split '{encoding.split}' to train on,"
+                f"{table.folder}: expected rows of split '{split}' to train on,"
                 f" found {len(left_out)} that cannot be used.{example}"
             )
         write_json(path.with_suffix(".json"), msgspec.to_builtins(_Notes(files, tuple(left_out))))
@@ -471,7 +464,7 @@ def _make(table: Table, encoding: Encoding, path: Path, engine: Engine) -> None:
 class _Encoder:
     """Encodes some rows of a table; goes to a worker as it is."""
 
-    encoding: Encoding
+    encoding: DataConfiguration
 
     def __call__(self, rows: list[Row]) -> tuple[pa.RecordBatch, list[LeftOut]]:
         """Return the rows of the store, and those that cannot be used."""
@@ -479,7 +472,7 @@ class _Encoder:
         return _encoded_rows(rows, self.encoding, left_out), left_out
 
 
-def _encoded_rows(rows: list[Row], encoding: Encoding, left_out: list[LeftOut]) -> pa.RecordBatch:
+def _encoded_rows(rows: list[Row], encoding: DataConfiguration, left_out: list[LeftOut]) -> pa.RecordBatch:
     """The rows of the store for some rows of a table; those that cannot be used are noted instead."""
     stored: list[tuple[Row, np.ndarray]] = []
     for row in rows:
@@ -501,7 +494,7 @@ def _encoded_rows(rows: list[Row], encoding: Encoding, left_out: list[LeftOut]) 
     return pa.RecordBatch.from_arrays([column(columns[field.name], field.type) for field in STORE], schema=STORE)
 
 
-def _versions(row: Row, encoding: Encoding) -> list[Row]:
+def _versions(row: Row, encoding: DataConfiguration) -> list[Row]:
     """The row as items will show it, cut to its end where that is asked for, and its mirrored copy."""
     motion = row.motion
     longest = encoding.max_frames
@@ -513,7 +506,7 @@ def _versions(row: Row, encoding: Encoding) -> list[Row]:
     return [row, Row(f"{row.sequence_id}#mirrored", texts, mirrored(row.motion))]
 
 
-def _features(row: Row, encoding: Encoding) -> np.ndarray:
+def _features(row: Row, encoding: DataConfiguration) -> np.ndarray:
     """Features of a motion that is not longer than an item may be; none of a longer one, whose crops are encoded."""
     if row.motion.n_frames <= encoding.max_frames:
         return encoded(row.motion, encoding.mode, name=row.sequence_id)

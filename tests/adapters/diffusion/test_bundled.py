@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from prbench.errors import AdapterError
+from prbench_adapters.diffusion import method
 
 
 @pytest.fixture

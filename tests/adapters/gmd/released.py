@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from prbench_adapters.gmd.import_public import PublicFiles, original_name
+from prbench_adapters.gmd.public_weights import PublicFiles, original_name
 from tests.adapters.gmd import tiny
 
 SIZES = {"diffusion_steps": 1000, "text_dimension": 512, "padded_frames": 224, "padding_step": 8}

@@ -19,8 +19,9 @@ from prbench.files.storage import file_digest
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.predictions import Predictions
-from prbench_adapters.gmd.import_public import PublicFiles, import_public, main
+from prbench_adapters.gmd.import_public import main
 from prbench_adapters.gmd.model import GMDModel
+from prbench_adapters.gmd.public_weights import PublicFiles, import_public
 from prbench_adapters.gmd.sampling import GuidedNetwork
 from tests.adapters.gmd import golden, released, tiny
 from tests.fakes import fake_dataset, fake_sequence

@@ -12,6 +12,7 @@ from dataclasses import replace
 import pytest
 
 from prbench.errors import TableError
+from prbench_adapters.training import store
 from prbench_adapters.training.dataset import SequenceDataset
 from tests.adapters.training.tables import sequence_table
 
@@ -91,8 +92,8 @@ def killed(*arguments):
     os.kill(os.getpid(), signal.SIGKILL)
 
 store._encoded_rows = killed
-encoding = store.Encoding("train", "continuous", 241, "end", mirrored=False)
-store.table_store(SequenceTable.open(Path(sys.argv[1])), encoding, Path(sys.argv[2]))
+encoding = store.DataConfiguration()
+store.table_store(SequenceTable.open(Path(sys.argv[1])), "train", encoding, Path(sys.argv[2]))
 """
 
 

@@ -11,6 +11,7 @@ from prbench.cli.main import main
 from prbench.contract import Condition, Motions
 from prbench.errors import AdapterError, InputFileError, TableError, UsageError
 from prbench.representation import encode
+from prbench_benchmarks.text_to_motion import generated
 from prbench_benchmarks.text_to_motion.clips import EvaluatedClips, Pass, draw, recorded_features
 from prbench_benchmarks.text_to_motion.evaluate import MISMATCHED, REAL, TextEvaluationRequest, evaluate_text
 from prbench_benchmarks.text_to_motion.generated import MethodRequest, generated_features
