@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
@@ -91,7 +91,6 @@ def list_methods(
         write_converters(converters)
         line = f"{converters}: from {converters.stem} import motions_from_features, placed_on"
         return Answer(MethodsReport(methods=[], converters=converters), lambda: print(line))
-    from prbench.harness.methods.describe import describe_adapters
     from prbench.harness.methods.installed import list_adapters, no_such_method, offered_twice
     from prbench.protocol.manifests import default_benchmark, find_benchmark
 
@@ -109,6 +108,8 @@ def list_methods(
     ]
     if not details:
         return Answer(MethodsReport(methods=methods), lambda: _print_methods(methods))
+    from prbench.harness.methods.describe import describe_adapters
+
     described = describe_adapters(names or None, benchmark=about.name, time_limit=timeout)
     controls = []
     if about.default and not names:
@@ -180,14 +181,7 @@ def _print_details(report: MethodsReport) -> None:
     help="Write a program of its own instead of a package: one plain Python file and a TOML file.",
 )
 @opt.benchmark_option
-def new(
-    name: str,
-    out: Path | None,
-    conditions: tuple[str, ...],
-    trainable: bool,
-    program: bool,
-    benchmark: str | None,
-) -> Answer:
+def new(*, benchmark: str | None, **given: Any) -> Answer:
     """Write a complete package with a new method that works at once, for you to change.
 
     NAME is that of the method, such as glide: what --method will be given.
@@ -195,14 +189,7 @@ def new(
     from prbench.checking.scaffold import ScaffoldRequest, new_adapter
     from prbench.protocol.manifests import default_benchmark
 
-    request = ScaffoldRequest(
-        name=name,
-        conditions=conditions,
-        out=out,
-        trainable=trainable,
-        program=program,
-        benchmark=benchmark or default_benchmark().name,
-    )
+    request = ScaffoldRequest(benchmark=benchmark or default_benchmark().name, **given)
     made = new_adapter(request)
     for warning in made.warnings:
         note(f"prbench: {warning}")
@@ -223,7 +210,7 @@ _FAILED = 5  # as for every other breach of the adapter contract
 @command(
     "check",
     example="prbench adapters check static",
-    report="prbench.checking.conformance.findings:Report",
+    report="prbench.checking.conformance.report:Report",
     writes_report=True,
 )
 @click.argument("method")
@@ -251,16 +238,13 @@ _FAILED = 5  # as for every other breach of the adapter contract
 )
 @click.option("--isolate", is_flag=True, help="Run an installed method in a process of its own.")
 def check(
+    *,
     method: str,
     benchmark: str | None,
-    data: Path | None,
-    weights: Path | None,
     options: tuple[tuple[str, str], ...],
-    device: str,
-    threads: int,
     timeout: float,
     start_timeout: float,
-    isolate: bool,
+    **given: Any,
 ) -> Answer:
     """Check that a method keeps the contract, and say what to change where it does not.
 
@@ -271,14 +255,10 @@ def check(
     request = conformance.CheckRequest(
         method,
         benchmark=benchmark or default_benchmark().name,
-        weights=weights,
         options=dict(options),
-        device=device,
-        threads=threads,
-        isolate=isolate,
-        data=data,
         time_limit=timeout,
         start_limit=start_timeout,
+        **given,
     )
     with progress(f"checking {method}") as show:
         found = conformance.check(request, lambda name, place, total: show(place, total, name))
@@ -346,9 +326,7 @@ def _print_table(shown: list[tuple[str, str, str]]) -> None:
     metavar="N",
     help="Look at N motions at most, evenly spread (default 200).",
 )
-def doctor(
-    motions: Path, data: tuple[Path, ...], conditions: Path | None, seed: int, fps: float | None, max_motions: int
-) -> Answer:
+def doctor(*, motions: Path, max_motions: int, **given: Any) -> Answer:
     """Say what is wrong with motions (unit, axes, order of joints, place, clock …), from the numbers.
 
     FILE is .npy, .npz or Parquet of any shape, a folder of motions/*.npy, or a run folder. The exit code is 1 where a
@@ -356,9 +334,7 @@ def doctor(
     """
     from prbench.checking.doctor.examine_file import DoctorRequest, examine_file
 
-    report = examine_file(
-        DoctorRequest(path=motions, data=data, conditions=conditions, seed=seed, fps=fps, limit=max_motions)
-    )
+    report = examine_file(DoctorRequest(path=motions, limit=max_motions, **given))
     return Answer(report, lambda: _print(report), int(report.certain))
 
 

@@ -33,7 +33,8 @@ examples:
   prbench run --method static --data tables/adt --out runs/static
   prbench leaderboard export runs/* --format md
 
-`prbench help COMMAND` explains a command, `prbench help exit-codes` the exit codes.
+`prbench COMMAND --help` explains a command, docs/exit-codes.md the exit codes, docs/command-line.md the completion of
+commands and options in a shell.
 """
 _COMMANDS = {
     "data: from recordings to tables": {
@@ -72,7 +73,6 @@ _COMMANDS = {
     "develop: methods of your own": {
         "adapters": "prbench.cli.adapters:adapters",
         "doctor": "prbench.cli.adapters:doctor",
-        "help": "prbench.cli.help:help",
     },
 }
 _RENAMED = {
@@ -87,9 +87,12 @@ _RENAMED = {
     "agreement": "analyse agreement RUN",
     "candidates": "build-dataset gimo --propose-events FILE",
     "cite": "datasets --cite DIR",
-    "completion": "help completion SHELL",
+    "completion": "--help, which names the page on completion",
     "diversity": "analyse diversity RUN",
     "error-budget": "analyse errors RUN",
+    "help": "COMMAND --help",
+    "help completion": "--help, which names the page on completion",
+    "help exit-codes": "--help, which names the page on exit codes",
     "leaderboard merge": "merge RUN... --out DIR",
     "leaderboard pareto": "leaderboard export --plot FILE",
     "prediction": "study prediction-tables, or view for pictures of futures",
@@ -125,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: Words of the command line; by default those that the shell gave.
 
     Returns:
-        0 on success; else one of the exit codes that ``prbench help exit-codes`` lists.
+        0 on success; else one of the exit codes in docs/exit-codes.md.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a console that lacks a character shows a substitute, not a traceback

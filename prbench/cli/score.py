@@ -12,7 +12,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace as with_values
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
@@ -28,10 +28,9 @@ from prbench.protocol.manifests import default_benchmark
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
-    from prbench.harness.offline import ExportReport
+    from prbench.harness.offline.export import ExportReport
     from prbench.harness.run_folder.agreement import DatasetAgreement
     from prbench.harness.run_folder.summary import DatasetSummary
-    from prbench.harness.score_predictions import ScoreReport as Scored
     from prbench.prediction.table import WindowsInfo
 
 
@@ -100,23 +99,15 @@ class ScoreReport(msgspec.Struct, frozen=True, kw_only=True):
     help="The K futures of a window are one design: fewer have no scores (motion-prediction).",
 )
 def score(
+    *,
     predictions: Path,
     data: tuple[Path, ...],
     conditions: Path | None,
-    name: str | None,
-    split: str | None,
-    limit: int | None,
-    seed: int | None,
-    condition: str | None,
-    control: str | None,
-    max_frames: int | None,
-    native_fps: float | None,
-    allow_length_mismatch: bool,
-    protocol: Path | None,
     out: Path | None,
     engine: EngineChoice,
     benchmark: str | None,
     one_design: bool,
+    **given: Any,
 ) -> Answer:
     """Score finished motions (Parquet, .npz, motions/*.npy), or a run folder again.
 
@@ -125,110 +116,62 @@ def score(
     motion-prediction it is .npz with opaque_id and joints (windows, samples, frames, joints, 3).
     """
     from prbench.contract import Condition
-    from prbench.harness.score_predictions import score_predictions
-    from prbench.harness.score_request import ScoreRequest
-    from prbench.protocol.manifests import default_benchmark, find_benchmark
-
-    about = find_benchmark(benchmark or default_benchmark().name)
-    if not about.default:
-        unknown = {
-            "split": split,
-            "limit": limit,
-            "seed": seed,
-            "condition": condition,
-            "control": control,
-            "max-frames": max_frames,
-            "native-fps": native_fps,
-            "allow-length-mismatch": allow_length_mismatch or None,
-            "protocol": protocol,
-        }
-        for option, value in unknown.items():
-            if value is not None:
-                raise UsageError(f"--{option}: the conditions file says it for {about.name}; leave it out.")
-        return _futures(predictions, data, conditions, name, one_design=one_design, out=out, engine=engine)
-    if one_design:
-        raise UsageError("--one-design: belongs to --benchmark motion-prediction; leave it out.")
-    request = ScoreRequest(
-        predictions=predictions,
-        data=data,
-        conditions=conditions,
-        split=split,
-        limit=limit,
-        seed=seed,
-        condition=Condition(condition) if condition else None,
-        control=control,
-        max_frames=max_frames,
-        native_fps=native_fps,
-        name=name,
-        allow_length_mismatch=allow_length_mismatch,
-        protocol=protocol,
-        out=out,
-    )
-    with progress("scoring") as show:
-        scored = score_predictions(
-            request,
-            engine=opt.opened(engine, reads=(predictions, *data)),
-            progress=lambda step: show(step.done, step.total, step.dataset),
-        )
-    datasets = [
-        ScoredMotions(origin=each.origin, motionless=each.motionless, scores=each.summary, agreement=each.agreement)
-        for each in scored
-    ]
-    return Answer(ScoreReport(datasets=datasets, out=out), lambda: _print(scored, out))
-
-
-def _futures(
-    futures: Path,
-    data: tuple[Path, ...],
-    conditions: Path | None,
-    name: str | None,
-    *,
-    one_design: bool,
-    out: Path | None,
-    engine: EngineChoice,
-) -> Answer:
-    """Score the finished futures of a predictor."""
     from prbench.harness.motion_prediction.offline import FuturesRequest, score_futures
+    from prbench.harness.score_predictions import ScoreRequest, score_predictions
+    from prbench.protocol.manifests import find_benchmark
 
-    if conditions is None:
-        raise UsageError("--conditions FILE: futures are scored with the file of windows that they were made from.")
-    request = FuturesRequest(
-        futures=futures, conditions=conditions, data=data, name=name, one_design=one_design, out=out
-    )
-    with progress("scoring") as show:
-        scored = score_futures(
-            request,
-            engine=opt.opened(engine, reads=(futures, conditions, *data)),
-            progress=lambda step: show(step.done, step.total, step.dataset),
-        )
-    made = ScoredMotions(origin=scored.origin, motionless=False, scores=scored.summary, agreement=None)
-    report = ScoreReport(datasets=[made], out=out)
+    shared: dict[str, Any] = {"conditions": conditions, "data": data, "name": given.pop("name"), "out": out}
+    about = find_benchmark(benchmark or default_benchmark().name)
+    if about.default:
+        if one_design:
+            raise UsageError("--one-design: belongs to --benchmark motion-prediction; leave it out.")
+        condition = given.pop("condition")
+        stated = Condition(condition) if condition else None
+        request = ScoreRequest(predictions=predictions, condition=stated, **shared, **given)
+        with progress("scoring") as show:
+            scored = score_predictions(
+                request,
+                engine=opt.opened(engine, reads=(predictions, *data)),
+                progress=lambda step: show(step.done, step.total, step.dataset),
+            )
+        made = [
+            ScoredMotions(origin=each.origin, motionless=each.motionless, scores=each.summary, agreement=each.agreement)
+            for each in scored
+        ]
+    else:
+        for name, value in given.items():
+            if value is not None and value is not False:
+                option = name.replace("_", "-")
+                raise UsageError(f"--{option}: the conditions file says it for {about.name}; leave it out.")
+        if conditions is None:
+            raise UsageError("--conditions FILE: futures are scored with the file of windows that they were made from.")
+        with progress("scoring") as show:
+            futures = score_futures(
+                FuturesRequest(futures=predictions, one_design=one_design, **shared),
+                engine=opt.opened(engine, reads=(predictions, conditions, *data)),
+                progress=lambda step: show(step.done, step.total, step.dataset),
+            )
+        made = [ScoredMotions(origin=futures.origin, motionless=False, scores=futures.summary, agreement=None)]
+    return Answer(ScoreReport(datasets=made, out=out), lambda: _print(made, out))
 
-    def show_scores() -> None:
-        print_summary(scored.summary, origin=scored.origin)
-        if out is not None:
-            print(f"scores: {out}")
 
-    return Answer(report, show_scores)
-
-
-def _print(scored: Sequence[Scored], out: Path | None) -> None:
+def _print(scored: Sequence[ScoredMotions], out: Path | None) -> None:
     from prbench.harness.score_predictions import UNSTATED
 
     for each in scored:
-        print_summary(each.summary, origin=each.origin, motionless=each.motionless)
+        print_summary(each.scores, origin=each.origin, motionless=each.motionless)
         print_agreement(each.agreement)
-        print_scene([each.summary], [each.agreement])
+        print_scene([each.scores], [each.agreement])
     if out is not None:
         print(f"scores: {out}")
-        if any(each.summary.condition == UNSTATED for each in scored):
+        if any(each.scores.condition == UNSTATED for each in scored):
             print("the condition is not stated (--condition or --conditions): a leaderboard will not rank these scores")
 
 
 @command(
     "export-conditions",
     example="prbench export-conditions --data tables/adt --condition goal-loc --seed 0 --out conditions.npz",
-    report="prbench.harness.offline:ExportReport",
+    report="prbench.harness.offline.export:ExportReport",
 )
 @opt.data_option(required=True)
 @opt.benchmark_option
@@ -255,94 +198,54 @@ def _print(scored: Sequence[Scored], out: Path | None) -> None:
 @opt.control_option("Give every sequence another one's goal; the file does not tell.")
 @opt.permission_option
 def export_conditions(
+    *,
     data: tuple[Path, ...],
     benchmark: str | None,
     condition: str,
-    out: Path,
-    seed: int,
     samples: int | None,
-    split: str,
-    limit: int | None,
     max_frames: int | None,
     native_fps: float | None,
     control: str | None,
     permission: tuple[str, ...],
+    **given: Any,
 ) -> Answer:
     """Write exactly what a method may see, for one that runs elsewhere.
 
     `prbench score` takes the motions that the method makes from it.
     """
     from prbench.contract import Condition
+    from prbench.harness.motion_prediction.offline import WindowsRequest, export_windows
     from prbench.harness.offline import ExportRequest
     from prbench.harness.offline import export_conditions as export
+    from prbench.harness.offline.export import ExportReport
     from prbench.protocol.manifests import find_benchmark
 
     about = find_benchmark(benchmark or default_benchmark().name)
     if condition not in about.conditions:
         known = ", ".join(about.conditions)
         raise UsageError(f"--condition {condition}: expected one of the benchmark {about.name}: {known}.")
-    samples = samples or about.samples
-    if not about.default:
-        for option, value in (("max-frames", max_frames), ("native-fps", native_fps), ("control", control)):
+    given |= {"data": data, "samples": samples or about.samples, "permitted": permission}
+    own = {"max_frames": max_frames, "native_fps": native_fps, "control": control}
+    if about.default:
+        report = export(ExportRequest(condition=Condition(condition), **own, **given))
+        if given["limit"] is None:
+            _tell_first_run(data)
+    else:
+        for name, value in own.items():
             if value is not None:
+                option = name.replace("_", "-")
                 raise UsageError(f"--{option}: the benchmark {about.name} does not have it; leave it out.")
-        return _windows(data, condition, out, seed, samples, split, limit, permission)
-    exported = export(
-        ExportRequest(
-            data=data,
-            condition=Condition(condition),
-            out=out,
-            seed=seed,
-            samples=samples,
-            split=split,
-            limit=limit,
-            max_frames=max_frames,
-            native_fps=native_fps,
-            control=control,
-            permitted=permission,
+        exported = export_windows(WindowsRequest(condition=condition, **given))
+        report = ExportReport(
+            out=exported.out,
+            rows=exported.windows * given["samples"],
+            sequences={exported.dataset: exported.windows},
+            left_out={},
+            notices=exported.notices,
         )
-    )
-    if limit is None:
-        _tell_first_run(data)
-    note(f"then: prbench score PREDICTIONS --conditions {shlex.quote(str(exported.out))} --data …")
-    return Answer(exported, lambda: _print_export_conditions(exported))
-
-
-def _windows(
-    data: tuple[Path, ...],
-    condition: str,
-    out: Path,
-    seed: int,
-    samples: int,
-    split: str,
-    limit: int | None,
-    permission: tuple[str, ...],
-) -> Answer:
-    """Write what a predictor may see."""
-    from prbench.harness.motion_prediction.offline import WindowsRequest, export_windows
-    from prbench.harness.offline import ExportReport
-
-    exported = export_windows(
-        WindowsRequest(
-            data=data,
-            condition=condition,
-            out=out,
-            seed=seed,
-            samples=samples,
-            split=split,
-            limit=limit,
-            permitted=permission,
-        )
-    )
-    note(f"then: prbench score FUTURES.npz --conditions {shlex.quote(str(exported.out))} --data …")
-    report = ExportReport(
-        out=exported.out,
-        rows=exported.windows * samples,
-        sequences={exported.dataset: exported.windows},
-        left_out={},
-        notices=exported.notices,
-    )
-    return Answer(report, lambda: _print_export_conditions(report, case="windows"))
+    answers = "PREDICTIONS" if about.default else "FUTURES.npz"
+    note(f"then: prbench score {answers} --conditions {shlex.quote(str(report.out))} --data …")
+    return Answer(report, lambda: _print_export_conditions(report, "sequences" if about.default else "windows"))
 
 
 def _tell_first_run(data: Sequence[Path]) -> None:
@@ -357,7 +260,7 @@ def _tell_first_run(data: Sequence[Path]) -> None:
         )
 
 
-def _print_export_conditions(report: ExportReport, case: str = "sequences") -> None:
+def _print_export_conditions(report: ExportReport, case: str) -> None:
     for dataset, count in report.sequences.items():
         longer = report.left_out.get(dataset, 0)
         print(f"{dataset}: {count} {case}{f' ({longer} longer ones left out)' if longer else ''}")

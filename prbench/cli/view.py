@@ -67,16 +67,7 @@ class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
     help="Your copy of the dataset: draws what stood around the bodies behind them (needs the extra open3d).",
 )
 @opt.permission_option
-def view(
-    runs: tuple[Path, ...],
-    data: tuple[Path, ...],
-    out: Path,
-    sequences: tuple[str, ...],
-    limit: int | None,
-    sample: int,
-    scene: Path | None,
-    permission: tuple[str, ...],
-) -> Answer:
+def view(*, permission: tuple[str, ...], **given: Any) -> Answer:
     """Show recorded and generated motion beside one another, as PNG, MP4 or HTML.
 
     RUN are the run folders to compare; without any, the recorded motion of --data is shown.
@@ -84,17 +75,8 @@ def view(
     from prbench.viewing.view import ViewRequest
     from prbench.viewing.view import view as draw
 
-    request = ViewRequest(
-        out=out,
-        runs=runs,
-        data=data,
-        sequences=sequences,
-        limit=limit,
-        sample=sample,
-        permitted=permission,
-        scene=scene,
-    )
-    with progress(f"drawing {out.name}") as show:
+    request = ViewRequest(permitted=permission, **given)
+    with progress(f"drawing {request.out.name}") as show:
         drawn = draw(request, show)
     report = ViewReport(
         out=drawn.out,

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from prbench.checking.verify_synthetic import LEVELS, SensorLevel, Verification
+from prbench.checking.matching import Verification
+from prbench.checking.verify_synthetic import LEVELS, SensorLevel
 from prbench.protocol.manifests import load_manifest
 
 _SLACK = 1e-4

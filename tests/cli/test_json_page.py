@@ -20,7 +20,7 @@ from prbench.cli.json_page import (
 from prbench.cli.main import Document
 
 PAGE = Path(__file__).parents[2] / "docs" / "json.md"
-WITHOUT_REPORT = {"help"}
+WITHOUT_REPORT: set[str] = set()
 """Commands that print text alone: they explain prbench, and are read by people and shells."""
 
 

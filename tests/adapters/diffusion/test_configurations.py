@@ -25,7 +25,7 @@ def _load(task: str, name: str, stage: str) -> TrainingConfiguration:
     return load_configuration(name, package=PACKAGES[task], task=task, stage=stage)
 
 
-@pytest.mark.parametrize(("task", "others"), [("mdm", set()), ("pr", set())])
+@pytest.mark.parametrize(("task", "others"), [("mdm", set()), ("pr", {"gaze"})])
 def test_each_task_has_its_three_sizes(task, others):
     assert set(list_configurations(PACKAGES[task], task)) == {*NAMES, *others}
 

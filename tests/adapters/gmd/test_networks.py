@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from prbench_adapters.gmd.model import GMDConfiguration, GMDNetworks
+from prbench_adapters.gmd.model import GMDNetworks
+from prbench_adapters.gmd.unet import GMDConfiguration
 from tests.adapters.gmd import tiny
 
 

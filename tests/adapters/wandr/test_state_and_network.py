@@ -7,16 +7,13 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from prbench_adapters.kinematics import WANDR, rest_offsets
-from prbench_adapters.wandr.network import (
-    CONDITION_SIZE,
+from prbench_adapters.wandr.network import CONDITION_SIZE, WandrConfiguration, WandrNetwork, hidden_widths
+from prbench_adapters.wandr.state import (
     DELTA_SIZE,
     SEEN_SIZE,
     BodyState,
-    WandrConfiguration,
-    WandrNetwork,
     clean_delta,
     heading_of,
-    hidden_widths,
     intentions,
     yaw_rotation,
 )

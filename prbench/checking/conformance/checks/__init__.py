@@ -1,15 +1,15 @@
 """The checks, one file a subject, in the order in which faults have to be repaired."""
 
-from prbench.checking.conformance.checks import body, form, reproducibility
-from prbench.checking.conformance.findings import Check
+from prbench.checking.conformance.check import Check
+from prbench.checking.conformance.checks import body, form, inputs, loading, reproducibility, resources
 
 _BY_SUBJECT = (
-    *form.LOADING,
+    *loading.CHECKS,
     *form.CHECKS,
     *reproducibility.CHECKS,
-    *reproducibility.INPUTS,
+    *inputs.CHECKS,
     *body.CHECKS,
-    *body.RESOURCES,
+    *resources.CHECKS,
 )
 CHECKS: tuple[Check, ...] = tuple(sorted(_BY_SUBJECT, key=lambda one: one.fresh))
 """In the order in which they are made: those that need a process of their own come last."""

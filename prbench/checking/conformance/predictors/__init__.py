@@ -1,0 +1,1 @@
+"""Checks of predictors: the methods of motion prediction."""
