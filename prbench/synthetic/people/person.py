@@ -1,6 +1,6 @@
 """Who acts: the constants of each preset, and the body and habits of one person.
 
-Sources: docs/specification/synthetic-recordings.md#presets and docs/specification/synthetic-recordings.md#person.
+Source: docs/specification/synthetic-recordings.md#person.
 """
 
 from __future__ import annotations
