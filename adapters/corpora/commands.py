@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from prbench.curation.job import FunnelRow
     from prbench.engine.choice import EngineChoice
     from prbench.engine.shards import ShardRecord
-    from prbench_adapters.corpora.build import CorpusReport
+    from prbench.sequences.parts import BuildReport
 
 _SYNTHETIC = "synthetic"
 """Corpus that is generated on the spot."""
@@ -104,7 +104,7 @@ def merge_corpus(shards: Sequence[tuple[Path, ShardRecord]], out: Path, *, repla
     return _corpus_answer(merge_corpus_shards(shards, out, replace=replace))
 
 
-def _corpus_answer(report: CorpusReport) -> Answer:
+def _corpus_answer(report: BuildReport) -> Answer:
     """Answer a command that has written a corpus."""
     builds.note_unread(report.records, reused=report.reused)
     table = builds.built_table(report, _stages(report), corpus_recordings=report.records)
@@ -115,7 +115,7 @@ def _corpus_answer(report: CorpusReport) -> Answer:
     )
 
 
-def _stages(report: CorpusReport) -> list[FunnelRow]:
+def _stages(report: BuildReport) -> list[FunnelRow]:
     """Count what is left from files to captions."""
     from prbench.curation.job import FunnelRow
 

@@ -24,11 +24,10 @@ from prbench_adapters.corpora.humanml3d import synthetic as humanml3d
 from prbench_adapters.corpora.humanml3d.files import MIRROR_PREFIX
 from prbench_adapters.corpora.humanml3d.synthetic import DEFECTS as HUMANML3D_DEFECTS
 from prbench_adapters.corpora.nymeria import synthetic as nymeria
-from prbench_adapters.corpora.nymeria.body import suit_motion
 from prbench_adapters.corpora.nymeria.clock import ClockOffset
 from prbench_adapters.corpora.nymeria.format import SUIT_RATE
 from prbench_adapters.corpora.nymeria.source import NymeriaOptions, recording_clips
-from prbench_adapters.corpora.nymeria.suit import clean_suit
+from prbench_adapters.corpora.nymeria.suit import clean_suit, suit_motion
 from prbench_adapters.corpora.nymeria.synthetic import DEFECTS as NYMERIA_DEFECTS
 from prbench_adapters.corpora.nymeria.synthetic import sense_nymeria
 from prbench_adapters.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity

@@ -124,7 +124,7 @@ class BuildsReport(msgspec.Struct, frozen=True, kw_only=True):
     proposed: list[ProposedPick] = []
 
 
-def planned(plan: BuildPlan | Any, workers: int, *, dataset: str, root: Path | None) -> Plan:
+def planned(plan: BuildPlan, workers: int, *, dataset: str, root: Path | None) -> Plan:
     """Return a plan with its place, and with the time that it takes so many workers."""
     shared = vars(plan) | {"estimated_seconds": plan.estimated_seconds / workers}
     return Plan(dataset=dataset, root=root, workers=workers, **shared)
@@ -144,7 +144,7 @@ def print_plan(plan: Plan, *, unfit: str) -> None:
     )
 
 
-def built_table(report: BuildReport | Any, stages: Iterable[FunnelRow], **records: Any) -> BuiltTable:
+def built_table(report: BuildReport[Any, Any], stages: Iterable[FunnelRow], **records: Any) -> BuiltTable:
     """Return the report of one build with the stages from its files to its rows, and its recordings."""
     return BuiltTable(
         dataset=report.info.dataset,

@@ -28,6 +28,8 @@ from prbench.readers import SYNTHETIC_PREFIX, reader_for
 from prbench.readers.discover import FoundDataset, discover
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.parts import (
+    BuildPlan,
+    BuildReport,
     ShardReport,
     finish_shard,
     making_shard,
@@ -54,17 +56,6 @@ class Progress:
     """True if an interrupted build had already made it."""
 
 
-@dataclass(frozen=True)
-class BuildReport:
-    """The result of a build."""
-
-    folder: Path
-    info: DatasetInfo
-    records: tuple[Recording, ...]
-    reused: int
-    """Recordings taken over from an interrupted build."""
-
-
 def build_dataset(
     dataset: str,
     root: Path | str,
@@ -73,7 +64,7 @@ def build_dataset(
     options: BuildOptions = NO_OPTIONS,
     engine: Engine = _IN_PROCESS,
     progress: Callable[[Progress], None] | None = None,
-) -> BuildReport:
+) -> BuildReport[DatasetInfo, Recording]:
     """Build a dataset from its native files.
 
     Args:
@@ -104,7 +95,7 @@ def build_from_sources(
     engine: Engine = _IN_PROCESS,
     progress: Callable[[Progress], None] | None = None,
     extra_options: dict[str, str] | None = None,
-) -> BuildReport:
+) -> BuildReport[DatasetInfo, Recording]:
     """Build a dataset from any recordings of one dataset, in table order (see :func:`build_dataset`).
 
     Args:
@@ -189,7 +180,9 @@ def build_shard_from_sources(
     return ShardReport(out, shard, len(sources), tuple(receipt.record for receipt in receipts), reused)
 
 
-def merge_dataset_shards(shards: SequenceOf[tuple[Path, ShardRecord]], out: Path, *, replace: bool) -> BuildReport:
+def merge_dataset_shards(
+    shards: SequenceOf[tuple[Path, ShardRecord]], out: Path, *, replace: bool
+) -> BuildReport[DatasetInfo, Recording]:
     """Write the table of an unsharded build from all of its shards, with the same bytes.
 
     Args:
@@ -260,7 +253,7 @@ def _write_table(
     out: Path,
     options: BuildOptions,
     extra_options: dict[str, str],
-) -> BuildReport:
+) -> BuildReport[DatasetInfo, Recording]:
     """Write the table of all parts of a build."""
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
     protocol = options.protocol or load_protocol()
@@ -304,19 +297,6 @@ def _require_distinct(sources: SequenceOf[RecordingSource]) -> None:
                 expected="recordings of one dataset with different names",
                 found=f"{one.dataset}/{one.recording_id} and {other.dataset}/{other.recording_id}",
             )
-
-
-@dataclass(frozen=True)
-class BuildPlan:
-    """The input of a build, found out without reading any recording."""
-
-    recordings: tuple[str, ...]
-    skipped: tuple[str, ...]
-    """Known-bad ones among them."""
-    input_bytes: int
-    estimated_seconds: float
-    """Seconds with one worker, on a machine like the one it was measured on."""
-    estimated_disk_bytes: int
 
 
 def plan_build(dataset: str, root: Path | str, options: BuildOptions = NO_OPTIONS) -> BuildPlan:

@@ -1,4 +1,4 @@
-"""Intermediate parts of a build: one folder a unit of work, kept until the tables stand, so that a build resumes."""
+"""Builds in parts: one folder a unit of work, kept until the tables stand, so a build resumes; shards and reports."""
 
 from __future__ import annotations
 
@@ -93,8 +93,33 @@ def working_in_parts(out: Path) -> Iterator[None]:
 
 
 Record = TypeVar("Record")
+_Info = TypeVar("_Info")
 _PARTS = "parts"
 _FINISHED = "finished.json"
+
+
+@dataclass(frozen=True)
+class BuildReport(Generic[_Info, Record]):
+    """The result of a build: of a dataset, or of a corpus."""
+
+    folder: Path
+    info: _Info
+    records: tuple[Record, ...]
+    reused: int
+    """Recordings taken over from an interrupted build."""
+
+
+@dataclass(frozen=True)
+class BuildPlan:
+    """The input of a build, found out without reading any recording."""
+
+    recordings: tuple[str, ...]
+    skipped: tuple[str, ...]
+    """Known-bad ones among them."""
+    input_bytes: int
+    estimated_seconds: float
+    """Seconds with one worker, on a machine like the one it was measured on."""
+    estimated_disk_bytes: int
 
 
 @dataclass(frozen=True)

@@ -1,23 +1,18 @@
 """The tables of a built dataset: versions, the check of a file's columns, rows in Parquet files, and digests.
 
 The columns themselves are the fields of the records in :mod:`prbench.sequences.sequence`.
-Sources: docs/specification/sequence-table.md#schema-version, and for digests what follows.
-
-Digests of a table's rows and files, and the check that nobody edited a file after the build.
+Source: docs/specification/sequence-table.md#schema-version.
 
 The identity digest says which sequences a table holds, the content digest says which values. ``dataset.json`` and
 ``corpus.json`` also hold the SHA-256 of every Parquet file beside them. Hashing costs 0.25 s for 10,000 sequences, so
 it is done whenever a table is opened, and nothing is remembered that an edit could get past. A main table whose bytes
 differ is compared value by value before it is refused: written anew with equal values it is still the same table.
-Tables of earlier versions have no such digests: there the values of the main table decide, and a warning says that
-nothing vouches for the others.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import warnings
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
@@ -40,19 +35,8 @@ from prbench.shown import quoted
 SCHEMA_VERSION = 3
 """2: ``events`` tell wrists and published priming, ``recordings`` count two more outcomes. 3: ``events`` tell what told
 the hand."""
-_READABLE_VERSIONS = (1, 2, 3)
 SEQUENCES_VERSION = 1
 """Version of the columns of ``sequences`` alone. It enters the identity of a table, other versions do not."""
-_SINCE_VERSION = {
-    "left_wrist": 2,
-    "right_wrist": 2,
-    "published_priming": 2,
-    "published_prime_time": 2,
-    "excluded_by_dataset": 2,
-    "not_published": 2,
-    "hand_source": 3,
-}
-"""Version of the tables in which a column was added; the others are there from the beginning."""
 UNITS = {
     "length": "m",
     "time": "s",
@@ -91,16 +75,12 @@ def check_schema(schema: pa.Schema, expected: pa.Schema, *, source: str) -> None
     """
     metadata = schema.metadata or {}
     version = metadata.get(b"prbench_schema_version", b"").decode() or "none"
-    if version not in {str(known) for known in _READABLE_VERSIONS}:
-        known = ", ".join(map(str, _READABLE_VERSIONS))
+    if version != str(SCHEMA_VERSION):
         raise TableError(
-            f"{source}: expected schema version {known}, found {version}."
+            f"{source}: expected schema version {SCHEMA_VERSION}, found {version}."
             " Build the dataset again with `prbench build-dataset`, or update prbench."
         )
-    # An older table lacks columns that came later; they are filled in when it is read.
-    later = {name for name, since in _SINCE_VERSION.items() if since > int(version)}
-    known = [field for field in expected if field.name not in later or schema.get_field_index(field.name) >= 0]
-    check_columns(schema, known, source=source, what="dataset")
+    check_columns(schema, expected, source=source, what="dataset")
 
 
 def check_columns(schema: pa.Schema, expected: Iterable[pa.Field], *, source: str, what: str) -> None:
@@ -125,16 +105,6 @@ def check_columns(schema: pa.Schema, expected: Iterable[pa.Field], *, source: st
         found = schema.field(index).type
         if not found.equals(field.type):
             raise TableError(f"{source}: column '{field.name}': expected {field.type}, found {found}.")
-
-
-def with_later_columns(table: pa.Table, expected: pa.Schema) -> pa.Table:
-    """A table of an older version with the columns that came later: null, or 0 where a column counts something."""
-    for field in expected:
-        if table.schema.get_field_index(field.name) >= 0:
-            continue
-        values = pa.nulls(len(table), field.type) if field.nullable else pa.repeat(pa.scalar(0, field.type), len(table))
-        table = table.append_column(field, values)
-    return table
 
 
 _ROUNDING = 1e-5  # metres, seconds and unit vectors alike: 10 micrometres
@@ -247,10 +217,6 @@ def _rounded(leaf: pa.Array) -> np.ndarray:
     return np.rint(numbers * np.float64(1 / _ROUNDING)).astype(integer)
 
 
-class UnverifiedTableWarning(UserWarning):
-    """Some files of a table have no digest, so that an edit of them would go unnoticed."""
-
-
 def digests_of_files(folder: Path, tables: Iterable[str]) -> dict[str, str]:
     """SHA-256 of each Parquet file of some tables, by its path relative to the folder; absent files are left out."""
     paths = [path for name in tables for path in files_of_table(folder, name)]
@@ -271,7 +237,7 @@ def require_unchanged(
     Args:
         folder: Holds the Parquet files.
         described_in: ``dataset.json`` or ``corpus.json``.
-        expected: The digests that stand in there, by relative path; empty in tables of earlier versions.
+        expected: The digests that stand in there, by relative path.
         main: Name of the table whose values the content digest is of.
         others: Names of the further tables; where one is absent, whoever wants to read it says so.
         require_same_values: Compares the values of the main table with the content digest and raises the error.
@@ -279,16 +245,6 @@ def require_unchanged(
     Raises:
         TableError: naming the first file that was edited.
     """
-    if not expected:
-        require_same_values()
-        there = [name for name in others if files_of_table(folder, name)]
-        warnings.warn(
-            f"{described_in}: was written by an earlier version, without digests of {' and '.join(there)}, so"
-            " these are unverified. Build it again to have edits of them noticed.",
-            UnverifiedTableWarning,
-            stacklevel=4,
-        )
-        return
     if digests_of_files(folder, [main]) != _of_table(expected, main):
         require_same_values()
     for name in others:

@@ -48,7 +48,6 @@ from prbench.sequences.schema import (
     require_unchanged,
     stream_chunks,
     table_parts,
-    with_later_columns,
 )
 from prbench.sequences.sequence import SequenceChunk
 
@@ -142,12 +141,8 @@ class BuiltTable(Generic[Info]):
     @cached_property
     def identity(self) -> str:
         """Identity digest, computed from the rows."""
-        return self.identity_under(self.info.protocol_version)
-
-    def identity_under(self, protocol_version: int) -> str:
-        """Return the identity digest that these rows have in a table of that version of the protocol."""
-        rows = self.scalars(columns=self.identity_columns)
-        return identity_of_rows(rows.select(self.identity_columns), protocol_version=protocol_version)
+        rows = self.scalars(columns=self.identity_columns).select(self.identity_columns)
+        return identity_of_rows(rows, protocol_version=self.info.protocol_version)
 
     @cached_property
     def content(self) -> str:
@@ -176,7 +171,7 @@ class BuiltTable(Generic[Info]):
             file = open_parquet(path)
             type(self).check(file.schema_arrow, schema, source=str(path))
             with naming(path):
-                tables.append(with_later_columns(file.read(), schema))
+                tables.append(file.read())
         return pa.concat_tables(tables)
 
 

@@ -14,7 +14,6 @@ import pytest
 from prbench.cli.main import main
 from prbench.errors import TableError
 from prbench.sequences import CorpusTable, SequenceTable
-from prbench.sequences.schema import UnverifiedTableWarning
 from tests.adapters.training.tables import corpus_table
 from tests.fakes import fake_dataset
 
@@ -79,12 +78,12 @@ def test_a_main_table_written_anew_with_equal_values_is_the_same(tmp_path: Path)
     assert SequenceTable.open(table.folder).content == table.content
 
 
-def test_a_table_without_digests_of_its_files_is_held_against_its_values(tmp_path: Path) -> None:
+def test_a_table_without_digests_of_its_files_is_refused(tmp_path: Path) -> None:
     table = fake_dataset(tmp_path / "d", 6)
     described = json.loads((table.folder / "dataset.json").read_text())
     del described["file_digests"]
     (table.folder / "dataset.json").write_text(json.dumps(described))
-    with pytest.warns(UnverifiedTableWarning, match="events and recordings, so these are unverified"):
+    with pytest.raises(TableError, match=r"events\.parquet: expected the file that dataset\.json describes"):
         SequenceTable.open(table.folder)
     edit(table.folder / "sequences.parquet", "prime_time")
     with pytest.raises(TableError, match="changed after the build"):

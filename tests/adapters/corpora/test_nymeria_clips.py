@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from prbench.geometry.skeleton import Joint, transform_points
-from prbench_adapters.corpora.cutting import cut_motion
-from prbench_adapters.corpora.nymeria.body import BodyMotion, MotionPiece
-from prbench_adapters.corpora.nymeria.clips import clips_of
 from prbench_adapters.corpora.nymeria.clock import ClockOffset
 from prbench_adapters.corpora.nymeria.format import Narration
-from prbench_adapters.corpora.sources import ClipLimits, RecordingIdentity
+from prbench_adapters.corpora.nymeria.source import clips_of
+from prbench_adapters.corpora.nymeria.suit import BodyMotion, MotionPiece
+from prbench_adapters.corpora.sources import ClipLimits, RecordingIdentity, cut_motion
 from tests.adapters.corpora.suits import THRESHOLDS
 from tests.fakes import STANDING, smooth_motion
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from prbench.geometry.skeleton import XSENS_SEGMENTS, y_up
 from prbench.readers.aria_mps import format as mps
 from prbench_adapters.corpora.nymeria.clock import ClockOffset
-from prbench_adapters.corpora.nymeria.gaze import gaze_in_suit_world, head_from_device
+from prbench_adapters.corpora.nymeria.recording import gaze_in_suit_world, head_from_device
 from prbench_adapters.corpora.nymeria.suit import clean_suit
 from tests.adapters.corpora.suits import THRESHOLDS, walking_suit
 

@@ -12,7 +12,7 @@ from prbench.errors import InputFileError
 from prbench.geometry.skeleton import PARENTS, Joint
 from prbench.sequences import CorpusTable
 from prbench_adapters.corpora.build import build_corpus
-from prbench_adapters.corpora.nymeria.body import read_smpl_fit
+from prbench_adapters.corpora.nymeria.suit import read_smpl_fit
 from prbench_adapters.corpora.sources import CorpusOptions
 from tests.fakes import STANDING
 

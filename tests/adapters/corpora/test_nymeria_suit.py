@@ -10,9 +10,8 @@ import pytest
 from prbench.errors import InputFileError
 from prbench.geometry.skeleton import XSENS_SEGMENTS, Joint, y_up
 from prbench.protocol.manifests import load_manifest
-from prbench_adapters.corpora.nymeria.body import measured_head_tilt, suit_motion
 from prbench_adapters.corpora.nymeria.format import Suit
-from prbench_adapters.corpora.nymeria.suit import clean_suit, read_suit
+from prbench_adapters.corpora.nymeria.suit import clean_suit, measured_head_tilt, read_suit, suit_motion
 from tests.adapters.corpora.suits import THRESHOLDS, walking_suit, write_arrays
 from tests.fakes import STANDING
 

@@ -14,7 +14,7 @@ from prbench.geometry.skeleton import XSENS_SEGMENTS, y_up
 from prbench.prediction.batch import Condition
 from prbench.prediction.table import WindowsTable
 from prbench.readers.aria_mps import format as mps
-from prbench_adapters.corpora.nymeria.windows import plan_windows
+from prbench_adapters.corpora.nymeria.recording import plan_windows
 from tests.adapters.corpora.suits import START_US, walking_suit, write_arrays
 from tests.readers.mps_files import COLUMNS, WORLD, write_lines
 
