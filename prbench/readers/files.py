@@ -389,11 +389,7 @@ def decode_json(path: Source, decoder: msgspec.json.Decoder[Decoded], *, nan_is_
         raise missing_file(path) from error
     except msgspec.ValidationError as error:
         raise InputFileError(
-            shown(path),
-            "",
-            expected="the keys of this format",
-            found=str(error),
-            remedy="Is this the right file?",
+            shown(path), "", expected="the keys of this format", found=str(error), remedy="Is this the right file?"
         ) from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputFileError(shown(path), "", expected="valid JSON", found=str(error), remedy=_COPY_AGAIN) from error

@@ -461,11 +461,7 @@ def _rigid(path: Path, where: str, values: np.ndarray) -> Float[np.ndarray, "4 4
         raise InputFileError(path, where, expected="a 4x4 matrix of numbers", found="rows of unequal length") from error
     if numbers.size != 16:
         raise InputFileError(
-            path,
-            where,
-            expected="a 4x4 matrix",
-            found=f"{numbers.size} numbers",
-            remedy="Copy the file again.",
+            path, where, expected="a 4x4 matrix", found=f"{numbers.size} numbers", remedy="Copy the file again."
         )
     matrix = numbers.reshape(4, 4)
     rotation = matrix[:3, :3]

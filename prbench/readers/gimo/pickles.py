@@ -67,241 +67,172 @@ class Unfinished:
 
 
 _OPCODE_NAMES = {opcode.code: opcode.name for opcode in pickletools.opcodes}
+_PLAIN_VALUES = frozenset((
+    *("INT", "LONG", "LONG1", "BININT", "BININT1", "BININT2", "FLOAT", "BINFLOAT"),
+    *("UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "BINBYTES", "SHORT_BINBYTES"),
+))  # fmt: skip
+_CONSTANTS = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False, "EMPTY_TUPLE": ()}
+_OTHERS = frozenset((
+    *("PROTO", "FRAME", "STOP", "MARK", "MEMOIZE", "PUT", "BINPUT", "LONG_BINPUT", "GET", "BINGET", "LONG_BINGET"),
+    *("EMPTY_LIST", "EMPTY_DICT", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3", "LIST", "APPEND", "APPENDS", "DICT"),
+    *("SETITEM", "SETITEMS", "GLOBAL", "STACK_GLOBAL", "REDUCE", "BUILD", "BINPERSID"),
+))  # fmt: skip
+_OPCODES = _PLAIN_VALUES | _CONSTANTS.keys() | _OTHERS
+"""All opcodes that ``pickle`` and ``torch.save`` write for dictionaries of tensors, in the protocols 0 to 5."""
 
 
-class PickleMachine:
-    """Carries out pickles that lie in some bytes.
+def run_pickle(
+    content: bytes,
+    names: Mapping[str, Name],
+    position: int = 0,
+    *,
+    persistent: Callable[[Any], Any] | None = None,
+) -> tuple[Any, int]:
+    """Carry out the pickle that begins at a position of some bytes.
 
     Args:
         content: The bytes.
         names: Maps "module name" to what stands for it; every other name is refused.
+        position: Where the pickle begins.
         persistent: Makes the value of a persistent id; None refuses them.
+
+    Returns:
+        The pickle's value, and the position behind its end.
+
+    Raises:
+        PickleRefused: for whatever pickled tensors do not hold, with the position of the opcode.
     """
-
-    def __init__(
-        self,
-        content: bytes,
-        names: Mapping[str, Name],
-        *,
-        persistent: Callable[[Any], Any] | None = None,
-    ) -> None:
-        self._content = content
-        self._names = names
-        self._persistent = persistent
-        self.position = 0
-
-    def run(self, position: int = 0) -> Any:
-        """Return the value of the pickle that begins at a position; ``self.position`` is then behind its end.
-
-        Raises:
-            PickleRefused: for whatever pickled tensors do not hold, with the position of the opcode.
-        """
-        self._stack: list[Any] = []
-        self._below: list[list[Any]] = []  # stacks that lie under the marks
-        self._memo: dict[int, Any] = {}
-        self._at = position
-        try:
-            self._carry_out(position)
-            return self._stack.pop()
-        except PickleRefused as error:
-            error.position = self._at
-            raise
-        except (IndexError, KeyError, ValueError, TypeError, OverflowError) as error:
-            # What a damaged program does to a stack: it takes from an empty one, or asks for what was never kept.
-            found = f"an opcode {self._opcode_name()} that does not fit ({type(error).__name__}: {error})"
-            raise PickleRefused(found, self._at) from error
-
-    def _carry_out(self, position: int) -> None:
-        stream = io.BytesIO(self._content)
-        stream.seek(position)
-        opcodes = pickletools.genops(stream)
+    stream = io.BytesIO(content)
+    stream.seek(position)
+    opcodes = pickletools.genops(stream)
+    stack: list[Any] = []
+    below: list[list[Any]] = []  # stacks that lie under the marks
+    memo: dict[int, Any] = {}
+    at = position
+    name = ""
+    try:
         while True:
-            self._at = stream.tell()
+            at = stream.tell()
+            if at >= len(content):
+                raise PickleRefused("the end of the file before the pickle's own end")
+            name = _OPCODE_NAMES.get(chr(content[at]), f"0x{content[at]:02x}")
+            if name not in _OPCODES:
+                raise PickleRefused(f"the opcode {name}", foreign=True)
             try:
-                opcode, argument, _ = next(opcodes)
-            except ValueError as error:
-                raise self._undecodable(error, at_end=stream.tell() >= len(self._content)) from error
-            if opcode.name == "STOP":
-                self.position = stream.tell()
-                return
-            _HANDLERS.get(opcode.name, PickleMachine._unknown)(self, argument)
-
-    def _undecodable(self, error: ValueError, *, at_end: bool) -> PickleRefused:
-        """The refusal of an opcode that the disassembler cannot tell or whose argument it cannot read."""
-        if self._at >= len(self._content):
-            return PickleRefused("the end of the file before the pickle's own end")
-        if self._opcode_name() not in _HANDLERS:
-            return PickleRefused(f"the opcode {self._opcode_name()}", foreign=True)
-        if at_end:
-            return PickleRefused("the end of the bytes before the pickle's own end")
-        return PickleRefused(f"an opcode {self._opcode_name()} that does not fit ({type(error).__name__}: {error})")
-
-    def _opcode_name(self) -> str:
-        code = chr(self._content[self._at])
-        return _OPCODE_NAMES.get(code, f"0x{ord(code):02x}")
-
-    # Marks, stack and memo
-
-    def _unknown(self, _: object) -> None:
-        raise PickleRefused(f"the opcode {self._opcode_name()}", foreign=True)
-
-    def _proto(self, protocol: int) -> None:
-        if protocol > pickle.HIGHEST_PROTOCOL:
-            raise PickleRefused(f"protocol {protocol}")
-
-    def _frame(self, _: object) -> None:
-        """Do nothing: frames help only those who read a pickle in pieces."""
-
-    def _mark(self, _: object) -> None:
-        self._below.append(self._stack)
-        self._stack = []
-
-    def _since_mark(self) -> list[Any]:
-        items = self._stack
-        self._stack = self._below.pop()
-        return items
-
-    def _push(self, value: Any) -> None:
-        self._stack.append(value)
-
-    def _memoize(self, _: object) -> None:
-        self._memo[len(self._memo)] = self._stack[-1]
-
-    def _put(self, index: int) -> None:
-        self._memo[index] = self._stack[-1]
-
-    def _get(self, index: int) -> None:
-        self._push(self._memo[index])
-
-    # Containers
-
-    def _tuple(self, _: object) -> None:
-        items = self._since_mark()
-        self._push(tuple(items))
-
-    def _short_tuple(self, _: object) -> None:
-        size = int(self._opcode_name()[-1])  # TUPLE1, TUPLE2, TUPLE3
-        if len(self._stack) < size:
-            raise IndexError("the stack is empty")
-        items = tuple(self._stack[-size:])
-        del self._stack[-size:]
-        self._push(items)
-
-    def _list(self, _: object) -> None:
-        items = self._since_mark()
-        self._push(items)
-
-    def _append(self, _: object) -> None:
-        item = self._stack.pop()
-        self._top(list).append(item)
-
-    def _appends(self, _: object) -> None:
-        items = self._since_mark()
-        self._top(list).extend(items)
-
-    def _dict(self, _: object) -> None:
-        items = self._since_mark()
-        self._push({})
-        self._set(items)
-
-    def _setitem(self, _: object) -> None:
-        value = self._stack.pop()
-        key = self._stack.pop()
-        self._set([key, value])
-
-    def _setitems(self, _: object) -> None:
-        self._set(self._since_mark())
-
-    def _set(self, items: list[Any]) -> None:
-        target = self._top(dict)
-        for key, value in zip(items[::2], items[1::2], strict=True):
-            if not isinstance(key, str | int):
-                raise PickleRefused(f"a key of the type {type(key).__name__}")
-            if key in target:
-                raise PickleRefused(f"the key '{key}' twice")
-            target[key] = value
-
-    def _top(self, kind: type) -> Any:
-        """The uppermost value, which must be a list or dictionary of the program's own."""
-        target = self._stack[-1]
-        if type(target) is not kind:
-            raise PickleRefused(f"the opcode {self._opcode_name()} on a {type(target).__name__}", foreign=True)
-        return target
-
-    # Names, calls, states
-
-    def _global(self, names: str) -> None:
-        module, _, name = names.partition(" ")
-        self._push(self._named(module, name))
-
-    def _stack_global(self, _: object) -> None:
-        name = self._stack.pop()
-        module = self._stack.pop()
-        self._push(self._named(module, name))
-
-    def _named(self, module: Any, name: Any) -> Name:
-        if not (isinstance(module, str) and isinstance(name, str)):
-            raise PickleRefused("a name that is no text", foreign=True)
-        known = self._names.get(f"{module} {name}")
-        if known is None:
-            raise PickleRefused(f"the name '{module}.{name}'", foreign=True)
-        return known
-
-    def _reduce(self, _: object) -> None:
-        arguments = self._stack.pop()
-        called = self._stack.pop()
-        if not isinstance(called, Name) or type(arguments) is not tuple:
-            raise PickleRefused(f"a call of a {type(called).__name__}", foreign=True)
-        if called.make is None:
-            raise PickleRefused(f"the name '{called.text}', called", foreign=True)
-        self._push(called.make(*arguments))
-
-    def _build(self, _: object) -> None:
-        state = self._stack.pop()
-        target = self._stack[-1]
-        if not isinstance(target, Unfinished):
-            raise PickleRefused(f"the opcode BUILD on a {type(target).__name__}", foreign=True)
-        target.fill(state)
-
-    def _binpersid(self, _: object) -> None:
-        if self._persistent is None:
-            raise PickleRefused("a persistent id", foreign=True)
-        self._push(self._persistent(self._stack.pop()))
+                _, argument, _ = next(opcodes)
+            except ValueError:
+                if stream.tell() >= len(content):
+                    raise PickleRefused("the end of the bytes before the pickle's own end") from None
+                raise  # an argument that is none
+            if name in _PLAIN_VALUES:
+                stack.append(argument)
+                continue
+            if name in _CONSTANTS:
+                stack.append(_CONSTANTS[name])
+                continue
+            items: list[Any] = []
+            if name in ("TUPLE", "LIST", "DICT", "APPENDS", "SETITEMS"):  # they take all since the last mark
+                items = stack
+                stack = below.pop()
+            match name:
+                case "STOP":
+                    return stack.pop(), stream.tell()
+                case "PROTO":
+                    if argument > pickle.HIGHEST_PROTOCOL:
+                        raise PickleRefused(f"protocol {argument}")
+                case "FRAME":
+                    pass  # frames help only those who read a pickle in pieces
+                case "MARK":
+                    below.append(stack)
+                    stack = []
+                case "MEMOIZE":
+                    memo[len(memo)] = stack[-1]
+                case "PUT" | "BINPUT" | "LONG_BINPUT":
+                    memo[argument] = stack[-1]
+                case "GET" | "BINGET" | "LONG_BINGET":
+                    stack.append(memo[argument])
+                case "EMPTY_LIST":
+                    stack.append([])
+                case "EMPTY_DICT":
+                    stack.append({})
+                case "TUPLE":
+                    stack.append(tuple(items))
+                case "TUPLE1" | "TUPLE2" | "TUPLE3":
+                    size = int(name[-1])
+                    if len(stack) < size:
+                        raise IndexError("the stack is empty")
+                    stack[-size:] = [tuple(stack[-size:])]
+                case "LIST":
+                    stack.append(items)
+                case "APPEND":
+                    item = stack.pop()
+                    _own(stack, list, name).append(item)
+                case "APPENDS":
+                    _own(stack, list, name).extend(items)
+                case "DICT":
+                    stack.append({})
+                    _set(stack[-1], items)
+                case "SETITEM":
+                    value = stack.pop()
+                    key = stack.pop()
+                    _set(_own(stack, dict, name), [key, value])
+                case "SETITEMS":
+                    _set(_own(stack, dict, name), items)
+                case "GLOBAL":
+                    module, _, own_name = argument.partition(" ")
+                    stack.append(_named(names, module, own_name))
+                case "STACK_GLOBAL":
+                    own_name = stack.pop()
+                    stack.append(_named(names, stack.pop(), own_name))
+                case "REDUCE":
+                    arguments = stack.pop()
+                    called = stack.pop()
+                    if not isinstance(called, Name) or type(arguments) is not tuple:
+                        raise PickleRefused(f"a call of a {type(called).__name__}", foreign=True)
+                    if called.make is None:
+                        raise PickleRefused(f"the name '{called.text}', called", foreign=True)
+                    stack.append(called.make(*arguments))
+                case "BUILD":
+                    state = stack.pop()
+                    target = stack[-1]
+                    if not isinstance(target, Unfinished):
+                        raise PickleRefused(f"the opcode BUILD on a {type(target).__name__}", foreign=True)
+                    target.fill(state)
+                case "BINPERSID":
+                    if persistent is None:
+                        raise PickleRefused("a persistent id", foreign=True)
+                    stack.append(persistent(stack.pop()))
+    except PickleRefused as error:
+        error.position = at
+        raise
+    except (IndexError, KeyError, ValueError, TypeError, OverflowError) as error:
+        # What a damaged program does to a stack: it takes from an empty one, or asks for what was never kept.
+        raise PickleRefused(f"an opcode {name} that does not fit ({type(error).__name__}: {error})", at) from error
 
 
-_PLAIN_VALUES = (
-    *("INT", "LONG", "LONG1", "BININT", "BININT1", "BININT2", "FLOAT", "BINFLOAT"),
-    *("UNICODE", "BINUNICODE", "SHORT_BINUNICODE", "BINBYTES", "SHORT_BINBYTES"),
-)
-_HANDLERS: dict[str, Callable[[PickleMachine, Any], None]] = {
-    "PROTO": PickleMachine._proto,
-    "FRAME": PickleMachine._frame,
-    "MARK": PickleMachine._mark,
-    "MEMOIZE": PickleMachine._memoize,
-    **dict.fromkeys(("PUT", "BINPUT", "LONG_BINPUT"), PickleMachine._put),
-    **dict.fromkeys(("GET", "BINGET", "LONG_BINGET"), PickleMachine._get),
-    **dict.fromkeys(_PLAIN_VALUES, PickleMachine._push),
-    "NONE": lambda machine, _: machine._push(None),
-    "NEWTRUE": lambda machine, _: machine._push(True),
-    "NEWFALSE": lambda machine, _: machine._push(False),
-    "EMPTY_TUPLE": lambda machine, _: machine._push(()),
-    "EMPTY_LIST": lambda machine, _: machine._push([]),
-    "EMPTY_DICT": lambda machine, _: machine._push({}),
-    "TUPLE": PickleMachine._tuple,
-    **dict.fromkeys(("TUPLE1", "TUPLE2", "TUPLE3"), PickleMachine._short_tuple),
-    "LIST": PickleMachine._list,
-    "APPEND": PickleMachine._append,
-    "APPENDS": PickleMachine._appends,
-    "DICT": PickleMachine._dict,
-    "SETITEM": PickleMachine._setitem,
-    "SETITEMS": PickleMachine._setitems,
-    "GLOBAL": PickleMachine._global,
-    "STACK_GLOBAL": PickleMachine._stack_global,
-    "REDUCE": PickleMachine._reduce,
-    "BUILD": PickleMachine._build,
-    "BINPERSID": PickleMachine._binpersid,
-}
-"""All opcodes that ``pickle`` and ``torch.save`` write for dictionaries of tensors, in the protocols 0 to 5."""
+def _own(stack: list[Any], kind: type, opcode: str) -> Any:
+    """The uppermost value, which must be a list or dictionary of the program's own."""
+    if type(stack[-1]) is not kind:
+        raise PickleRefused(f"the opcode {opcode} on a {type(stack[-1]).__name__}", foreign=True)
+    return stack[-1]
+
+
+def _set(target: dict, items: list[Any]) -> None:
+    for key, value in zip(items[::2], items[1::2], strict=True):
+        if not isinstance(key, str | int):
+            raise PickleRefused(f"a key of the type {type(key).__name__}")
+        if key in target:
+            raise PickleRefused(f"the key '{key}' twice")
+        target[key] = value
+
+
+def _named(names: Mapping[str, Name], module: Any, name: Any) -> Name:
+    if not (isinstance(module, str) and isinstance(name, str)):
+        raise PickleRefused("a name that is no text", foreign=True)
+    known = names.get(f"{module} {name}")
+    if known is None:
+        raise PickleRefused(f"the name '{module}.{name}'", foreign=True)
+    return known
 
 
 _EXPECTED = "a pickled dictionary of torch tensors"
@@ -405,14 +336,23 @@ def _loaded(content: bytes, names: Mapping[str, Name]) -> Any:
     """Decode some bytes: a plain pickle, or either form of ``torch.save``."""
     if content.startswith(_ZIP_START):
         return _loaded_from_zip(content, names)
-    machine = PickleMachine(content, names)
-    loaded = machine.run()
+    loaded, position = run_pickle(content, names)
     if loaded != _MAGIC_NUMBER:
         return loaded
-    if machine.run(machine.position) != _FORM_VERSION:
-        raise PickleRefused("another version of torch's files", machine.position)
-    machine.run(machine.position)  # sizes of types on the machine that wrote the file, which torch does not use either
-    return _loaded_from_stream(content, machine.position, names)
+    version, position = run_pickle(content, names, position)
+    if version != _FORM_VERSION:
+        raise PickleRefused("another version of torch's files", position)
+    _, position = run_pickle(content, names, position)  # sizes of types where it was written; torch does not use them
+    # Then the pickle itself, the keys of its storages, and their numbers.
+    storages = _Storages()
+    loaded, position = run_pickle(content, names, position, persistent=storages)
+    keys, position = run_pickle(content, names, position)
+    named = {key for key in keys if isinstance(key, str)} if isinstance(keys, list) else set()
+    if named != storages.by_key.keys() or len(keys) != len(named):
+        raise PickleRefused("other storages than those that the tensors name", position)
+    for key in keys:
+        position = storages.by_key[key].take_counted(content, position)
+    return loaded
 
 
 def _loaded_from_zip(content: bytes, names: Mapping[str, Name]) -> Any:
@@ -425,7 +365,7 @@ def _loaded_from_zip(content: bytes, names: Mapping[str, Name]) -> Any:
     if "data.pkl" not in files or files.get("byteorder", b"little") != b"little":
         raise PickleRefused("an archive of another kind")
     storages = _Storages()
-    loaded = PickleMachine(files["data.pkl"], names, persistent=storages).run()
+    loaded, _ = run_pickle(files["data.pkl"], names, persistent=storages)
     for key, storage in storages.by_key.items():
         storage.take(files.get(f"data/{key}", b""), 0)
     return loaded
@@ -459,21 +399,6 @@ class _Storages:
         if type(size) is not int or size < 0:
             raise PickleRefused(f"a storage of {size} numbers")
         return self.by_key.setdefault(key, _Storage(item_type, size))
-
-
-def _loaded_from_stream(content: bytes, position: int, names: Mapping[str, Name]) -> Any:
-    """Read what follows the start of the older form: the pickle, the keys of its storages, and their numbers."""
-    storages = _Storages()
-    machine = PickleMachine(content, names, persistent=storages)
-    loaded = machine.run(position)
-    keys = machine.run(machine.position)
-    position = machine.position
-    named = {key for key in keys if isinstance(key, str)} if isinstance(keys, list) else set()
-    if named != storages.by_key.keys() or len(keys) != len(named):
-        raise PickleRefused("other storages than those that the tensors name", position)
-    for key in keys:
-        position = storages.by_key[key].take_counted(content, position)
-    return loaded
 
 
 def _rebuild_tensor(storage: Any, offset: Any, shape: Any, strides: Any, *_: Any) -> _Tensor:

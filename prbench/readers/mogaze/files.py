@@ -61,11 +61,7 @@ def dataset(path: Path, parent: h5py.Group, name: str) -> h5py.Dataset:
     if isinstance(entry, h5py.Dataset):
         return entry
     raise InputFileError(
-        path,
-        parent.name or "",
-        expected=f"a dataset '{name}'",
-        found=_names(parent),
-        remedy="Is this the right file?",
+        path, parent.name or "", expected=f"a dataset '{name}'", found=_names(parent), remedy="Is this the right file?"
     )
 
 
