@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from prbench.errors import InputFileError
@@ -305,10 +305,28 @@ def glasses_streams(
                 found="not all of them",
                 remedy="Use the option gaze_origin=head, or download these files.",
             )
-        return _none()
-    glasses = _Glasses(readings.hololens, readings.transform, head_joint.times)
-    room_from_glasses, distances = glasses.best_direction(head_joint)
-    if room_from_glasses is None or min(distances) > limit:
+        return GlassesStreams(_no_poses(), _no_poses())
+    hololens = readings.hololens
+    frames = np.rint(head_joint.times * gimo.FRAME_RATE).astype(np.int64)
+    on_video = frames < len(hololens.video_ticks)
+    frames = np.minimum(frames, len(hololens.video_ticks) - 1)
+    # Counted from the first tick: a float does not hold ticks since an epoch exactly.
+    first = int(hololens.ticks[0])
+    rows = (hololens.ticks - first) / _TICKS_A_SECOND
+    query = (hololens.video_ticks[frames] - first) / _TICKS_A_SECOND
+    tracked = on_video & covered(rows, np.ones(len(rows), dtype=bool), query, max_gap=_LONGEST_STEP)
+    position = interpolate(rows, hololens.head[:, :3, 3], query)
+
+    # The file does not say in which direction its transform leads: the one that brings the glasses nearer to the head.
+    both = tracked & head_joint.valid
+    scan_from_glasses = (hololens.transform, invert_rigid(hololens.transform))
+    candidates = [readings.transform.room_from_scan() @ scan_from for scan_from in scan_from_glasses]
+    distances = [
+        float(np.median(np.linalg.norm(transform_points(room, position[both]) - head_joint.position[both], axis=1)))
+        for room in candidates
+        if both.any()
+    ]
+    if not distances or min(distances) > limit:
         found = " and ".join(f"{distance:.2f} m" for distance in distances) or "no frame with both"
         if required:
             raise InputFileError(
@@ -318,94 +336,37 @@ def glasses_streams(
                 found=f"{found} (as it stands, and inverted)",
                 remedy="Use the option gaze_origin=head.",
             )
-        return _none(f"HoloLens files not used: glasses {found} from the head joint (transform as it stands, inverted)")
-    return glasses.streams(room_from_glasses)
+        message = f"HoloLens files not used: glasses {found} from the head joint (transform as it stands, inverted)"
+        return GlassesStreams(_no_poses(), _no_poses(), None, (message,))
+    room_from_glasses = candidates[int(np.argmin(distances))]
+    # The cube root of the determinant is the scale by which the transform shrinks; the shrinking turns nothing.
+    room_rotation = Rotation.from_matrix(room_from_glasses[:3, :3] / np.cbrt(np.linalg.det(room_from_glasses[:3, :3])))
+
+    def in_room(position: np.ndarray, rotation: Rotation, part_from_own: np.ndarray, valid: np.ndarray) -> PoseStream:
+        turned = room_rotation * rotation * Rotation.from_matrix(part_from_own)
+        quaternions = turned.as_quat(canonical=True, scalar_first=True)
+        return PoseStream(head_joint.times, transform_points(room_from_glasses, position), quaternions, valid)
+
+    head_rows = Rotation.from_matrix(hololens.head[:, :3, :3]).as_quat(scalar_first=True)
+    head = Rotation.from_quat(slerp(rows, head_rows, query), scalar_first=True)
+    camera = hololens.camera[frames]
+    gazed = hololens.gaze_valid
+    eye = hololens.gaze_origin[gazed] if gazed.any() else hololens.gaze_origin
+    eye_rows = rows[gazed] if gazed.any() else rows
+    return GlassesStreams(
+        head=in_room(position, head, _CPF_FROM_HOLOLENS, tracked),
+        camera=in_room(camera[:, :3, 3], Rotation.from_matrix(camera[:, :3, :3]), _CAMERA_FROM_HOLOLENS, on_video),
+        eye=PoseStream(
+            head_joint.times,
+            transform_points(room_from_glasses, interpolate(eye_rows, eye, query)),
+            np.repeat(_IDENTITY, len(head_joint.times), axis=0),
+            on_video & covered(rows, gazed, query, max_gap=_LONGEST_STEP),
+        ),
+    )
 
 
-def _none(*messages: str) -> GlassesStreams:
-    empty = PoseStream(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0, dtype=bool))
-    return GlassesStreams(empty, empty, None, messages)
-
-
-class _Glasses:
-    """HoloLens rows on the frames of a segment, still in the world of the glasses."""
-
-    def __init__(self, hololens: gimo.HoloLens, transform: gimo.SceneTransform, times: Float[np.ndarray, " n"]) -> None:
-        self._hololens = hololens
-        self._transform = transform
-        self._times = times
-        frames = np.rint(times * gimo.FRAME_RATE).astype(np.int64)
-        known = frames < len(hololens.video_ticks)
-        self._frames = np.minimum(frames, len(hololens.video_ticks) - 1)
-        # Counted from the first tick: a float does not hold ticks since an epoch exactly.
-        first = int(hololens.ticks[0])
-        self._rows = (hololens.ticks - first) / _TICKS_A_SECOND
-        self._query = (hololens.video_ticks[self._frames] - first) / _TICKS_A_SECOND
-        self._video = known
-        self._tracked = known & self._covered(np.ones(len(self._rows), dtype=bool))
-
-    def _covered(self, usable: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
-        return covered(self._rows, usable, self._query, max_gap=_LONGEST_STEP)
-
-    def best_direction(self, head_joint: PoseStream) -> tuple[Float[np.ndarray, "4 4"] | None, tuple[float, ...]]:
-        """Room from glasses for the direction that brings them nearer to the head, and both median distances."""
-        both = self._tracked & head_joint.valid
-        if not both.any():
-            return None, ()
-        position = interpolate(self._rows, self._hololens.head[:, :3, 3], self._query)[both]
-        given = self._hololens.transform
-        candidates = [self._transform.room_from_scan() @ scan_from for scan_from in (given, invert_rigid(given))]
-        distances = tuple(
-            float(np.median(np.linalg.norm(transform_points(room, position) - head_joint.position[both], axis=1)))
-            for room in candidates
-        )
-        return candidates[int(np.argmin(distances))], distances
-
-    def streams(self, room_from_glasses: Float[np.ndarray, "4 4"]) -> GlassesStreams:
-        """Everything in the room."""
-        hololens = self._hololens
-        position = interpolate(self._rows, hololens.head[:, :3, 3], self._query)
-        rows = Rotation.from_matrix(hololens.head[:, :3, :3]).as_quat(scalar_first=True)
-        rotation = Rotation.from_quat(slerp(self._rows, rows, self._query), scalar_first=True)
-        camera = hololens.camera[self._frames]
-        gazed = hololens.gaze_valid
-        eye = hololens.gaze_origin[gazed] if gazed.any() else hololens.gaze_origin
-        eye_rows = self._rows[gazed] if gazed.any() else self._rows
-        return GlassesStreams(
-            head=self._stream(room_from_glasses, position, rotation, _CPF_FROM_HOLOLENS, self._tracked),
-            camera=self._stream(
-                room_from_glasses,
-                camera[:, :3, 3],
-                Rotation.from_matrix(camera[:, :3, :3]),
-                _CAMERA_FROM_HOLOLENS,
-                self._video,
-            ),
-            eye=PoseStream(
-                self._times,
-                transform_points(room_from_glasses, interpolate(eye_rows, eye, self._query)),
-                np.repeat(_IDENTITY, len(self._times), axis=0),
-                self._video & self._covered(gazed),
-            ),
-        )
-
-    def _stream(
-        self,
-        room_from_glasses: Float[np.ndarray, "4 4"],
-        position: Float[np.ndarray, "n 3"],
-        rotation: Rotation,
-        part_from_own: Float[np.ndarray, "3 3"],
-        valid: Bool[np.ndarray, " n"],
-    ) -> PoseStream:
-        """Poses in the room with the axes of prbench; the shrinking of the scan turns nothing."""
-        # The cube root of the determinant is the scale by which the transform shrinks.
-        room_rotation = room_from_glasses[:3, :3] / np.cbrt(np.linalg.det(room_from_glasses[:3, :3]))
-        turned = Rotation.from_matrix(room_rotation) * rotation * Rotation.from_matrix(part_from_own)
-        return PoseStream(
-            self._times,
-            transform_points(room_from_glasses, position),
-            turned.as_quat(canonical=True, scalar_first=True),
-            valid,
-        )
+def _no_poses() -> PoseStream:
+    return PoseStream(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros(0, dtype=bool))
 
 
 _ROTATION_TOLERANCE = 1e-3
