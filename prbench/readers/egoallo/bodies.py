@@ -24,7 +24,7 @@ from prbench.geometry.skeleton import Joint
 from prbench.geometry.timelines import covered
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP
 from prbench.readers.egoallo import format as ego
-from prbench.readers.egoallo.files import MODEL_ROLE, OUTPUT_ROLE, JointsOnly, parse_output, read_output
+from prbench.readers.egoallo.files import MODEL_ROLE, OUTPUT_ROLE, parse_output, read_output
 from prbench.readers.egoallo.to_recording import joined_windows, window_joints
 from prbench.readers.found import RecordingFiles, is_present
 from prbench.recording.streams import PoseStream
@@ -58,10 +58,15 @@ def read_window(path: Path, model: Path | None) -> tuple[ego.BodyWindow, Float[n
         InputFileError: if the output is damaged (docs/specification/egoallo.md#bad-input), or the model is needed and
         missing or damaged.
     """
-    content = _content(path)
+    try:
+        content = read_whole(path)
+    except FileNotFoundError as error:
+        raise InputFileError(
+            path, "", expected="an output of EgoAllo", found="no such file", remedy="Run `prbench poses egoallo`."
+        ) from error
     output = parse_output(path, content)
-    if isinstance(output, JointsOnly):
-        return ego.BodyWindow(path.name, output.time_ns, output.joints), None
+    if isinstance(output, ego.BodyWindow):
+        return output, None
     guidance = _read_guidance(path)
     head = output.world_from_cpf[:, 4:].astype(np.float64)
     samples = len(output.world_from_root)
@@ -80,15 +85,6 @@ def read_window(path: Path, model: Path | None) -> tuple[ego.BodyWindow, Float[n
         joints = window_joints(output, read_smplh_rest(model)).joints
         _keep(kept, joints, wanted)
     return ego.BodyWindow(path.name, output.time_ns, joints, samples, guidance), head
-
-
-def _content(path: Path) -> bytes:
-    try:
-        return read_whole(path)
-    except FileNotFoundError as error:
-        raise InputFileError(
-            path, "", expected="an output of EgoAllo", found="no such file", remedy="Run `prbench poses egoallo`."
-        ) from error
 
 
 def _read_guidance(path: Path) -> str:
@@ -137,7 +133,17 @@ def read_smplh_rest(path: Path) -> ego.SmplhRest:
 def _read(state: tuple[Path, int, int]) -> ego.SmplhRest:
     """Read once a process; size and time of change make a changed file another one."""
     path = state[0]
-    arrays = _load(path)
+    archive = Archive(path, remedy=f"Copy or download it again. {_CONVERT}")
+    missing = [key for key in _KEYS if key not in archive.members]
+    if missing:
+        raise InputFileError(
+            path,
+            "",
+            expected=f"an array '{missing[0]}'",
+            found=", ".join(archive.members) or "nothing",
+            remedy=f"This is no SMPL-H model. {HOW_TO_GET}",
+        )
+    arrays = archive.load(_KEYS)
     for key, axes in zip(_KEYS, (2, 2, 3), strict=True):
         if arrays[key].ndim != axes or arrays[key].dtype.kind not in "fiu":
             found = f"shape {arrays[key].shape} of {arrays[key].dtype}"
@@ -162,20 +168,6 @@ def _read(state: tuple[Path, int, int]) -> ego.SmplhRest:
     return ego.SmplhRest(body @ template, np.einsum("jv,vkb->jkb", body, shapes[:, :, : ego.N_BETAS]))
 
 
-def _load(path: Path) -> dict[str, np.ndarray]:
-    archive = Archive(path, remedy=f"Copy or download it again. {_CONVERT}")
-    missing = [key for key in _KEYS if key not in archive.members]
-    if missing:
-        raise InputFileError(
-            path,
-            "",
-            expected=f"an array '{missing[0]}'",
-            found=", ".join(archive.members) or "nothing",
-            remedy=f"This is no SMPL-H model. {HOW_TO_GET}",
-        )
-    return archive.load(_KEYS)
-
-
 def _kept_joints(kept: Path, wanted: str | None, *, frames: int) -> np.ndarray | None:
     """Joints from the cache, if they are whole and of the wanted model (of any model where none is given)."""
     try:
@@ -184,15 +176,12 @@ def _kept_joints(kept: Path, wanted: str | None, *, frames: int) -> np.ndarray |
             model = str(file["model"])
             joints = file["joints"]
     except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
-        return None if isinstance(error, FileNotFoundError) else _forget(kept)
+        if not isinstance(error, FileNotFoundError):
+            with contextlib.suppress(OSError):  # a damaged entry is dropped where that is possible, and made again
+                kept.unlink(missing_ok=True)
+        return None
     fits = version == _VERSION and joints.shape == (frames, 22, 3) and joints.dtype == np.float32
     return joints if fits and wanted in (None, model) else None
-
-
-def _forget(kept: Path) -> None:
-    """Drop a damaged entry, where that is possible; it is made again."""
-    with contextlib.suppress(OSError):
-        kept.unlink(missing_ok=True)
 
 
 def _keep(kept: Path, joints: np.ndarray, model: str) -> None:
@@ -218,7 +207,7 @@ def check_output(path: Path, cpf: PoseStream) -> Int[np.ndarray, " t"]:
         InputFileError: if the output is damaged, or belongs to another recording.
     """
     output = read_output(path)
-    if isinstance(output, JointsOnly):
+    if isinstance(output, ego.BodyWindow):
         _require_belongs(path, output.time_ns, output.joints[:, Joint.HEAD].astype(np.float64), cpf, exact=False)
     else:
         _require_belongs(path, output.time_ns, output.world_from_cpf[:, 4:].astype(np.float64), cpf, exact=True)

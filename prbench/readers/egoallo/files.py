@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
@@ -246,17 +246,8 @@ _SHAPES = {
 _QUATERNIONS = {ego.WORLD_FROM_CPF: slice(0, 4), ego.WORLD_FROM_ROOT: slice(0, 4), ego.BODY_QUATS: slice(0, 4)}
 
 
-@dataclass(frozen=True)
-class JointsOnly:
-    """A file of another pipeline: joints instead of rotations."""
-
-    name: str
-    time_ns: Int[np.ndarray, " t"]
-    joints: Float[np.ndarray, "t 22 3"]
-
-
 @foreign_input()
-def read_output(path: Path) -> ego.EgoAlloOutput | JointsOnly:
+def read_output(path: Path) -> ego.EgoAlloOutput | ego.BodyWindow:
     """Read one output file.
 
     Raises:
@@ -270,18 +261,21 @@ def read_output(path: Path) -> ego.EgoAlloOutput | JointsOnly:
 
 
 @foreign_input()
-def parse_output(path: Path, content: bytes) -> ego.EgoAlloOutput | JointsOnly:
+def parse_output(path: Path, content: bytes) -> ego.EgoAlloOutput | ego.BodyWindow:
     """:func:`read_output` of bytes that are at hand; ``path`` is for the messages."""
-    arrays = _load(path, content)
+    archive = Archive(path, content, remedy=f"The file may be truncated. {_AGAIN}")
+    arrays = archive.load((ego.TIMES, ego.JOINTS, *_SHAPES))  # what else it holds is not even unpacked
     time_ns = _times(path, arrays)
     if ego.JOINTS in arrays and ego.WORLD_FROM_ROOT not in arrays:
         joints = _require(path, arrays, ego.JOINTS, (len(time_ns), 22, 3))
-        return JointsOnly(path.name, time_ns, joints)
+        return ego.BodyWindow(path.name, time_ns, joints)  # of another pipeline: joints instead of rotations
     sizes: dict[str, int] = {"T": len(time_ns)}
     checked = {}
     for key, form in _SHAPES.items():
         if key == ego.WORLD_FROM_ROOT and key in arrays and arrays[key].ndim == len(form):
-            sizes["S"] = _samples(path, arrays[key])
+            sizes["S"] = len(arrays[key])
+            if sizes["S"] == 0:
+                raise InputFileError(path, key, expected="at least one sample", found="S = 0", remedy=_AGAIN)
         shape = tuple(size if isinstance(size, int) else sizes.get(size, -1) for size in form)
         checked[key] = _require(path, arrays, key, shape)
         if key in _QUATERNIONS:
@@ -296,12 +290,6 @@ def parse_output(path: Path, content: bytes) -> ego.EgoAlloOutput | JointsOnly:
     )
 
 
-def _load(path: Path, content: bytes) -> dict[str, np.ndarray]:
-    """The arrays that are used; what else an archive holds is not even unpacked."""
-    archive = Archive(path, content, remedy=f"The file may be truncated. {_AGAIN}")
-    return archive.load((ego.TIMES, ego.JOINTS, *_SHAPES))
-
-
 def _times(path: Path, arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, " t"]:
     times = _present(path, arrays, ego.TIMES)
     if times.ndim != 1 or not np.issubdtype(times.dtype, np.integer):
@@ -311,12 +299,6 @@ def _times(path: Path, arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, " t"
         raise InputFileError(path, ego.TIMES, expected="at least one frame", found="T = 0", remedy=_AGAIN)
     require_increasing(path, times, unit="ns", place=f"{ego.TIMES}, frame", first=0, remedy=_AGAIN)
     return times.astype(np.int64)
-
-
-def _samples(path: Path, roots: np.ndarray) -> int:
-    if roots.shape[0] == 0:
-        raise InputFileError(path, ego.WORLD_FROM_ROOT, expected="at least one sample", found="S = 0", remedy=_AGAIN)
-    return roots.shape[0]
 
 
 def _present(path: Path, arrays: Mapping[str, np.ndarray], key: str) -> np.ndarray:

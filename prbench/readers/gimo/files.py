@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +14,7 @@ from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
 from prbench.files.storage import inside
 from prbench.protocol.manifests import Manifest
-from prbench.readers import ReaderOptions, SyntheticTree, read_synthetic_tree
+from prbench.readers import ReaderOptions, read_synthetic_tree
 from prbench.readers.extents import ONE_SYSTEM, SEVERAL_SENSORS, Extent
 from prbench.readers.found import (
     FilesOnDemand,
@@ -138,9 +137,34 @@ def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFile
     table, events_path = _events(root, options)
     require_known_segments(events_path, rows, table)
     require_one_split(events_path, rows, table)
-    search = _Search(root, options, read_synthetic_tree(root), rows, table, events_path)
-    found = tuple(sorted((search.segment(row) for row in rows), key=lambda recording: recording.recording_id))
-    if all(not search.is_there(row) for row in rows):
+    tree = read_synthetic_tree(root)
+    in_both = hints_in_both_splits(rows)
+    folders: dict[Path, _Folder] = {}
+    found = []
+    for row in rows:
+        segment = row.segment
+        path = inside(root, f"{segment.scene}/{segment.sequence}")
+        folder = folders.setdefault(path, _Folder(path))
+        known = events_of(row, table, hints=options.hints)
+        reason = None if known.reason is None else f"{segment.name}: {known.reason}"
+        if any(event.source == "hint" for event in known.events) and segment.key in in_both:
+            reason = f"its hinted event (frame {segment.hint}) also stands in a segment of the other split"
+        if segment.training == gimo.TRAIN_LATER and options.training_2 == "drop":
+            reason = "training = 2, left out by the option training_2"
+        if not path.is_dir():
+            reason = f"{segment.scene}/{segment.sequence}: its folder is missing; unpack or download it"
+        in_tree = tree is not None and segment.sequence in tree.split
+        found.append(
+            RecordingFiles(
+                dataset="gimo" if tree is None else f"{SYNTHETIC_PREFIX}gimo",
+                recording_id=segment.sequence if in_tree else segment.name,
+                folder=path,
+                files=FilesOnDemand(partial(_files, root, options, events_path, segment, folder)),
+                split="test" if segment.training == gimo.TEST else "train",
+                skip_reason=reason,
+            )
+        )
+    if not any(path.is_dir() for path in folders):
         names = sorted({f"{row.segment.scene}/{row.segment.sequence}" for row in rows})
         raise InputFileError(
             root,
@@ -149,7 +173,7 @@ def find_segments(root: Path | str, options: GimoOptions) -> tuple[RecordingFile
             found=f"none of the {len(names)}: {', '.join(names)}",
             remedy="Unpack the scenes beside the table.",
         )
-    return found
+    return tuple(sorted(found, key=lambda recording: recording.recording_id))
 
 
 def _events(root: Path, options: GimoOptions) -> tuple[tuple[EventRow, ...], Path]:
@@ -170,99 +194,44 @@ def _events(root: Path, options: GimoOptions) -> tuple[tuple[EventRow, ...], Pat
     return read_events(path), path
 
 
-class _Search:
-    """One search through a root, with what it has listed so far."""
-
-    def __init__(
-        self,
-        root: Path,
-        options: GimoOptions,
-        tree: SyntheticTree | None,
-        rows: Sequence[Row],
-        table: Sequence[EventRow],
-        events_path: Path,
-    ) -> None:
-        self._root = root
-        self._options = options
-        self._tree = tree
-        self._table = table
-        self._events_path = events_path
-        self._folders: dict[Path, _Folder] = {}
-        self._in_both = hints_in_both_splits(rows)
-
-    def is_there(self, row: Row) -> bool:
-        """Return True where the row's sequence is on the disk."""
-        return self._folder(row).path.is_dir()
-
-    def segment(self, row: Row) -> RecordingFiles:
-        """One row with its files."""
-        segment = row.segment
-        folder = self._folder(row)
-        in_tree = self._tree is not None and segment.sequence in self._tree.split
-        return RecordingFiles(
-            dataset="gimo" if self._tree is None else f"{SYNTHETIC_PREFIX}gimo",
-            recording_id=segment.sequence if in_tree else segment.name,
-            folder=folder.path,
-            files=FilesOnDemand(lambda: self._files(segment, folder)),
-            split="test" if segment.training == gimo.TEST else "train",
-            skip_reason=self._skip_reason(row),
-        )
-
-    def _folder(self, row: Row) -> _Folder:
-        path = inside(self._root, f"{row.segment.scene}/{row.segment.sequence}")
-        return self._folders.setdefault(path, _Folder(path))
-
-    def _skip_reason(self, row: Row) -> str | None:
-        segment = row.segment
-        if not self.is_there(row):
-            return f"{segment.scene}/{segment.sequence}: its folder is missing; unpack or download it"
-        if segment.training == gimo.TRAIN_LATER and self._options.training_2 == "drop":
-            return "training = 2, left out by the option training_2"
-        known = events_of(row, self._table, hints=self._options.hints)
-        if any(event.source == "hint" for event in known.events) and segment.key in self._in_both:
-            return f"its hinted event (frame {segment.hint}) also stands in a segment of the other split"
-        return None if known.reason is None else f"{segment.name}: {known.reason}"
-
-    def _files(self, segment: gimo.Segment, folder: _Folder) -> list[InputFile]:
-        scene = self._root / segment.scene / gimo.SCENE_FOLDER
-        paths = {TABLE: self._root / gimo.TABLE_FILE, EVENTS: self._events_path, NORM: scene / gimo.NORM_FILE}
-        paths[TRANSFORM] = _transform_file(folder.path, segment.transformation)
-        paths |= _per_frame(POSE, folder.poses.get(".pkl", {}), segment)
-        paths |= _per_frame(CONE, folder.gaze.get(".ply", {}), segment)
-        paths |= _per_frame(CENTRE, folder.gaze.get(f"{gimo.GAZE_CENTRE_SUFFIX}.ply", {}), segment)
-        routes = self._options.routes()
-        if routes[0] == "mesh" or (routes[0] == "smplx" and not folder.poses.get(".pkl")):
-            paths |= _per_frame(MESH, folder.poses.get(".obj", {}), segment)
-        if "bvh" in routes:
-            paths[SKELETON] = folder.path / gimo.SKELETON_FILE
-        paths |= _hololens_files(folder.path)
-        if self._options.meshes:
-            mesh = next((scene / name for name in gimo.SCENE_MESHES if is_present(scene / name)), None)
-            paths |= {} if mesh is None else {SCENE_MESH: mesh}
-        return [input_file(role, path) for role, path in paths.items() if is_present(path)]
-
-
-def _transform_file(folder: Path, name: str) -> Path:
-    """The file that a row names; some copies of the table leave out the ending."""
-    path = inside(folder, name)
-    return path if path.suffix == ".json" else path.with_name(f"{path.name}.json")
+def _files(
+    root: Path, options: GimoOptions, events_path: Path, segment: gimo.Segment, folder: _Folder
+) -> list[InputFile]:
+    scene = root / segment.scene / gimo.SCENE_FOLDER
+    transform = inside(folder.path, segment.transformation)
+    if transform.suffix != ".json":  # some copies of the table leave out the ending
+        transform = transform.with_name(f"{transform.name}.json")
+    paths = {
+        TABLE: root / gimo.TABLE_FILE,
+        EVENTS: events_path,
+        NORM: scene / gimo.NORM_FILE,
+        TRANSFORM: transform,
+        **_per_frame(POSE, folder.poses.get(".pkl", {}), segment),
+        **_per_frame(CONE, folder.gaze.get(".ply", {}), segment),
+        **_per_frame(CENTRE, folder.gaze.get(f"{gimo.GAZE_CENTRE_SUFFIX}.ply", {}), segment),
+    }
+    routes = options.routes()
+    if routes[0] == "mesh" or (routes[0] == "smplx" and not folder.poses.get(".pkl")):
+        paths |= _per_frame(MESH, folder.poses.get(".obj", {}), segment)
+    if "bvh" in routes:
+        paths[SKELETON] = folder.path / gimo.SKELETON_FILE
+    hololens = {
+        STREAM: sorted(folder.path.glob(f"*{gimo.HOLOLENS_SUFFIX}")),
+        VIDEO: sorted(folder.path.glob(f"*{gimo.VIDEO_SUFFIX}")),
+        HOLOLENS_TRANSFORM: [folder.path / name for name in gimo.HOLOLENS_TRANSFORM_FILES],
+    }
+    if options.meshes:
+        hololens[SCENE_MESH] = [scene / name for name in gimo.SCENE_MESHES]
+    for role, places in hololens.items():  # the first that is there
+        there = [place for place in places if is_present(place)]
+        if there:
+            paths[role] = there[0]
+    return [input_file(role, path) for role, path in paths.items() if is_present(path)]
 
 
 def _per_frame(role: str, files: dict[int, Path], segment: gimo.Segment) -> dict[str, Path]:
     wanted = sorted(frame for frame in files if segment.start_frame <= frame <= segment.end_frame)
     return {f"{role}{frame}": files[frame] for frame in wanted}
-
-
-def _hololens_files(folder: Path) -> dict[str, Path]:
-    """The recorder's files, where exactly one of each is there."""
-    if not folder.is_dir():
-        return {}
-    found = {
-        STREAM: sorted(folder.glob(f"*{gimo.HOLOLENS_SUFFIX}")),
-        VIDEO: sorted(folder.glob(f"*{gimo.VIDEO_SUFFIX}")),
-        HOLOLENS_TRANSFORM: [folder / name for name in gimo.HOLOLENS_TRANSFORM_FILES if is_present(folder / name)],
-    }
-    return {role: paths[0] for role, paths in found.items() if paths}
 
 
 def unnumbered(folder: Path) -> list[str]:
@@ -383,62 +352,42 @@ def _body(found: RecordingFiles, manifest: Manifest, options: GimoOptions) -> gi
     """Joints by the first way that is open."""
     poses, meshes = (frames_of(found, role) for role in (POSE, MESH))
     skeleton = found.path(SKELETON)
+    # Meshes are listed only where they can be used; the message tells what is there in any case.
+    has_meshes = bool(meshes) if options.smplx_model else any((found.folder / gimo.POSE_FOLDER).glob("*.obj"))
+    pickles = f"{gimo.POSE_FOLDER}/<frame>.pkl"
+    needs: dict[Route, dict[str, object]] = {
+        "smplx": {
+            "--option vposer_model": options.vposer_model,
+            "--option smplx_model": options.smplx_model,
+            pickles: poses,
+        },
+        "mesh": {"--option smplx_model": options.smplx_model, f"{gimo.POSE_FOLDER}/<frame>.obj": has_meshes},
+        "bvh": {gimo.SKELETON_FILE: skeleton, pickles: poses},
+    }
     lacking: dict[Route, str] = {}
-    for route in options.routes():
-        lacking[route] = _lacking(route, options, has_poses=bool(poses), has_meshes=bool(meshes), skeleton=skeleton)
+    for route in tuple(needs) if options.body == "auto" else (options.body,):
+        lacking[route] = " and ".join(name for name, there in needs[route].items() if not there)
         if lacking[route]:
             continue
+        if route == "bvh":
+            assert skeleton is not None
+            return gimo.LocalSkeleton(read_bvh(skeleton), read_poses(poses))
+        assert options.smplx_model is not None
+        model = read_smplx_model(options.smplx_model)
         if route == "mesh":
-            return joints_from_meshes(
-                meshes,
-                read_smplx_model(_given(options.smplx_model)),
-                largest_edge_error=manifest.thresholds["largest_mesh_edge_error"],
-                largest_spread=manifest.thresholds["largest_mesh_vertex_spread"],
+            edge_error, spread = (
+                manifest.thresholds[f"largest_mesh_{name}"] for name in ("edge_error", "vertex_spread")
             )
-        parameters = read_poses(poses)
-        if route == "smplx":
-            decoder = read_pose_decoder(_given(options.vposer_model))
-            model = read_smplx_model(_given(options.smplx_model))
-            return joints_from_parameters(parameters, decoder, model)
-        return gimo.LocalSkeleton(read_bvh(_given(skeleton)), parameters)
+            return joints_from_meshes(meshes, model, largest_edge_error=edge_error, largest_spread=spread)
+        assert options.vposer_model is not None
+        return joints_from_parameters(read_poses(poses), read_pose_decoder(options.vposer_model), model)
     raise InputFileError(
         found.folder,
         "",
         expected="a way to the joints: smplx, mesh or bvh",
-        found="; ".join(f"{route} lacks {what}" for route, what in _all_lacking(found, options, lacking).items()),
+        found="; ".join(f"{route} lacks {what}" for route, what in lacking.items()),
         remedy=f"VPoser v1: {VPOSER_PAGE}; SMPL-X neutral: {SMPLX_PAGE} (options vposer_model and smplx_model).",
     )
-
-
-def _lacking(route: Route, options: GimoOptions, *, has_poses: bool, has_meshes: bool, skeleton: Path | None) -> str:
-    """Name what a way to the joints lacks; empty if nothing."""
-    files = f"{gimo.POSE_FOLDER}/<frame>"
-    parts = {
-        "smplx": {"--option vposer_model": options.vposer_model, "--option smplx_model": options.smplx_model},
-        "mesh": {"--option smplx_model": options.smplx_model},
-        "bvh": {gimo.SKELETON_FILE: skeleton},
-    }[route]
-    missing = [name for name, value in parts.items() if value is None]
-    missing += [f"{files}.pkl"] if route != "mesh" and not has_poses else []
-    missing += [f"{files}.obj"] if route == "mesh" and not has_meshes else []
-    return " and ".join(missing)
-
-
-def _given(path: Path | None) -> Path:
-    assert path is not None, "the way was found to be open"
-    return path
-
-
-def _all_lacking(found: RecordingFiles, options: GimoOptions, known: dict[Route, str]) -> dict[Route, str]:
-    """The same for the ways that the options leave out, so that the message tells about all three."""
-    routes: tuple[Route, ...] = ("smplx", "mesh", "bvh") if options.body == "auto" else (options.body,)
-    has_poses = bool(frames_of(found, POSE))
-    has_meshes = any((found.folder / gimo.POSE_FOLDER).glob("*.obj"))
-    return {
-        route: known.get(route)
-        or _lacking(route, options, has_poses=has_poses, has_meshes=has_meshes, skeleton=found.path(SKELETON))
-        for route in routes
-    }
 
 
 def _hololens(found: RecordingFiles) -> gimo.HoloLens | None:

@@ -207,7 +207,7 @@ _WHY_UNPLACED = {
 
 
 @dataclass(frozen=True)
-class _Side:
+class MovementSide:
     """Start or end of one movement."""
 
     track: hd_epic.ObjectTrack
@@ -238,7 +238,10 @@ def annotated_events(
     """
     sides = [side for track in readings.tracks for side in _sides(track, readings.clock, thresholds)]
     times = readings.clock.device_seconds(np.array([side.frame for side in sides], dtype=np.float64))
-    published, remarks = _published(readings, sides, thresholds)
+    published: list[PublishedPriming | None] = [None] * len(sides)
+    remarks: tuple[str, ...] = ()
+    if readings.priming is not None:
+        published, remarks = published_priming(sides, readings.priming, readings.clock, thresholds)
     events = [
         _event(side, float(time), priming, readings, streams, body, boxes)
         for side, time, priming in zip(sides, times, published, strict=True)
@@ -269,43 +272,97 @@ def masks_of_sides(
     )
 
 
-def _sides(track: hd_epic.ObjectTrack, clock: hd_epic.VideoClock, thresholds: hd_epic.Thresholds) -> list[_Side]:
+def _sides(track: hd_epic.ObjectTrack, clock: hd_epic.VideoClock, thresholds: hd_epic.Thresholds) -> list[MovementSide]:
+    """Both sides of a movement, without a mask that does not show them, and with the reason."""
     frames = np.array([track.start, track.end]) * hd_epic.FPS
-    inside = clock.covers(frames)
-    return [
-        _placed(_Side(track, is_start, float(frame), mask, ""), bool(known), clock, thresholds)
-        for is_start, frame, mask, known in zip((True, False), frames, masks_of_sides(track), inside, strict=True)
-    ]
+    sides = []
+    for is_start, frame, mask, inside in zip(
+        (True, False), frames, masks_of_sides(track), clock.covers(frames), strict=True
+    ):
+        unplaced = ""
+        if not inside or (mask is not None and mask.frame >= len(clock.device_ns)):
+            mask = None
+            unplaced = _OUTSIDE
+        elif mask is None:
+            unplaced = _NO_MASK
+        elif abs(mask.frame - frame) > thresholds.farthest_mask_frames:
+            mask = None
+            unplaced = _FAR_MASK
+        elif mask.location is None:
+            unplaced = _NO_POINT
+        sides.append(MovementSide(track, is_start, float(frame), mask, unplaced))
+    return sides
 
 
-def _placed(side: _Side, inside: bool, clock: hd_epic.VideoClock, thresholds: hd_epic.Thresholds) -> _Side:
-    """The side without a mask that does not show it, and with the reason."""
-    mask = side.mask
-    if not inside or (mask is not None and mask.frame >= len(clock.device_ns)):
-        return dataclasses.replace(side, mask=None, unplaced=_OUTSIDE)
-    if mask is None:
-        return dataclasses.replace(side, unplaced=_NO_MASK)
-    if abs(mask.frame - side.frame) > thresholds.farthest_mask_frames:
-        return dataclasses.replace(side, mask=None, unplaced=_FAR_MASK)
-    return dataclasses.replace(side, unplaced="" if mask.location is not None else _NO_POINT)
-
-
-def _published(
-    readings: hd_epic.HdEpicReadings, sides: Sequence[_Side], thresholds: hd_epic.Thresholds
+def published_priming(
+    sides: Sequence[MovementSide],
+    entries: Sequence[hd_epic.PublishedSide],
+    clock: hd_epic.VideoClock,
+    thresholds: hd_epic.Thresholds,
 ) -> tuple[list[PublishedPriming | None], tuple[str, ...]]:
-    if readings.priming is None:
-        return [None] * len(sides), ()
-    masked = [
-        MaskedEvent(side.is_start, side.frame, side.mask.frame, side.mask.location)
-        if side.mask is not None and side.mask.location is not None
-        else None
-        for side in sides
-    ]
-    return published_priming(masked, readings.priming, readings.clock, thresholds)
+    """What the dataset publishes about each event, and remarks on what found no partner.
+
+    An entry belongs to an event of the same side whose frame (annotated time or mask) is within 1 and whose location
+    within 1 mm; each entry serves one event, nearest first.
+    """
+    result: list[PublishedPriming | None] = [None] * len(sides)
+    at_frame: dict[int, list[int]] = {}
+    for index, entry in enumerate(entries):
+        at_frame.setdefault(entry.frame, []).append(index)
+    candidates: set[tuple[float, float, int, int]] = set()
+    located = 0
+    for number, side in enumerate(sides):
+        if side.mask is None or side.mask.location is None:
+            continue
+        located += 1
+        around = (side.frame, float(side.mask.frame))
+        reach = thresholds.same_frame
+        near = {frame for base in around for frame in range(math.ceil(base - reach), math.floor(base + reach) + 1)}
+        for index in itertools.chain.from_iterable(at_frame.get(frame, ()) for frame in near):
+            entry = entries[index]
+            if entry.is_start != side.is_start or entry.location is None:
+                continue
+            frames = float(min(abs(base - entry.frame) for base in around))
+            metres = float(np.linalg.norm(side.mask.location - entry.location))
+            if frames <= reach and metres <= thresholds.same_place_m:
+                candidates.add((frames, metres, number, index))
+
+    # Nearest first: by frames, among equals by metres.
+    partner: dict[int, int] = {}
+    taken: set[int] = set()
+    for _, _, number, index in sorted(candidates):
+        if number not in partner and index not in taken:
+            partner[number] = index
+            taken.add(index)
+    for number, index in partner.items():
+        result[number] = _priming(entries[index], clock)
+
+    remarks = []
+    if len(partner) < len(entries):
+        remarks.append(f"published priming: {len(entries) - len(partner)} of {len(entries)} entries belong to no event")
+    if len(partner) < located:
+        remarks.append(f"published priming: nothing about {located - len(partner)} of {located} located events")
+    behind = sum(result[number] is None for number in partner)
+    if behind:
+        remarks.append(
+            f"published priming: {behind} primed frames lie beyond the rows of the time file; taken as unknown"
+        )
+    return result, tuple(remarks)
+
+
+def _priming(entry: hd_epic.PublishedSide, clock: hd_epic.VideoClock) -> PublishedPriming | None:
+    """None for a primed frame beyond the rows of the time file."""
+    frame = entry.frame_primed
+    if frame < 0:
+        return PublishedPriming("excluded" if frame == hd_epic.EXCLUDED else "not_primed", None)
+    if not clock.covers(np.array([float(frame)]))[0]:
+        return None
+    time = clock.device_seconds(np.array([float(frame)]))[0]
+    return PublishedPriming("primed", float(time), uncertainty=1 / hd_epic.FPS)
 
 
 def _event(
-    side: _Side,
+    side: MovementSide,
     time: float,
     priming: PublishedPriming | None,
     readings: hd_epic.HdEpicReadings,
@@ -335,7 +392,7 @@ def _event(
 
 
 def _cube_edge(
-    side: _Side, location: Float[np.ndarray, "3"], readings: hd_epic.HdEpicReadings, streams: MpsStreams
+    side: MovementSide, location: Float[np.ndarray, "3"], readings: hd_epic.HdEpicReadings, streams: MpsStreams
 ) -> float | None:
     """Mean side of the 2D box × distance from the camera / focal length; None without a box or a camera pose."""
     camera = streams.camera
@@ -352,7 +409,7 @@ def _cube_edge(
     return float(mean_side * np.linalg.norm(location - eye) / focal)
 
 
-def _unplaced_remarks(sides: Sequence[_Side]) -> tuple[str, ...]:
+def _unplaced_remarks(sides: Sequence[MovementSide]) -> tuple[str, ...]:
     counts = Counter(side.unplaced for side in sides if side.unplaced)
     if not counts:
         return ()
@@ -364,103 +421,3 @@ def _box_remark(boxes: BoxKind) -> str:
     if boxes == "point":
         return "boxes: zero-size, at the annotated points"
     return "boxes: cubes as large as the 2D boxes say at the distance of the point"
-
-
-@dataclass(frozen=True)
-class MaskedEvent:
-    """Facts by which an event and an entry of the priming file are matched."""
-
-    is_start: bool
-    frame: float
-    """Frame of the annotated time."""
-    mask_frame: int
-    location: Float[np.ndarray, "3"]
-    """World (Z up), metres."""
-
-
-def published_priming(
-    events: Sequence[MaskedEvent | None],
-    entries: Sequence[hd_epic.PublishedSide],
-    clock: hd_epic.VideoClock,
-    thresholds: hd_epic.Thresholds,
-) -> tuple[list[PublishedPriming | None], tuple[str, ...]]:
-    """Return what the dataset publishes about each event, and remarks on what found no partner.
-
-    An entry belongs to an event of the same side whose frame (annotated time or mask) is within 1 and whose location
-    within 1 mm; each entry serves one event, nearest first.
-
-    Args:
-        events: In any order; None for events without location.
-        entries: Of the same video.
-        clock: Of the video.
-        thresholds: How near is the same.
-    """
-    partner = _partners(events, entries, thresholds)
-    result = [None if index is None else _priming(entries[index], clock) for index in partner]
-    used = sum(index is not None for index in partner)
-    located = sum(event is not None for event in events)
-    remarks = []
-    if used < len(entries):
-        remarks.append(f"published priming: {len(entries) - used} of {len(entries)} entries belong to no event")
-    if used < located:
-        remarks.append(f"published priming: nothing about {located - used} of {located} located events")
-    behind = sum(index is not None and told is None for index, told in zip(partner, result, strict=True))
-    if behind:
-        remarks.append(
-            f"published priming: {behind} primed frames lie beyond the rows of the time file; taken as unknown"
-        )
-    return result, tuple(remarks)
-
-
-def _partners(
-    events: Sequence[MaskedEvent | None], entries: Sequence[hd_epic.PublishedSide], thresholds: hd_epic.Thresholds
-) -> list[int | None]:
-    """Index of the entry of each event."""
-    at_frame: dict[int, list[int]] = {}
-    for index, entry in enumerate(entries):
-        at_frame.setdefault(entry.frame, []).append(index)
-    # Nearest first: by frames, among equals by metres.
-    candidates = sorted(
-        (distance, number, index)
-        for number, event in enumerate(events)
-        if event is not None
-        for frame in _frames_near(event, thresholds.same_frame)
-        for index in at_frame.get(frame, ())
-        if (distance := _distance(event, entries[index], thresholds)) is not None
-    )
-    partner: list[int | None] = [None] * len(events)
-    taken: set[int] = set()
-    for _, number, index in candidates:
-        if partner[number] is None and index not in taken:
-            partner[number] = index
-            taken.add(index)
-    return partner
-
-
-def _frames_near(event: MaskedEvent, reach: float) -> set[int]:
-    around = (event.frame, float(event.mask_frame))
-    return {frame for base in around for frame in range(math.ceil(base - reach), math.floor(base + reach) + 1)}
-
-
-def _distance(
-    event: MaskedEvent, entry: hd_epic.PublishedSide, thresholds: hd_epic.Thresholds
-) -> tuple[float, float] | None:
-    """Frames and metres between them; None if they cannot be the same."""
-    if event.is_start != entry.is_start or entry.location is None:
-        return None
-    frames = float(min(abs(event.frame - entry.frame), abs(event.mask_frame - entry.frame)))
-    if frames > thresholds.same_frame:
-        return None
-    metres = float(np.linalg.norm(event.location - entry.location))
-    return (frames, metres) if metres <= thresholds.same_place_m else None
-
-
-def _priming(entry: hd_epic.PublishedSide, clock: hd_epic.VideoClock) -> PublishedPriming | None:
-    """None for a primed frame beyond the rows of the time file."""
-    frame = entry.frame_primed
-    if frame < 0:
-        return PublishedPriming("excluded" if frame == hd_epic.EXCLUDED else "not_primed", None)
-    if not clock.covers(np.array([float(frame)]))[0]:
-        return None
-    time = clock.device_seconds(np.array([float(frame)]))[0]
-    return PublishedPriming("primed", float(time), uncertainty=1 / hd_epic.FPS)

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
+from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.bodies import read_smplh_rest
-from prbench.readers.egoallo.files import JointsOnly, read_output
+from prbench.readers.egoallo.files import read_output
 from tests.readers.egoallo_files import model, output, rewrite, times_ns, write
 
 
@@ -88,7 +89,7 @@ def test_files_with_joints_only(tmp_path):
     path, joints = tmp_path / "other.npz", np.random.default_rng(0).normal(size=(5, 22, 3))
     np.savez(path, joints=joints, timestamps_ns=times_ns(0, 5))
     read = read_output(path)
-    assert isinstance(read, JointsOnly)
+    assert isinstance(read, ego.BodyWindow)
     np.testing.assert_array_equal(read.joints, joints)
     rewrite(path, joints=joints[:4])
     with pytest.raises(InputFileError, match="joints: expected floats of the shape"):

@@ -15,7 +15,7 @@ from prbench.protocol.manifests import load_manifest
 from prbench.readers.aria_mps.to_recording import MpsStreams
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.format import ObjectMask, ObjectTrack, PublishedSide
-from prbench.readers.hd_epic.to_recording import MaskedEvent, annotated_events, masks_of_sides, published_priming
+from prbench.readers.hd_epic.to_recording import MovementSide, annotated_events, masks_of_sides, published_priming
 from prbench.recording.streams import BodyStream, GazeStream, HandStream, PoseStream
 
 THRESHOLDS = hd_epic.Thresholds(**load_manifest("hd-epic").thresholds)
@@ -29,6 +29,11 @@ def mask(frame: int, place: tuple[float, float, float] | None = (1.0, 2.0, 3.0),
 
 def track(start: float, end: float, *masks: ObjectMask, key: str = "cup", name: str = "t") -> ObjectTrack:
     return ObjectTrack(name, key, key, start, end, masks)
+
+
+def located(frame: float, mask_frame: int, place: np.ndarray) -> MovementSide:
+    shown = mask(mask_frame, tuple(place))
+    return MovementSide(track(frame / 30, frame / 30 + 1, shown), True, frame, shown, "")
 
 
 def frames(pair: tuple[ObjectMask | None, ObjectMask | None]) -> tuple[int | None, ...]:
@@ -158,7 +163,7 @@ HERE = (1.0, 2.0, 3.0)
 
 
 def _match(entries, events=None):
-    events = [MaskedEvent(True, 210.3, 212, np.array(HERE))] if events is None else events
+    events = [located(210.3, 212, np.array(HERE))] if events is None else events
     return published_priming(events, entries, CLOCK, THRESHOLDS)
 
 
@@ -181,14 +186,14 @@ def test_an_entry_belongs_by_frame_place_and_side(frame, place, is_start, found)
 
 def test_what_the_values_mean() -> None:
     entries = [side(100, (float(i), 0.0, 0.0), value) for i, value in enumerate((45, -1, -2))]
-    events = [MaskedEvent(True, 100.0, 100, np.array([float(i), 0.0, 0.0])) for i in range(3)]
+    events = [located(100.0, 100, np.array([float(i), 0.0, 0.0])) for i in range(3)]
     primings, _ = _match(entries, events)
     assert [p.outcome for p in primings if p] == ["primed", "not_primed", "excluded"]
     assert [p.prime_time for p in primings if p] == [pytest.approx(51.5), None, None]
 
 
 def test_an_entry_serves_one_event_and_the_nearer_one() -> None:
-    events = [MaskedEvent(True, 210.9, 211, np.array(HERE)), MaskedEvent(True, 210.0, 210, np.array(HERE))]
+    events = [located(210.9, 211, np.array(HERE)), located(210.0, 210, np.array(HERE))]
     primings, remarks = _match([side(210, HERE, 135)], events)
     assert [priming is not None for priming in primings] == [False, True]
     assert remarks == ("published priming: nothing about 1 of 2 located events",)
