@@ -178,7 +178,6 @@ _HEAVY = {
     "build-dataset all --out",
     "synthesize --out",
     "synthesize --gallery",
-    "synthesize --histograms",
     "run --view",
     "audit --out",
     "run --method all --out",
@@ -237,11 +236,6 @@ WRITING = (
     ),
     Writing("synthesize nymeria --out", lambda _, out: ("synthesize", "nymeria", "--count", 1, "--out", out)),
     Writing("synthesize --gallery", lambda _, out: ("synthesize", "adt", "--gallery", out), "g.png"),
-    Writing(
-        "synthesize --histograms",
-        lambda _, out: ("synthesize", "adt", "--count", 1, "--histograms", out),
-        "h.png",
-    ),
     Writing(
         "build-dataset --out, a shard",
         lambda given, out: (*_sharded(given)["table"], "--shard", "1/2", "--out", out),

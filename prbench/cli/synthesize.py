@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,12 +18,9 @@ from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench.checking.matching import Verification
-    from prbench.checking.synthetic_people import PeopleNumber
     from prbench.synthetic.write_tree import WrittenRecording, WrittenTree
 
 _SCENES_OF_ONE_PRESET = 12
-_RECORDINGS_OF_A_HISTOGRAM = 10
-_RECORDINGS_OF_PEOPLE = 20
 _FEWEST_VERIFIED = 4
 """Recordings on which each noise level is verified at least."""
 _FILES = "these files"
@@ -44,8 +40,6 @@ class SynthesizeReport(msgspec.Struct, kw_only=True):
             ``--no-verify``, ``--defect`` and text-motion layouts. Numbers without a sample are null.
         table: The table, with ``--table``.
         gallery: The picture of sequences, if one was asked for.
-        histograms: The picture of durations, gaps and movements, if one was asked for.
-        people: How the people act and what their bodies keep, with ``--people``; else empty.
     """
 
     folder: Path | None = None
@@ -53,8 +47,6 @@ class SynthesizeReport(msgspec.Struct, kw_only=True):
     checks: dict[str, Verification] = {}
     table: BuiltTable | None = None
     gallery: Path | None = None
-    histograms: Path | None = None
-    people: list[PeopleNumber] = []
 
 
 @command(
@@ -96,17 +88,6 @@ class SynthesizeReport(msgspec.Struct, kw_only=True):
     metavar="FILE",
     help="Draw sequences of LAYOUT, or of all presets without one, as PNG.",
 )
-@click.option(
-    "--histograms",
-    type=opt.OUT_FILE,
-    metavar="FILE",
-    help="Draw durations, gaps and movements beside the study's, as PNG.",
-)
-@click.option(
-    "--people",
-    is_flag=True,
-    help="Print how the people of LAYOUT, or of all presets, act and move beside the ranges asked of them.",
-)
 @opt.workers_option()
 def synthesize(
     *,
@@ -123,22 +104,16 @@ def synthesize(
     egoallo: bool,
     no_verify: bool,
     gallery: Path | None,
-    histograms: Path | None,
-    people: bool,
     workers: int,
 ) -> Answer:
     """Write synthetic recordings in a dataset's native layout, with the truth beside them.
 
     LAYOUT is the native layout to write: any dataset of `prbench datasets`. For --gallery alone it is any preset.
-    --people acts out 20 recordings of six events a preset, or --count.
     """
-    draws = gallery is not None or histograms is not None or people
-    report = SynthesizeReport(gallery=gallery, histograms=histograms)
-    if layout is None and not draws:
-        raise UsageError(
-            "name a layout to write (for example: prbench synthesize adt --out DIR), --gallery FILE or --people."
-        )
-    if layout is not None and (out is not None or not draws):
+    report = SynthesizeReport(gallery=gallery)
+    if layout is None and gallery is None:
+        raise UsageError("name a layout to write (for example: prbench synthesize adt --out DIR) or --gallery FILE.")
+    if layout is not None and (out is not None or gallery is None):
         if out is None:
             raise UsageError(f"--out DIR is needed: the folder of the {'table' if table else 'recordings'}.")
         if table:
@@ -157,10 +132,6 @@ def synthesize(
                 report.checks = _compare_with_truth(tree, layout, seed, workers)
     if gallery is not None:
         _draw_gallery(gallery, layout=layout, seed=seed)
-    if histograms is not None:
-        _draw_histograms(histograms, layout=layout, seed=seed, count=count)
-    if people:
-        report.people = _measure_people(layout, seed=seed, count=count, workers=workers)
     return Answer(report, lambda: _print(report, layout))
 
 
@@ -235,22 +206,6 @@ def _write_table(
     report.table = built_table(made, funnel_rows(made.info), recordings=made.records)
 
 
-def _measure_people(layout: str | None, *, seed: int, count: int | None, workers: int) -> list[PeopleNumber]:
-    """Measure the people of the preset that was named, or of all presets."""
-    from prbench.checking.synthetic_people import people_numbers
-    from prbench.engine import engine_for
-    from prbench.synthetic.people import PRESETS
-
-    presets = tuple(PRESETS) if layout is None else (layout,)
-    recordings = count or _RECORDINGS_OF_PEOPLE
-    measured: list[PeopleNumber] = []
-    with progress("acting out people") as tell:
-        for done, preset in enumerate(presets):
-            tell(done, len(presets), preset)
-            measured += people_numbers(preset, recordings=recordings, seed=seed, engine=engine_for(workers))
-    return measured
-
-
 def _draw_gallery(file: Path, *, layout: str | None, seed: int) -> None:
     """Draw twelve sequences of all presets, or of the one that was named."""
     from prbench.synthetic.people import perform
@@ -269,22 +224,6 @@ def _draw_gallery(file: Path, *, layout: str | None, seed: int) -> None:
     else:
         performances = [perform(layout, seed=seed, index=index, n_events=6) for index in range(4)]
         render_gallery(sequences_of(performances)[:_SCENES_OF_ONE_PRESET], file)
-
-
-def _draw_histograms(file: Path, *, layout: str | None, seed: int, count: int | None) -> None:
-    """Draw statistics of some recordings of the preset that was named, or of all presets."""
-    from prbench.synthetic.people import PRESETS, perform
-    from prbench.viewing.distributions import render_histograms
-
-    presets = tuple(PRESETS) if layout is None else (layout,)
-    acted = {
-        preset: [
-            perform(preset, seed=seed, index=index, provocations={})
-            for index in range(count or _RECORDINGS_OF_A_HISTOGRAM)
-        ]
-        for preset in presets
-    }
-    render_histograms(acted, file)
 
 
 def _print(report: SynthesizeReport, layout: str | None) -> None:
@@ -307,10 +246,6 @@ def _print(report: SynthesizeReport, layout: str | None) -> None:
         print(f"table: {report.table.folder} ({found})")
     if report.gallery is not None:
         print(f"gallery: {report.gallery}")
-    if report.histograms is not None:
-        print(f"histograms: {report.histograms}")
-    if report.people:
-        _print_people(report.people)
 
 
 def _print_checks(checks: dict[str, Verification]) -> None:
@@ -345,23 +280,3 @@ def _print_checks(checks: dict[str, Verification]) -> None:
     print("hands: right / wrong / unknown of all located events; sequences: found of those that were acted out")
     for miss in checks[_FILES].missed_sequences:
         print(f"no sequence in these files: {miss.text}")
-
-
-def _print_people(people: list[PeopleNumber]) -> None:
-    """Print each number beside its range."""
-    rows = []
-    for each in people:
-        bounds = [f"{bound:.4g}" if math.isfinite(bound) else "" for bound in (each.range.low, each.range.high)]
-        acted = "" if math.isnan(each.acted) else f"{each.acted:.3g}"
-        recorded = "" if each.recorded is None else f"{each.recorded:.3g}"
-        outside = "" if each.holds else "OUTSIDE"
-        rows.append((each.preset, each.name, acted, recorded, " … ".join(bounds), outside, each.range.source))
-    print_table(
-        "how synthetic people act and move",
-        ("preset", "number", "acted out", "recorded", "range", "", "why"),
-        rows,
-        numbers=(2, 3),
-    )
-    print(
-        "of bodies the worst sequence; metres, seconds, degrees (docs/specification/synthetic-recordings.md#behaviour)"
-    )

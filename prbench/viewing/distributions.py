@@ -1,8 +1,8 @@
-"""Histograms beside the study's numbers: Figure S2 of built datasets, and statistics of synthetic performances."""
+"""Histograms of built datasets beside the study's numbers: Figure S2."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,9 +12,7 @@ from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.protocol.published import Spread, load_table_one
 from prbench.sequences.table import TableStatistics
 from prbench.shown import figure_text
-from prbench.synthetic.behaviour import TARGETS, clips_of
-from prbench.synthetic.performance import Performance
-from prbench.viewing.figures import new_figure, require_drawable, write_figure, write_png
+from prbench.viewing.figures import new_figure, require_drawable, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +23,6 @@ _BINS = 30
 _HEADROOM = 1.2
 """Height of a panel over that of its bars, so that no legend lies on a bar."""
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple")
-_COLUMNS = (("duration", "s", 14.0), ("gap", "s", 12.0), ("body", "m", 6.0), ("hand", "m", 1.5))
 
 
 def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: int = 110) -> None:
@@ -110,40 +107,3 @@ def _gaze_shift(axes: Axes, statistics: Sequence[TableStatistics]) -> None:
 def _dress(axes: Axes, title: str) -> None:
     axes.set_title(title, fontsize=8, loc="left")
     axes.tick_params(labelsize=7)
-
-
-def render_histograms(performances: Mapping[str, Sequence[Performance]], path: Path | str, *, dpi: int = 80) -> None:
-    """Draw one row of four histograms for every preset; the shaded band is the study's mean and spread.
-
-    Args:
-        performances: Recordings of each preset.
-        path: PNG to write; replaced when it exists.
-        dpi: Resolution.
-
-    Raises:
-        ValueError: if there is no preset.
-        StorageError: if the file cannot be written.
-    """
-    if not performances:
-        raise ValueError("expected the performances of at least one preset, found none")
-    figure = new_figure(14.0, 2.3 * len(performances), dpi=dpi, layout="constrained")
-    grid = figure.subplots(len(performances), len(_COLUMNS), squeeze=False)
-    for row, (preset, acted) in zip(grid, performances.items(), strict=True):
-        clips = clips_of(acted)
-        gaps = np.array([clip.event.event_time - clip.start - clip.prime_after for clip in clips])
-        movements = np.array([(clip.body_movement, clip.hand_movement) for clip in clips]).reshape(-1, 2)
-        for axes, values, column in zip(row, (gaps + 2.0, gaps, *movements.T), _COLUMNS, strict=True):
-            name, unit, highest = column
-            _draw_histogram(axes, values, getattr(TARGETS[preset], name), highest)
-            axes.set_title(f"{preset}: {name} ({unit}), {len(clips)} synthetic sequences", fontsize=7)
-    write_png(figure, path)
-
-
-def _draw_histogram(axes: Axes, values: np.ndarray, target: Spread, highest: float) -> None:
-    _draw_band(axes, target)
-    # Values beyond the panel are counted in its last bin and do not vanish.
-    axes.hist(np.minimum(values, highest), bins=np.linspace(0.0, highest, 29).tolist(), color="tab:blue", alpha=0.7)
-    if values.size:
-        axes.axvline(float(values.mean()), color="tab:blue", linewidth=1.0)
-    axes.set_xlim(0.0, highest)
-    axes.tick_params(labelsize=6)

@@ -10,9 +10,9 @@ from prbench.curation import build_dataset, curate_recording
 from prbench.harness.synthetic_table import Staging, build_synthetic_table
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.sequences import SequenceTable
-from prbench.synthetic.behaviour import TARGETS
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.checking.levels import MOSTLY_SLOW, limits
+from tests.synthetic.behaviour import TARGETS
 
 SEED = 301
 

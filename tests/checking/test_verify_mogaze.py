@@ -18,9 +18,9 @@ from prbench.curation import build_dataset
 from prbench.harness.synthetic_table import build_synthetic_table
 from prbench.protocol.published import Spread
 from prbench.sequences import SequenceTable
-from prbench.synthetic.behaviour import TARGETS, SequenceStatistics
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.checking.levels import MOSTLY_SLOW, limits
+from tests.synthetic.behaviour import TARGETS, SequenceStatistics
 
 RECORDINGS, EVENTS, SEED = 2, 6, 301
 TABLE_SEED = 1

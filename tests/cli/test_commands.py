@@ -218,13 +218,6 @@ def test_a_mistake_gives_one_message_and_its_exit_code(arguments, code, message,
     assert not (tmp_path / "x").exists(), "nothing half-written stays"
 
 
-def test_histograms_are_drawn_beside_the_studys_numbers(tmp_path):
-    picture = tmp_path / "h.png"
-    assert main(["synthesize", "adt", "--histograms", str(picture), "--count", "1"]) == 0
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    assert [path.name for path in tmp_path.iterdir()] == ["h.png"], "a picture alone writes no recordings"
-
-
 @pytest.mark.parametrize(
     ("words", "found"), [("run --method sta", "static"), ("run --sam", "--samples"), ("le", "leaderboard")]
 )

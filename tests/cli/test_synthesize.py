@@ -30,7 +30,7 @@ def test_files_are_reported_with_what_curation_finds_in_them(tmp_path, capsys, m
     assert ideal.recordings == 2, "levels of noise may have more recordings than the files"
     assert ideal.recall == pytest.approx(1.0)
     assert ideal.timing.median < 0.05
-    assert report.table is report.gallery is report.histograms is None
+    assert report.table is report.gallery is None
 
 
 def test_unverified_files_and_text_motion_are_reported_without_checks(tmp_path, capsys) -> None:
@@ -53,24 +53,6 @@ def test_a_table_and_a_picture_are_reported(tmp_path, capsys) -> None:
     assert (report.folder, report.recordings) == (None, [])
     assert report.gallery == tmp_path / "g.png"
     assert (tmp_path / "g.png").is_file()
-
-
-def test_people_are_reported_with_the_ranges_asked_of_them(capsys) -> None:
-    words = ["synthesize", "gimo", "--people", "--count", "1", "--seed", "3"]
-    report = reported(words, capsys)
-    assert (report.folder, report.table) == (None, None)
-    assert {each.preset for each in report.people} == {"gimo"}
-    numbers = {each.name: each for each in report.people}
-    assert (numbers["reach_peak"].range.low, numbers["reach_peak"].range.high, numbers["reach_peak"].recorded) == (
-        0.3,
-        0.5,
-        None,
-    )
-    assert numbers["reach_peak"].range.source.startswith("people: ")
-    assert (numbers["lowest_pelvis"].range.high, numbers["jerk"].range.low) == (None, None)
-    assert numbers["jerk"].recorded is not None
-    assert main(words) == 0
-    assert "reach_peak" in capsys.readouterr().out
 
 
 def test_the_number_of_recordings_is_called_count(tmp_path, capsys) -> None:

@@ -20,9 +20,8 @@ from prbench.metrics.smoothness import jitter
 from prbench.metrics.targets import ScoringTargets
 from prbench.protocol.manifests import load_protocol
 from prbench.synthetic.activities import NarratedMotion
-from prbench.synthetic.behaviour import FPS, TrueClip, true_clips
 from prbench.synthetic.people.kinematics import forward_of
-from prbench.synthetic.performance import Performance
+from prbench.synthetic.performance import FPS, Performance, TrueClip, true_clips
 
 _HIPS = [Joint.LEFT_HIP, Joint.RIGHT_HIP]
 _KNEES = [Joint.LEFT_KNEE, Joint.RIGHT_KNEE]

@@ -2,13 +2,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import matplotlib.image
 import pytest
 
 from prbench.errors import UsageError
 from prbench.sequences.table import table_statistics
-from prbench.synthetic.people import perform
-from prbench.viewing.distributions import draw_table_one, render_histograms
+from prbench.viewing.distributions import draw_table_one
 from tests.fakes import fake_dataset
 
 
@@ -38,14 +36,3 @@ def test_another_kind_of_file_is_refused_before_anything_is_written(tmp_path) ->
 def test_a_name_between_dollars_is_no_formula(tmp_path) -> None:
     statistics = table_statistics(fake_dataset(tmp_path / "t", n=2))
     draw_table_one([replace(statistics, dataset="$\\frac$")], tmp_path / "figure.svg")
-
-
-def test_histograms_have_a_row_for_every_preset(tmp_path) -> None:
-    performance = perform("mogaze", seed=4, index=0, n_events=3, rate=60.0, provocations={})
-    render_histograms({"mogaze": [performance]}, tmp_path / "one.png", dpi=30)
-    render_histograms({"mogaze": [performance], "adt": [performance]}, tmp_path / "two.png", dpi=30)
-    one = matplotlib.image.imread(tmp_path / "one.png").shape
-    two = matplotlib.image.imread(tmp_path / "two.png").shape
-    assert two == (2 * one[0], *one[1:])
-    with pytest.raises(ValueError, match="at least one preset"):
-        render_histograms({}, tmp_path / "none.png")

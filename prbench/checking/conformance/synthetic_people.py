@@ -15,10 +15,9 @@ import numpy as np
 from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.protocol.manifests import load_protocol
 from prbench.sequences import Sequence
-from prbench.synthetic.behaviour import FPS, PREROLL, TrueClip, sample_joints, true_clips
 from prbench.synthetic.people.perform import name_of_recording, perform
 from prbench.synthetic.people.world import Source, assign
-from prbench.synthetic.performance import Performance
+from prbench.synthetic.performance import FPS, PREROLL, Performance, TrueClip, sample_joints, true_clips
 
 DATASET = "synthetic-conformance"
 _PRESET = "adt"

@@ -7,12 +7,12 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from prbench.synthetic.behaviour import Range, measure_behaviour, ranges
 from prbench.synthetic.people import PRESETS, perform
 from prbench.synthetic.people.gaze_plan import _draw_gap
 from prbench.synthetic.people.person import draw_person
 from prbench.synthetic.people.walking import BasePose, plan_segment, sample_base
 from prbench.synthetic.performance import Performance
+from tests.synthetic.behaviour import Range, measure_behaviour, ranges
 from tests.synthetic.plausibility import recorded_bone_change
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from prbench.synthetic.behaviour import TARGETS, clips_of, sequence_statistics
 from prbench.synthetic.people import PRESETS
-from prbench.synthetic.performance import Performance
+from prbench.synthetic.performance import Performance, clips_of
+from tests.synthetic.behaviour import TARGETS, sequence_statistics
 from tests.synthetic.plausibility import truth_scores
 
 TRIAL = {

@@ -154,7 +154,7 @@ def _part(run: Run, name: str, first: int, end: int) -> Run:
 
 def _test_windows() -> list[CutRun]:
     """Half a second up to the prime, and the reach behind it."""
-    from prbench.synthetic.behaviour import true_clips
+    from prbench.synthetic.performance import true_clips
 
     rules = load_prediction_protocol().windows
     length = rules.observed_frames + rules.future_frames

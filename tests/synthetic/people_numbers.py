@@ -15,9 +15,9 @@ from prbench.harness.synthetic_table import Staging
 from prbench.metrics.batch import MotionBatch
 from prbench.metrics.plausible import body_numbers, plausible
 from prbench.protocol.manifests import load_manifest, load_protocol
-from prbench.synthetic.behaviour import FPS, Range, clips_of, measure_behaviour, ranges
 from prbench.synthetic.people import PRESETS, perform
-from prbench.synthetic.performance import Performance
+from prbench.synthetic.performance import FPS, Performance, clips_of
+from tests.synthetic.behaviour import Range, measure_behaviour, ranges
 
 EVENTS = 6
 """Picks and puts of each recording."""

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from prbench.checking.synthetic_people import PeopleNumber, people_numbers
 from prbench.errors import UsageError
 from prbench.protocol.manifests import load_protocol
-from prbench.synthetic.behaviour import Range, ranges
 from prbench.synthetic.people import PRESETS
+from tests.synthetic.behaviour import Range, ranges
+from tests.synthetic.people_numbers import PeopleNumber, people_numbers
 
 LARGEST_BONE_CHANGE = 0.02
 """Our limit: joints between recorded poses of 30 Hz cut the corner of a swinging leg."""
