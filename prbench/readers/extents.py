@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,8 +58,6 @@ _END = 1 << 18
 """Bytes that are read of each end. The static objects of an ADT recording take 60 kB before the first one that moves;
 a frame of a skeleton, printed with one number a line, 130 kB."""
 _NAMED_TIME = re.compile(rb'"(?:tracking_)?timestamp_ns"\s*:\s*(\d{1,19})(?=[\s,}])')
-Span = tuple[float | None, float | None]
-"""First and last time, seconds; None where an end holds none."""
 
 
 def shortfalls(extents: Sequence[Extent]) -> tuple[str, ...]:
@@ -79,25 +77,23 @@ def shortfalls(extents: Sequence[Extent]) -> tuple[str, ...]:
         return ()
     start = min(starts)
     end = max(ends)
-    return tuple(message for extent in extents for message in _told(extent, start, end))
-
-
-def _told(extent: Extent, start: float, end: float) -> Iterator[str]:
-    """Say where one stream falls short of a recording that lasts from ``start`` to ``end``, seconds."""
-    named = f"{extent.stream} ({extent.file})"
-    if extent.last is None:
-        yield f"{named} holds no sample with a time: events may be missing; {_REMEDY}"
-        return
-    if extent.last < end - extent.slack:
-        yield (
-            f"{named} ends {end - extent.last:.1f} s before the recording does, {extent.last - start:.1f} s after"
-            f" its start: later events may be missing; {_REMEDY}"
-        )
-    if extent.first is not None and extent.first > start + extent.slack and not extent.may_start_late:
-        yield (
-            f"{named} begins {extent.first - start:.1f} s after the recording does: earlier events may be missing;"
-            f" {_REMEDY}"
-        )
+    told = []
+    for extent in extents:
+        named = f"{extent.stream} ({extent.file})"
+        if extent.last is None:
+            told.append(f"{named} holds no sample with a time: events may be missing; {_REMEDY}")
+            continue
+        if extent.last < end - extent.slack:
+            told.append(
+                f"{named} ends {end - extent.last:.1f} s before the recording does, {extent.last - start:.1f} s after"
+                f" its start: later events may be missing; {_REMEDY}"
+            )
+        if extent.first is not None and extent.first > start + extent.slack and not extent.may_start_late:
+            told.append(
+                f"{named} begins {extent.first - start:.1f} s after the recording does: earlier events may be missing;"
+                f" {_REMEDY}"
+            )
+    return tuple(told)
 
 
 def can_be_looked_at(file: InputFile) -> bool:
@@ -116,13 +112,24 @@ def csv_extent(stream: str, file: InputFile, column: str, seconds: float) -> Ext
     """
     head, tail = _both_ends(file)
     header, _, rows = head.partition(b"\n")
-    first = None
-    last = None
-    place = _place(header, column)
-    if place is not None:
-        first = min(_cells(rows.splitlines()[:-1] if len(head) == _END else rows.splitlines(), place), default=None)
-        last = max(_cells(tail.splitlines()[1:], place), default=None)
-    return Extent(stream, _name(file), *_scaled(first, last, seconds))
+    try:
+        place = header_names(header).index(column)
+    except (UnicodeDecodeError, ValueError):  # no text, or no such column
+        return _extent(stream, file, (), (), seconds)
+    complete = rows.splitlines()[:-1] if len(head) == _END else rows.splitlines()
+    return _extent(stream, file, _cells(complete, place), _cells(tail.splitlines()[1:], place), seconds)
+
+
+def _extent(stream: str, file: InputFile, head: Iterable[float], tail: Iterable[float], seconds: float) -> Extent:
+    """From the earliest time near the beginning of a file to the latest near its end; their unit in seconds."""
+    first = min(head, default=None)
+    last = max(tail, default=None)
+    return Extent(
+        stream,
+        file.member.rpartition("/")[2] or file.path.name,
+        None if first is None else first * seconds,
+        None if last is None else last * seconds,
+    )
 
 
 def _both_ends(file: InputFile) -> tuple[bytes, bytes]:
@@ -133,15 +140,6 @@ def _both_ends(file: InputFile) -> tuple[bytes, bytes]:
     with opened(source_of(file)) as member:
         content = member.read(LARGEST_UNPACKED_FOR_ITS_END)
     return content[:_END], content[-_END:]
-
-
-def _place(header: bytes, column: str) -> int | None:
-    """Return the index of a column; None where the file has none of that name."""
-    try:
-        names = header_names(header)
-    except UnicodeDecodeError:
-        return None
-    return names.index(column) if column in names else None
 
 
 def _cells(lines: Iterable[bytes], place: int) -> Iterable[float]:
@@ -156,20 +154,11 @@ def _cells(lines: Iterable[bytes], place: int) -> Iterable[float]:
             yield time
 
 
-def _name(file: InputFile) -> str:
-    return file.member.rpartition("/")[2] or file.path.name
-
-
-def _scaled(first: float | None, last: float | None, seconds: float) -> Span:
-    return (None if first is None else first * seconds), (None if last is None else last * seconds)
-
-
 def json_extent(stream: str, file: InputFile) -> Extent:
     """The extent of a JSON or JSON lines file whose frames have a ``timestamp_ns``."""
     head, tail = _both_ends(file)
-    first = min((float(time) for time in _NAMED_TIME.findall(head)), default=None)
-    last = max((float(time) for time in _NAMED_TIME.findall(tail)), default=None)
-    return Extent(stream, _name(file), *_scaled(first, last, 1e-9))
+    first, last = (map(float, _NAMED_TIME.findall(part)) for part in (head, tail))
+    return _extent(stream, file, first, last, 1e-9)
 
 
 _TAIL = 65536  # bytes; longer than any line of the formats that are read
