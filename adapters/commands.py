@@ -156,13 +156,12 @@ def train(
         workers=loaders,
     )
     with show_training(f"training {method}") as show:
-        result = run_training(request, report=show, engine=opened(engine, reads=data))
-    if not result.first_process:  # one of several processes that train together; the first one speaks for all
+        trained = run_training(request, report=show, engine=opened(engine, reads=data))
+    if trained is None:  # one of several processes that train together; the first one speaks for all
         return 0
-    note(f"waited for data {result.waiting:.1%} of {result.seconds:.0f} s")
-    trained = TrainedNetwork(weights=result.weights, steps=result.steps, seconds=result.seconds, waiting=result.waiting)
+    note(f"waited for data {trained.waiting:.1%} of {trained.seconds:.0f} s")
     report = TrainReport(method=method, configuration=None, trained=trained)
-    return Answer(report, lambda: print(f"weights: {result.weights}"))
+    return Answer(report, lambda: print(f"weights: {trained.weights}"))
 
 
 def _configuration(

@@ -44,7 +44,7 @@ class DNO(SingleModelMethod):
             AdapterError: for a goal that no body can reach, or a sequence that is longer than the prior knows.
         """
         from prbench_adapters.diffusion.noise_optimisation.generation import generate_optimised
-        from prbench_adapters.diffusion.noise_optimisation.objective import keyframes
+        from prbench_adapters.diffusion.noise_optimisation.optimise import keyframes
 
         require_goals_within_reach(batch, adapter=self.name)
         return generate_optimised(self.model, batch, self.settings, objective=keyframes, texts=self._texts(batch))
@@ -71,10 +71,10 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
         InputFileError: if the file is not one of a denoiser.
         ValueError: for options that are unknown or have impossible values.
     """
-    from prbench_adapters.diffusion.bundled import bundled_names, resolve
+    from prbench_adapters.diffusion.generation import require_known
+    from prbench_adapters.diffusion.method import bundled_names, resolve
     from prbench_adapters.diffusion.model import MotionModel, require_goal
     from prbench_adapters.diffusion.noise_optimisation.settings import KEYFRAME_OPTIONS
-    from prbench_adapters.diffusion.options import require_known
 
     require_known(options, ("optimise", "prompt", "guidance", "text-path", *KEYFRAME_OPTIONS))
     # The default belongs to another method, which a user may have removed.
@@ -93,8 +93,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> DN
 def _settings(options: Mapping[str, str], diffusion_steps: int) -> OptimisationSettings:
     from dataclasses import replace
 
+    from prbench_adapters.diffusion.generation import choice, number
     from prbench_adapters.diffusion.noise_optimisation.settings import dno_paper, fast, optimisation_settings
-    from prbench_adapters.diffusion.options import choice, number
 
     # The initial pose is given; bones of its lengths cost the goal nothing, where the prior's waver by a quarter.
     quick = replace(fast(diffusion_steps), bones="initial")

@@ -10,9 +10,8 @@ import pytest
 
 from prbench.files.arrays import first_repeated, require_times
 from prbench.geometry.skeleton import y_up
-from prbench.metrics.batch import MotionBatch
+from prbench.metrics.batch import GazeRays, MotionBatch
 from prbench.metrics.foot_skating import Fps
-from prbench.metrics.targets import GazeRays
 from tests import shapes
 
 pytestmark = pytest.mark.skipif(os.environ.get("PRBENCH_CHECK_SHAPES", "1") != "1", reason="shapes are not checked")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from prbench_adapters.dart.adapter import DartControl
-    from prbench_adapters.dart.task import DartTask
+    from prbench_adapters.dart.training import DartTask
 
 __all__ = ["load", "training_task"]
 
@@ -22,6 +22,6 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> Da
 
 def training_task() -> DartTask:
     """Make the task that ``prbench train --method dart`` trains."""
-    from prbench_adapters.dart.task import DartTask
+    from prbench_adapters.dart.training import DartTask
 
     return DartTask()

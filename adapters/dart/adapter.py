@@ -15,16 +15,20 @@ from torch.nn.functional import pad
 from prbench.contract import Condition, ConditionBatch, Cost, Motions
 from prbench.errors import AdapterError
 from prbench.geometry.skeleton import N_JOINTS, Joint
-from prbench_adapters.dart.configuration import OPTIONS, DartSettings, dart_settings
-from prbench_adapters.dart.guidance import GuidedDenoiser, by_ddim, by_ddpm
-from prbench_adapters.dart.model import DartModel
-from prbench_adapters.dart.optimisation import optimise
-from prbench_adapters.dart.rollout import Primitive, SampleLatent, first_history, roll_out
-from prbench_adapters.diffusion.batches import ModelBodies, SequenceNoise
-from prbench_adapters.diffusion.bundled import own_weights
-from prbench_adapters.diffusion.method import SingleModelMethod, require_goals_within_reach
+from prbench_adapters.dart.model import OPTIONS, DartModel, DartSettings, dart_settings
+from prbench_adapters.dart.rollout import (
+    GuidedDenoiser,
+    Primitive,
+    SampleLatent,
+    by_ddim,
+    by_ddpm,
+    first_history,
+    optimise,
+    roll_out,
+)
+from prbench_adapters.diffusion.generation import ModelBodies, SequenceNoise, require_known
+from prbench_adapters.diffusion.method import SingleModelMethod, own_weights, require_goals_within_reach
 from prbench_adapters.diffusion.noise_optimisation.generation import targets_of
-from prbench_adapters.diffusion.options import require_known
 from prbench_adapters.kinematics import DART
 
 _LARGEST_PART = {"cpu": 320}  # primitives, of all sequences side by side; all passes are kept for the gradient

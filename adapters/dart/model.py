@@ -1,22 +1,292 @@
-"""Trained networks of DART with all that belongs to them: statistics, scale of latents, text encoder."""
+"""A DART model: its sizes, options (``--option key=value``), networks and weights (docs/specification/dart.md)."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, cast
 
+import msgspec
 import torch
-from jaxtyping import Float
-from torch import Tensor
+from jaxtyping import Float, Int
+from torch import Tensor, nn
 
 from prbench.errors import InputFileError
 from prbench.text import text_encoder
-from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.frames import N_FEATURES, Frames
-from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
-from prbench_adapters.diffusion.denoiser import pooled
+from prbench_adapters.diffusion.denoiser import TransformerLayer, pooled, sinusoid_table
+from prbench_adapters.diffusion.generation import choice, number, whole_number
 from prbench_adapters.diffusion.model import TextVectors, torch_device
+from prbench_adapters.diffusion.noise_optimisation.settings import Hand
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.training.weights import Weights, read_weights
+
+HISTORY_FRAMES = 2
+"""H: the last frames of one primitive, which the next begins with; the first has those of the initial state."""
+
+_COUNTS = (
+    "future_frames", "latent", "vae_width", "vae_heads", "vae_layers", "vae_feed_forward", "width",
+    "heads", "layers", "feed_forward", "text_dimension", "diffusion_steps",
+)  # fmt: skip
+GradientNorm = Literal["sequence", "batch"]
+_Seeding = Literal["velocity", "repeat"]
+_OF_OPTIMISATION = (
+    "iterations", "learning-rate", "noise-scale", "ddim-steps", "gradient-norm", "hand", "jerk", "floor",
+    "checkpointing",
+)  # fmt: skip
+OPTIONS = ("optimise", *_OF_OPTIMISATION, "guidance", "seeding", "text-path")
+_MOST_ITERATIONS = 100_000
+
+
+class DartConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The networks of one model; the defaults are the original's sizes (docs/specification/dart.md#networks).
+
+    Raises:
+        ValueError: for sizes that do not fit together.
+    """
+
+    future_frames: int = 8
+    """F: frames that a primitive adds."""
+    latent: int = 256
+    """Numbers of the latent vector of a primitive."""
+    vae_width: int = 256
+    vae_heads: int = 4
+    vae_layers: int = 7
+    """Layers of encoder and decoder each; odd: as many in front of the middle one as behind it."""
+    vae_feed_forward: int = 1024
+    width: int = 512
+    heads: int = 4
+    layers: int = 8
+    feed_forward: int = 1024
+    dropout: float = 0.1
+    text_encoder: str = "distilbert"
+    text_dimension: int = 768
+    diffusion_steps: int = 10
+    fps: float = 20.0
+    uniform_skeleton: bool = False
+    """True for a model that has learnt bodies that were rescaled to HumanML3D's skeleton
+    (docs/specification/pr-model.md#data-and-features); conditions are then put onto it, and motions scaled back."""
+
+    def __post_init__(self) -> None:
+        for name in _COUNTS:
+            if getattr(self, name) < 1:
+                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        # Skips join each layer in front of the middle one to a layer behind it.
+        if self.vae_layers % 2 == 0:
+            raise ValueError(f"'vae_layers' must be odd, found {self.vae_layers}")
+        if self.future_frames < HISTORY_FRAMES:
+            raise ValueError(f"'future_frames' must be at least {HISTORY_FRAMES}, found {self.future_frames}")
+        for width, heads in (("vae_width", "vae_heads"), ("width", "heads")):
+            # Even, because the table of sinusoids pairs sines with cosines.
+            if getattr(self, width) % getattr(self, heads) or getattr(self, width) % 2:
+                raise ValueError(f"'{width}' must be even and a multiple of '{heads}', found {getattr(self, width)}")
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"'dropout' must be in [0, 1), found {self.dropout}")
+        if self.fps <= 0:
+            raise ValueError(f"'fps' must be positive, found {self.fps}")
+
+    @property
+    def primitive_frames(self) -> int:
+        """H + F."""
+        return HISTORY_FRAMES + self.future_frames
+
+    def primitives_for(self, n_frames: int) -> int:
+        """Count the primitives of a motion of ``n_frames``, history included; the last may be longer than needed."""
+        return max(1, -(-(n_frames - HISTORY_FRAMES) // self.future_frames))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DartSettings:
+    """Settings of generation; the defaults are those of the study's comparison.
+
+    Source: docs/specification/dart.md#conditions-in-the-study.
+    """
+
+    optimised: bool = True
+    """Optimise the noise towards the goal; otherwise the goal is not looked at."""
+    iterations: int = 100
+    """*Prime and Reach*, section 5.3."""
+    learning_rate: float = 0.05
+    """Learning rate of Adam in the first iteration; falls linearly, to a hundredth of it in the last of 100."""
+    noise_scale: float = 0.1
+    """Standard deviation of the noise that optimisation starts from (the original's setting for in-betweening)."""
+    ddim_steps: int | None = None
+    """Steps of the chain from noise to latent; None for all of the training's, as in the original."""
+    guidance: float = 5.0
+    gradient_norm: GradientNorm = "sequence"
+    """Gradient that is brought to length 1 in each primitive: each sequence's, or that of the whole batch, with which
+    the original lets the sequences of a batch slow each other down."""
+    seeding: _Seeding = "velocity"
+    """Take as history the frame before the first and the first, or twice the first: a body at rest."""
+    hand: Hand = "right"
+    """Wrist that a goal location is meant for; ``nearest`` leaves the choice to the motion."""
+    jerk_weight: float = 0.0
+    """Weight of the largest third difference, metres per frame³; 0 in the original's in-betweening."""
+    floor_weight: float = 0.0
+    """Weight of the mean depth of the feet below their height in the frame before the first, metres; likewise 0."""
+    checkpointing: bool = False
+    """Compute a primitive again in the backward pass instead of keeping it in memory."""
+
+    def __post_init__(self) -> None:
+        if self.iterations < 1:
+            raise ValueError(f"'iterations': expected 1 or more, found {self.iterations}.")
+
+
+def dart_settings(options: Mapping[str, str], *, diffusion_steps: int) -> DartSettings:
+    """The settings that options ask for.
+
+    Args:
+        options: As given.
+        diffusion_steps: Steps that the model was trained with.
+
+    Raises:
+        ValueError: naming an option that has an impossible value, or does not go with another.
+    """
+    default = DartSettings()
+    optimised = choice(options, "optimise", ("on", "off")) == "on"
+    # An option that changes nothing is a mistake of the user, who must hear of it.
+    idle = [] if optimised else [key for key in _OF_OPTIMISATION if key in options]
+    if idle:
+        raise ValueError(f"option '{idle[0]}' belongs to noise optimisation; choose optimise=on.")
+    return DartSettings(
+        optimised=optimised,
+        iterations=whole_number(options, "iterations", most=_MOST_ITERATIONS) or default.iterations,
+        learning_rate=number(options, "learning-rate", default.learning_rate),
+        noise_scale=number(options, "noise-scale", default.noise_scale),
+        ddim_steps=whole_number(options, "ddim-steps", most=diffusion_steps),
+        guidance=number(options, "guidance", default.guidance),
+        gradient_norm=cast(GradientNorm, choice(options, "gradient-norm", ("sequence", "batch"))),
+        seeding=cast(_Seeding, choice(options, "seeding", ("velocity", "repeat"))),
+        hand=cast(Hand, choice(options, "hand", ("right", "nearest", "left"))),
+        jerk_weight=number(options, "jerk", default.jerk_weight),
+        floor_weight=number(options, "floor", default.floor_weight),
+        checkpointing=choice(options, "checkpointing", ("off", "on")) == "on",
+    )
+
+
+_LARGEST_LOG_VARIANCE = 10.0
+_SPREAD = 0.02  # of learned tokens and positions before the first step
+
+
+class _SkipTransformer(nn.Module):
+    """A transformer encoder whose later layers also see what the earlier ones gave, as in a U-Net."""
+
+    def __init__(self, width: int, heads: int, feed_forward: int, layers: int, dropout: float) -> None:
+        super().__init__()
+        around = range(layers // 2)
+
+        def layer() -> TransformerLayer:
+            return TransformerLayer(width, heads, feed_forward, dropout, cross_attention=False)
+
+        self.input_layers = nn.ModuleList(layer() for _ in around)
+        self.middle_layer = layer()
+        self.output_layers = nn.ModuleList(layer() for _ in around)
+        self.joins = nn.ModuleList(nn.Linear(2 * width, width) for _ in around)
+        self.norm = nn.LayerNorm(width)
+
+    def forward(self, stream: Float[Tensor, "batch tokens width"]) -> Float[Tensor, "batch tokens width"]:
+        """All tokens look at all."""
+        seen = []
+        for layer in self.input_layers:
+            stream = layer(stream, None, None, None)
+            seen.append(stream)
+        stream = self.middle_layer(stream, None, None, None)
+        for layer, join in zip(self.output_layers, self.joins, strict=True):
+            stream = layer(join(torch.cat((stream, seen.pop()), dim=-1)), None, None, None)
+        return self.norm(stream)
+
+
+class PrimitiveVAE(nn.Module):
+    """A latent vector from the frames of a primitive, and its future frames from latent and history."""
+
+    def __init__(self, configuration: DartConfiguration) -> None:
+        super().__init__()
+        self.configuration = configuration
+        width = configuration.vae_width
+        frames = configuration.primitive_frames
+        sizes = (width, configuration.vae_heads, configuration.vae_feed_forward, configuration.vae_layers)
+        self.frame_embedding = nn.Linear(N_FEATURES, width)
+        self.distribution_tokens = nn.Parameter(torch.randn(2, width) * _SPREAD)
+        self.encoder_positions = nn.Parameter(torch.randn(2 + frames, width) * _SPREAD)
+        self.encoder = _SkipTransformer(*sizes, configuration.dropout)
+        self.encoder_head = nn.Linear(width, configuration.latent)
+        self.latent_embedding = nn.Linear(configuration.latent, width)
+        self.decoder_positions = nn.Parameter(torch.randn(1 + frames, width) * _SPREAD)
+        self.decoder = _SkipTransformer(*sizes, configuration.dropout)
+        self.decoder_head = nn.Linear(width, N_FEATURES)
+
+    def encode(
+        self, history: Float[Tensor, "batch history 276"], future: Float[Tensor, "batch future 276"]
+    ) -> tuple[Float[Tensor, "batch 1 latent"], Float[Tensor, "batch 1 latent"]]:
+        """Mean and logarithm of the variance of the latent; features are standardised."""
+        frames = self.frame_embedding(torch.cat((history, future), dim=1))
+        tokens = torch.cat((self.distribution_tokens.expand(len(frames), -1, -1), frames), dim=1)
+        # The two tokens in front are read, one for the mean and one for the variance.
+        found = self.encoder_head(self.encoder(tokens + self.encoder_positions)[:, :2])
+        return found[:, :1], found[:, 1:].clamp(-_LARGEST_LOG_VARIANCE, _LARGEST_LOG_VARIANCE)
+
+    def decode(
+        self, latent: Float[Tensor, "batch 1 latent"], history: Float[Tensor, "batch history 276"]
+    ) -> Float[Tensor, "batch future 276"]:
+        """Standardised features of the future frames; the latent as :meth:`encode` gives it, not divided by its std."""
+        embedded = (self.latent_embedding(latent), self.frame_embedding(history))
+        # Frames to come have no content of their own: their position says which one each query asks for.
+        queries = embedded[0].new_zeros(len(latent), self.configuration.future_frames, self.configuration.vae_width)
+        stream = self.decoder(torch.cat((*embedded, queries), dim=1) + self.decoder_positions)
+        return self.decoder_head(stream[:, -self.configuration.future_frames :])
+
+
+class LatentDenoiser(nn.Module):
+    """The clean latent from a noisy one, its diffusion step, a text and the history."""
+
+    def __init__(self, configuration: DartConfiguration) -> None:
+        super().__init__()
+        self.configuration = configuration
+        width = configuration.width
+        self.time_embedding = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
+        self.text_embedding = nn.Linear(configuration.text_dimension, width)
+        self.history_embedding = nn.Linear(N_FEATURES, width)
+        self.latent_embedding = nn.Linear(configuration.latent, width)
+        self.layers = nn.ModuleList(
+            TransformerLayer(
+                width, configuration.heads, configuration.feed_forward, configuration.dropout, cross_attention=False
+            )
+            for _ in range(configuration.layers)
+        )
+        self.head = nn.Linear(width, configuration.latent)
+        self.dropout = nn.Dropout(configuration.dropout)
+        self.sinusoid: Tensor
+        rows = max(configuration.diffusion_steps, 3 + HISTORY_FRAMES)
+        self.register_buffer("sinusoid", sinusoid_table(rows, width), persistent=False)
+
+    def forward(
+        self,
+        noisy: Float[Tensor, "batch 1 latent"],
+        step: Int[Tensor, " batch"],
+        text: Float[Tensor, "batch dimension"],
+        history: Float[Tensor, "batch history 276"],
+    ) -> Float[Tensor, "batch 1 latent"]:
+        """The clean latent, divided by its std as the noisy one is.
+
+        Args:
+            noisy: Noisy latents.
+            step: Index of the diffusion step of each.
+            text: One vector each; zeros for no text.
+            history: Standardised features.
+        """
+        tokens = (
+            self.time_embedding(self.sinusoid[step])[:, None],
+            self.text_embedding(text)[:, None],
+            self.history_embedding(history),
+            self.latent_embedding(noisy),
+        )
+        stream = torch.cat(tokens, dim=1)
+        stream = self.dropout(stream + self.sinusoid[: stream.shape[1]])
+        for layer in self.layers:
+            stream = layer(stream, None, None, None)
+        return self.head(stream[:, -1:])
+
 
 KIND = "dart"
 REPRESENTATION = f"dart-{N_FEATURES}/fitted"

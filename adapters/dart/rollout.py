@@ -1,18 +1,27 @@
-"""Primitive after primitive: each begins with the last frames of the one before, seen from the first of them."""
+"""Primitive after primitive, plainly or steered by guidance or by optimised noise (docs/specification/dart.md).
+
+Each primitive begins with the last frames of the one before, seen from the first of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn import functional
 from torch.utils.checkpoint import checkpoint
 
-from prbench_adapters.dart.configuration import HISTORY_FRAMES
+from prbench.geometry.skeleton import Joint
 from prbench_adapters.dart.frames import Frames, Placement
-from prbench_adapters.dart.model import DartModel
+from prbench_adapters.dart.model import HISTORY_FRAMES, DartModel, DartSettings, GradientNorm, LatentDenoiser
+from prbench_adapters.diffusion.denoiser import TransformerLayer
+from prbench_adapters.diffusion.generation import Guidance
+from prbench_adapters.diffusion.noise_optimisation.optimise import Targets, chosen_wrist, largest_jerk, last_frame
+from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim, sample_ddpm
 
 SampleLatent = Callable[[int, Float[Tensor, "batch history 276"]], Float[Tensor, "batch 1 latent"]]
 """Maps number and standardised history of a primitive to its clean latent, divided by the latents' std."""
@@ -104,3 +113,212 @@ def _generate(
 ) -> tuple[Float[Tensor, "batch 1 latent"], Float[Tensor, "batch future 276"]]:
     latent = sample(number, history)
     return latent, model.vae.decode(latent * model.latent_std, history)
+
+
+_CONTEXT = slice(1, 2 + HISTORY_FRAMES)  # places of text and history among the tokens
+_LATENT = 2 + HISTORY_FRAMES
+
+
+class PreparedDenoiser:
+    """Computes :class:`LatentDenoiser` up to rounding, with gradients, in about three quarters of the time.
+
+    Only the last token changes within a primitive, besides the one for the step: the others are embedded, and projected
+    for the first layer's attention, once. Only the last token is read, so the last layer has no other queries.
+
+    Args:
+        denoiser: In evaluation mode.
+        text: One vector each; zeros for no text.
+        history: Standardised features.
+    """
+
+    def __init__(
+        self,
+        denoiser: LatentDenoiser,
+        text: Float[Tensor, "batch dimension"],
+        history: Float[Tensor, "batch history 276"],
+    ) -> None:
+        self.denoiser, self.places = denoiser, denoiser.sinusoid
+        self.layers = cast(list[TransformerLayer], list(denoiser.layers))
+        self.project = self.layers[0].self_attention.query_key_value
+        context = (denoiser.text_embedding(text)[:, None], denoiser.history_embedding(history))
+        self.context = torch.cat(context, dim=1) + self.places[_CONTEXT]
+        times = self.places[: denoiser.configuration.diffusion_steps]
+        self.times = denoiser.time_embedding(times) + self.places[0]
+        self.projected_context, self.projected_times = self.project(self.context), self.project(self.times)
+
+    def __call__(self, noisy: Float[Tensor, "batch 1 latent"], step: int) -> Float[Tensor, "batch 1 latent"]:
+        """The clean latent from a noisy one at a diffusion step."""
+        rows = len(noisy)
+        latent = self.denoiser.latent_embedding(noisy[:, 0]) + self.places[_LATENT]
+        stream = _tokens(self.times[step], self.context, latent)
+        projected = _tokens(self.projected_times[step], self.projected_context, self.project(latent))
+        # TransformerLayer written out without dropout: the layers' own forward would compute all tokens anew.
+        for number, layer in enumerate(self.layers):
+            if number:
+                projected = layer.self_attention.query_key_value(stream)
+            of_heads = projected.view(rows, _LATENT + 1, 3, layer.self_attention.heads, -1)
+            query, key, value = of_heads.permute(2, 0, 3, 1, 4).unbind()
+            # Nobody reads the other tokens behind the last layer.
+            if number == len(self.layers) - 1:
+                query = query[:, :, -1:]
+                stream = stream.view(rows, _LATENT + 1, -1)[:, -1]
+            looked = functional.scaled_dot_product_attention(query, key, value).transpose(1, 2).reshape(stream.shape)
+            stream = layer.self_attention_norm(stream + layer.self_attention.output(looked))
+            hidden = functional.gelu(layer.feed_forward.expand(stream))
+            stream = layer.feed_forward_norm(stream + layer.feed_forward.contract(hidden))
+        return self.denoiser.head(stream)[:, None]
+
+
+def _tokens(
+    time: Float[Tensor, " width"],
+    context: Float[Tensor, "batch context width"],
+    latent: Float[Tensor, "batch width"],
+) -> Float[Tensor, "rows width"]:
+    """All tokens of all rows below each other: linear layers take a matrix quicker than a stack of them."""
+    return torch.cat((time.expand(len(latent), 1, -1), context, latent[:, None]), dim=1).flatten(0, 1)
+
+
+class GuidedDenoiser(Guidance):
+    """A denoiser under B texts.
+
+    Args:
+        denoiser: Of latents, in evaluation mode.
+        text: One vector each.
+        scale: Of the guidance; 1 is the conditional estimate alone, in one pass, anything else takes two.
+    """
+
+    def __init__(self, denoiser: LatentDenoiser, text: Float[Tensor, "batch dimension"], scale: float) -> None:
+        super().__init__(scale)
+        self.denoiser, self.text = denoiser, text
+
+    def under(self, history: Float[Tensor, "batch history 276"]) -> Callable[[Tensor, int], Tensor]:
+        """The guided estimate of clean latents as the samplers take it: of noisy latents and diffusion step.
+
+        Where there are fewer histories than texts, they are those of the first motions.
+        """
+        # Rows stand longest first, so the sequences that go on are always the first rows.
+        text = self.text[: len(history)]
+        texts = self.both(text, torch.zeros_like(text))
+        prepared = PreparedDenoiser(self.denoiser, texts, self.both(history, history))
+        return lambda noisy, step: self.estimate(lambda rows: prepared(rows, step), noisy)
+
+
+def by_ddim(
+    denoiser: GuidedDenoiser,
+    schedule: CosineSchedule,
+    noise: Float[Tensor, "primitives batch 1 latent"],
+    *,
+    steps: int | None = None,
+) -> SampleLatent:
+    """A fixed, differentiable map from the noise of each primitive to its latent: η = 0, all steps unless given."""
+
+    def sample(number: int, history: Tensor) -> Tensor:
+        return sample_ddim(denoiser.under(history), schedule, noise[number, : len(history)], steps=steps)
+
+    return sample
+
+
+def by_ddpm(
+    denoiser: GuidedDenoiser, schedule: CosineSchedule, draw: Callable[[], Float[Tensor, "batch 1 latent"]]
+) -> SampleLatent:
+    """Ancestral sampling with all steps; ``draw`` is called for the start and once a step but the last."""
+
+    def sample(number: int, history: Tensor) -> Tensor:  # noqa: ARG001 - every primitive draws
+        n = len(history)
+        return sample_ddpm(denoiser.under(history), schedule, draw()[:n], lambda _: draw()[:n])
+
+    return sample
+
+
+Noise = Float[Tensor, "primitives batch 1 latent"]
+Joints = Float[Tensor, "batch frames 22 3"]
+
+_SHORTEST_GRADIENT = 1e-6
+_FEET = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, Joint.LEFT_FOOT, Joint.RIGHT_FOOT)
+
+
+@dataclass(frozen=True)
+class Optimised:
+    """Result of an optimisation."""
+
+    noise: Noise
+    joints: Joints
+    """Joints of the final noise."""
+    losses: Float[Tensor, "iterations batch"]
+    """Loss of each iterate before its step."""
+
+
+def optimise(
+    motion: Callable[[Noise], Joints],
+    start: Noise,
+    targets: Targets,
+    n_frames: Int[Tensor, " batch"],
+    settings: DartSettings,
+) -> Optimised:
+    """Lower the loss of every sequence by Adam on its noise.
+
+    The gradient of each primitive has length 1, so that the learning rate says how far each moves; a primitive behind a
+    sequence's end has no gradient and stays. With ``gradient_norm="sequence"`` no sequence notices the others.
+
+    Args:
+        motion: A differentiable map from noise to joints, metres, canonical frame; first frame first.
+        start: The first noise.
+        targets: Initial state and goal of each sequence, of which the goal is asked for.
+        n_frames: Frames of each sequence; its last one is the goal's.
+        settings: Iterations, learning rate and what else belongs to the loss.
+    """
+    noise = start.clone().requires_grad_()
+    optimiser = torch.optim.Adam([noise])
+    losses = []
+    for iteration in range(settings.iterations):
+        for group in optimiser.param_groups:
+            # Linear to 0: the last steps settle, the first ones search.
+            group["lr"] = settings.learning_rate * (1.0 - iteration / settings.iterations)
+        with torch.enable_grad():
+            loss = goal_loss(motion(noise), n_frames, targets, settings)
+            # Summed over sequences, none of which depends on another, so each gets its own gradient.
+            (gradient,) = torch.autograd.grad(loss.sum(), noise)
+        noise.grad = unit_gradient(gradient, settings.gradient_norm)
+        optimiser.step()
+        losses.append(loss.detach())
+    with torch.no_grad():
+        return Optimised(noise.detach(), motion(noise), torch.stack(losses))
+
+
+def goal_loss(
+    joints: Joints, n_frames: Int[Tensor, " batch"], targets: Targets, settings: DartSettings
+) -> Float[Tensor, " batch"]:
+    """Huber loss (δ = 1 m) of the last frame, averaged over the coordinates that are asked for.
+
+    Asked for are all joints of a goal pose, or one wrist for a goal location. Jerk and floor join it if they weigh;
+    both look at the whole motion, the frame before the first included.
+    """
+    last = last_frame(joints, n_frames)
+    if targets.goal_joints is not None:
+        error = last - targets.goal_joints
+    else:
+        assert targets.goal_location is not None
+        error = (chosen_wrist(last, targets.goal_location, settings.hand) - targets.goal_location)[:, None]
+    loss = functional.huber_loss(error, torch.zeros_like(error), reduction="none").mean(dim=(1, 2))
+    if settings.jerk_weight or settings.floor_weight:
+        whole = torch.cat((targets.previous_joints[:, None], joints), dim=1)
+        loss = loss + settings.jerk_weight * largest_jerk(whole, n_frames + 1)
+        loss = loss + settings.floor_weight * _depth_below_floor(whole, n_frames + 1)
+    return loss
+
+
+def _depth_below_floor(joints: Joints, n_frames: Int[torch.Tensor, " batch"]) -> Float[torch.Tensor, " batch"]:
+    """Measure how far the lowest of ankles and toes is below that of frame 0, metres; mean over the frames."""
+    lowest = joints[:, :, _FEET, 1].amin(dim=2)
+    below = (lowest[:, :1] - lowest).clamp_min(0.0)
+    inside = torch.arange(joints.shape[1], device=joints.device) < n_frames[:, None]
+    return torch.where(inside, below, 0.0).sum(dim=1) / n_frames
+
+
+def unit_gradient(gradient: Noise, norm: GradientNorm) -> Noise:
+    """The gradient of each primitive at length 1: over its own latent in each sequence, or over all of the batch."""
+    dimensions = (2, 3) if norm == "sequence" else (1, 2, 3)
+    if norm == "batch":
+        gradient = gradient / gradient.shape[1]  # the original's loss is the batch's mean, which its clamp can tell
+    lengths = torch.linalg.vector_norm(gradient, dim=dimensions, keepdim=True)
+    return gradient / lengths.clamp_min(_SHORTEST_GRADIENT)

@@ -1,43 +1,308 @@
-"""Training of DART in one run: first the autoencoder of primitives, then the denoiser of its latents."""
+"""Training of DART: primitives cut out of motions, losses, both stages, and the task of ``prbench train``."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
+from torch.nn import functional
 
 from prbench.contract import Adapter
 from prbench.errors import UsageError
 from prbench_adapters.dart.adapter import DartControl
-from prbench_adapters.dart.configuration import HISTORY_FRAMES, DartSettings
-from prbench_adapters.dart.frames import Frames
-from prbench_adapters.dart.losses import (
-    Moment,
-    Objective,
-    Totals,
-    body_losses,
-    delta_loss,
-    divergence,
-    huber,
-    moment_of,
+from prbench_adapters.dart.frames import N_FEATURES, Frames
+from prbench_adapters.dart.model import (
+    HISTORY_FRAMES,
+    KIND,
+    REPRESENTATION,
+    DartConfiguration,
+    DartModel,
+    DartSettings,
+    FeatureScaling,
+    LatentDenoiser,
+    PrimitiveVAE,
+    pooled_texts,
+    scaling_of,
 )
-from prbench_adapters.dart.model import KIND, REPRESENTATION, DartModel, FeatureScaling, pooled_texts
-from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
 from prbench_adapters.dart.rollout import next_history
-from prbench_adapters.dart.windows import Window, drawn_starts, primitives_of, window
-from prbench_adapters.diffusion.layers import TransformerLayer
+from prbench_adapters.diffusion.denoiser import TransformerLayer
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddpm
-from prbench_adapters.kinematics import rest_offsets
-from prbench_adapters.training import MotionBatch, SequenceDataset
-from prbench_adapters.training.task import TrainingModule
-from prbench_adapters.training.weights import weights_header
+from prbench_adapters.kinematics import DART, forward_kinematics, rest_offsets
+from prbench_adapters.training import MotionBatch, SequenceDataset, collate
+from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
+from prbench_adapters.training.weights import origin_of, read_weights, weights_header
+
+_STD_FLOORS = ((135, 0.01), (9, 0.001), (66, 0.01), (66, 0.001))
+"""Floors of positions and rotations, their deltas, joints, theirs: bones that never turn keep their scale (the original
+divided 12 such features of a user's data by zero)."""
+_ITEMS_AT_ONCE = 64
+
+
+@dataclass(frozen=True)
+class Window:
+    """Consecutive primitives of B motions."""
+
+    frames: Frames
+    """All of them, in the motions' own worlds with Z up; primitive k has the frames k·F to k·F + H + F."""
+    valid: Bool[Tensor, "batch primitives"]
+    """True for primitives that lie inside their motion, the step that leads on from their last frame included."""
+
+    def primitive(self, number: int, future_frames: int) -> Frames:
+        """Cut out one primitive, in its own frame of reference."""
+        start = number * future_frames
+        return self.frames.part(start, start + HISTORY_FRAMES + future_frames).canonical()[0]
+
+
+def window(
+    batch: MotionBatch,
+    rows: Int[Tensor, " windows"],
+    start: Int[Tensor, " windows"],
+    primitives: int,
+    configuration: DartConfiguration,
+) -> Window:
+    """Cut primitives out of motions, of which the frame before the first belongs to them.
+
+    Args:
+        batch: The motions.
+        rows: Which motion each window is cut out of.
+        start: First frame of each window, 0 for the frame before the motion's first.
+        primitives: How many; those that reach over the end repeat the last frame and are marked.
+        configuration: Frames of a primitive.
+    """
+    # The frame before the first is recorded, too, and gives the first primitive its history.
+    motions = torch.cat((batch.previous_joints[:, None], batch.joints), dim=1)
+    last = batch.n_frames[rows]  # its index in these
+    length = HISTORY_FRAMES + primitives * configuration.future_frames + 1
+    wanted = start[:, None] + torch.arange(length, device=motions.device)
+    places = torch.minimum(wanted, last[:, None])
+    joints = motions[rows[:, None], places]
+    # Where the last delta of each primitive leads to: one frame behind the primitive itself.
+    numbers = torch.arange(1, primitives + 1, device=motions.device)
+    ends = start[:, None] + HISTORY_FRAMES + configuration.future_frames * numbers
+    return Window(Frames.of_joints(DART.from_y_up(joints)), ends <= last[:, None])
+
+
+def drawn_starts(
+    n_frames: Int[Tensor, " batch"], primitives: int, configuration: DartConfiguration, generator: torch.Generator
+) -> Int[Tensor, " batch"]:
+    """A uniformly drawn first frame for each motion, from which the whole window fits where it can."""
+    latest = (n_frames - HISTORY_FRAMES - primitives * configuration.future_frames).clamp_min(0)
+    drawn = torch.rand(len(n_frames), generator=generator, dtype=torch.float64)
+    return (drawn * (latest + 1)).long().clamp_max(latest)
+
+
+def feature_scaling(data: SequenceDataset, configuration: DartConfiguration) -> FeatureScaling:
+    """Mean and floored standard deviation of the features of all primitives, each in its own frame of reference.
+
+    Raises:
+        UsageError: if no motion is long enough for a primitive.
+    """
+    # Sums of squares of a whole corpus lose their last digits in float32.
+    total = torch.zeros(N_FEATURES).double()
+    squares = torch.zeros(N_FEATURES).double()
+    count = 0
+    for primitives in primitives_of(data, range(len(data)), configuration):
+        features = primitives.pack().flatten(0, 1)
+        total += features.double().sum(dim=0)
+        squares += features.double().square().sum(dim=0)
+        count += len(features)
+    if not count:
+        raise UsageError(
+            f"data.max_frames: a motion primitive takes {configuration.primitive_frames} frames, found no motion in the"
+            " training split that has as many. Raise it, or use other tables."
+        )
+    mean = total / count
+    floor = torch.cat([torch.full((n,), value) for n, value in _STD_FLOORS]).double()
+    std = (squares / count - mean.square()).clamp_min(0.0).sqrt().maximum(floor)
+    return FeatureScaling(mean.float(), std.float())
+
+
+def primitives_of(
+    data: SequenceDataset,
+    places: Sequence[int],
+    configuration: DartConfiguration,
+    device: torch.device | str = "cpu",
+) -> Iterator[Frames]:
+    """The primitives of some motions, end to end from the first frame, each in its own frame of reference."""
+    for first in range(0, len(places), _ITEMS_AT_ONCE):
+        items = [data[place] for place in places[first : first + _ITEMS_AT_ONCE]]
+        batch = collate(items).to(device)
+        primitives = configuration.primitives_for(int(batch.n_frames.max()) + 1)
+        rows = torch.arange(len(batch), device=batch.n_frames.device)
+        cut = window(batch, rows, torch.zeros_like(rows), primitives, configuration)
+        for number in range(primitives):
+            inside = cut.valid[:, number]
+            if bool(inside.any()):
+                frames = cut.primitive(number, configuration.future_frames)
+                yield Frames(**{name: value[inside] for name, value in vars(frames).items()})
+
+
+_PerMotion = Float[Tensor, " batch"]
+Shares = tuple[float, float, float]
+PARTS = ("reconstruction", "divergence", "body", "consistency", "deltas", "latent")
+"""Names of the parts of the loss; those that a phase does not have are 0 in its log."""
+
+
+class Objective(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Weights of the losses, and how the training is divided; the defaults are the original's.
+
+    Raises:
+        ValueError: for shares that divide nothing.
+    """
+
+    vae_share: float = 0.4
+    """Share of the VAE's phase in the training, after which it is frozen and the denoiser trained. 0 keeps the VAE of
+    the initial weights."""
+    vae_stages: Shares = (0.5, 0.25, 0.25)
+    """Shares of the phase in which primitives start from recorded history, ever more often from the end of what was
+    just predicted, and always from that."""
+    denoiser_stages: Shares = (1 / 3, 1 / 3, 1 / 3)
+    primitives: int = 4
+    """Consecutive ones of each training motion."""
+    windows: int = 1
+    """Number of times that they are drawn from each motion of a batch."""
+    vae_batch_size: int | None = None
+    """Motions of each batch that the VAE's phase looks at; None for all."""
+    kl_weight: float = 1e-6
+    joint_weight: float = 10.0
+    """Weight of joints that follow from predicted rotations, against the recorded."""
+    consistency_weight: float = 10.0
+    """Weight of predicted joints against those that follow from predicted rotations."""
+    vae_delta_weight: float = 100.0
+    """Weight of predicted deltas against differences of predictions: translation, orientation and joints each."""
+    latent_weight: float = 1.0
+    denoiser_delta_weight: float = 1e4
+    text_drop: float = 0.1
+    """Share of motions whose text is hidden, so that guidance has an unconditional model."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.vae_share < 1:
+            raise ValueError(f"'vae_share' must be at least 0 and below 1, found {self.vae_share}")
+        for name in ("vae_stages", "denoiser_stages"):
+            shares = getattr(self, name)
+            if min(shares) < 0 or abs(sum(shares) - 1) > 1e-6:
+                raise ValueError(f"'{name}' must be three shares that sum to 1, found {shares}")
+        if self.primitives < 1 or self.windows < 1 or (self.vae_batch_size is not None and self.vae_batch_size < 1):
+            raise ValueError("'primitives', 'windows' and 'vae_batch_size' must be at least 1")
+        if not 0 <= self.text_drop <= 1:
+            raise ValueError(f"'text_drop' must be between 0 and 1, found {self.text_drop}")
+
+
+def huber(predicted: Float[Tensor, "batch *values"], wanted: Float[Tensor, "batch *values"]) -> _PerMotion:
+    """Huber's loss with δ = 1, mean over each motion's values."""
+    return functional.huber_loss(predicted, wanted, reduction="none").flatten(1).mean(dim=1)
+
+
+def divergence(mean: Float[Tensor, "batch 1 latent"], log_variance: Float[Tensor, "batch 1 latent"]) -> _PerMotion:
+    """Divergence from the standard normal distribution, mean over dimensions."""
+    return 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).flatten(1).mean(dim=1)
+
+
+def body_losses(
+    predicted: Frames, recorded: Frames, offsets: Float[Tensor, "batch 22 3"]
+) -> tuple[_PerMotion, _PerMotion]:
+    """Compare the joints that follow from predicted rotations with the recorded and with the predicted joints.
+
+    Args:
+        predicted: Future frames.
+        recorded: The same in the recording.
+        offsets: Bones of each motion (:func:`prbench_adapters.kinematics.rest_offsets`).
+    """
+    moved = forward_kinematics(predicted.rotations(), predicted.translation, offsets[:, None])
+    return huber(moved, recorded.joints), huber(predicted.joints, moved)
+
+
+def delta_loss(predicted: Frames, history: Frames) -> _PerMotion:
+    """Compare deltas with the differences that they announce, from the last frame of the history on; sum of three.
+
+    Args:
+        predicted: Future frames.
+        history: The frames before them, in the same frame of reference.
+    """
+    # The last frame of the history announces the step to the first predicted frame.
+    before = history.part(HISTORY_FRAMES - 1, HISTORY_FRAMES)
+
+    def chain(name: str) -> Tensor:
+        return torch.cat((getattr(before, name), getattr(predicted, name)), dim=1)
+
+    orientation = chain("orientation")
+    return (
+        huber(chain("translation_delta")[:, :-1], chain("translation").diff(dim=1))
+        + huber(chain("orientation_delta")[:, :-1], orientation[:, 1:] @ orientation[:, :-1].mT)
+        + huber(chain("joints_delta")[:, :-1], chain("joints").diff(dim=1))
+    )
+
+
+class Totals:
+    """Losses of all primitives of a step, averaged over those that lie inside their motion.
+
+    Args:
+        valid: Which do.
+    """
+
+    def __init__(self, valid: Bool[Tensor, "batch primitives"]) -> None:
+        self.valid, self.sums = valid, dict[str, Tensor]()
+
+    def add(self, number: int, losses: dict[str, _PerMotion]) -> None:
+        """The losses of one primitive of each motion."""
+        for name, loss in losses.items():
+            kept = torch.where(self.valid[:, number], loss, 0.0).sum()
+            self.sums[name] = self.sums.get(name, 0.0) + kept
+
+    def result(self, **weights: float) -> dict[str, Tensor]:
+        """The weighted sum ``loss`` and all parts."""
+        # Over all primitives together, so that each one inside its motion weighs the same.
+        count = self.valid.sum().clamp_min(1)
+        parts = {name: total / count for name, total in self.sums.items()}
+        loss = torch.stack([weights[name] * part for name, part in parts.items()]).sum()
+        return {"loss": loss, **{name: parts.get(name, torch.zeros_like(loss)).detach() for name in PARTS}}
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Phase and progress of a training at one call."""
+
+    vae: bool
+    """True while the VAE is trained, False while the denoiser is."""
+    progress: float
+    """Share of the phase that is over, from 0 to 1."""
+    feedback: float
+    """Probability that a primitive starts from the end of what was predicted before it."""
+
+
+def moment_of(step: int, calls: int, objective: Objective) -> Moment:
+    """Return the phase and progress of a training at one call.
+
+    Args:
+        step: Counts the calls of the whole training from 0.
+        calls: How many there are.
+        objective: Shares of the phases, and of their stages.
+    """
+    # Counted in calls, so that a resumed training is in the same phase.
+    of_vae = round(objective.vae_share * calls)
+    if step < of_vae:
+        progress = step / of_vae
+        return Moment(True, progress, feedback(progress, objective.vae_stages))
+    progress = min(1.0, (step - of_vae) / max(1, calls - of_vae))
+    return Moment(False, progress, feedback(progress, objective.denoiser_stages))
+
+
+def feedback(progress: float, stages: Shares) -> float:
+    """Probability of starting from one's own prediction: 0 in the first stage, 1 in the last, rising in between."""
+    recorded, rising, _ = stages
+    if progress < recorded:
+        return 0.0
+    return min(1.0, (progress - recorded) / rising) if rising else 1.0
+
 
 _MEASURED_MOTIONS = 512
 
@@ -97,7 +362,7 @@ class DartTraining(TrainingModule):
         """Losses of consecutive primitives of each motion: of the VAE or of the denoiser, whichever's turn it is.
 
         Returns:
-            ``loss`` and its parts, unweighted (:data:`prbench_adapters.dart.losses.PARTS`).
+            ``loss`` and its parts, unweighted (:data:`prbench_adapters.dart.training.PARTS`).
         """
         _require_one_process()
         moment = self.moment(step)
@@ -310,3 +575,75 @@ def _require_one_process() -> None:
             "--devices: dart is trained by one process, because only one of its two networks has gradients at a time;"
             " leave --devices out. At paper size it fits one GPU."
         )
+
+
+FREE_TO_CHANGE = frozenset({"dropout", "uniform_skeleton"})
+"""Keys that fine-tuning may set otherwise than the weights that it starts from."""
+
+
+class DartTask:
+    """A training task (:class:`prbench_adapters.training.task.TrainingTask`)."""
+
+    name = "dart"
+    configurations = "prbench_adapters.dart"
+
+    def build(
+        self,
+        model: Mapping[str, Any],
+        *,
+        data: TrainingData,
+        initial: Path | None,
+        stage: str,  # noqa: ARG002 - both are trained alike
+    ) -> DartTraining:
+        """Make both networks in their state before the first step.
+
+        Statistics come from the initial weights where there are some, else from the training split.
+
+        Args:
+            model: Keys of :class:`DartConfiguration` and of :class:`Objective`.
+            data: The training split.
+            initial: Weights to start from.
+            stage: ``pretrain`` or ``finetune``.
+
+        Raises:
+            UsageError: if the table does not describe such a model, or the data do not fit it.
+            InputFileError: if the initial weights do not fit it.
+        """
+        configuration, objective = read_model_table(model)
+        if data.fps != configuration.fps:
+            raise UsageError(
+                f"frames per second of the tables: the model expects {configuration.fps:g}, found {data.fps:g}."
+                " Change one of the two."
+            )
+        # A wrong size of text vectors shows before any statistics are computed.
+        texts = TextVectors.of_model(configuration.text_encoder, configuration.text_dimension)
+        start = read_weights(initial, kind=KIND) if initial is not None else None
+        if objective.vae_share == 0 and start is None:
+            raise UsageError("model.vae_share: 0 keeps the VAE of initial weights; give some with --init.")
+        vae = PrimitiveVAE(configuration)
+        denoiser = LatentDenoiser(configuration)
+        if start is not None:
+            start.require_same(configuration, apart_from=FREE_TO_CHANGE)
+            start.load_into(vae, "vae")
+            start.load_into(denoiser, "denoiser")
+        return DartTraining(
+            vae,
+            denoiser,
+            scaling=feature_scaling(data.train, configuration) if start is None else scaling_of(start),
+            texts=texts,
+            objective=objective,
+            data=data.train,
+            latent_std=float(start.require("latent.std", (1,)))
+            if start is not None and objective.vae_share == 0
+            else 0.0,
+            origin=(texts.origin, *origin_of(start)),
+        )
+
+
+def read_model_table(model: Mapping[str, Any]) -> tuple[DartConfiguration, Objective]:
+    """Split the table ``[model]`` into the networks and what they are trained for.
+
+    Raises:
+        UsageError: for an unknown key or an impossible value.
+    """
+    return split_model_table(model, DartConfiguration, Objective)

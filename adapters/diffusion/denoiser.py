@@ -1,7 +1,13 @@
-"""The x0-predicting transformer shared by MDM, DNO and P&R, and the two ways in which conditions enter it.
+"""The x0-predicting transformers shared by MDM, DNO and P&R, and the ways in which conditions enter them.
 
 Sources: docs/specification/mdm.md#network, docs/specification/pr-model.md#network; *Prime and Reach*, sections 4.1
 and D.3, equation 8. Both ways start at zero, so that fine-tuning starts at the output of the pre-trained model.
+
+:class:`FrameDenoiser` is ours, for small models (``architecture = "frames"``; docs/methods/pr.md), with two changes to
+the study's decoder. Condition, text and diffusion step are added to every frame token in every layer, where the decoder
+reaches them through attention; and a token knows its time before the end as well as its time since the start.
+
+Everything is batch first. Masks are ``visible`` masks: True where a key may be looked at, None if all may.
 """
 
 from __future__ import annotations
@@ -13,11 +19,158 @@ from typing import cast
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn, softmax, stack
+from torch.nn import functional
 
 from prbench.representation.features import N_FEATURES
-from prbench_adapters.diffusion.condition import EncodedCondition
-from prbench_adapters.diffusion.configuration import DenoiserConfiguration
-from prbench_adapters.diffusion.layers import CrossAttention, KeysValues, TransformerLayer, sinusoid_table
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration, EncodedCondition
+
+KeysValues = tuple[Tensor, Tensor]
+"""Keys and values of one layer's cross-attention, each (batch, heads, tokens, width / heads)."""
+
+
+class _SelfAttention(nn.Module):
+    """Multi-head attention of a stream to itself."""
+
+    def __init__(self, width: int, heads: int, dropout: float) -> None:
+        super().__init__()
+        self.heads, self.dropout = heads, dropout
+        self.query_key_value = nn.Linear(width, 3 * width)
+        self.output = nn.Linear(width, width)
+        _reset(self.query_key_value, self.output)
+
+    def forward(
+        self, stream: Float[Tensor, "batch length width"], visible: Bool[Tensor, "batch 1 1 length"] | None
+    ) -> Float[Tensor, "batch length width"]:
+        """Attend; ``visible`` says which positions of the stream are keys."""
+        query, key, value = _split_heads(self.query_key_value(stream), 3, self.heads)
+        return self.output(_attend(query, key, value, visible, self.dropout if self.training else 0.0))
+
+
+class CrossAttention(nn.Module):
+    """Multi-head attention of a stream to memory tokens, whose keys and values can be computed ahead."""
+
+    def __init__(self, width: int, heads: int, dropout: float) -> None:
+        super().__init__()
+        self.heads, self.dropout = heads, dropout
+        self.query = nn.Linear(width, width)
+        self.key_value = nn.Linear(width, 2 * width)
+        self.output = nn.Linear(width, width)
+        _reset(self.query, self.key_value, self.output)
+
+    def keys_values(self, memory: Float[Tensor, "batch tokens width"]) -> KeysValues:
+        """Compute the contribution of the memory tokens, whatever the stream."""
+        key, value = _split_heads(self.key_value(memory), 2, self.heads)
+        return key, value
+
+    def of_one_token(self, memory: Float[Tensor, "batch 1 width"]) -> Float[Tensor, "batch 1 width"]:
+        """The result for a memory of one token, equal for every query: softmax over one key is 1."""
+        width = memory.shape[-1]
+        # The second half of the joint projection makes the values.
+        value = functional.linear(memory, self.key_value.weight[width:], self.key_value.bias[width:])
+        return self.output(value)
+
+    def forward(
+        self,
+        stream: Float[Tensor, "batch length width"],
+        keys_values: KeysValues,
+        visible: Bool[Tensor, "batch 1 1 tokens"] | None,
+    ) -> Float[Tensor, "batch length width"]:
+        """Attend to what :meth:`keys_values` has made of the memory."""
+        (query,) = _split_heads(self.query(stream), 1, self.heads)
+        return self.output(_attend(query, *keys_values, visible, self.dropout if self.training else 0.0))
+
+
+class _FeedForward(nn.Module):
+    """Two linear layers with an exact GELU between them."""
+
+    def __init__(self, width: int, hidden: int, dropout: float) -> None:
+        super().__init__()
+        self.expand = nn.Linear(width, hidden)
+        self.contract = nn.Linear(hidden, width)
+        self.dropout = nn.Dropout(dropout)
+
+    def forward(self, stream: Float[Tensor, "batch length width"]) -> Float[Tensor, "batch length width"]:
+        """Apply to every position by itself."""
+        return self.contract(self.dropout(functional.gelu(self.expand(stream))))
+
+
+class TransformerLayer(nn.Module):
+    """Self-attention, cross-attention (in a decoder only) and feed-forward, each residual and normalised afterwards."""
+
+    def __init__(self, width: int, heads: int, feed_forward: int, dropout: float, *, cross_attention: bool) -> None:
+        super().__init__()
+        self.self_attention = _SelfAttention(width, heads, dropout)
+        self.self_attention_norm = nn.LayerNorm(width, eps=1e-5)
+        if cross_attention:
+            self.cross_attention = CrossAttention(width, heads, dropout)
+            self.cross_attention_norm = nn.LayerNorm(width, eps=1e-5)
+        self.feed_forward = _FeedForward(width, feed_forward, dropout)
+        self.feed_forward_norm = nn.LayerNorm(width, eps=1e-5)
+        self.dropout = nn.Dropout(dropout)
+
+    def forward(
+        self,
+        stream: Float[Tensor, "batch length width"],
+        visible: Bool[Tensor, "batch 1 1 length"] | None,
+        memory: KeysValues | Tensor | None,
+        memory_visible: Bool[Tensor, "batch 1 1 tokens"] | None,
+    ) -> Float[Tensor, "batch length width"]:
+        """One layer.
+
+        Args:
+            stream: Frame tokens, those put in front included.
+            visible: Which of them may be attended to.
+            memory: Keys and values of the memory tokens; the finished (batch, 1, width) result of
+                :meth:`CrossAttention.of_one_token`; None in an encoder.
+            memory_visible: Which memory tokens may be attended to.
+        """
+        attended = self.self_attention(stream, visible)
+        stream = self.self_attention_norm(stream + self.dropout(attended))
+        if memory is not None:
+            constant = isinstance(memory, Tensor)
+            injected = memory if constant else self.cross_attention(stream, memory, memory_visible)
+            stream = self.cross_attention_norm(stream + self.dropout(injected))
+        return self.feed_forward_norm(stream + self.dropout(self.feed_forward(stream)))
+
+
+def sinusoid_table(rows: int, width: int) -> Float[Tensor, "rows width"]:
+    """Row p: sin(p·10000^(-2i/width)) at 2i and the cosine of the same at 2i + 1; float32 of float64 angles."""
+    frequency = torch.exp(torch.arange(0, width, 2, dtype=torch.float64) * (-math.log(10000.0) / width))
+    angle = torch.arange(rows, dtype=torch.float64)[:, None] * frequency
+    return torch.stack([angle.sin(), angle.cos()], dim=-1).flatten(1).float()
+
+
+def _split_heads(projected: Tensor, parts: int, heads: int) -> tuple[Tensor, ...]:
+    """(batch, length, parts · width) as ``parts`` views of shape (batch, heads, length, width / heads).
+
+    Cut before it is reshaped: the gradients are then joined along the last axis, without a further copy.
+    """
+    batch, length, _ = projected.shape
+    return tuple(part.view(batch, length, heads, -1).transpose(1, 2) for part in projected.chunk(parts, dim=-1))
+
+
+def _attend(query: Tensor, key: Tensor, value: Tensor, visible: Tensor | None, dropout: float) -> Tensor:
+    if query.device.type == "cpu" and query.dtype == torch.bfloat16:
+        attended = _attend_written_out(query, key, value, visible, dropout)
+    else:
+        attended = functional.scaled_dot_product_attention(query, key, value, attn_mask=visible, dropout_p=dropout)
+    return attended.transpose(1, 2).flatten(2)
+
+
+def _attend_written_out(query: Tensor, key: Tensor, value: Tensor, visible: Tensor | None, dropout: float) -> Tensor:
+    """Attend step by step: on CPUs the gradient of the fused bfloat16 kernel takes four times as long."""
+    scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
+    if visible is not None:
+        scores = scores.masked_fill(~visible, -math.inf)
+    weights = functional.dropout(scores.softmax(dim=-1), dropout)
+    return weights.to(value.dtype) @ value
+
+
+def _reset(*layers: nn.Linear) -> None:
+    """Start projections of attention as is usual for transformers: Glorot's uniform weights, no bias."""
+    for layer in layers:
+        nn.init.xavier_uniform_(layer.weight)
+        nn.init.zeros_(layer.bias)
 
 
 class _Addition(nn.Module):
@@ -239,3 +392,145 @@ def pooled(
     # At least 1 below, so that a text without word pieces gives zeros and no NaN.
     weight = (~padding).to(text.dtype)[..., None]
     return (text * weight).sum(dim=1, keepdim=True) / weight.sum(dim=1, keepdim=True).clamp_min(1.0)
+
+
+_NEIGHBOURS = 2  # tokens before and after
+
+
+class _Layer(nn.Module):
+    """Self-attention and feed-forward, each normalised before and added to the stream; the condition is added first.
+
+    Before the feed-forward part each number of a token takes in those of its :data:`_NEIGHBOURS` neighbours, by weights
+    that start at zero: motion is local in time, which attention would first have to learn.
+    """
+
+    def __init__(self, width: int, heads: int, hidden: int, dropout: float) -> None:
+        super().__init__()
+        self.heads = heads
+        self.condition = nn.Linear(width, width)
+        self.attention_norm = nn.LayerNorm(width)
+        self.query_key_value = nn.Linear(width, 3 * width)
+        self.output = nn.Linear(width, width)
+        self.feed_forward_norm = nn.LayerNorm(width)
+        self.neighbours = nn.Parameter(torch.zeros(2 * _NEIGHBOURS + 1, width))
+        self.expand = nn.Linear(width, hidden)
+        self.contract = nn.Linear(hidden, width)
+        self.dropout = nn.Dropout(dropout)
+
+    def forward(
+        self,
+        stream: Float[Tensor, "batch tokens width"],
+        condition: Float[Tensor, "batch width"],
+        visible: Bool[Tensor, "batch tokens"],
+    ) -> Float[Tensor, "batch tokens width"]:
+        stream = stream + self.condition(condition)[:, None]
+        stream = stream + self.dropout(self._attended(self.attention_norm(stream), visible))
+        around = self._with_neighbours(self.feed_forward_norm(stream) * visible[..., None])
+        hidden = functional.gelu(self.expand(around), approximate="tanh")
+        return stream + self.dropout(self.contract(hidden))
+
+    def _with_neighbours(self, stream: Tensor) -> Tensor:
+        padded = functional.pad(stream, (0, 0, _NEIGHBOURS, _NEIGHBOURS))
+        for place, weight in enumerate(self.neighbours):
+            stream = stream + weight * padded[:, place : place + stream.shape[1]]
+        return stream
+
+    def _attended(self, stream: Tensor, visible: Tensor) -> Tensor:
+        parts = self.query_key_value(stream).chunk(3, dim=-1)
+        query, key, value = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in parts)
+        # Written out: for so few tokens it takes a third of the time of the fused kernels of processors.
+        scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
+        scores = scores.masked_fill(~visible[:, None, None], -math.inf)
+        return self.output((scores.softmax(dim=-1) @ value).transpose(1, 2).flatten(2))
+
+
+class FrameDenoiser(nn.Module):
+    """Estimates the clean goal-frame features from noisy ones, the step, and the condition.
+
+    Args:
+        configuration: Of ``features = "goal-frame"``.
+    """
+
+    def __init__(self, configuration: DenoiserConfiguration) -> None:
+        super().__init__()
+        self.configuration = configuration
+        width = configuration.width
+        numbers = configuration.n_features * configuration.frames_per_token
+        self.frame_embedding = nn.Linear(numbers, width)
+        self.condition_embedding = nn.Sequential(
+            nn.Linear(configuration.condition_size + configuration.text_dimension, 2 * width),
+            nn.SiLU(),
+            nn.Linear(2 * width, width),
+        )
+        self.step_embedding = nn.Embedding(configuration.diffusion_steps, width)
+        self.time_to_end = nn.Linear(width, width)
+        self.layers = nn.ModuleList(
+            _Layer(width, configuration.heads, configuration.feed_forward, configuration.dropout)
+            for _ in range(configuration.layers)
+        )
+        self.head_norm = nn.LayerNorm(width)
+        self.head = nn.Linear(width, numbers)
+        nn.init.zeros_(self.head.weight)  # the first estimate is the mean motion
+        nn.init.zeros_(self.head.bias)
+        self.register_buffer("sinusoid", sinusoid_table(configuration.max_frames + 1, width), persistent=False)
+        self.sinusoid: Tensor
+
+    def forward(
+        self,
+        noisy: Float[Tensor, "batch frames features"],
+        step: Int[Tensor, " batch"],
+        condition: EncodedCondition,
+        n_frames: Int[Tensor, " batch"],
+    ) -> Float[Tensor, "batch frames features"]:
+        """Estimate the clean features; the arguments are those of :class:`~.denoiser.Denoiser`."""
+        visible = frame_mask(n_frames, noisy.shape[1], noisy.device)
+        return self.denoise(noisy, self.prepare(condition, step), visible)
+
+    @torch.no_grad()
+    def take_steps(self, other: FrameDenoiser, steps: Int[Tensor, " kept"]) -> None:
+        """Take over the weights of another denoiser, whose steps ``steps`` become the steps 0, 1, … here."""
+        weights = other.state_dict()
+        weights["step_embedding.weight"] = weights["step_embedding.weight"][steps]
+        self.load_state_dict(weights)
+
+    def prepare(self, condition: EncodedCondition, step: Int[Tensor, " rows"]) -> Float[Tensor, "batch width"]:
+        """The part of :meth:`forward` that depends on condition and step; ``step`` has one entry a row, or one for all.
+
+        Raises:
+            ValueError: if the condition has no vector.
+        """
+        if condition.vector is None:
+            raise ValueError(f"a denoiser with goal '{self.configuration.goal}' needs a condition vector")
+        text = pooled(condition.text, condition.padding)[:, 0]
+        told = self.condition_embedding(torch.cat((condition.vector, text), dim=1))
+        return functional.silu(told + self.step_embedding(step))
+
+    def denoise(
+        self,
+        noisy: Float[Tensor, "batch frames features"],
+        prepared: Float[Tensor, "batch width"],
+        visible: Bool[Tensor, "batch frames"] | None,
+    ) -> Float[Tensor, "batch frames features"]:
+        """The part of :meth:`forward` that depends on the noisy features; ``visible`` is :func:`frame_mask`'s."""
+        frames = noisy.shape[1]
+        if visible is None:
+            visible = torch.ones(noisy.shape[:2], dtype=torch.bool, device=noisy.device)
+        stream = self.frame_embedding(self._tokens(noisy, visible)) + self._times(frames, visible.sum(dim=1))
+        shown = self._tokens(visible[..., None], visible).any(dim=2)
+        for layer in self.layers:
+            stream = layer(stream, prepared, shown)
+        clean = self.head(self.head_norm(stream))
+        return clean.unflatten(-1, (self.configuration.frames_per_token, -1)).flatten(1, 2)[:, :frames]
+
+    def _times(self, frames: int, n_frames: Int[Tensor, " batch"]) -> Float[Tensor, "batch tokens width"]:
+        """Embeddings of each token's time since the start and before the end."""
+        start = torch.arange(0, frames, self.configuration.frames_per_token, device=n_frames.device)
+        left = (n_frames[:, None] - 1 - start).clamp_min(0)
+        return self.sinusoid[start] + self.time_to_end(self.sinusoid[left])
+
+    def _tokens(self, values: Tensor, visible: Bool[Tensor, "batch frames"]) -> Tensor:
+        """Join the frames of each token; padded frames are zeros."""
+        together = self.configuration.frames_per_token
+        values = values.masked_fill(~visible[..., None], 0)
+        missing = -values.shape[1] % together
+        return functional.pad(values, (0, 0, 0, missing)).unflatten(1, (-1, together)).flatten(2)

@@ -84,7 +84,7 @@ class GoalFrame:
         """The frame of a condition vector.
 
         Args:
-            raw: Initial pose, initial velocity and goal (:func:`prbench_adapters.diffusion.condition.raw_condition`).
+            raw: Initial pose, initial velocity and goal (:func:`~.configuration.raw_condition`).
         """
         initial = raw[:, :_POSE].unflatten(1, (N_JOINTS, 3))
         goal = raw[:, 2 * _POSE :]
@@ -281,7 +281,7 @@ def seen_condition(raw: Float[Tensor, "batch size"]) -> Float[Tensor, "batch see
     """A condition vector as a network of goal-frame features is told it, not standardised.
 
     Args:
-        raw: Initial pose, initial velocity and goal (:func:`prbench_adapters.diffusion.condition.raw_condition`).
+        raw: Initial pose, initial velocity and goal (:func:`prbench_adapters.diffusion.configuration.raw_condition`).
 
     Returns:
         Features of the initial pose, velocities of the joints (m/s), bone lengths (m), distance of the first pelvis on

@@ -1,19 +1,114 @@
-"""The shared part of the methods that needs no torch: one model's weights, goals within reach, samples from text."""
+"""The part of the methods that needs no torch: which weights are meant, goals within reach, samples from text."""
 
 from __future__ import annotations
 
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from prbench.contract import Condition, ConditionBatch, Motions
-from prbench.errors import AdapterError
+from prbench.errors import AdapterError, did_you_mean
 from prbench.geometry.skeleton import Joint
 
 if TYPE_CHECKING:
     from prbench_adapters.diffusion.generation import SamplingSettings
     from prbench_adapters.diffusion.model import MotionModel
+
+_SUFFIX = ".safetensors"
+
+
+def bundled_names(folder: Path | None = None) -> list[str]:
+    """Names of the bundled weights, sorted: those of one folder, or of all methods that are there."""
+    return sorted(_files(folder))
+
+
+def bundled_weights(name: str, folder: Path | None = None) -> Path:
+    """The file of bundled weights.
+
+    Args:
+        name: Without its suffix.
+        folder: Where they must be; None for any method's: ``dno``, for one, runs on those of another.
+
+    Raises:
+        AdapterError: if there are none of this name; says what there is.
+    """
+    found = _files(folder)
+    if name in found:
+        return found[name]
+    names = sorted(found)
+    hint = did_you_mean(name, names)
+    known = ", ".join(names) or "none in this installation"
+    raise AdapterError(
+        f"weights '{name}': expected a file, a folder, or bundled weights ({known}); found none of these.{hint}"
+    )
+
+
+def resolve(weights: Path | None, default: str, *, folder: Path | None = None) -> Path:
+    """The weights file that is meant.
+
+    Args:
+        weights: A file; a folder with one weights file in it, such as ``prbench train`` makes; the name of bundled
+            weights; None for the default.
+        default: Name of bundled weights.
+        folder: Where the bundled weights are, as for :func:`bundled_weights`.
+
+    Raises:
+        AdapterError: if nothing of that kind is there, or the folder holds none or several.
+    """
+    if weights is None:
+        return bundled_weights(default, folder)
+    if weights.is_file():
+        return weights
+    if weights.is_dir():
+        return _only_file(weights)
+    # A path with a folder or a suffix was meant as a path; only a bare word can be a bundled name.
+    if len(weights.parts) > 1 or weights.suffix == _SUFFIX:
+        raise AdapterError(f"weights {weights}: expected a file or folder, found neither.")
+    return bundled_weights(weights.name, folder)
+
+
+def own_weights(method: str, weights: Path | None) -> Path:
+    """The weights file that is meant, for a method that runs on none but its own.
+
+    Args:
+        method: Its name. The folder ``weights`` beside its code holds those that come with it; ``<method>-small`` is
+            the default.
+        weights: As for :func:`resolve`.
+
+    Raises:
+        AdapterError: if nothing of that kind is there; where this version comes without the default, with the command
+            that trains some.
+    """
+    folder = Path(str(files("prbench_adapters"))) / method / "weights"
+    default = f"{method}-small"
+    if weights is None and default not in bundled_names(folder):
+        raise AdapterError(
+            f"{method}: no weights come with this version of prbench. Train some (`prbench train --method {method}"
+            " --config small --data …`) and give --weights."
+        )
+    return resolve(weights, default, folder=folder)
+
+
+def _only_file(folder: Path) -> Path:
+    found = sorted(folder.glob(f"*{_SUFFIX}"))
+    if len(found) == 1:
+        return found[0]
+    listed = ", ".join(path.name for path in found) or "none"
+    raise AdapterError(f"weights {folder}: expected one {_SUFFIX} file in the folder, found {listed}. Name the file.")
+
+
+def _files(folder: Path | None) -> dict[str, Path]:
+    """Bundled weights by name; a method that was removed leaves none."""
+    folders = _folders() if folder is None else [folder]
+    return {path.name.removesuffix(_SUFFIX): path for one in folders for path in one.glob(f"*{_SUFFIX}")}
+
+
+def _folders() -> list[Path]:
+    """List the folders ``weights`` beside the code of the methods that come with prbench."""
+    return sorted(Path(str(files("prbench_adapters"))).glob("*/weights"))
+
 
 GOALS = {Condition.GOAL_LOCATION: "location", Condition.GOAL_POSE: "pose"}
 """Kind of goal of a model, by the condition of the protocol."""

@@ -14,10 +14,13 @@ from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError, UsageError
 from prbench.representation.tensors import decode
 from prbench.text import TextEncoder, text_encoder
-from prbench_adapters.diffusion.condition import ConditionScaling, EncodedCondition, raw_condition_of
-from prbench_adapters.diffusion.configuration import DenoiserConfiguration
-from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
+from prbench_adapters.diffusion.configuration import (
+    ConditionScaling,
+    DenoiserConfiguration,
+    EncodedCondition,
+    raw_condition_of,
+)
+from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser
 from prbench_adapters.diffusion.goal_frame import GoalFrame, smoothed
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.training.weights import Weights, read_weights
@@ -153,7 +156,7 @@ class MotionModel:
         """Encode what the network is told about a batch.
 
         Args:
-            batch: On the skeleton of the model (:mod:`prbench_adapters.diffusion.batches`).
+            batch: On the skeleton of the model (:mod:`prbench_adapters.diffusion.generation`).
             texts: Instead of the batch's own.
 
         Raises:

@@ -1,9 +1,7 @@
-"""Training of denoisers, on text alone or on text, initial state and goal, and what it minimises.
+"""Losses of what the benchmark looks at: where the head points, whether planted feet stay, where the wrists end.
 
-Source: docs/specification/pr-model.md#training (*Prime and Reach*, section 4.2: L + L_joint).
-
-Minimised are squared errors of features and of joints over the valid frames. Both sums are divided by 263 x valid
-frames, which keeps the study's ratio between them and MDM's scale. Small configurations add losses of their own.
+Ours (docs/methods/pr.md): beside the features of a whole body these have so small a share of the study's loss that a
+small network does not learn them. All are squared metres, averaged over frames.
 """
 
 from __future__ import annotations
@@ -16,22 +14,78 @@ from typing import Literal
 import msgspec
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import nn
+from torch import Tensor, nn
 
 from prbench.contract import Adapter
-from prbench.geometry.skeleton import BONES
+from prbench.geometry.skeleton import BONES, TOES, WRISTS, Joint
 from prbench.protocol.manifests import load_protocol
 from prbench.representation.tensors import decode
-from prbench_adapters.diffusion.condition import ConditionScaling, EncodedCondition, raw_condition_of_items
-from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
-from prbench_adapters.diffusion.goal_frame import smoothed
+from prbench_adapters.diffusion.configuration import ConditionScaling, EncodedCondition, raw_condition_of_items
+from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser
+from prbench_adapters.diffusion.goal_frame import head_axes, smoothed, still_steps
 from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors, goal_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule
-from prbench_adapters.diffusion.scored_losses import foot_loss, ray_loss, wrist_loss
 from prbench_adapters.training import MotionBatch
 from prbench_adapters.training.task import TrainingModule
 from prbench_adapters.training.weights import representation_entry, weights_header
+
+Joints = Float[Tensor, "batch frames 22 3"]
+
+_NEAREST = 0.3
+_FARTHEST = 2.5
+"""Metres: the goal's distance counts as at least and at most this, so that near and far goals are both learnt."""
+_PRIMING_WIDTH = 0.75
+"""Seconds around the prime time within which the head counts in full: most of the benchmark's window of one second."""
+_OTHER_TIMES = 0.2
+_ENDING = 0.3
+"""Seconds before the end in which wrists count: the last part of a reach."""
+
+
+def ray_loss(
+    predicted: Joints,
+    recorded: Joints,
+    goal: Float[Tensor, "batch 3"],
+    valid: Bool[Tensor, "batch frames"],
+    prime: Float[Tensor, " frames"],
+) -> Float[Tensor, ""]:
+    """How far the head's axes miss the recorded ones at the distance of the goal.
+
+    Args:
+        predicted: Metres.
+        recorded: Same frame.
+        goal: Same frame.
+        valid: False for padding.
+        prime: Seconds of each frame after the prime time.
+    """
+    distance = (goal[:, None] - recorded[:, :, Joint.HEAD]).norm(dim=-1).clamp(_NEAREST, _FARTHEST)
+    axes = zip(head_axes(predicted), head_axes(recorded), strict=True)
+    missed = sum((ours - theirs).square().sum(dim=-1) for ours, theirs in axes) * distance.square()
+    weight = (_OTHER_TIMES + torch.exp(-(prime / _PRIMING_WIDTH).square())) * valid
+    return (missed * weight).sum() / weight.sum()
+
+
+def foot_loss(
+    predicted: Joints, recorded: Joints, valid: Bool[Tensor, "batch frames"], fps: float
+) -> Float[Tensor, ""]:
+    """Squared steps of the toes between frames in which the recorded ones are planted."""
+    stays = still_steps(recorded, fps) & valid[:, 1:, None]
+    slid = predicted[:, :, TOES].diff(dim=1).square().sum(dim=-1)
+    return (slid * stays).sum() / stays.sum().clamp_min(1)
+
+
+def wrist_loss(
+    predicted: Joints,
+    recorded: Joints,
+    valid: Bool[Tensor, "batch frames"],
+    n_frames: Int[Tensor, " batch"],
+    fps: float,
+) -> Float[Tensor, ""]:
+    """Squared distance of the wrists from the recorded ones at the end of the reach."""
+    frame = torch.arange(predicted.shape[1], device=predicted.device)
+    ending = valid & (frame >= (n_frames[:, None] - _ENDING * fps))
+    missed = (predicted - recorded)[:, :, WRISTS].square().sum(dim=-1).mean(dim=-1)
+    return (missed * ending).sum() / ending.sum()
+
 
 _PARENTS, _CHILDREN = (list(ends) for ends in zip(*BONES, strict=True))
 

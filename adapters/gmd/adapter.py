@@ -16,16 +16,31 @@ from jaxtyping import Float, Int
 
 from prbench.contract import Condition, ConditionBatch, Cost, Motions
 from prbench.geometry.skeleton import N_JOINTS
-from prbench_adapters.diffusion.batches import ModelBodies, SequenceNoise, on_own_bones, parts_of_similar_length
-from prbench_adapters.diffusion.bundled import own_weights
-from prbench_adapters.diffusion.generation import require_lengths
+from prbench_adapters.diffusion.generation import (
+    ModelBodies,
+    SequenceNoise,
+    choice,
+    number,
+    on_own_bones,
+    parts_of_similar_length,
+    require_known,
+    require_lengths,
+    whole_number,
+)
 from prbench_adapters.diffusion.goal_frame import smoothed
-from prbench_adapters.diffusion.method import SingleModelMethod, require_goals_within_reach
-from prbench_adapters.diffusion.options import choice, number, require_known, whole_number
+from prbench_adapters.diffusion.method import SingleModelMethod, own_weights, require_goals_within_reach
 from prbench_adapters.gmd.features import decode_absolute
 from prbench_adapters.gmd.model import GMDModel
-from prbench_adapters.gmd.sampling import Ends, GoalLoss, Keyframes
-from prbench_adapters.gmd.stages import GMDSettings, GuidedNetwork, Imputation, sample_motion, sample_trajectory
+from prbench_adapters.gmd.sampling import (
+    Ends,
+    GMDSettings,
+    GoalLoss,
+    GuidedNetwork,
+    Imputation,
+    Keyframes,
+    sample_motion,
+    sample_trajectory,
+)
 
 _OPTIONS = ("guidance", "goal-scale", "goal-loss", "imputation", "keyframes", "steps", "clamp", "bones", "text-path")
 _LARGEST_PART = {"cpu": 16}  # sequences in one pass; their activations are kept for the gradient

@@ -1,20 +1,243 @@
-"""Trained networks of GMD with all that belongs to them: feature space and text encoder."""
+"""The U-Net over time that both stages of GMD are made of (docs/specification/gmd.md#networks), and weights files."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
+from typing import Literal
 
+import msgspec
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from torch import Tensor, nn
 
 from prbench.representation.features import N_FEATURES
 from prbench.text import text_encoder
-from prbench_adapters.diffusion.denoiser import pooled
+from prbench_adapters.diffusion.denoiser import pooled, sinusoid_table
 from prbench_adapters.diffusion.model import TextVectors, torch_device
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.gmd.features import N_ROOT, FeatureSpace
-from prbench_adapters.gmd.unet import GMDConfiguration, TemporalUNet
 from prbench_adapters.training.weights import Weights, read_weights
+
+GROUPS = 8
+"""Groups of every group normalisation; widths are multiples of it."""
+_KERNEL = 5
+
+
+class GMDConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Sizes, conditions and data of the motion and the trajectory network (docs/specification/gmd.md#networks).
+
+    The defaults are those of the released models, but for the text encoder, whose vectors are averaged over the word
+    pieces to one vector a caption.
+
+    Raises:
+        ValueError: for sizes that do not fit together.
+    """
+
+    motion_widths: tuple[int, ...] = (1024, 1024, 1024, 1024)
+    """Channels of each level of the motion network; every further level halves the frames."""
+    trajectory_widths: tuple[int, ...] = (64, 128, 256)
+    condition_width: int = 512
+    """Numbers of the vector of step and text, in both networks."""
+    emphasis: float = 10.0
+    """Weight c of the three absolute root features in the random projection."""
+    text_encoder: str = "distilbert"
+    text_dimension: int = 768
+    diffusion_steps: int = 1000
+    representation: Literal["continuous", "reference"] = "continuous"
+    fps: float = 20.0
+    max_frames: int = 241
+    padded_frames: int = 224
+    """Every motion is padded with zeros to this length before a network sees it: group normalisation takes its
+    statistics over padding too, so the length must not depend on the batch."""
+    padding_step: int = 8
+    """Motions that are longer than ``padded_frames`` are padded to the next multiple of this."""
+    smoothed: bool = False
+    """Average neighbouring frames with weights 1, 2, 1 when motions are decoded, in training as well, which leaves a
+    fifth of the jerk of independent errors. The first and the last frame stay."""
+    uniform_skeleton: bool = False
+    """True if the features are those of bodies rescaled to HumanML3D's skeleton.
+
+    Source: docs/specification/pr-model.md#data-and-features.
+    """
+
+    def __post_init__(self) -> None:
+        for name in ("motion_widths", "trajectory_widths"):
+            widths = getattr(self, name)
+            if not widths or any(width < GROUPS or width % GROUPS for width in widths):
+                raise ValueError(f"'{name}' must be one or more positive multiples of {GROUPS}, found {list(widths)}")
+        for name in ("text_dimension", "diffusion_steps", "max_frames"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        if self.condition_width < 2 or self.condition_width % 2:
+            raise ValueError(f"'condition_width' must be even and positive, found {self.condition_width}")
+        if self.emphasis <= 0 or self.fps <= 0:
+            raise ValueError(f"'emphasis' and 'fps' must be positive, found {self.emphasis} and {self.fps}")
+        for name in ("padded_frames", "padding_step"):
+            if getattr(self, name) < 1 or getattr(self, name) % self.stride:
+                raise ValueError(
+                    f"'{name}' must be a multiple of {self.stride}, because the levels of the networks halve the"
+                    f" frames, found {getattr(self, name)}"
+                )
+
+    @property
+    def stride(self) -> int:
+        """Divisor of the number of frames that lets it be halved between all levels."""
+        return 2 ** (max(len(self.motion_widths), len(self.trajectory_widths)) - 1)
+
+    def window(self, n_frames: int) -> int:
+        """Frames with padding: ``padded_frames``, for longer motions the next multiple of ``padding_step``."""
+        return max(self.padded_frames, -(-n_frames // self.padding_step) * self.padding_step)
+
+
+class TemporalUNet(nn.Module):
+    """Maps a noisy signal, the step and a text vector to what the network predicts: clean signal or noise.
+
+    Args:
+        channels: Of the signal: 263 for motions, 4 for trajectories.
+        widths: Channels of each level, the finest first.
+        configuration: Width of the condition, text and steps.
+    """
+
+    def __init__(self, channels: int, widths: Sequence[int], configuration: GMDConfiguration) -> None:
+        super().__init__()
+        self.channels, size = channels, configuration.condition_width
+        self.time_embedding = nn.Sequential(nn.Linear(size, size), nn.SiLU(), nn.Linear(size, size))
+        self.text_embedding = nn.Linear(configuration.text_dimension, size)
+        self.condition = nn.Sequential(nn.Linear(size, 4 * size), nn.Mish(), nn.Linear(4 * size, size))
+        levels = list(pairwise((channels, *widths)))
+        self.down = nn.ModuleList(
+            _Level(before, width, size, halved(width) if place < len(levels) - 1 else nn.Identity())
+            for place, (before, width) in enumerate(levels)
+        )
+        self.middle = nn.ModuleList(_ResidualBlock(widths[-1], widths[-1], size) for _ in range(2))
+        self.up = nn.ModuleList(
+            _Level(2 * width, before, size, doubled(before)) for before, width in reversed(levels[1:])
+        )
+        self.head = nn.Sequential(_ConvBlock(widths[0], widths[0]), nn.Conv1d(widths[0], channels, 1))
+        self.register_buffer("sinusoid", sinusoid_table(configuration.diffusion_steps, size), persistent=False)
+        self.sinusoid: Tensor
+
+    def forward(
+        self,
+        noisy: Float[Tensor, "batch frames channels"],
+        step: Int[Tensor, " batch"],
+        text: Float[Tensor, "batch dimension"],
+        n_frames: Int[Tensor, " batch"],
+        *,
+        window: int,
+    ) -> Float[Tensor, "batch frames channels"]:
+        """Predict.
+
+        Args:
+            noisy: What stands behind ``n_frames`` leaves no trace in what stands before.
+            step: Index t in the training schedule.
+            text: One vector a caption; zeros for none.
+            n_frames: Valid frames of each row.
+            window: Frames with padding (:meth:`GMDConfiguration.window`); it changes the result.
+        """
+        frames = noisy.shape[1]
+        valid = torch.arange(frames, device=noisy.device) < n_frames.to(noisy.device)[:, None]
+        stream = noisy.masked_fill(~valid[..., None], 0.0).transpose(1, 2)
+        # To a fixed length: group normalisation takes its statistics over padding, too.
+        stream = nn.functional.pad(stream, (0, window - frames))
+        condition = self.condition(self.time_embedding(self.sinusoid[step]) + self.text_embedding(text))
+        return self._through(stream, condition)[..., :frames].transpose(1, 2)
+
+    def _through(
+        self, stream: Float[Tensor, "batch channels window"], condition: Float[Tensor, "batch size"]
+    ) -> Float[Tensor, "batch channels window"]:
+        skips = []
+        for level in self.down:
+            # The stream before the resolution changes is what the way up is given again.
+            skip, stream = level(stream, condition)
+            skips.append(skip)
+        for block in self.middle:
+            stream = block(stream, condition)
+        for level in self.up:
+            _, stream = level(torch.cat([stream, skips.pop()], dim=1), condition)
+        return self.head(stream)
+
+
+class _Level(nn.Module):
+    """Two residual blocks, and a change of resolution after them."""
+
+    def __init__(self, channels: int, width: int, condition_width: int, resample: nn.Module) -> None:
+        super().__init__()
+        self.blocks = nn.ModuleList(
+            (_ResidualBlock(channels, width, condition_width), _ResidualBlock(width, width, condition_width))
+        )
+        self.resample = resample
+
+    def forward(
+        self, stream: Float[Tensor, "batch channels frames"], condition: Float[Tensor, "batch size"]
+    ) -> tuple[Float[Tensor, "batch width frames"], Float[Tensor, "batch width others"]]:
+        """The stream before and after the change of resolution."""
+        for block in self.blocks:
+            stream = block(stream, condition)
+        return stream, self.resample(stream)
+
+
+def halved(width: int) -> nn.Module:
+    """Half as many frames."""
+    return nn.Conv1d(width, width, 3, stride=2, padding=1)
+
+
+def doubled(width: int) -> nn.Module:
+    """Twice as many frames."""
+    return nn.ConvTranspose1d(width, width, 4, stride=2, padding=1)
+
+
+class _ResidualBlock(nn.Module):
+    """Two convolution blocks beside a skip; the condition scales and shifts the first.
+
+    The condition's layer and the second convolution start at zero.
+    """
+
+    def __init__(self, channels: int, width: int, condition_width: int) -> None:
+        super().__init__()
+        self.first = _ConvBlock(channels, width)
+        self.condition = nn.Linear(condition_width, 2 * width)
+        _set_to_zero(self.condition)
+        self.second = _ConvBlock(width, width, starts_at_zero=True)
+        self.skip = nn.Conv1d(channels, width, 1) if channels != width else nn.Identity()
+
+    def forward(
+        self, stream: Float[Tensor, "batch channels frames"], condition: Float[Tensor, "batch size"]
+    ) -> Float[Tensor, "batch width frames"]:
+        """Apply the block; ``condition`` is the vector of step and text."""
+        scale, shift = self.condition(nn.functional.mish(condition)).chunk(2, dim=1)
+        return self.second(self.first(stream, (scale, shift))) + self.skip(stream)
+
+
+class _ConvBlock(nn.Module):
+    """Convolution, group normalisation, Mish; with a scale and shift before the last if they are given."""
+
+    def __init__(self, channels: int, width: int, *, starts_at_zero: bool = False) -> None:
+        super().__init__()
+        self.convolution = nn.Conv1d(channels, width, _KERNEL, padding=_KERNEL // 2)
+        self.norm = nn.GroupNorm(GROUPS, width)
+        if starts_at_zero:
+            _set_to_zero(self.convolution)
+
+    def forward(
+        self,
+        stream: Float[Tensor, "batch channels frames"],
+        scale_shift: tuple[Tensor, Tensor] | None = None,
+    ) -> Float[Tensor, "batch width frames"]:
+        """Apply the block; ``scale_shift`` are (batch, width) each."""
+        stream = self.norm(self.convolution(stream))
+        if scale_shift is not None:
+            scale, shift = scale_shift
+            stream = stream * (1 + scale[..., None]) + shift[..., None]
+        return nn.functional.mish(stream)
+
+
+def _set_to_zero(layer: nn.Module) -> None:
+    for parameter in layer.parameters():
+        nn.init.zeros_(parameter)
+
 
 KIND = "gmd"
 

@@ -1,37 +1,244 @@
-"""Import of the files that GMD was released with, as one weights file of prbench.
+"""Files of the original program: its checkpoints, and the statistics and projection that they were trained with.
 
-Sizes of the networks come from the shapes of the arrays; names of the parameters are translated.
+A checkpoint is a file of ``torch.save``, from which numbers are read and nothing else. It is opened with
+``weights_only=True``: PyTorch then builds tensors and plain containers, and refuses whatever would run code. Files that
+ask for more are refused here too.
 """
 
 from __future__ import annotations
 
+import pickle
 import re
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 import prbench
 from prbench.errors import InputFileError, UsageError
+from prbench.files.arrays import load_array
+from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest
 from prbench.representation.features import N_FEATURES
 from prbench.text.pretrained import CLIP
-from prbench_adapters.gmd.features import N_ROOT
-from prbench_adapters.gmd.model import KIND
-from prbench_adapters.gmd.public_files import (
-    RELEASED,
-    Checkpoint,
-    emphasis_of,
-    is_released,
-    read_checkpoint,
-    read_space,
-)
-from prbench_adapters.gmd.unet import GMDConfiguration, TemporalUNet
+from prbench_adapters.gmd.features import N_ROOT, ROOT_XZ, FeatureSpace
+from prbench_adapters.gmd.model import KIND, GMDConfiguration, TemporalUNet
 from prbench_adapters.training.weights import representation_entry, weights_header, write_weights
+
+RELEASED = {
+    "mean": "1bb2633e77a99f1120fc1eb424b7489360bac0a8dfb579e18bd5065431b4b07e",
+    "std": "9f5f12cae2003ef19fea119347346d0e46ad85c86dcd1096f1e319ee2a69f940",
+    "projection": "91027345a8157fbfe31f6c75b3d341436b649194fe31158ea4419d5cf38d5abb",
+}
+"""SHA-256 of ``Mean_abs_3d.npy``, ``Std_abs_3d.npy`` and ``rand_proj.npy`` in the public repository."""
+_LEAST_DEVIATION_OF_PLACES = 0.1
+"""Metres. Where people stand deviates by decimetres; how far they step in a frame, by some centimetres."""
+_MOST_OFF = 1.25
+"""A draw of the projection has a sum of squares of 263, give or take some per cent; its inverse has many times that."""
+_COPIES = ("model_avg", "model")
+"""The copies of the network in a checkpoint, the one to sample with first: a moving average over training."""
+_SAFE_SINCE = (2, 6)
+"""Earlier versions of PyTorch could be made to run code in spite of ``weights_only`` (CVE-2025-32434)."""
+_NOT_LEARNT = re.compile(r"clip_model\.|(embed_timestep\.)?sequence_pos_encoder\.pe$")
+_REFUSED = re.compile(r"GLOBAL ([\w.]+)")
+
+
+def read_space(mean: Path, std: Path, projection: Path) -> FeatureSpace:
+    """The feature space of the public checkpoints.
+
+    Args:
+        mean: ``Mean_abs_3d.npy``, of features with an absolute root.
+        std: ``Std_abs_3d.npy``.
+        projection: ``rand_proj.npy``.
+
+    Raises:
+        InputFileError: if a file is none of these.
+    """
+    means = _read(mean, (N_FEATURES,))
+    deviations = _read(std, (N_FEATURES,))
+    _require_deviations(std, deviations)
+    matrix = _read(projection, (N_FEATURES, N_FEATURES))
+    _require_projection(projection, matrix)
+    return FeatureSpace.of(torch.from_numpy(means), torch.from_numpy(deviations), torch.from_numpy(matrix))
+
+
+def emphasis_of(space: FeatureSpace) -> float:
+    """The weight c of the absolute root with which a projection was drawn, a whole number."""
+    squares = space.projection.square().sum(dim=1)
+    return float(max(1.0, torch.round((squares[:3].mean() / squares[3:].mean()).sqrt())))
+
+
+def is_released(role: str, path: Path) -> bool:
+    """Return True for a file that is, byte for byte, that of the public repository."""
+    return file_digest(path) == RELEASED[role]
+
+
+def _read(path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
+    array = load_array(path)
+    if array.shape != shape:
+        raise InputFileError(path, "", expected=f"an array of shape {shape}", found=f"shape {array.shape}")
+    if array.dtype.kind != "f" or not np.isfinite(array).all():
+        raise InputFileError(path, "", expected="finite numbers", found=f"{array.dtype} with NaN or infinity")
+    return array.astype(np.float32)
+
+
+def _require_deviations(path: Path, deviations: Float[np.ndarray, " 263"]) -> None:
+    remedy = "Give --statistics Mean_abs_3d.npy Std_abs_3d.npy, in this order."
+    least = int(deviations.argmin())
+    if deviations[least] <= 0:
+        found = f"{deviations[least]:g}"
+        raise InputFileError(path, f"column {least}", expected="a positive deviation", found=found, remedy=remedy)
+    # HumanML3D's own statistics, which are those of relative features, have the same shape.
+    if deviations[ROOT_XZ].max() < _LEAST_DEVIATION_OF_PLACES:
+        raise InputFileError(
+            path,
+            "columns 1 and 2",
+            expected="deviations of where the pelvis stands, some decimetres",
+            found=f"{deviations[ROOT_XZ].max():.3f} m, as of its steps from frame to frame",
+            remedy=f"These seem to be statistics of relative features. {remedy}",
+        )
+
+
+def _require_projection(path: Path, matrix: Float[np.ndarray, "263 263"]) -> None:
+    size = float((matrix.astype(np.float64) ** 2).sum()) / N_FEATURES
+    # The repository also holds the inverse, which is as square and as large.
+    if not 1 / _MOST_OFF < size < _MOST_OFF or np.linalg.matrix_rank(matrix.astype(np.float64)) < N_FEATURES:
+        raise InputFileError(
+            path,
+            "",
+            expected="an emphasis projection that can be inverted, with a mean square of 1 a row",
+            found=f"{size:.3g}",
+            remedy="Give --projection rand_proj.npy; inv_rand_proj.npy is its inverse, which prbench computes itself.",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """One network of the original program."""
+
+    path: Path
+    copy: str
+    """Name of this copy in the file: ``model_avg``, ``model``, or ``only`` where there are no two."""
+    tensors: dict[str, Tensor]
+    """Maps the original's names to tensors, on the CPU."""
+
+    def require(self, name: str, shape: tuple[int | None, ...]) -> Tensor:
+        """The tensor of this name.
+
+        Args:
+            name: The original's.
+            shape: Its sizes; None for any.
+
+        Raises:
+            InputFileError: if there is none, it has another shape, or it holds anything but finite numbers.
+        """
+        tensor = self.tensors.get(name)
+        wanted = f"({', '.join('any' if size is None else str(size) for size in shape)})"
+        if tensor is None:
+            raise self.misfit(name, f"a tensor of shape {wanted}", "none of this name")
+        sizes = tuple(tensor.shape)
+        if len(sizes) != len(shape) or any(want not in (None, size) for want, size in zip(shape, sizes, strict=True)):
+            raise self.misfit(name, f"shape {wanted}", f"shape {sizes}")
+        if not (tensor.is_floating_point() and bool(torch.isfinite(tensor).all())):
+            raise self.misfit(name, "finite numbers", f"{tensor.dtype} with NaN, infinity or no fractions")
+        return tensor.float()
+
+    def misfit(self, name: str, expected: str, found: str) -> InputFileError:
+        """An error about one tensor of this file."""
+        remedy = (
+            "Give the motion network's file as --motion and the trajectory network's as --trajectory, both as GMD was"
+            " released (absolute root, U-Net with adaptive group normalisation)."
+        )
+        return InputFileError(self.path, f"'{name}'", expected=expected, found=found, remedy=remedy)
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """Read the averaged network of a checkpoint, or the only one that it holds.
+
+    Args:
+        path: ``model000500000.pt`` or the like.
+
+    Raises:
+        InputFileError: if there is no such file, it is no checkpoint, or it holds more than numbers.
+        UsageError: if this version of PyTorch cannot be trusted to open it.
+    """
+    _require_safe_torch()
+    content = _mapping(path, _content(path))
+    copy = next((name for name in _COPIES if name in content), "only")
+    state = content if copy == "only" else _mapping(path, content[copy])
+    tensors = {}
+    for name, value in state.items():
+        if not isinstance(value, Tensor):
+            found = f"a {type(value).__name__}"
+            raise InputFileError(path, f"'{name}'", expected="a tensor", found=found, remedy=_saving_anew(path))
+        if _is_learnt(name):
+            tensors[name] = value
+    return Checkpoint(path, copy, tensors)
+
+
+def _is_learnt(original: str) -> bool:
+    """Return True for an entry of a checkpoint that is a network's own: no table of sinusoids, nothing of CLIP."""
+    return _NOT_LEARNT.match(original) is None
+
+
+def _require_safe_torch() -> None:
+    """Refuse a PyTorch whose ``weights_only`` does not keep its promise.
+
+    Raises:
+        UsageError: naming the version that does.
+    """
+    numbers = tuple(int(part) for part in re.findall(r"\d+", torch.__version__)[:2])
+    if numbers < _SAFE_SINCE:
+        least = ".".join(map(str, _SAFE_SINCE))
+        raise UsageError(
+            f"opening a checkpoint safely needs PyTorch {least} or later, found {torch.__version__} (CVE-2025-32434)."
+            f" Run: pip install 'torch>={least}'"
+        )
+
+
+def _mapping(path: Path, value: object) -> Mapping[str, object]:
+    if not isinstance(value, Mapping):
+        raise InputFileError(path, "", expected="tensors by name", found=f"a {type(value).__name__}")
+    return value
+
+
+@foreign_input()
+def _content(path: Path) -> object:
+    if not path.is_file():
+        raise InputFileError(path, "", expected="a checkpoint (.pt)", found="no such file")
+    if not zipfile.is_zipfile(path):
+        raise _no_checkpoint(path, "another format, or a truncated file")
+    try:
+        # Mapped and not read: a checkpoint holds both copies of the network, of which one is taken.
+        return torch.load(path, map_location="cpu", weights_only=True, mmap=True)
+    except pickle.UnpicklingError as error:
+        wanted = _REFUSED.search(str(error))
+        found = f"one that asks for '{wanted[1]}'" if wanted else "one that asks for more"
+        expected = "a checkpoint of numbers alone"
+        raise InputFileError(path, "", expected=expected, found=found, remedy=_saving_anew(path)) from error
+    except RuntimeError as error:
+        raise _no_checkpoint(path, "an archive without one, or a damaged one") from error
+
+
+def _no_checkpoint(path: Path, found: str) -> InputFileError:
+    remedy = "If it is what was downloaded, unpack it first and name the model….pt inside; else download it again."
+    return InputFileError(path, "", expected="a checkpoint of torch.save (.pt)", found=found, remedy=remedy)
+
+
+def _saving_anew(path: Path) -> str:
+    return (
+        "prbench runs no code of a file. If you trust it, keep its tensors alone, where the original program runs: "
+        f"python -c \"import torch; c = torch.load('{path.name}', map_location='cpu'); c = c.get('model_avg', c);"
+        " torch.save({k: v for k, v in c.items() if torch.is_tensor(v)}, 'tensors.pt')\" and import tensors.pt."
+    )
+
 
 _RENAMED = (
     (r"^time_embedding", "embed_timestep.time_embed"),
@@ -205,7 +412,7 @@ def parameters_of(checkpoint: Checkpoint, unet: TemporalUNet) -> dict[str, Tenso
 
 
 def original_name(name: str) -> str:
-    """The original's name of a parameter of :class:`prbench_adapters.gmd.unet.TemporalUNet`."""
+    """The original's name of a parameter of :class:`prbench_adapters.gmd.model.TemporalUNet`."""
     for pattern, replacement in _RENAMED:
         name = re.sub(pattern, replacement, name)
     return name

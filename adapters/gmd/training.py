@@ -20,16 +20,17 @@ from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.diffusion.training import Draw, losses, scored_losses
 from prbench_adapters.diffusion.training import Objective as DenoiserObjective
 from prbench_adapters.gmd.adapter import GMD
-from prbench_adapters.gmd.features import (
-    N_ROOT,
-    FeatureSpace,
-    decode_absolute,
-    emphasis_projection,
-    with_absolute_root,
+from prbench_adapters.gmd.features import N_ROOT, FeatureSpace, decode_absolute, emphasis_projection, with_absolute_root
+from prbench_adapters.gmd.model import (
+    KIND,
+    GMDConfiguration,
+    GMDModel,
+    GMDNetworks,
+    TemporalUNet,
+    caption_vectors,
+    stored_space,
 )
-from prbench_adapters.gmd.model import KIND, GMDModel, GMDNetworks, caption_vectors, stored_space
-from prbench_adapters.gmd.stages import GMDSettings
-from prbench_adapters.gmd.unet import GMDConfiguration, TemporalUNet
+from prbench_adapters.gmd.sampling import GMDSettings
 from prbench_adapters.training import MotionBatch
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import origin_of, read_weights, representation_entry, weights_header

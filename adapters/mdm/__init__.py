@@ -41,9 +41,9 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> MD
         InputFileError: if the file is not one of a denoiser.
         ValueError: for options that are unknown or have impossible values.
     """
-    from prbench_adapters.diffusion.bundled import resolve
+    from prbench_adapters.diffusion.generation import SAMPLING_OPTIONS, require_known, sampling_settings
+    from prbench_adapters.diffusion.method import resolve
     from prbench_adapters.diffusion.model import MotionModel, require_goal
-    from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known, sampling_settings
 
     require_known(options, (*SAMPLING_OPTIONS, "text-path"))
     path = resolve(weights, DEFAULT_WEIGHTS)

@@ -88,7 +88,7 @@ class PR:
         from prbench_adapters.diffusion.generation import SamplingSettings, generate
 
         if isinstance(generation.settings, SamplingSettings):
-            from prbench_adapters.diffusion.batches import on_own_bones
+            from prbench_adapters.diffusion.generation import on_own_bones
 
             motions = generate(trained.model, batch, generation.settings)
             return on_own_bones(motions, batch) if generation.own_bones else motions
@@ -129,9 +129,9 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
         InputFileError: if a file is not one of a denoiser.
         ValueError: for options that are unknown or have impossible values.
     """
-    from prbench_adapters.diffusion.bundled import resolve
+    from prbench_adapters.diffusion.generation import SAMPLING_OPTIONS, require_known
+    from prbench_adapters.diffusion.method import resolve
     from prbench_adapters.diffusion.noise_optimisation.settings import PRIME_AND_REACH_OPTIONS
-    from prbench_adapters.diffusion.options import SAMPLING_OPTIONS, require_known
 
     own = ("optimise", "text-path", "feet", "noise-scale")
     require_known(options, (*own, *SAMPLING_OPTIONS, *PRIME_AND_REACH_OPTIONS))
@@ -180,8 +180,8 @@ def _sampling(model: MotionModel, settings: SamplingSettings) -> PR:
 
 
 def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Condition, ...]) -> TrainedFor:
+    from prbench_adapters.diffusion.generation import ONE_PASS
     from prbench_adapters.diffusion.model import MotionModel
-    from prbench_adapters.diffusion.options import ONE_PASS
 
     model = MotionModel.load(path, device, text_path=options.get("text-path"))
     wanted = [GOALS[condition] for condition in allowed]
@@ -220,6 +220,7 @@ def _require_few_steps(model: MotionModel, path: Path) -> None:
 
 def _generation(options: Mapping[str, str], configuration: DenoiserConfiguration) -> Generation:
     """Turn the options into settings for a model, checked before anything is generated."""
+    from prbench_adapters.diffusion.generation import ONE_PASS, SAMPLERS, choice, number, sampling_settings
     from prbench_adapters.diffusion.model import Feet, Reach
     from prbench_adapters.diffusion.noise_optimisation.settings import (
         PRIME_AND_REACH_OPTIONS,
@@ -228,7 +229,6 @@ def _generation(options: Mapping[str, str], configuration: DenoiserConfiguration
         optimisation_settings,
         paper,
     )
-    from prbench_adapters.diffusion.options import ONE_PASS, SAMPLERS, choice, number, sampling_settings
 
     steps = configuration.diffusion_steps
     if options.get("sampler") == ONE_PASS:

@@ -18,11 +18,11 @@ from jaxtyping import Float
 from prbench.errors import AdapterError, UsageError
 from prbench.prediction.batch import Condition, Futures, ObservedBatch, sample_generator
 from prbench.prediction.joint_sets import invert_each, rotations_alone, transform_each
-from prbench_adapters.diffusion.bundled import bundled_names, bundled_weights, resolve
+from prbench_adapters.diffusion.generation import choice, number, require_known, whole_number
+from prbench_adapters.diffusion.method import bundled_names, bundled_weights, resolve
 from prbench_adapters.diffusion.model import torch_device
-from prbench_adapters.diffusion.options import choice, number, require_known, whole_number
+from prbench_adapters.prediction.coefficient_diffusion import held
 from prbench_adapters.prediction.configuration import DiffusionConfiguration
-from prbench_adapters.prediction.dlow import DLow
 from prbench_adapters.prediction.records import (
     RECORDS,
     DiffusionRecord,
@@ -31,7 +31,7 @@ from prbench_adapters.prediction.records import (
     SeenWindows,
     network_of,
 )
-from prbench_adapters.prediction.window_dct import held
+from prbench_adapters.prediction.recurrent import DLow
 from prbench_adapters.training.weights import read_weights
 
 _MOST_TOGETHER = 512

@@ -1,22 +1,378 @@
 """BeLFusion: diffusion of behaviours, each of which is then decoded from the last observed frames.
 
-Source: docs/specification/prediction-baselines.md#belfusion.
+Source: docs/specification/prediction-baselines.md#belfusion. The autoencoders of behaviour, the U-Net over latents, and
+the sampling.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Literal, TypeVar
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
+from torch.nn import functional
+from torch.nn.utils.parametrizations import weight_norm
 
+from prbench_adapters.diffusion.denoiser import sinusoid_table
 from prbench_adapters.diffusion.sampling import Chain, ddim_factors
-from prbench_adapters.prediction.behaviour import BehaviourAutoencoder, BehaviourConfiguration, PastAutoencoder
-from prbench_adapters.prediction.latent_unet import LatentUNet, UNetConfiguration
-from prbench_adapters.prediction.recurrent import latent_noise
+from prbench_adapters.prediction.recurrent import PoseDecoder, gaussian_kl, last_state, latent_noise
+
+_GROUPS = 32
+_Resize = Literal["none", "halve", "double"]
+_Layer = TypeVar("_Layer", bound=nn.Module)
+
+
+class UNetConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Sizes of the U-Net.
+
+    Raises:
+        ValueError: for sizes that do not fit together.
+    """
+
+    height: int = 16
+    width: int = 8
+    channels: int = 32
+    multiples: tuple[int, ...] = (1, 2, 4, 8)
+    """Channels of each level, in ``channels``; every further level halves height and width."""
+    attention_at: tuple[int, ...] = (4, 8)
+    """Reductions of the resolution at which blocks are followed by attention."""
+    head_channels: int = 16
+    condition: int = 64
+    """Numbers of the code of the past."""
+    steps: int = 10
+
+    def __post_init__(self) -> None:
+        if self.channels < 1 or self.channels % _GROUPS or not self.multiples or min(self.multiples) < 1:
+            raise ValueError(
+                f"'channels' must be a multiple of {_GROUPS} and 'multiples' positive, found {self.channels} and"
+                f" {list(self.multiples)}"
+            )
+        stride = 2 ** (len(self.multiples) - 1)
+        if min(self.height, self.width) < 1 or self.height % stride or self.width % stride:
+            raise ValueError(
+                f"'height' and 'width' must be multiples of {stride}, because the levels halve them, found"
+                f" {self.height} and {self.width}"
+            )
+        if self.head_channels < 1 or self.channels % self.head_channels:
+            raise ValueError(f"'head_channels' must divide {self.channels} channels, found {self.head_channels}")
+        if self.condition < 1 or self.steps < 1:
+            raise ValueError(f"'condition' and 'steps' must be at least 1, found {self.condition} and {self.steps}")
+
+    @property
+    def latent(self) -> int:
+        """Numbers of the latent vector."""
+        return self.height * self.width
+
+    @property
+    def embedding(self) -> int:
+        """Numbers of the vector of step and condition."""
+        return 4 * self.channels + self.condition
+
+
+class LatentUNet(nn.Module):
+    """Predicts the clean latent vector from a noisy one, the step and the code of the past.
+
+    Args:
+        configuration: Sizes.
+    """
+
+    def __init__(self, configuration: UNetConfiguration) -> None:
+        super().__init__()
+        self.configuration = configuration
+        channels = configuration.channels
+        time = 4 * channels
+        self.time = nn.Sequential(nn.Linear(channels, time), nn.SiLU(), nn.Linear(time, time))
+        self.input = nn.Conv2d(1, channels, 3, padding=1)
+        widths = [channels * multiple for multiple in configuration.multiples]
+        embedding = configuration.embedding
+        last = len(widths) - 1
+        skips, inputs = [channels], channels
+        self.down = nn.ModuleList()
+        for level, width in enumerate(widths):
+            self.down.append(nn.ModuleList([_Block(inputs, width, embedding), *self._attention(level, width)]))
+            skips.append(width)
+            if level < last:
+                self.down.append(nn.ModuleList([_Block(width, width, embedding, "halve")]))
+                skips.append(width)
+            inputs = width
+        self.middle = nn.ModuleList(
+            [
+                _Block(inputs, inputs, embedding),
+                _Attention(inputs, configuration.head_channels),
+                _Block(inputs, inputs, embedding),
+            ]
+        )
+        self.up = nn.ModuleList()
+        for level, width in reversed(list(enumerate(widths))):
+            # A level has as many blocks on the way up as outputs on the way down: its own, and that of the change.
+            for place in range(2):
+                stage = [_Block(inputs + skips.pop(), width, embedding), *self._attention(level, width)]
+                if place and level:
+                    stage.append(_Block(width, width, embedding, "double"))
+                self.up.append(nn.ModuleList(stage))
+                inputs = width
+        self.output = nn.Sequential(
+            nn.GroupNorm(_GROUPS, inputs), nn.SiLU(), _from_zero(nn.Conv2d(inputs, 1, 3, padding=1))
+        )
+        table = sinusoid_table(configuration.steps, channels)
+        self.register_buffer("sinusoid", torch.cat([table[:, 1::2], table[:, ::2]], dim=1), persistent=False)
+        self.sinusoid: Tensor
+
+    def forward(
+        self,
+        noisy: Float[Tensor, "batch latent"],
+        step: Int[Tensor, " batch"],
+        condition: Float[Tensor, "batch condition"],
+    ) -> Float[Tensor, "batch latent"]:
+        """Predict; ``step`` is the index in the training schedule."""
+        embedding = functional.silu(torch.cat([self.time(self.sinusoid[step]), condition], dim=1))
+        shape = self.configuration
+        stream = self.input(noisy.view(-1, 1, shape.height, shape.width))
+        skips = [stream]
+        for stage in self.down:
+            stream = _through(stage, stream, embedding)
+            skips.append(stream)
+        stream = _through(self.middle, stream, embedding)
+        for stage in self.up:
+            stream = _through(stage, torch.cat([stream, skips.pop()], dim=1), embedding)
+        return self.output(stream).flatten(1)
+
+    def _attention(self, level: int, width: int) -> list[nn.Module]:
+        if 2**level not in self.configuration.attention_at:
+            return []
+        return [_Attention(width, self.configuration.head_channels)]
+
+
+def _through(stage: nn.Module, stream: Tensor, embedding: Tensor) -> Tensor:
+    for part in stage.children():
+        stream = part(stream, embedding)
+    return stream
+
+
+class _Block(nn.Module):
+    """Two convolutions beside a skip; step and condition scale and shift what stands between them."""
+
+    def __init__(self, inputs: int, outputs: int, embedding: int, resize: _Resize = "none") -> None:
+        super().__init__()
+        self.resize = resize
+        self.first_norm = nn.GroupNorm(_GROUPS, inputs)
+        self.first = nn.Conv2d(inputs, outputs, 3, padding=1)
+        self.scale_shift = nn.Linear(embedding, 2 * outputs)
+        self.second_norm = nn.GroupNorm(_GROUPS, outputs)
+        self.second = _from_zero(nn.Conv2d(outputs, outputs, 3, padding=1))
+        self.skip = nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
+
+    def forward(
+        self, stream: Float[Tensor, "batch inputs height width"], embedding: Float[Tensor, "batch embedding"]
+    ) -> Float[Tensor, "batch outputs new_height new_width"]:
+        hidden = self.first(self._resized(functional.silu(self.first_norm(stream))))
+        scale, shift = self.scale_shift(embedding)[:, :, None, None].chunk(2, dim=1)
+        hidden = torch.addcmul(shift, self.second_norm(hidden), 1 + scale)
+        return self.skip(self._resized(stream)) + self.second(functional.silu(hidden))
+
+    def _resized(self, stream: Tensor) -> Tensor:
+        if self.resize == "halve":
+            return functional.avg_pool2d(stream, 2)
+        if self.resize == "double":
+            return functional.interpolate(stream, scale_factor=2, mode="nearest")
+        return stream
+
+
+class _Attention(nn.Module):
+    """Self-attention of all places of the image, residual."""
+
+    def __init__(self, channels: int, head_channels: int) -> None:
+        super().__init__()
+        self.heads = channels // head_channels
+        self.norm = nn.GroupNorm(_GROUPS, channels)
+        self.query_key_value = nn.Conv1d(channels, 3 * channels, 1)
+        self.output = _from_zero(nn.Conv1d(channels, channels, 1))
+
+    def forward(
+        self,
+        stream: Float[Tensor, "batch channels height width"],
+        embedding: Float[Tensor, "batch embedding"],  # noqa: ARG002 - called like a block
+    ) -> Float[Tensor, "batch channels height width"]:
+        """Let each place of the stream look at all others; the embedding of the diffusion step has no part in it."""
+        places = self.query_key_value(self.norm(stream).flatten(2))
+        query, key, value = places.unflatten(1, (3, self.heads, -1)).movedim(1, 0).transpose(-1, -2)
+        attended = functional.scaled_dot_product_attention(query, key, value)
+        return stream + self.output(attended.transpose(-1, -2).flatten(1, 2)).view_as(stream)
+
+
+def _from_zero(layer: _Layer) -> _Layer:
+    for parameter in layer.parameters():
+        nn.init.zeros_(parameter)
+    return layer
+
+
+class BehaviourConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Sizes of both autoencoders and weights of the losses; the defaults are those of H36M.
+
+    Raises:
+        ValueError: for sizes below 1.
+    """
+
+    n_joints: int
+    observed: int = 15
+    predicted: int = 60
+    context: int = 3
+    """Last observed frames that a behaviour is joined to, and that belong to what it describes."""
+    past: int = 64
+    """Width of the code of the past."""
+    mlp: tuple[int, ...] = (300, 200)
+    offsets_summed: bool = True
+    """Whether decoded offsets of the past are summed over frames, or added to the first pose."""
+    behaviour: int = 128
+    decoder: int = 128
+    context_width: int = 128
+    beta: float = 1e-4
+    """Weight of the divergence from the prior."""
+    delta: float = 1.05
+    """Weight of the auxiliary decoder's error, which the behaviour is to make large: it shall not hold poses."""
+
+    def __post_init__(self) -> None:
+        sizes = ("n_joints", "observed", "predicted", "context", "past", "behaviour", "decoder", "context_width")
+        for name in sizes:
+            if getattr(self, name) < 1:
+                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        if self.context > self.observed:
+            raise ValueError(f"'context' must be at most the {self.observed} observed frames, found {self.context}")
+        if not self.mlp or min(self.mlp) < 1:
+            raise ValueError(f"'mlp' must be one or more positive widths, found {list(self.mlp)}")
+
+    @property
+    def values(self) -> int:
+        """Numbers of a pose."""
+        return 3 * self.n_joints
+
+
+class PastAutoencoder(nn.Module):
+    """A code of the observed frames, and the frames from the code and the pose before them.
+
+    Args:
+        configuration: Sizes.
+    """
+
+    def __init__(self, configuration: BehaviourConfiguration) -> None:
+        super().__init__()
+        self.configuration = configuration
+        values, past = configuration.values, configuration.past
+        self.encoder = nn.GRU(values, past, batch_first=True)
+        self.decoder = PoseDecoder(past, past, past, configuration.mlp, values)
+
+    def code(self, observed: Float[Tensor, "windows frames joints 3"]) -> Float[Tensor, "windows past"]:
+        """The code of observed frames in metres."""
+        return last_state(self.encoder, observed.flatten(2))
+
+    def forward(self, motion: Float[Tensor, "windows frames joints 3"]) -> Float[Tensor, "windows frames joints 3"]:
+        """The first frame as it is, and the others from their code."""
+        frames = motion.flatten(2)
+        start = frames[:, 0]
+        code = self.code(motion[:, 1:])
+        offsets = self.decoder(code, code, start, frames.shape[1] - 1)
+        if self.configuration.offsets_summed:
+            offsets = offsets.cumsum(dim=1)
+        return torch.cat([frames[:, :1], start[:, None] + offsets], dim=1).unflatten(-1, (-1, 3))
+
+    def loss(self, motion: Float[Tensor, "windows frames joints 3"]) -> Float[Tensor, ""]:
+        """Mean squared error of all frames, m²."""
+        return (self(motion) - motion).square().mean()
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """What a behaviour is drawn from."""
+
+    hidden: Float[Tensor, "windows behaviour"]
+    mean: Float[Tensor, "windows behaviour"]
+    log_deviation: Float[Tensor, "windows behaviour"]
+
+    def draw(self, noise: Float[Tensor, "windows behaviour"]) -> Float[Tensor, "windows behaviour"]:
+        """One behaviour a window, from standard normal noise; published evaluation draws it too."""
+        return self.mean + self.log_deviation.exp() * noise
+
+
+class BehaviourAutoencoder(nn.Module):
+    """A behaviour of context and future, and poses from a behaviour and any context.
+
+    Args:
+        configuration: Sizes and weights.
+    """
+
+    def __init__(self, configuration: BehaviourConfiguration) -> None:
+        super().__init__()
+        self.configuration = configuration
+        values, size, width = configuration.values, configuration.behaviour, configuration.decoder
+        self.encoder = nn.LSTM(values, size, batch_first=True)
+        self.mean = _ScaledLinear(size)
+        self.log_deviation = _ScaledLinear(size)
+        self.context = nn.Linear(configuration.context * values, configuration.context_width)
+        self.coupler = nn.GRU(size + configuration.context_width, width, batch_first=True)
+        self.offset = nn.Linear(width, values)
+        self.auxiliary = nn.GRU(size, width, batch_first=True)
+        self.auxiliary_pose = nn.Linear(width, values)
+
+    def encode(self, sequence: Float[Tensor, "windows frames joints 3"]) -> Behaviour:
+        """The behaviour of context and future, in metres."""
+        hidden = last_state(self.encoder, sequence.flatten(2))
+        return Behaviour(hidden, self.mean(hidden), self.log_deviation(hidden))
+
+    def decode(
+        self,
+        context: Float[Tensor, "windows context joints 3"],
+        behaviour: Float[Tensor, "windows samples behaviour"],
+    ) -> Float[Tensor, "windows samples predicted joints 3"]:
+        """Futures in metres that go on from the context, which is encoded once a window."""
+        samples = behaviour.shape[1]
+        flat = context.flatten(2)
+        told = self.context(flat.flatten(1))[:, None].expand(-1, samples, -1)
+        steps = torch.cat([behaviour, told], dim=2).flatten(0, 1)
+        steps = steps[:, None].expand(-1, self.configuration.predicted, -1)
+        offsets = self.offset(self.coupler(steps)[0]).unflatten(0, (-1, samples))
+        return (flat[:, None, -1:] + offsets).unflatten(-1, (-1, 3))
+
+    def decode_without_context(
+        self, behaviour: Float[Tensor, "windows behaviour"]
+    ) -> Float[Tensor, "windows frames joints 3"]:
+        """What the auxiliary decoder can tell of context and future from the behaviour alone."""
+        frames = self.configuration.context + self.configuration.predicted
+        steps = behaviour[:, None].expand(-1, frames, -1)
+        return self.auxiliary_pose(self.auxiliary(steps)[0]).unflatten(-1, (-1, 3))
+
+    def loss(
+        self, sequence: Float[Tensor, "windows frames joints 3"], noise: Float[Tensor, "windows behaviour"]
+    ) -> dict[str, Float[Tensor, ""]]:
+        """The published loss of encoder and coupler, m²; ``auxiliary`` is that of the auxiliary decoder beside it."""
+        found = self.encode(sequence)
+        behaviour = found.draw(noise)
+        n = len(sequence)
+        context, future = sequence.split([self.configuration.context, self.configuration.predicted], dim=1)
+        squared_error = (self.decode(context, behaviour[:, None])[:, 0] - future).square().sum() / n
+        # The published program puts the logarithm of the deviation where that of the variance belongs.
+        kl = gaussian_kl(found.mean, found.log_deviation).sum() / n
+        auxiliary = (self.decode_without_context(behaviour) - sequence).square().sum() / n
+        total = squared_error + self.configuration.beta * kl - self.configuration.delta * auxiliary
+        return {"loss": total, "squared_error": squared_error, "kl": kl, "auxiliary": auxiliary}
+
+
+class _ScaledLinear(nn.Module):
+    """γ ⊙ (g v/‖v‖ · p + c) + β for each row."""
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.linear = weight_norm(nn.Linear(size, size))
+        self.scale = nn.Parameter(torch.ones(size))
+        self.shift = nn.Parameter(torch.zeros(size))
+
+    def forward(self, hidden: Float[Tensor, "batch size"]) -> Float[Tensor, "batch size"]:
+        return self.scale * self.linear(hidden) + self.shift
+
 
 _OFFSET = 1e-4
 _LARGEST_BETA = 0.999
@@ -27,15 +383,6 @@ def square_root_schedule(steps: int) -> Chain:
     level = np.maximum(0.0, 1.0 - np.sqrt(np.arange(steps + 1) / steps + _OFFSET))
     betas = np.minimum(1.0 - level[1:] / level[:-1], _LARGEST_BETA)
     return Chain(np.arange(steps), np.cumprod(1.0 - betas))
-
-
-@dataclass(frozen=True)
-class BeLFusionLoss:
-    """Of each window: the best sample's error of the latent vector, and of the decoded future."""
-
-    latent: Float[Tensor, " windows"]
-    decoded: Float[Tensor, " windows"]
-    total: Float[Tensor, " windows"]
 
 
 class BeLFusion(nn.Module):
@@ -109,8 +456,8 @@ class BeLFusion(nn.Module):
         step: Int[Tensor, " windows"],
         noise: Float[Tensor, "windows samples behaviour"],
         behaviour_noise: Float[Tensor, "windows behaviour"],
-    ) -> BeLFusionLoss:
-        """Errors of the best of several noises at one step.
+    ) -> dict[str, Float[Tensor, " windows"]]:
+        """Errors of the best of several noises at one step, of each window: of the latent vector and of the future.
 
         Args:
             motion: Whole windows, metres.
@@ -127,7 +474,7 @@ class BeLFusion(nn.Module):
         clean = self.denoised(level.sqrt() * target + (1.0 - level).sqrt() * noise, step, condition)
         latent = (clean - target).abs().sum(dim=-1).amin(dim=1)
         decoded = (self.decode(observed, clean).flatten(2) - decoded_target).norm(dim=-1).amin(dim=1)
-        return BeLFusionLoss(latent, decoded, latent + self.decoded_weight * decoded)
+        return {"loss": latent + self.decoded_weight * decoded, "latent": latent, "decoded": decoded}
 
     @torch.no_grad()
     def predict(

@@ -1,26 +1,508 @@
-"""GazeMoDiff and HumanMAC as one model: training loss, and prediction by masked completion.
+"""Diffusion of windows as coefficients of a discrete cosine transform over their frames: GazeMoDiff and HumanMAC.
 
-Sources: docs/specification/gazemodiff.md#diffusion-and-sampling, docs/specification/prediction-baselines.md#humanmac.
+Source: docs/specification/prediction-networks.md. The transform, whitening, the encoder of what was observed with its
+graph attention, the denoiser, and the sampling.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
+from torch.nn import functional
 
 from prbench.randomness import sequence_generator
-from prbench_adapters.diffusion.batches import SequenceNoise
+from prbench_adapters.diffusion.denoiser import sinusoid_table
+from prbench_adapters.diffusion.generation import SequenceNoise
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.prediction.configuration import DiffusionConfiguration
-from prbench_adapters.prediction.denoiser import CoefficientDenoiser, PreparedCondition
-from prbench_adapters.prediction.encoder import ConditionEncoder
-from prbench_adapters.prediction.whitening import Whitening
-from prbench_adapters.prediction.window_dct import WindowDCT, padded
+
+_SMALLEST = 1e-3  # metres; nothing below it matters, and half precision still holds it
+
+
+class Whitening(nn.Module):
+    """The principal directions of the values, and the spread along each of them in each coefficient.
+
+    Args:
+        coefficients: DCT coefficients of a window.
+        values: Numbers of one coefficient.
+    """
+
+    def __init__(self, coefficients: int, values: int) -> None:
+        super().__init__()
+        self.register_buffer("directions", torch.eye(values))
+        self.register_buffer("spread", torch.ones(coefficients, values))
+        self.directions: Tensor
+        """Column j is direction j."""
+        self.spread: Tensor
+        """Root mean square along each direction, metres."""
+
+    @torch.no_grad()
+    def take(self, coefficients: Float[Tensor, "windows coefficients values"]) -> None:
+        """Measure directions and spread on coefficients of training windows."""
+        flat = coefficients.flatten(0, 1).double()
+        directions = torch.linalg.eigh(flat.T @ flat / len(flat)).eigenvectors.flip(1)
+        spread = (coefficients.double() @ directions).square().mean(dim=0).sqrt()
+        self.directions.copy_(directions)
+        self.spread.copy_(spread.clamp_min(_SMALLEST))
+
+    def forward(self, coefficients: Float[Tensor, "*batch coefficients values"]) -> Tensor:
+        """Whiten coefficients."""
+        # The inverse of what :meth:`inverse` uses: directions that were kept in half precision are not orthogonal.
+        back = torch.linalg.inv(self.directions.double()).to(coefficients.dtype)
+        return coefficients @ back.T / self.spread.to(coefficients.dtype)
+
+    def inverse(self, whitened: Float[Tensor, "*batch coefficients values"]) -> Tensor:
+        """Turn whitened coefficients back into metres."""
+        return (whitened * self.spread.to(whitened.dtype)) @ self.directions.T.to(whitened.dtype)
+
+
+def dct_rows(coefficients: int, frames: int) -> Float[Tensor, "coefficients frames"]:
+    """The first rows of the orthonormal DCT-II, float64: w_k cos(π(i + ½)k / frames)."""
+    row = torch.arange(coefficients, dtype=torch.float64)[:, None]
+    place = torch.arange(frames, dtype=torch.float64)[None] + 0.5
+    rows = math.sqrt(2.0 / frames) * torch.cos(math.pi * place * row / frames)
+    rows[0] = math.sqrt(1.0 / frames)
+    return rows
+
+
+def padded(
+    observed: Float[Tensor, "windows observed nodes 3"],
+    frames: int,
+    gaze_valid: Bool[Tensor, "windows observed"] | None = None,
+) -> Float[Tensor, "windows frames nodes 3"]:
+    """The observation, followed by copies of its last frame.
+
+    Args:
+        observed: Joints in metres, and perhaps a direction as the last node.
+        frames: Of the whole window.
+        gaze_valid: Which directions were measured; each other one becomes the last measured one before it, at the
+            start the first measured one. None if all were.
+
+    Raises:
+        ValueError: if a window has no measured direction, or is longer than ``frames``.
+    """
+    n = observed.shape[1]
+    if n > frames:
+        raise ValueError(f"an observation of {n} frames does not fit into a window of {frames}")
+    if gaze_valid is not None:
+        observed = held(observed, gaze_valid)
+    return torch.cat([observed, observed[:, -1:].expand(-1, frames - n, -1, -1)], dim=1)
+
+
+def held(
+    observed: Float[Tensor, "windows observed nodes 3"], valid: Bool[Tensor, "windows observed"]
+) -> Float[Tensor, "windows observed nodes 3"]:
+    """Replace the last node where it was not measured by the last measured one before it, at the start by the first.
+
+    Raises:
+        ValueError: if a window has no measured direction.
+    """
+    if not bool(valid.any(dim=1).all()):
+        window = int((~valid.any(dim=1)).nonzero()[0])
+        raise ValueError(f"window {window} of the batch has no valid gaze in any observed frame")
+    frame = torch.arange(valid.shape[1], device=valid.device)
+    last = torch.where(valid, frame, -1).cummax(dim=1).values
+    first = valid.to(torch.int8).argmax(dim=1, keepdim=True)
+    source = torch.where(last < 0, first, last)
+    rows = torch.arange(len(valid), device=valid.device)[:, None]
+    gaze = observed[rows, source, -1]
+    return torch.cat([observed[:, :, :-1], gaze[:, :, None]], dim=2)
+
+
+class WindowDCT(nn.Module):
+    """The transform of windows of one length, and the completion of a window by what was observed of it.
+
+    Args:
+        coefficients: How many are kept, L.
+        observed: Frames that are known.
+        frames: Of the whole window.
+    """
+
+    def __init__(self, coefficients: int, observed: int, frames: int) -> None:
+        super().__init__()
+        rows = dct_rows(coefficients, frames)
+        self.register_buffer("rows", rows, persistent=False)
+        # Back to frames, the observed ones only, and forth again: L by L numbers.
+        self.register_buffer("observed_share", rows[:, :observed] @ rows[:, :observed].T, persistent=False)
+        self.rows: Tensor
+        self.observed_share: Tensor
+
+    def forward(self, motion: Float[Tensor, "*batch frames nodes 3"]) -> Float[Tensor, "*batch coefficients values"]:
+        """The first coefficients of each value; value = 3 · node + coordinate."""
+        return self.rows.to(motion.dtype) @ motion.flatten(-2)
+
+    def inverse(
+        self, coefficients: Float[Tensor, "*batch coefficients values"]
+    ) -> Float[Tensor, "*batch frames nodes 3"]:
+        """The motion that these coefficients describe; not the original one, whose faster parts are lost."""
+        return (self.rows.T.to(coefficients.dtype) @ coefficients).unflatten(-1, (-1, 3))
+
+    def completed(
+        self,
+        coefficients: Float[Tensor, "*batch coefficients values"],
+        known: Float[Tensor, "*#batch coefficients values"],
+    ) -> Float[Tensor, "*batch coefficients values"]:
+        """Coefficients of the motion whose observed frames are those of ``known``, and the others its own.
+
+        The published programs go back to frames, exchange the observed ones, and transform again. All three are
+        linear: x + (D_H D_Hᵀ)(known - x) with the columns D_H of the observed frames.
+        """
+        return coefficients + self.observed_share.to(coefficients.dtype) @ (known - coefficients)
+
+
+_SLOPE = 0.2
+
+
+class GraphAttention(nn.Module):
+    """Attention over steps, a change of channels, attention over nodes, and a bias for each step.
+
+    A score is a dot product of weights with two tokens behind one another, which is the sum of a dot product with
+    each: pairs of tokens are never made.
+
+    Args:
+        inputs: Channels that come in.
+        outputs: Channels that go out.
+        nodes: Of the graph.
+        steps: Of each node's sequence.
+        heads: Sets of attention weights, which are averaged.
+    """
+
+    def __init__(self, inputs: int, outputs: int, nodes: int, steps: int, heads: int) -> None:
+        super().__init__()
+        self.over_steps = nn.Parameter(torch.empty(heads, 2, inputs * nodes))
+        """For the token that looks and the token that is looked at."""
+        self.channels = nn.Parameter(torch.empty(inputs, outputs))
+        self.over_nodes = nn.Parameter(torch.empty(heads, 2, outputs * steps))
+        self.bias = nn.Parameter(torch.empty(steps))
+        bound = 1.0 / math.sqrt(outputs)
+        for parameter in self.parameters():
+            nn.init.uniform_(parameter, -bound, bound)
+
+    def forward(self, stream: Float[Tensor, "batch inputs nodes steps"]) -> Float[Tensor, "batch outputs nodes steps"]:
+        """Apply to every graph by itself."""
+        # Features of a step are ordered by node, those of a node by step; channels change fastest in both.
+        weights = _attention(stream.permute(0, 3, 2, 1).flatten(2), self.over_steps)
+        stream = torch.einsum("bij,bcnj->bcni", weights, stream)
+        stream = torch.einsum("bcns,cd->bdns", stream, self.channels)
+        weights = _attention(stream.permute(0, 2, 3, 1).flatten(2), self.over_nodes)
+        stream = torch.einsum("bij,bcjs->bcis", weights, stream)
+        return stream + self.bias
+
+
+def _attention(
+    tokens: Float[Tensor, "batch tokens size"], weights: Float[Tensor, "heads 2 size"]
+) -> Float[Tensor, "batch tokens tokens"]:
+    """Row i: how much token i takes of each token, averaged over the heads; no value projection makes that enough."""
+    looking, looked_at = torch.einsum("bts,hps->pbht", tokens, weights)
+    scores = functional.leaky_relu(looking[..., :, None] + looked_at[..., None, :], _SLOPE)
+    return scores.softmax(dim=-1).mean(dim=1)
+
+
+class GraphEncoder(nn.Module):
+    """Graph attention layers with residual blocks on two copies of the sequence, from 3 channels to 3.
+
+    Args:
+        nodes: Of the graph.
+        steps: Coefficients of each node.
+        width: Channels between the first and the last layer.
+        heads: Of each layer.
+        blocks: Residual blocks.
+        dropout: In the blocks.
+    """
+
+    def __init__(self, nodes: int, steps: int, width: int, heads: int, blocks: int, dropout: float) -> None:
+        super().__init__()
+        self.steps = steps
+        self.start = GraphAttention(3, width, nodes, steps, heads)
+        self.blocks = nn.ModuleList(_GraphBlock(width, nodes, 2 * steps, heads, dropout) for _ in range(blocks))
+        self.end = GraphAttention(width, 3, nodes, steps, heads)
+
+    def forward(self, nodes: Float[Tensor, "batch 3 nodes steps"]) -> Float[Tensor, "batch 3 nodes steps"]:
+        """Encode; the result is the input and what the layers add to it."""
+        stream = self.start(nodes)
+        stream = torch.cat([stream, stream], dim=-1)
+        for block in self.blocks:
+            stream = block(stream)
+        return self.end(stream[..., : self.steps]) + nodes
+
+
+class _GraphBlock(nn.Module):
+    def __init__(self, width: int, nodes: int, steps: int, heads: int, dropout: float) -> None:
+        super().__init__()
+        self.attention = GraphAttention(width, width, nodes, steps, heads)
+        self.norm = nn.LayerNorm([width, nodes, steps])
+        self.dropout = nn.Dropout(dropout)
+
+    def forward(self, stream: Float[Tensor, "batch width nodes steps"]) -> Float[Tensor, "batch width nodes steps"]:
+        return stream + self.dropout(torch.tanh(self.norm(self.attention(stream))))
+
+
+_GAZE_CHANNELS = 32
+_KERNEL = 3
+
+
+class GazeEncoder(nn.Sequential):
+    """Convolutions over the coefficients of a direction: (batch, 3, L) to (batch, 3, L), within ±1."""
+
+    def __init__(self, coefficients: int) -> None:
+        layers: list[nn.Module] = []
+        inputs = 3
+        for _ in range(3):
+            layers += [_convolution(inputs, _GAZE_CHANNELS), nn.LayerNorm([_GAZE_CHANNELS, coefficients]), nn.Tanh()]
+            inputs = _GAZE_CHANNELS
+        super().__init__(*layers, _convolution(inputs, 3), nn.Tanh())
+
+
+class ConditionEncoder(nn.Module):
+    """Encodes the coefficients of a padded observation, once a window.
+
+    Args:
+        configuration: Which parts there are, and their sizes.
+    """
+
+    def __init__(self, configuration: DiffusionConfiguration) -> None:
+        super().__init__()
+        self.configuration = configuration
+        steps, width, heads = configuration.coefficients, configuration.encoder_width, configuration.encoder_heads
+        joints, nodes = configuration.n_joints, configuration.nodes
+        self.pose: nn.Module = nn.Identity()
+        if configuration.pose_encoder:
+            self.pose = GraphEncoder(joints, steps, width, heads, 1, configuration.encoder_dropout)
+        self.gaze: nn.Module = nn.Identity()
+        if configuration.gaze and configuration.gaze_encoder:
+            self.gaze = GazeEncoder(steps)
+        self.fusion: nn.Module = nn.Identity()
+        if configuration.fusion == "graph-attention":
+            blocks = configuration.fusion_blocks
+            self.fusion = GraphEncoder(nodes, steps, width, heads, blocks, configuration.fusion_dropout)
+
+    def forward(
+        self, coefficients: Float[Tensor, "windows coefficients values"]
+    ) -> Float[Tensor, "windows coefficients values"]:
+        """Encode the coefficients of padded observations; values are 3 · node + coordinate, gaze the last node."""
+        nodes = self.nodes(coefficients)
+        joints = self.configuration.n_joints
+        features = self.pose(nodes[:, :, :joints])
+        if self.configuration.gaze:
+            features = torch.cat([features, self.gaze(nodes[:, :, joints])[:, :, None]], dim=2)
+        return self.flat(self.fusion(features))
+
+    def nodes(
+        self, coefficients: Float[Tensor, "windows coefficients values"]
+    ) -> Float[Tensor, "windows 3 nodes steps"]:
+        """Coordinates, nodes and coefficients as axes.
+
+        The legacy layout takes the same numbers in the order in which they lie in memory, so that axes are mixed.
+        """
+        shape = self.configuration
+        if shape.legacy_layout:
+            return coefficients.reshape(len(coefficients), 3, shape.nodes, shape.coefficients)
+        return coefficients.unflatten(-1, (shape.nodes, 3)).permute(0, 3, 2, 1)
+
+    def flat(self, nodes: Float[Tensor, "windows 3 nodes steps"]) -> Float[Tensor, "windows steps values"]:
+        """The way back from :meth:`nodes`."""
+        if self.configuration.legacy_layout:
+            return nodes.reshape(len(nodes), self.configuration.coefficients, self.configuration.values)
+        return nodes.permute(0, 3, 2, 1).flatten(2)
+
+
+def _convolution(inputs: int, outputs: int) -> nn.Conv1d:
+    return nn.Conv1d(inputs, outputs, _KERNEL, padding=_KERNEL // 2, padding_mode="replicate")
+
+
+_Memory = tuple[Tensor, Tensor]
+"""What a stream is multiplied with for the scores of all heads, (windows, width, heads · coefficients), and the values,
+(windows, heads, coefficients, width / heads)."""
+
+
+@dataclass(frozen=True)
+class PreparedCondition:
+    """All that a pass takes from the condition: computed once a window, used in every step and for every sample."""
+
+    vector: Float[Tensor, "windows #samples width"]
+    """Is added to the embedding of the step; one for all samples, or one for each."""
+    memories: tuple[_Memory | None, ...]
+    """What each block's cross-attention makes of the condition."""
+
+
+class CoefficientDenoiser(nn.Module):
+    """Predicts the noise in noisy DCT coefficients from the step and a condition of as many coefficients.
+
+    Args:
+        configuration: Sizes, and whether there is cross-attention.
+    """
+
+    def __init__(self, configuration: DiffusionConfiguration) -> None:
+        super().__init__()
+        self.configuration = configuration
+        width, values, rows = configuration.width, configuration.values, configuration.coefficients
+        self.places = nn.Parameter(torch.randn(rows, width))
+        self.input = nn.Linear(values, width)
+        self.condition = nn.Linear(rows * values, width)
+        self.time = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
+        self.blocks = nn.ModuleList(_Block(configuration) for _ in range(configuration.layers))
+        self.output = _from_zero(nn.Linear(width, values))
+        table = sinusoid_table(configuration.diffusion_steps, width)
+        # The published programs have all cosines in front of all sines.
+        self.register_buffer("sinusoid", torch.cat([table[:, 1::2], table[:, ::2]], dim=1), persistent=False)
+        self.sinusoid: Tensor
+
+    def forward(
+        self,
+        noisy: Float[Tensor, "windows samples coefficients values"],
+        step: Int[Tensor, " steps"],
+        prepared: PreparedCondition,
+    ) -> Float[Tensor, "windows samples coefficients values"]:
+        """Predict the noise.
+
+        Args:
+            noisy: Noisy coefficients of each sample.
+            step: Index in the training schedule: one for all windows, or one for each.
+            prepared: What :meth:`prepare` has made of the condition.
+        """
+        time = nn.functional.silu(self.time(self.sinusoid[step])[:, None] + prepared.vector)
+        stream = self.input(noisy) + self.places
+        half = len(self.blocks) // 2
+        skips = []
+        for place, (block, memory) in enumerate(zip(self.blocks, prepared.memories, strict=True)):
+            if place < half:
+                skips.append(stream)
+            stream = block(stream, time, memory)
+            if place >= half:
+                stream = stream + skips.pop()
+        return self.output(stream)
+
+    def prepare(
+        self,
+        condition: Float[Tensor, "windows coefficients values"],
+        kept: Bool[Tensor, "windows samples"] | None = None,
+    ) -> PreparedCondition:
+        """Compute what the condition contributes to every pass.
+
+        Args:
+            condition: Fused features, or the coefficients of the padded observation.
+            kept: Which samples keep the condition vector; None if all do. Cross-attention sees the condition of
+                all of them: it has no samples of its own.
+        """
+        vector = self.condition(condition.flatten(1))[:, None]
+        if kept is not None:
+            vector = vector * kept[..., None]
+        return PreparedCondition(vector, tuple(cast(_Block, block).memory(condition) for block in self.blocks))
+
+
+class _Block(nn.Module):
+    """Self-attention, cross-attention if there is any, feed-forward; each stylised and residual."""
+
+    def __init__(self, configuration: DiffusionConfiguration) -> None:
+        super().__init__()
+        width, dropout, self.heads = configuration.width, configuration.dropout, configuration.heads
+        self.dropout = dropout
+        self.norm = nn.LayerNorm(width)
+        self.query_key_value = nn.Linear(width, 3 * width, bias=False)
+        self.attention_style = _Stylisation(width, dropout)
+        self.cross = _CrossAttention(configuration) if configuration.cross_attention else None
+        self.expand = nn.Linear(width, configuration.feed_forward)
+        self.contract = _from_zero(nn.Linear(configuration.feed_forward, width))
+        self.feed_forward_dropout = nn.Dropout(dropout)
+        self.feed_forward_style = _Stylisation(width, dropout)
+
+    def forward(
+        self,
+        stream: Float[Tensor, "windows samples coefficients width"],
+        time: Float[Tensor, "rows samples_or_1 width"],
+        memory: _Memory | None,
+    ) -> Float[Tensor, "windows samples coefficients width"]:
+        """Apply to every sample by itself; ``time`` is SiLU(step + condition)."""
+        parts = self.query_key_value(self.norm(stream)).unflatten(-1, (3, self.heads, -1)).movedim(-3, 0)
+        query, key, value = parts.transpose(-3, -2).flatten(1, 2)
+        attended = functional.scaled_dot_product_attention(query, key, value, dropout_p=self._dropping)
+        attended = attended.transpose(1, 2).flatten(2).view_as(stream)
+        stream = stream + self.attention_style(attended, time)
+        if self.cross is not None and memory is not None:
+            stream = stream + self.cross(stream, time, memory)
+        hidden = self.feed_forward_dropout(functional.gelu(self.expand(stream)))
+        return stream + self.feed_forward_style(self.contract(hidden), time)
+
+    def memory(self, condition: Float[Tensor, "windows coefficients values"]) -> _Memory | None:
+        """Compute keys and values of the condition; None without cross-attention."""
+        return None if self.cross is None else self.cross.memory(condition)
+
+    @property
+    def _dropping(self) -> float:
+        return self.dropout if self.training else 0.0
+
+
+class _CrossAttention(nn.Module):
+    """Queries from the motion; keys and values from the condition, a token each coefficient."""
+
+    def __init__(self, configuration: DiffusionConfiguration) -> None:
+        super().__init__()
+        width, values, self.heads = configuration.width, configuration.values, configuration.heads
+        self.dropout = configuration.dropout
+        self.norm = nn.LayerNorm(width)
+        self.condition_norm = nn.LayerNorm(values)
+        self.query = nn.Linear(width, width, bias=False)
+        self.key_value = nn.Linear(values, 2 * width, bias=False)
+        self.style = _Stylisation(width, configuration.dropout)
+
+    def forward(
+        self,
+        stream: Float[Tensor, "windows samples coefficients width"],
+        time: Float[Tensor, "rows samples_or_1 width"],
+        memory: _Memory,
+    ) -> Float[Tensor, "windows samples coefficients width"]:
+        """Look at the coefficients of the condition, from each coefficient of each sample.
+
+        Args:
+            stream: Of the samples.
+            time: Embedding of the diffusion step, a row for each sample or one for all.
+            memory: See :meth:`memory`.
+        """
+        scored, values = memory
+        scores = (self.norm(stream).flatten(1, 2) @ scored).unflatten(-1, (self.heads, -1)).transpose(1, 2)
+        shares = functional.dropout(scores.softmax(dim=-1), self.dropout, self.training)
+        return self.style((shares @ values).transpose(1, 2).flatten(2).view_as(stream), time)
+
+    def memory(self, condition: Float[Tensor, "windows coefficients values"]) -> _Memory:
+        both = self.key_value(self.condition_norm(condition)).unflatten(-1, (2, self.heads, -1))
+        key, value = both.movedim(-3, 0).transpose(-3, -2)
+        # A score is (W h) · k = h · (Wᵀ k): queries, which every sample and step would need, are never made.
+        query = self.query.weight.unflatten(0, (self.heads, -1)) / math.sqrt(key.shape[-1])
+        scored = torch.einsum("hdc,whld->wchl", query, key)
+        return scored.flatten(2), value
+
+
+class _Stylisation(nn.Module):
+    """Linear(Dropout(SiLU(norm(h) · (1 + s) + b))) with s and b from step and condition; the linear starts at zero."""
+
+    def __init__(self, width: int, dropout: float) -> None:
+        super().__init__()
+        self.scale_shift = nn.Linear(width, 2 * width)
+        self.norm = nn.LayerNorm(width)
+        self.dropout = nn.Dropout(dropout)
+        self.output = _from_zero(nn.Linear(width, width))
+
+    def forward(
+        self,
+        stream: Float[Tensor, "windows samples coefficients width"],
+        time: Float[Tensor, "rows samples_or_1 width"],
+    ) -> Float[Tensor, "windows samples coefficients width"]:
+        scale, shift = self.scale_shift(time)[:, :, None].chunk(2, dim=-1)
+        return self.output(self.dropout(functional.silu(torch.addcmul(shift, self.norm(stream), 1 + scale))))
+
+
+def _from_zero(layer: nn.Linear) -> nn.Linear:
+    nn.init.zeros_(layer.weight)
+    nn.init.zeros_(layer.bias)
+    return layer
+
 
 _Noise = Callable[[], Float[Tensor, "windows samples coefficients values"]]
 """The next standard normal noise of every sample."""

@@ -9,15 +9,18 @@ from torch import nn
 from prbench.prediction.batch import Condition
 from prbench.prediction.joint_sets import JointSet, joint_set
 from prbench.prediction.protocol import FrameName
-from prbench_adapters.prediction.behaviour import BehaviourAutoencoder, BehaviourConfiguration, PastAutoencoder
-from prbench_adapters.prediction.belfusion import BeLFusion
+from prbench_adapters.prediction.belfusion import (
+    BehaviourAutoencoder,
+    BehaviourConfiguration,
+    BeLFusion,
+    PastAutoencoder,
+    UNetConfiguration,
+)
 from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion
 from prbench_adapters.prediction.configuration import DiffusionConfiguration
-from prbench_adapters.prediction.cvae import CVAE, CVAEConfiguration
-from prbench_adapters.prediction.dlow import DLow, DLowConfiguration
-from prbench_adapters.prediction.latent_unet import UNetConfiguration
+from prbench_adapters.prediction.recurrent import CVAE, CVAEConfiguration, DLow, DLowConfiguration
+from prbench_adapters.training.batches import WindowsDataset
 from prbench_adapters.training.weights import Weights, weights_header
-from prbench_adapters.training.windows import WindowsDataset
 
 PredictorNetwork = CoefficientDiffusion | CVAE | DLow | BeLFusion
 

@@ -1,4 +1,4 @@
-"""What the recurrent predictors share: small perceptrons, and the state that a sequence leaves in a recurrent layer.
+"""The recurrent predictors CVAE and DLow, and the perceptrons and states that they share with BeLFusion.
 
 Source: docs/specification/prediction-baselines.md#common.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -80,3 +81,234 @@ def gaussian_kl(
 ) -> Float[Tensor, "*batch"]:
     """Kullback-Leibler divergence of a diagonal Gaussian from the standard one, nats."""
     return -0.5 * (1.0 + log_variance - mean.square() - log_variance.exp()).sum(dim=-1)
+
+
+class CVAEConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Sizes and weights of the loss.
+
+    Raises:
+        ValueError: for sizes below 1 and negative weights.
+    """
+
+    n_joints: int
+    predicted: int = 60
+    state: int = 128
+    mlp: tuple[int, ...] = (300, 200)
+    latent: int = 128
+    first_frame: float = 1000.0
+    """Weight of the first predicted frame's distance from the last observed one."""
+    beta: float = 0.01
+    """Weight of the divergence from the prior: 0.01 as on HumanEva, 0.1 as on H36M."""
+
+    def __post_init__(self) -> None:
+        for name in ("n_joints", "predicted", "state", "latent"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        if not self.mlp or min(self.mlp) < 1:
+            raise ValueError(f"'mlp' must be one or more positive widths, found {list(self.mlp)}")
+        if self.first_frame < 0 or self.beta < 0:
+            raise ValueError(f"'first_frame' and 'beta' must not be negative: {self.first_frame}, {self.beta}")
+
+    @property
+    def values(self) -> int:
+        """Numbers of a pose."""
+        return 3 * self.n_joints
+
+
+class CVAE(nn.Module):
+    """Futures from a normal latent vector and the past.
+
+    Args:
+        configuration: Sizes.
+    """
+
+    def __init__(self, configuration: CVAEConfiguration) -> None:
+        super().__init__()
+        self.configuration = configuration
+        values, state, mlp = configuration.values, configuration.state, configuration.mlp
+        self.past = nn.GRU(values, state, batch_first=True)
+        self.future = nn.GRU(values, state, batch_first=True)
+        self.posterior = Perceptron([2 * state, *mlp])
+        self.mean = nn.Linear(mlp[-1], configuration.latent)
+        self.log_variance = nn.Linear(mlp[-1], configuration.latent)
+        self.decoder = PoseDecoder(state + configuration.latent, state, state, mlp, values)
+
+    def posterior_of(
+        self,
+        observed: Float[Tensor, "windows observed joints 3"],
+        future: Float[Tensor, "windows predicted joints 3"],
+    ) -> tuple[Float[Tensor, "windows latent"], Float[Tensor, "windows latent"]]:
+        """Mean and logarithm of the variance of the latent vector, given past and future in metres."""
+        states = [last_state(self.past, observed.flatten(2)), last_state(self.future, future.flatten(2))]
+        hidden = self.posterior(torch.cat(states, dim=1))
+        return self.mean(hidden), self.log_variance(hidden)
+
+    def decode(
+        self,
+        observed: Float[Tensor, "windows observed joints 3"],
+        latent: Float[Tensor, "windows samples latent"],
+    ) -> Float[Tensor, "windows samples predicted joints 3"]:
+        """Futures in metres; the past is encoded once a window, all samples are decoded together."""
+        samples = latent.shape[1]
+        flat = observed.flatten(2)
+        past = last_state(self.past, flat).repeat_interleave(samples, dim=0)
+        pose = flat[:, -1].repeat_interleave(samples, dim=0)
+        code = torch.cat([past, latent.flatten(0, 1)], dim=1)
+        poses = self.decoder(code, past, pose, self.configuration.predicted)
+        return poses.unflatten(-1, (-1, 3)).unflatten(0, (-1, samples))
+
+    @torch.no_grad()
+    def predict(
+        self, observed: Float[Tensor, "windows observed joints 3"], seeds: Sequence[Sequence[int]]
+    ) -> Float[Tensor, "windows samples predicted joints 3"]:
+        """Draw continuations in metres.
+
+        Args:
+            observed: Joints, metres.
+            seeds: A seed for each sample of each window; nothing else decides about its noise.
+        """
+        return self.decode(observed, latent_noise(seeds, self.configuration.latent, observed))
+
+    def loss(
+        self,
+        observed: Float[Tensor, "windows observed joints 3"],
+        future: Float[Tensor, "windows predicted joints 3"],
+        noise: Float[Tensor, "windows latent"],
+    ) -> dict[str, Float[Tensor, ""]]:
+        """The loss of the reconstruction from a latent vector drawn with ``noise``, standard normal.
+
+        Returns:
+            ``loss``, the weighted sum, and its parts: sums over frames and values, averaged over windows, m².
+        """
+        mean, log_variance = self.posterior_of(observed, future)
+        latent = mean + (0.5 * log_variance).exp() * noise
+        reconstruction = self.decode(observed, latent[:, None])[:, 0]
+        n = len(observed)
+        squared_error = (reconstruction - future).square().sum() / n
+        # Tied to the last observed pose and not to the next true one, as published.
+        first_frame = (reconstruction[:, 0] - observed[:, -1]).square().sum() / n
+        kl = gaussian_kl(mean, log_variance).sum() / n
+        total = squared_error + self.configuration.first_frame * first_frame + self.configuration.beta * kl
+        return {"loss": total, "squared_error": squared_error, "first_frame": first_frame, "kl": kl}
+
+
+_SMALLEST_VARIANCE = 1e-12
+_VALUES_OF_HUMANEVA = 42
+
+
+class DLowConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Sizes of the sampler and weights of its loss.
+
+    Raises:
+        ValueError: for sizes below 1.
+    """
+
+    n_samples: int = 50
+    """K: the samples are one design, so a model answers with exactly so many."""
+    state: int = 128
+    mlp: tuple[int, ...] = (1024, 512)
+    kl: float = 1.0
+    diversity: float = 50.0
+    best_of_k: float = 2.0
+    scale: float = 20.0
+    """Squared distance, m², over which diversity falls by e, for poses of 42 numbers."""
+    scale_by_size: bool = True
+    """Whether the distance grows with the numbers of a pose; the published program has one for each data set."""
+
+    def __post_init__(self) -> None:
+        if self.n_samples < 2:
+            raise ValueError(f"'n_samples' must be at least 2, so that samples can differ, found {self.n_samples}")
+        if self.state < 1 or not self.mlp or min(self.mlp) < 1:
+            raise ValueError(f"'state' and 'mlp' must be positive widths, found {self.state} and {list(self.mlp)}")
+        if not self.scale > 0:
+            raise ValueError(f"'scale' must be positive, found {self.scale}")
+
+
+class DLow(nn.Module):
+    """A sampler of latent vectors for a trained CVAE, which stays as it is.
+
+    Args:
+        configuration: Sizes and weights.
+        cvae: Trained; its parameters are frozen here.
+    """
+
+    def __init__(self, configuration: DLowConfiguration, cvae: CVAE) -> None:
+        super().__init__()
+        self.configuration = configuration
+        # Without this, gradients that nobody uses would pile up in the decoder.
+        self.cvae = cvae.requires_grad_(False)
+        values, size = cvae.configuration.values, configuration.n_samples * cvae.configuration.latent
+        self.past = nn.GRU(values, configuration.state, batch_first=True)
+        self.mlp = Perceptron([configuration.state, *configuration.mlp])
+        self.scales = nn.Linear(configuration.mlp[-1], size)
+        self.shifts = nn.Linear(configuration.mlp[-1], size)
+
+    def maps(
+        self, observed: Float[Tensor, "windows observed joints 3"]
+    ) -> tuple[Float[Tensor, "windows samples latent"], Float[Tensor, "windows samples latent"]]:
+        """Scale a and shift b of each sample's map."""
+        hidden = self.mlp(last_state(self.past, observed.flatten(2)))
+        shape = (self.configuration.n_samples, self.cvae.configuration.latent)
+        return self.scales(hidden).unflatten(-1, shape), self.shifts(hidden).unflatten(-1, shape)
+
+    def decode(
+        self, observed: Float[Tensor, "windows observed joints 3"], noise: Float[Tensor, "windows latent"]
+    ) -> Float[Tensor, "windows samples predicted joints 3"]:
+        """All K futures in metres of one noise vector a window."""
+        scale, shift = self.maps(observed)
+        return self.cvae.decode(observed, scale * noise[:, None] + shift)
+
+    @torch.no_grad()
+    def predict(
+        self, observed: Float[Tensor, "windows observed joints 3"], seeds: Sequence[Sequence[int]]
+    ) -> Float[Tensor, "windows samples predicted joints 3"]:
+        """Draw all K continuations of each window, metres.
+
+        Args:
+            observed: Joints, metres.
+            seeds: K seeds for each window, of which the first decides: one noise vector makes all samples.
+
+        Raises:
+            ValueError: for another number of samples than K.
+        """
+        wanted = self.configuration.n_samples
+        found = sorted({len(row) for row in seeds})
+        if found != [wanted]:
+            raise ValueError(f"expected {wanted} samples of each window, which are one design, found {found}")
+        noise = latent_noise([row[:1] for row in seeds], self.cvae.configuration.latent, observed)
+        return self.decode(observed, noise[:, 0])
+
+    def loss(
+        self,
+        observed: Float[Tensor, "windows observed joints 3"],
+        future: Float[Tensor, "windows predicted joints 3"],
+        noise: Float[Tensor, "windows latent"],
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Divergence from the prior, similarity of the samples, and error of the best one; ``loss`` is their sum."""
+        scale, shift = self.maps(observed)
+        predicted = self.cvae.decode(observed, scale * noise[:, None] + shift).flatten(2)
+        # A scale of 0 would have no logarithm.
+        kl = gaussian_kl(shift, scale.square().clamp_min(_SMALLEST_VARIANCE).log()).mean()
+        diversity = (-_squared_distances(predicted) / self.scale).exp().mean()
+        best = (predicted - future.flatten(1)[:, None]).square().sum(dim=-1).amin(dim=1).mean()
+        weights = self.configuration
+        total = weights.kl * kl + weights.diversity * diversity + weights.best_of_k * best
+        return {"loss": total, "kl": kl, "diversity": diversity, "best_of_k": best}
+
+    @property
+    def scale(self) -> float:
+        """Squared distance, m², over which diversity falls by e, for this body."""
+        if not self.configuration.scale_by_size:
+            return self.configuration.scale
+        return self.configuration.scale * self.cvae.configuration.values / _VALUES_OF_HUMANEVA
+
+
+def _squared_distances(futures: Float[Tensor, "windows samples values"]) -> Float[Tensor, "windows pairs"]:
+    """Squared distance of every two futures of a window, m², without a difference of every two."""
+    # Seen from their mean, products of futures are not much larger than the distances that they give.
+    centred = futures - futures.mean(dim=1, keepdim=True)
+    products = centred @ centred.transpose(1, 2)
+    squares = products.diagonal(dim1=1, dim2=2)
+    apart = squares[:, :, None] + squares[:, None] - 2.0 * products
+    first, second = torch.triu_indices(futures.shape[1], futures.shape[1], 1, device=futures.device)
+    return apart[:, first, second]

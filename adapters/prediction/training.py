@@ -1,27 +1,25 @@
-"""Training of the predictors: each network with its published loss on augmented windows.
-
-Source: docs/specification/prediction-networks.md#training. In validation, futures are drawn as well, and their errors
-stand beside the losses.
-"""
+"""Training of the predictors: windows turned about the vertical and mirrored, losses, and the task of each method."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Generic, TypeVar
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 import msgspec
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from prbench.errors import UsageError
+from prbench.prediction.batch import Condition
 from prbench.randomness import named_generator
-from prbench_adapters.prediction.augmentation import augmented, mirror_partners
-from prbench_adapters.prediction.belfusion import BeLFusion
-from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion
-from prbench_adapters.prediction.cvae import CVAE
-from prbench_adapters.prediction.dlow import DLow
+from prbench_adapters.prediction.belfusion import BehaviourConfiguration, BeLFusion, UNetConfiguration
+from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion, held
+from prbench_adapters.prediction.configuration import PRESETS, DiffusionConfiguration, preset
 from prbench_adapters.prediction.records import (
     AUTOENCODERS,
     Autoencoders,
@@ -32,12 +30,60 @@ from prbench_adapters.prediction.records import (
     DLowRecord,
     PredictorNetwork,
     Record,
+    SeenWindows,
     contents,
 )
-from prbench_adapters.prediction.recurrent import gaussian_kl
-from prbench_adapters.prediction.window_dct import held
-from prbench_adapters.training.task import TrainingModule
-from prbench_adapters.training.windows import WindowBatch
+from prbench_adapters.prediction.recurrent import CVAE, CVAEConfiguration, DLow, DLowConfiguration, gaussian_kl
+from prbench_adapters.training.batches import WindowBatch, WindowChoice, WindowsDataset
+from prbench_adapters.training.task import TrainingModule, split_model_table
+from prbench_adapters.training.weights import Weights, origin_of, read_weights
+
+_SIDES = (("left", "right"), ("right", "left"), ("l", "r"), ("r", "l"))
+
+
+def mirror_partners(names: Sequence[str]) -> tuple[int, ...]:
+    """Index of the joint that each one becomes in a mirror: itself, unless it has a partner on the other side.
+
+    Args:
+        names: Joint names that begin with their side: ``left_hip``, ``right_hip``, or ``lHip``, ``rHip``.
+
+    Raises:
+        ValueError: if a name tells its side, and its partner is missing.
+    """
+    place = {name: index for index, name in enumerate(names)}
+    partners = []
+    for index, name in enumerate(names):
+        others = [there + name.removeprefix(here) for here, there in _SIDES if name.startswith(here)]
+        found = [place[other] for other in others if other in place]
+        if not found and name.startswith(("left", "right")):
+            raise ValueError(f"joint '{name}' has no partner on the other side among {', '.join(names)}")
+        partners.append(found[0] if found else index)
+    return tuple(partners)
+
+
+def augmented(
+    motion: Float[Tensor, "windows frames nodes 3"],
+    partners: Sequence[int],
+    *,
+    turn: Float[Tensor, " windows"],
+    mirrored: Bool[Tensor, " windows"],
+) -> Float[Tensor, "windows frames nodes 3"]:
+    """Windows as they would have been seen turned, or in a mirror.
+
+    Args:
+        motion: Metres, Y up; nodes behind the joints are directions, which turn with the body.
+        partners: :func:`mirror_partners` of the joints.
+        turn: Angle about +Y through the origin, radians; 0 in the frame of the last pose, which has one heading.
+        mirrored: Which windows are mirrored at the plane x = 0 before they are turned; left and right joints are
+            exchanged, so that the body in the mirror has its labels right.
+    """
+    order = [*partners, *range(len(partners), motion.shape[2])]
+    flipped = motion[:, :, order] * motion.new_tensor([-1.0, 1.0, 1.0])
+    motion = torch.where(mirrored[:, None, None, None], flipped, motion)
+    cosine, sine = turn.cos()[:, None, None], turn.sin()[:, None, None]
+    x, y, z = motion.unbind(-1)
+    return torch.stack([cosine * x + sine * z, y, cosine * z - sine * x], dim=-1)
+
 
 Losses = dict[str, Tensor]
 """Scalars by name; ``loss`` is minimised."""
@@ -192,13 +238,7 @@ class CVAETraining(PredictorTraining[CVAERecord, CVAE]):
         """The reconstruction of the future from a latent vector that was drawn for it."""
         observed = self.record.windows.observed
         noise = self._normal((len(motion), self.record.network.latent), generator, motion)
-        loss = self.network.loss(motion[:, :observed], motion[:, observed:], noise)
-        return {
-            "loss": loss.total,
-            "squared_error": loss.squared_error,
-            "first_frame": loss.first_frame,
-            "kl": loss.kl,
-        }
+        return self.network.loss(motion[:, :observed], motion[:, observed:], noise)
 
 
 class DLowTraining(PredictorTraining[DLowRecord, DLow]):
@@ -208,8 +248,7 @@ class DLowTraining(PredictorTraining[DLowRecord, DLow]):
         """The losses of the K futures of one noise vector a window."""
         observed = self.record.windows.observed
         noise = self._normal((len(motion), self.record.cvae.latent), generator, motion)
-        loss = self.network.loss(motion[:, :observed], motion[:, observed:], noise)
-        return {"loss": loss.total, "kl": loss.kl, "diversity": loss.diversity, "best_of_k": loss.best_of_k}
+        return self.network.loss(motion[:, :observed], motion[:, observed:], noise)
 
 
 class AutoencoderTraining(PredictorTraining[AutoencodersRecord, Autoencoders]):
@@ -286,4 +325,234 @@ class BeLFusionTraining(PredictorTraining[BeLFusionRecord, BeLFusion]):
         noise = self._normal((count, self.noises, size), generator, motion)
         behaviour_noise = self._normal((count, size), generator, motion)
         loss = self.network.loss(motion, index, noise, behaviour_noise)
-        return {"loss": loss.total.mean(), "latent": loss.latent.mean(), "decoded": loss.decoded.mean()}
+        return {name: values.mean() for name, values in loss.items()}
+
+
+TRAIN = "train"
+STAGES_OF_BELFUSION = ("autoencoders", "diffusion")
+_Struct = TypeVar("_Struct", bound=msgspec.Struct)
+_TOGETHER = 64
+_MOST_WINDOWS = 4096
+"""Windows that statistics are taken from, spread evenly over the training split."""
+
+
+class Phases(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Keys of BeLFusion's autoencoders beside their sizes."""
+
+    frozen_from: float = 0.5
+    """Share of the training after which the coupler alone learns."""
+
+
+class BestOfNoises(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Keys of BeLFusion's diffusion beside the sizes of the U-Net."""
+
+    noises: int = 50
+    """Noises that are tried for each window, of which the best one counts."""
+    decoded_weight: float = 5.0
+    """Weight of the decoded future beside the behaviour."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a builder makes a module from."""
+
+    name: str
+    model: dict[str, Any]
+    """The table ``[model]`` without ``windows`` and ``rate``."""
+    seen: SeenWindows
+    course: RateCourse
+    data: WindowsDataset
+    initial: Path | None
+    stage: str
+
+
+@dataclass(frozen=True)
+class PredictorTask:
+    """A training task that is fed windows (:class:`prbench_adapters.training.task.WindowsTask`)."""
+
+    name: str
+    builder: Callable[[Request], TrainingModule]
+    stages: tuple[str, ...] = (TRAIN,)
+    configurations: str = "prbench_adapters.prediction"
+
+    def window_choice(self, model: Mapping[str, Any]) -> WindowChoice:
+        """Read ``[model.windows]``.
+
+        Raises:
+            UsageError: for an unknown key or an impossible value.
+        """
+        return _converted(model.get("windows", {}), WindowChoice, "model.windows")
+
+    def build(
+        self, model: Mapping[str, Any], *, data: WindowsDataset, initial: Path | None, stage: str
+    ) -> TrainingModule:
+        """Make the network in its state before the first step.
+
+        Args:
+            model: Sizes; ``windows`` and ``rate`` are tables of their own.
+            data: The training split, from which joints, rate and length come.
+            initial: Weights to start from; DLow needs a CVAE, BeLFusion's diffusion its autoencoders.
+            stage: One of ``stages``.
+
+        Raises:
+            UsageError: if the table does not describe such a network.
+            InputFileError: if the initial weights do not fit it.
+        """
+        course = _converted(model.get("rate", {}), RateCourse, "model.rate")
+        sizes = {key: value for key, value in model.items() if key not in ("windows", "rate")}
+        return self.builder(Request(self.name, sizes, SeenWindows.of(data), course, data, initial, stage))
+
+
+def diffusion(request: Request) -> DiffusionTraining:
+    """GazeMoDiff and HumanMAC: ``preset`` is one of the published configurations, other keys differ from it."""
+    changes = dict(request.model)
+    name = changes.pop("preset", request.name)
+    own = [each for each in PRESETS if each.startswith("humanmac") is (request.name == "humanmac")]
+    if name not in own:
+        raise UsageError(f"model.preset: expected one of {', '.join(own)}, found '{name}'.")
+    seen = request.seen
+    if name == "no-gaze" and seen.condition is not Condition.POSE:
+        raise UsageError("model.preset: 'no-gaze' knows the body alone; add --set model.windows.condition=pose.")
+    given = {"n_joints", "gaze", "observed", "predicted"} & set(changes)
+    if given:
+        raise UsageError(f"model.{min(given)}: follows from the windows and their condition; leave it out.")
+    # The condition decides about the direction, so that `pose+head` is the head-for-gaze variant of any preset.
+    base = preset(name, n_joints=seen.n_joints)
+    size = {"gaze": seen.direction, "observed": seen.observed, "predicted": seen.predicted}
+    network = _converted({**msgspec.to_builtins(base), **changes, **size}, DiffusionConfiguration, "model")
+    record = DiffusionRecord(windows=seen, network=network)
+    model = record.build()
+    origin = _started(request, model, record)
+    module = DiffusionTraining(request.name, record, model, request.course, origin)
+    if model.whitening is not None and not origin:
+        model.whitening.take(torch.cat([model.residuals(motion) for motion in _motions(module, request.data)]))
+    return module
+
+
+def cvae(request: Request) -> CVAETraining:
+    """CVAE; a direction counts as one more joint."""
+    seen = request.seen
+    sizes = {"n_joints": seen.nodes, "predicted": seen.predicted}
+    record = CVAERecord(windows=seen, network=_converted({**request.model, **sizes}, CVAEConfiguration, "model"))
+    model = record.build()
+    origin = _started(request, model, record)
+    return CVAETraining(request.name, record, model, request.course, origin)
+
+
+def dlow(request: Request) -> DLowTraining:
+    """DLow's sampler for a trained CVAE, which ``--init`` names.
+
+    Raises:
+        UsageError: without one.
+        InputFileError: if the file is none, or was trained on other windows.
+    """
+    start = _required(request, "cvae", "a trained CVAE", "prbench train --method cvae --data WINDOWS… --out DIR")
+    old = start.configuration(CVAERecord)
+    record = DLowRecord(
+        windows=request.seen, network=_converted(request.model, DLowConfiguration, "model"), cvae=old.network
+    )
+    _require_same_windows(request, start, old.windows)
+    decoder = CVAE(old.network)
+    start.load_into(decoder, "network")
+    model = record.build()
+    model.cvae.load_state_dict(decoder.state_dict())
+    return DLowTraining(request.name, record, model, request.course, origin_of(start))
+
+
+def belfusion(request: Request) -> AutoencoderTraining | BeLFusionTraining:
+    """BeLFusion's stages: its autoencoders, then the diffusion of behaviours, for which ``--init`` names them."""
+    if request.stage == STAGES_OF_BELFUSION[0]:
+        return _autoencoders(request)
+    return _behaviour_diffusion(request)
+
+
+def _autoencoders(request: Request) -> AutoencoderTraining:
+    seen = request.seen
+    sizes = {"n_joints": seen.nodes, "observed": seen.observed, "predicted": seen.predicted}
+    network, phases = split_model_table({**request.model, **sizes}, BehaviourConfiguration, Phases)
+    record = AutoencodersRecord(windows=seen, network=network)
+    return AutoencoderTraining(record, record.build(), request.course, frozen_from=phases.frozen_from)
+
+
+def _behaviour_diffusion(request: Request) -> BeLFusionTraining:
+    command = "prbench train --method belfusion --stage autoencoders --data WINDOWS… --out DIR"
+    start = _required(request, AUTOENCODERS, "BeLFusion's trained autoencoders", command)
+    old = start.configuration(AutoencodersRecord)
+    _require_same_windows(request, start, old.windows)
+    table = {**request.model, "condition": old.network.past}
+    unet, objective = split_model_table(table, UNetConfiguration, BestOfNoises)
+    record = BeLFusionRecord(
+        windows=request.seen, network=unet, behaviour=old.network, decoded_weight=objective.decoded_weight
+    )
+    try:
+        model = record.build()
+    except ValueError as error:
+        raise UsageError(f"[model]: {error}.") from error
+    trained = Autoencoders(old.network)
+    start.load_into(trained, "network")
+    model.past.load_state_dict(trained.past.state_dict())
+    model.behaviour.load_state_dict(trained.behaviour.state_dict())
+    module = BeLFusionTraining(record, model, request.course, origin_of(start), noises=objective.noises)
+    _take_ranges(module, request.data)
+    return module
+
+
+@torch.no_grad()
+def _take_ranges(module: BeLFusionTraining, data: WindowsDataset) -> None:
+    """Set the ranges that codes and behaviours are scaled by to those of the training windows and of their mirrors."""
+    model = module.network
+    seen = module.record.windows
+    past = []
+    behaviour = []
+    generator = torch.Generator().manual_seed(0)
+    for motion in _motions(module, data):
+        past.append(model.past.code(motion[:, : seen.observed]))
+        noise = torch.randn(len(motion), module.record.behaviour.behaviour, generator=generator)
+        sequence = motion[:, seen.observed - module.record.behaviour.context :]
+        behaviour.append(model.behaviour.encode(sequence).draw(noise))
+    for name, values in (("past", torch.cat(past)), ("behaviour", torch.cat(behaviour))):
+        getattr(model, f"{name}_min").copy_(values.amin(dim=0))
+        getattr(model, f"{name}_max").copy_(values.amax(dim=0))
+
+
+def _motions(module: DiffusionTraining | BeLFusionTraining, data: WindowsDataset) -> Iterator[torch.Tensor]:
+    """Yield windows of the training split, spread over it, each followed by its mirror."""
+    places = data.spread(-(-_MOST_WINDOWS // len(data.tables)))
+    for first in range(0, len(places), _TOGETHER):
+        motion = module.shown(data.collate([data[place] for place in places[first : first + _TOGETHER]]))
+        yield motion
+        yield module.mirrored(motion)
+
+
+def _started(request: Request, model: torch.nn.Module, record: Record) -> tuple[str, ...]:
+    """Put initial weights of the same method in place, if some were given."""
+    if request.initial is None:
+        return ()
+    start = read_weights(request.initial, kind=request.name)
+    start.require_same(record, apart_from=())
+    start.load_into(model, "network")
+    return origin_of(start)
+
+
+def _required(request: Request, kind: str, what: str, command: str) -> Weights:
+    if request.initial is None:
+        raise UsageError(f"--init: {request.name} builds upon {what}. Train one first (`{command}`) and name its file.")
+    return read_weights(request.initial, kind=kind)
+
+
+def _require_same_windows(request: Request, start: Weights, old: SeenWindows) -> None:
+    for name in SeenWindows.__struct_fields__:
+        now = getattr(request.seen, name)
+        then = getattr(old, name)
+        if now != then:
+            raise UsageError(
+                f"{start.path}: was trained on windows with {name} {then}, these have {now}. Train it again on these,"
+                " or change model.windows."
+            )
+
+
+def _converted(table: object, kind: type[_Struct], where: str) -> _Struct:
+    try:
+        return msgspec.convert(table, kind)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"[{where}]: {error}.") from error

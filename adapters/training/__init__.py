@@ -6,20 +6,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from prbench_adapters.training.batches import LengthBatches
-    from prbench_adapters.training.dataset import SequenceDataset
-    from prbench_adapters.training.items import MotionBatch, MotionItem, collate
+    from prbench_adapters.training.dataset import MotionBatch, MotionItem, SequenceDataset, collate
     from prbench_adapters.training.loop import fit
     from prbench_adapters.training.task import TrainingData, TrainingModule, TrainingTask
 
 _HOMES = {
     "LengthBatches": "prbench_adapters.training.batches",
-    "MotionBatch": "prbench_adapters.training.items",
-    "MotionItem": "prbench_adapters.training.items",
+    "MotionBatch": "prbench_adapters.training.dataset",
+    "MotionItem": "prbench_adapters.training.dataset",
     "SequenceDataset": "prbench_adapters.training.dataset",
     "TrainingData": "prbench_adapters.training.task",
     "TrainingModule": "prbench_adapters.training.task",
     "TrainingTask": "prbench_adapters.training.task",
-    "collate": "prbench_adapters.training.items",
+    "collate": "prbench_adapters.training.dataset",
     "fit": "prbench_adapters.training.loop",
 }
 

@@ -1,21 +1,265 @@
-"""Endless batches of similar length, whose order is a function of seed and step, and a clock for waiting times."""
+"""Windows of motion prediction as a dataset, and endless batches of similar length for both kinds of data.
+
+A window (docs/specification/motion-prediction.md) is a whole item, observed and future frames. Its start is drawn anew
+in every epoch, within the stretch of ``observed`` starts that the item stands for, so that a network sees more than the
+windows that are scored. The order of batches is a function of seed and step.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, TypeVar
 
+import msgspec
 import numpy as np
-from jaxtyping import Int
-from torch.utils.data import DataLoader
+import torch
+from jaxtyping import Bool, Float, Int
+from torch.utils.data import DataLoader, Dataset
 
-from prbench.errors import UsageError
-from prbench.randomness import named_generator
-from prbench_adapters.training.dataset import SequenceDataset
-from prbench_adapters.training.items import MotionBatch
-from prbench_adapters.training.windows import WindowBatch, WindowsDataset
+from prbench.errors import TableError, UsageError
+from prbench.prediction.batch import Condition
+from prbench.prediction.joint_sets import JointSet, invert_each, joint_set, rotations_alone, transform_each
+from prbench.prediction.protocol import FrameName
+from prbench.prediction.table import Run, WindowsTable
+from prbench.randomness import hash_fraction, named_generator
+from prbench_adapters.training.dataset import MotionBatch, SequenceDataset
+from prbench_adapters.training.store import REFIT, parts_of
+
+_HELD_OUT = 0.1
+"""Share of the published training segments that validate, as the published split has no such part."""
+
+
+class WindowChoice(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What a network is shown of the windows, and of which people."""
+
+    condition: Condition = Condition.POSE_GAZE
+    frame: FrameName = "last-pose"
+    """Frame of the joints: the room's, or that of the last observed pose."""
+    split: Literal["dataset", "published"] = "dataset"
+    """``published``: the training part of the published evaluation, of which a tenth of the segments validates."""
+    left_out: tuple[str, ...] = ()
+    """Participants who are not shown, for evaluations that leave one out."""
+
+
+@dataclass(frozen=True)
+class WindowShape:
+    """What all windows of a training have in common."""
+
+    joint_set: str
+    fps: float
+    observed: int
+    predicted: int
+
+    @property
+    def frames(self) -> int:
+        """Frames of a window."""
+        return self.observed + self.predicted
+
+    @property
+    def joints(self) -> JointSet:
+        """The joints by name."""
+        return joint_set(self.joint_set)
+
+
+@dataclass(frozen=True)
+class WindowItem:
+    """One window, room, metres, Y up; arrays are views of the run."""
+
+    joints: Float[np.ndarray, "frames joints 3"]
+    direction: Float[np.ndarray, "frames 3"] | None
+    """Of gaze or of the head; None under ``pose``."""
+    direction_valid: Bool[np.ndarray, " frames"]
+    shape: WindowShape
+    frame: FrameName
+
+
+@dataclass(frozen=True)
+class WindowBatch:
+    """B windows in the frame that the network works in; metres, Y up."""
+
+    motion: Float[torch.Tensor, "windows frames nodes 3"]
+    """Joints, and behind them the direction of gaze or of the head, if the condition has one."""
+    direction_valid: Bool[torch.Tensor, "windows observed"] | None
+    """Which observed directions were measured; None without direction."""
+
+    def __len__(self) -> int:
+        return len(self.motion)
+
+    def to(self, device: torch.device | str, *, non_blocking: bool = False) -> WindowBatch:
+        """The batch on a device."""
+        return self._each(lambda tensor: tensor.to(device, non_blocking=non_blocking))
+
+    def pin_memory(self) -> WindowBatch:
+        """The batch in page-locked memory, from where a copy to a GPU overlaps with its work."""
+        return self._each(lambda tensor: tensor.pin_memory())
+
+    def _each(self, change: Callable[[torch.Tensor], torch.Tensor]) -> WindowBatch:
+        valid = None if self.direction_valid is None else change(self.direction_valid)
+        return WindowBatch(change(self.motion), valid)
+
+
+def collate_windows(items: Sequence[WindowItem]) -> WindowBatch:
+    """Stack items in the frame that they are wanted in."""
+    shape = items[0].shape
+    joints = np.stack([item.joints for item in items]).astype(np.float64)
+    last = shape.observed - 1
+    batch_from_room = np.tile(np.eye(4), (len(items), 1, 1))
+    if items[0].frame == "last-pose":
+        batch_from_room = invert_each(shape.joints.last_pose_frame(joints[:, last]))
+    nodes = [transform_each(batch_from_room, joints)]
+    valid = None
+    directions = [item.direction for item in items if item.direction is not None]
+    if directions:
+        turned = transform_each(rotations_alone(batch_from_room), np.stack(directions))
+        nodes.append(turned[:, :, None])
+        valid = torch.from_numpy(np.stack([item.direction_valid[: shape.observed] for item in items]))
+    motion = np.concatenate(nodes, axis=2).astype(np.float32)
+    return WindowBatch(torch.from_numpy(motion), valid)
+
+
+class WindowsDataset(Dataset[WindowItem]):
+    """All windows of some tables and a split, held in memory: about 300 bytes a frame.
+
+    A start is allowed where no frame of the window lacks its body and, in tables with gaze, enough observed frames have
+    measured gaze: under every condition the same windows, so that conditions can be compared. ``dataset[index]`` draws
+    its start as in epoch 0, ``dataset[index, epoch]`` as in any other; it depends on the seed, the epoch and the index
+    alone.
+
+    Args:
+        tables: Folders of windows, or opened tables; of one joint set, rate and length of windows.
+        split: ``train``, ``validation``, or ``train+validation``.
+        choice: What is shown, and of whom.
+        seed: Of the starts.
+
+    Raises:
+        UsageError: if tables do not fit together, or one lacks the gaze that the condition wants.
+        TableError: if a table cannot be read, or has no window of this split.
+    """
+
+    collate = staticmethod(collate_windows)
+
+    def __init__(
+        self,
+        tables: Iterable[WindowsTable | Path | str],
+        *,
+        split: str = "train",
+        choice: WindowChoice | None = None,
+        seed: int = 0,
+    ) -> None:
+        opened = [table if isinstance(table, WindowsTable) else WindowsTable.open(table) for table in tables]
+        self.choice = choice or WindowChoice()
+        self.shape = _common_shape(opened)
+        self.fps = self.shape.fps
+        self.tables: tuple[WindowsTable, ...] = tuple(opened)
+        self.split, self.seed = split, seed
+        self._runs: list[Run] = []
+        self._stretches: list[tuple[int, Int[np.ndarray, " starts"]]] = []
+        self.counts: tuple[int, ...] = tuple(self._read(table) for table in opened)
+        """Items of each table."""
+        self.lengths: Int[np.ndarray, " items"] = np.full(len(self._stretches), self.shape.frames)
+
+    def __len__(self) -> int:
+        return len(self._stretches)
+
+    def __getitem__(self, index: int | tuple[int, int]) -> WindowItem:
+        """The item of a stretch, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""
+        place, epoch = index if isinstance(index, tuple) else (index, 0)
+        row, starts = self._stretches[place]
+        generator = named_generator("prbench-training-window", self.seed, epoch, place)
+        start = int(starts[generator.integers(len(starts))])
+        run = self._runs[row]
+        part = slice(start, start + self.shape.frames)
+        direction = None
+        valid = run.gaze_valid[part]
+        if self.choice.condition is Condition.POSE_GAZE:
+            direction = run.gaze[part]
+        elif self.choice.condition is Condition.POSE_HEAD:
+            direction = run.head_direction[part]
+            valid = np.ones(self.shape.frames, dtype=bool)
+        return WindowItem(run.joints[part], direction, valid, self.shape, self.choice.frame)
+
+    def spread(self, limit: int) -> tuple[int, ...]:
+        """Places of at most ``limit`` items of each table, at equal distances: every recording has its share."""
+        places: list[int] = []
+        first = 0
+        for count in self.counts:
+            wanted = min(limit, count)
+            places += [first + place * count // wanted for place in range(wanted)]
+            first += count
+        return tuple(places)
+
+    def _read(self, table: WindowsTable) -> int:
+        """Take up the runs of one table; returns its number of items."""
+        if self.choice.condition is Condition.POSE_GAZE and not table.info.has_gaze:
+            raise UsageError(
+                f"{table.folder}: expected recorded gaze for the condition 'pose+gaze', found none in any recording."
+                " Add --set model.windows.condition=pose+head, or pose."
+            )
+        rows = [row for row, run in enumerate(table.runs.to_pylist()) if self._is_wanted(run)]
+        before = len(self._stretches)
+        for _, run in table.iterate_runs(rows):
+            starts = _allowed_starts(run, self.shape, table.info.fewest_gaze_frames if table.info.has_gaze else 0)
+            if len(starts):
+                borders = np.flatnonzero(np.diff(starts // self.shape.observed)) + 1
+                self._stretches += [(len(self._runs), part) for part in np.split(starts, borders)]
+                self._runs.append(run)
+        found = len(self._stretches) - before
+        if not found:
+            splits = ", ".join(sorted(set(table.runs["split"].to_pylist())))
+            raise TableError(
+                f"{table.folder}: expected windows of split '{self.split}' ({self.choice.split}) with"
+                f" {self.shape.frames} frames, found none. Its runs are of the splits: {splits}."
+            )
+        return found
+
+    def _is_wanted(self, run: dict[str, str]) -> bool:
+        if run["participant_id"] in self.choice.left_out:
+            return False
+        if self.choice.split == "dataset":
+            return run["split"] in parts_of(self.split)
+        if run["published_split"] != "train":
+            return False
+        held_out = hash_fraction("prbench-held-out-segment", run["run_id"]) < _HELD_OUT
+        return self.split == REFIT or held_out is (self.split == "validation")
+
+
+def _common_shape(tables: Sequence[WindowsTable]) -> WindowShape:
+    """The shape of the windows of all tables, which have to be different ones."""
+    if not tables:
+        raise UsageError("no table was given; name at least one folder of windows.")
+    digests = [table.info.content_digest for table in tables]
+    folders = [table.folder for table in tables]
+    if len(set(folders)) < len(folders) or len(set(digests)) < len(digests):
+        raise UsageError("a table of windows was given twice.")
+    shapes = {
+        table.folder: WindowShape(
+            table.info.joint_set, table.info.fps, table.info.observed_frames, table.info.future_frames
+        )
+        for table in tables
+    }
+    if len(set(shapes.values())) > 1:
+        found = "; ".join(
+            f"{folder}: {shape.joint_set}, {shape.fps:g} frames a second, {shape.observed} + {shape.predicted} frames"
+            for folder, shape in shapes.items()
+        )
+        raise UsageError(f"expected windows of one joint set, rate and length, found {found}.")
+    return shapes[tables[0].folder]
+
+
+def _allowed_starts(run: Run, shape: WindowShape, fewest_gaze: int) -> Int[np.ndarray, " starts"]:
+    """First frames of the windows of a run with a body in every frame, and enough measured gaze."""
+    count = len(run) - shape.frames + 1
+    if count < 1:
+        return np.empty(0, dtype=np.int64)
+    bodies = np.concatenate(([0], np.cumsum(run.joints_valid)))
+    gaze = np.concatenate(([0], np.cumsum(run.gaze_valid)))
+    whole = bodies[shape.frames :] - bodies[:count] == shape.frames
+    looking = gaze[shape.observed : shape.observed + count] - gaze[:count] >= fewest_gaze
+    return np.flatnonzero(whole & looking)
+
 
 Draw = tuple[int, int]
 """Index of an item, and the epoch that it is drawn for."""

@@ -1,23 +1,27 @@
-"""A whole training, from a user's request to trained weights: task, configuration, data, loop."""
+"""A whole training, from a user's request to trained weights: task, configuration, precision, data, loop."""
 
 from __future__ import annotations
 
+import platform
+import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import msgspec
 import torch
+from torch import nn
 
 from prbench.engine import Engine, InProcess, close_engine
 from prbench.errors import TrainingStopped, UsageError
-from prbench.files.storage import sole_writer
+from prbench.files.storage import cache_folder, read_json, sole_writer, write_json
 from prbench.harness.methods.installed import load_task
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.folds import fold_table, parse_fold
-from prbench_adapters.training.batches import LengthBatches, load_batches
+from prbench_adapters.commands import TrainedNetwork
+from prbench_adapters.training.batches import LengthBatches, WindowsDataset, load_batches
 from prbench_adapters.training.configuration import (
     DEFAULT_STAGES,
     TrainingConfiguration,
@@ -25,13 +29,12 @@ from prbench_adapters.training.configuration import (
     load_configuration,
 )
 from prbench_adapters.training.dataset import SequenceDataset, configured_dataset
-from prbench_adapters.training.loop import Progress, fit, silent
-from prbench_adapters.training.motions import REFIT
-from prbench_adapters.training.outputs import WEIGHTS
-from prbench_adapters.training.precision import chosen_precision
-from prbench_adapters.training.processes import make_fabric
-from prbench_adapters.training.record import (
+from prbench_adapters.training.loop import Progress, fit, make_fabric, silent
+from prbench_adapters.training.report import (
+    RECORD,
+    WEIGHTS,
     TrainingRecord,
+    read_record,
     require_same_training,
     table_records,
     training_card,
@@ -39,13 +42,70 @@ from prbench_adapters.training.record import (
     write_record,
 )
 from prbench_adapters.training.state import Row, TrainingState
+from prbench_adapters.training.store import REFIT
 from prbench_adapters.training.task import TrainingData, TrainingModule, TrainingTask, WindowsTask
 from prbench_adapters.training.validation import Validation
 from prbench_adapters.training.weights import read_weights
-from prbench_adapters.training.windows import WindowsDataset
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
+
+Precision = Literal["32-true", "bf16-mixed"]
+
+_ROWS = 2048
+_WIDTH = 128
+"""Sizes of a small network's layer over a batch."""
+_SECONDS = 0.5
+_PRECISIONS: tuple[Precision, Precision] = ("32-true", "bf16-mixed")
+
+
+def chosen_precision(wanted: Literal["32-true", "bf16-mixed", "auto"], *, device: str, out: Path) -> Precision:
+    """Return the precision to train in.
+
+    Args:
+        wanted: ``auto`` for the quicker one on this machine.
+        device: ``cpu``, ``cuda`` …
+        out: The training folder; a training that goes on keeps its precision.
+    """
+    if wanted != "auto":
+        return wanted
+    if (out / RECORD).is_file():
+        earlier = read_record(out).configuration.training.precision
+        return "32-true" if earlier == "auto" else earlier
+    if not device.startswith("cpu"):
+        return "bf16-mixed"  # every GPU that trains such networks has units for it
+    kept = cache_folder() / "precision.json"
+    machine = f"{platform.node()}/{platform.machine()}/{torch.__version__}/{torch.get_num_threads()}"
+    known = read_json(kept) if kept.is_file() else {}
+    known = dict(known) if isinstance(known, dict) else {}
+    if known.get(machine) not in _PRECISIONS:
+        known[machine] = quicker_precision()
+        write_json(kept, known)
+    return known[machine]
+
+
+def quicker_precision() -> Precision:
+    """Train a layer on the processor for a second, half of it in each precision, and return the quicker one."""
+    layer = nn.Sequential(nn.Linear(_WIDTH, 3 * _WIDTH), nn.GELU(), nn.Linear(3 * _WIDTH, _WIDTH))
+    rows = torch.ones((_ROWS, _WIDTH))
+    seconds = {precision: _seconds_a_step(layer, rows, precision) for precision in _PRECISIONS}
+    return min(_PRECISIONS, key=lambda precision: seconds[precision])
+
+
+def _seconds_a_step(layer: nn.Module, rows: torch.Tensor, precision: Precision) -> float:
+    def step() -> None:
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=precision == "bf16-mixed"):
+            made = layer(rows)
+        made.float().square().mean().backward()
+
+    step()  # the first one chooses kernels and reserves memory
+    steps = 0
+    started = time.perf_counter()
+    while time.perf_counter() - started < _SECONDS:
+        step()
+        steps = steps + 1
+    return (time.perf_counter() - started) / steps
+
 
 _DEFAULT_CONFIGURATION = "small"
 _IN_PROCESS = InProcess()
@@ -85,23 +145,10 @@ class TrainRequest:
     """Processes that load data for each training process; they change no result."""
 
 
-@dataclass(frozen=True)
-class TrainReport:
-    """Summary of a finished training."""
-
-    weights: Path
-    steps: int
-    seconds: float
-    waiting: float
-    """Fraction of the time spent waiting for data."""
-    first_process: bool
-    """False in all but one of several processes; these have nothing to tell."""
-
-
 def train(
     request: TrainRequest, *, report: Callable[[Progress], None] = silent, engine: Engine = _IN_PROCESS
-) -> TrainReport:
-    """Train, or go on training, to the last step.
+) -> TrainedNetwork | None:
+    """Train, or go on training, to the last step; None in all but the first of several processes.
 
     Args:
         request: What to train on what.
@@ -173,7 +220,7 @@ def run(
     report: Callable[[Progress], None] = silent,
     *,
     engine: Engine = _IN_PROCESS,
-) -> TrainReport:
+) -> TrainedNetwork | None:
     """Train in this process, which is one of those that Fabric has launched; the first one holds the folder."""
     with sole_writer(request.out) if fabric.is_global_zero else nullcontext():
         return _run(request, task, stage, configuration, fabric, report, engine)
@@ -187,7 +234,7 @@ def _run(
     fabric: Fabric,
     report: Callable[[Progress], None],
     engine: Engine,
-) -> TrainReport:
+) -> TrainedNetwork | None:
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
         data = _data(request, task, configuration, engine)
         record = _record(request, stage, configuration, data)
@@ -223,7 +270,9 @@ def _run(
         if fabric.is_global_zero:
             raise  # one process speaks for all; Fabric would kill it if another left with a code that is not 0
         raise SystemExit(0) from stopped
-    return TrainReport(request.out / WEIGHTS, state.step, state.seconds, state.waiting, fabric.is_global_zero)
+    if not fabric.is_global_zero:
+        return None
+    return TrainedNetwork(weights=request.out / WEIGHTS, steps=state.step, seconds=state.seconds, waiting=state.waiting)
 
 
 def _data(

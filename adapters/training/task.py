@@ -22,9 +22,8 @@ from prbench.randomness import named_generator
 
 if TYPE_CHECKING:
     from prbench.contract import Adapter
-    from prbench_adapters.training.dataset import SequenceDataset
-    from prbench_adapters.training.items import MotionBatch
-    from prbench_adapters.training.windows import WindowChoice, WindowsDataset
+    from prbench_adapters.training.batches import WindowChoice, WindowsDataset
+    from prbench_adapters.training.dataset import MotionBatch, SequenceDataset
 
 Networks = TypeVar("Networks", bound=msgspec.Struct)
 Objective = TypeVar("Objective", bound=msgspec.Struct)
@@ -145,7 +144,7 @@ class TrainingTask(Protocol):
 
     Two optional attributes are honoured: ``stages``, a tuple of the names that ``--stage`` may have here (by default
     ``("pretrain", "finetune")``; the first is the default of the command line), and ``window_choice``, which takes the
-    table ``[model]`` and returns a :class:`~prbench_adapters.training.windows.WindowChoice`. A task with it is fed
+    table ``[model]`` and returns a :class:`~prbench_adapters.training.batches.WindowChoice`. A task with it is fed
     windows of motion prediction (:class:`WindowsTask`).
     """
 
@@ -186,7 +185,7 @@ class WindowsTask(Protocol):
     ) -> TrainingModule:
         """Make the module in its state before the first step, as :meth:`TrainingTask.build` does.
 
-        Its batches are :class:`~prbench_adapters.training.windows.WindowBatch`.
+        Its batches are :class:`~prbench_adapters.training.batches.WindowBatch`.
         """
         ...
 

@@ -30,13 +30,12 @@ from prbench.metrics import MAIN_METRICS
 from prbench.protocol.manifests import load_protocol
 from prbench.sequences import SequenceTable
 from prbench.sequences.table import by_share
+from prbench_adapters.training.batches import WindowBatch, WindowsDataset
 from prbench_adapters.training.configuration import TrainingConfiguration
-from prbench_adapters.training.dataset import SequenceDataset, configured_dataset
-from prbench_adapters.training.items import MotionBatch
-from prbench_adapters.training.motions import Table
+from prbench_adapters.training.dataset import MotionBatch, SequenceDataset, configured_dataset
 from prbench_adapters.training.state import Row
+from prbench_adapters.training.store import Table
 from prbench_adapters.training.task import TrainingModule
-from prbench_adapters.training.windows import WindowBatch, WindowsDataset
 
 _IN_PROCESS = InProcess()
 _SPLIT = "validation"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from prbench_adapters.wandr.adapter import WANDR
-    from prbench_adapters.wandr.task import WandrTask
+    from prbench_adapters.wandr.training import WandrTask
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WANDR:
@@ -24,6 +24,6 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> WA
 
 def training_task() -> WandrTask:
     """Make the task that ``prbench train --method wandr`` trains."""
-    from prbench_adapters.wandr.task import WandrTask
+    from prbench_adapters.wandr.training import WandrTask
 
     return WandrTask()

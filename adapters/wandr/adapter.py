@@ -20,13 +20,11 @@ from prbench.errors import AdapterError
 from prbench.geometry.skeleton import Joint
 from prbench.randomness import sequence_generator
 from prbench.representation import check_joints, mirror
-from prbench_adapters.diffusion.bundled import own_weights
-from prbench_adapters.diffusion.method import require_goals_within_reach
-from prbench_adapters.diffusion.options import choice, number, require_known
+from prbench_adapters.diffusion.generation import choice, number, require_known
+from prbench_adapters.diffusion.method import own_weights, require_goals_within_reach
 from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.kinematics import rest_offsets
-from prbench_adapters.wandr.network import WandrNetwork, load_network
-from prbench_adapters.wandr.state import BodyState, clean_delta, intentions
+from prbench_adapters.wandr.network import BodyState, WandrNetwork, clean_delta, intentions, load_network
 
 Hand = Literal["right", "nearest", "left"]
 _FirstChange = Literal["recorded", "random"]

@@ -1,23 +1,175 @@
-"""Training of WANDR: each recorded change by itself, and chunks of changes on the network's own output."""
+"""Training of WANDR: motions in its world and at its rate, the losses of its network, and the task."""
 
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from prbench.contract import Adapter
+from prbench.errors import UsageError
 from prbench.geometry.skeleton import Joint
-from prbench_adapters.training import MotionBatch
-from prbench_adapters.training.task import TrainingModule
+from prbench.representation.encoding import MIRRORED_JOINTS
+from prbench_adapters.kinematics import WANDR as WORLD
+from prbench_adapters.kinematics import rest_offsets, root_orientation
+from prbench_adapters.training import MotionBatch, collate
+from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
+from prbench_adapters.training.weights import Weights, origin_of, read_weights
 from prbench_adapters.wandr.adapter import WANDR
-from prbench_adapters.wandr.network import WandrNetwork, contents
-from prbench_adapters.wandr.recordings import Places, Recordings, goal_frames, starts
-from prbench_adapters.wandr.state import JOINTS, ROOT, TRANSLATION, BodyState, clean_delta, intentions
+from prbench_adapters.wandr.network import (
+    JOINTS,
+    KIND,
+    ROOT,
+    TRANSLATION,
+    BodyState,
+    Standardisation,
+    WandrConfiguration,
+    WandrNetwork,
+    clean_delta,
+    contents,
+    heading_of,
+    intentions,
+    network_of,
+    yaw_rotation,
+)
+
+_FAR = 1.5  # metres that the pelvis has to walk to a pseudo goal
+_ROUNDING = 1e-4  # frames
+
+
+@dataclass(frozen=True)
+class Recordings:
+    """B recorded motions; frame 0 is the one before the first, frames from ``n_frames[i]`` on are padding."""
+
+    joints: Float[torch.Tensor, "batch frames 22 3"]
+    """World with Z up, metres."""
+    n_frames: Int[torch.Tensor, " batch"]
+    has_goal: Bool[torch.Tensor, " batch"]
+    """True where the last frame reaches a goal; otherwise goals are made up (:func:`goal_frames`)."""
+
+    @classmethod
+    def of(cls, batch: MotionBatch, fps: float) -> Recordings:
+        """The motions of a batch, left-handed ones as a mirror shows them.
+
+        A hand is left if the left wrist is nearer to the goal location in the last frame. Clips of a corpus, which have
+        no goal location, stay as they are.
+        """
+        last = batch.goal_joints
+        distance = (last[:, [Joint.LEFT_WRIST, Joint.RIGHT_WRIST]] - batch.goal_location[:, None]).norm(dim=-1)
+        joints, n_frames = _resampled(batch, fps)
+        mirrored = joints[:, :, list(MIRRORED_JOINTS)] * joints.new_tensor((-1.0, 1.0, 1.0))
+        left = (distance[:, 0] < distance[:, 1])[:, None, None, None]
+        has_goal = torch.isfinite(batch.goal_location).all(dim=-1)
+        return cls(WORLD.from_y_up(torch.where(left, mirrored, joints)), n_frames, has_goal)
+
+    def states(self, places: Places) -> BodyState:
+        """The bodies at some places; fitted when asked for, because a step needs few of the frames."""
+        return BodyState.fitted(self.joints[places.index])
+
+    @cached_property
+    def headings(self) -> Float[torch.Tensor, "batch frames 3"]:
+        """Directions that the bodies face."""
+        return heading_of(yaw_rotation(root_orientation(self.joints)))
+
+    def deltas(self, places: Places) -> Float[torch.Tensor, "*places 135"]:
+        """The changes from there to the frames that follow."""
+        return self.states(places).delta_to(self.states(places.later(1)))
+
+    @cached_property
+    def offsets(self) -> Float[torch.Tensor, "batch 22 3"]:
+        """The skeletons at rest, as the first frame has them."""
+        return rest_offsets(self.joints[:, 1])
+
+
+@dataclass(frozen=True)
+class Places:
+    """Frames of recordings: that of number ``frame[i]`` in recording ``row[i]``."""
+
+    row: Int[torch.Tensor, "*places"]
+    frame: Int[torch.Tensor, "*places"]
+
+    @property
+    def index(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Index into values of (batch, frames, …)."""
+        return self.row, self.frame
+
+    def later(self, frames: int) -> Places:
+        """Move all places by the same number of frames."""
+        return Places(self.row, self.frame + frames)
+
+    def following(self, frames: int) -> Places:
+        """The frames that follow each of them: (places, frames)."""
+        after = torch.arange(1, frames + 1, device=self.frame.device)
+        return Places(self.row[:, None].expand(-1, frames), self.frame[:, None] + after)
+
+    def some(self, most: int, generator: torch.Generator) -> Places:
+        """Draw at most so many of them without repetition; keep all if that is 0."""
+        if not most or len(self.row) <= most:
+            return self
+        drawn = torch.randperm(len(self.row), generator=generator)[:most].to(self.row.device)
+        return Places(self.row[drawn], self.frame[drawn])
+
+
+def starts(recordings: Recordings, length: int) -> Places:
+    """Every ``length``-th frame from which so many changes follow, the first frame of each motion among them."""
+    frames = torch.arange(1, recordings.joints.shape[1], length, device=recordings.joints.device)
+    row, number = torch.nonzero(frames + length < recordings.n_frames[:, None], as_tuple=True)
+    return Places(row, frames[number])
+
+
+def goal_frames(
+    recordings: Recordings, places: Places, generator: torch.Generator, *, pseudo_share: float = 0.0
+) -> Int[torch.Tensor, " places"]:
+    """Choose the frame whose wrist position is the goal: the last one, or that of a pseudo goal.
+
+    A pseudo goal is any later frame, all alike, in which the pelvis is 1.5 m or more away. Where there is none it is
+    the frame itself, which means that nothing is intended, or the last frame of a motion that has a goal.
+
+    Args:
+        recordings: The recordings.
+        places: The frames that are on their way.
+        generator: Of the draws.
+        pseudo_share: Share of the places in motions with a goal that get a pseudo goal all the same.
+    """
+    last = recordings.n_frames[places.row] - 1
+    has_goal = recordings.has_goal[places.row]
+    pretended = ~has_goal
+    if pseudo_share:
+        pretended = pretended | (torch.rand(len(last), generator=generator).to(last.device) < pseudo_share)
+    if not bool(pretended.any()):
+        return last
+    pelvis = recordings.joints[:, :, Joint.PELVIS]
+    frames = torch.arange(pelvis.shape[1], device=pelvis.device)
+    far = (pelvis[places.row] - pelvis[places.index][:, None]).norm(dim=-1) >= _FAR
+    possible = far & (frames > places.frame[:, None]) & (frames <= last[:, None])
+    # The largest of uniform numbers is uniform among the possible frames; the others get -1 and are never chosen.
+    drawn = torch.rand(possible.shape, generator=generator).to(pelvis.device).masked_fill(~possible, -1.0).argmax(1)
+    otherwise = torch.where(has_goal, last, places.frame)
+    return torch.where(pretended, torch.where(possible.any(dim=1), drawn, otherwise), last)
+
+
+def _resampled(batch: MotionBatch, fps: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Joints at another rate, on a grid that ends on the last frame and begins before the first; and lengths."""
+    whole = torch.cat((batch.previous_joints[:, None], batch.joints), dim=1)
+    last = batch.n_frames  # the number of the last frame in ``whole``
+    # The grid ends on the last frame, because that one reaches the goal; what is left over is cut off in front.
+    n_frames = torch.floor(last * (fps / batch.fps) + _ROUNDING).long() + 1
+    frames = torch.arange(int(n_frames.max()), device=whole.device)
+    place = last[:, None] - (n_frames[:, None] - 1 - frames) * (batch.fps / fps)
+    place = torch.minimum(place.clamp_min(0.0), last[:, None])
+    left = torch.minimum(torch.floor(place + _ROUNDING).long(), last[:, None])
+    right = torch.minimum(left + 1, last[:, None])
+    weight = (place - left).clamp(0.0, 1.0)[..., None, None].to(whole.dtype)
+    row = torch.arange(len(whole), device=whole.device)[:, None]
+    return whole[row, left] * (1 - weight) + whole[row, right] * weight, n_frames
+
 
 _CENTIMETRES = 100.0
 
@@ -248,3 +400,107 @@ class WandrTraining(TrainingModule):
         """``wandr`` with a copy of the weights as they are now."""
         network = copy.deepcopy(self.network).to(device).eval().requires_grad_(False)
         return WANDR(network if device.startswith("mps") else network.double(), Path("the network in training"))
+
+
+FREE_TO_CHANGE = frozenset({"dropout", "original_deviation", "most_speed"})
+"""Keys that fine-tuning may set otherwise than the weights that it starts from."""
+
+_MOST_MOTIONS = 4096
+"""Number of motions that statistics are made from, spread evenly over the training split."""
+_TOGETHER = 64
+_LEAST_SEEN = 0.02
+_LEAST_DELTA = 1e-3
+"""Smallest deviations of a state's numbers and of a change's (metres, numbers of a matrix). Some hardly vary, such as a
+hip's rotation in recordings of one person; whatever is a little different later must not look enormous."""
+
+
+@dataclass(frozen=True)
+class WandrTask:
+    """A training task (:class:`prbench_adapters.training.task.TrainingTask`)."""
+
+    name: str = "wandr"
+    configurations: str = "prbench_adapters.wandr"
+
+    def build(
+        self,
+        model: Mapping[str, Any],
+        *,
+        data: TrainingData,
+        initial: Path | None,
+        stage: str,  # noqa: ARG002 - motions say themselves whether they have goals
+    ) -> WandrTraining:
+        """Make the network in its state before the first step.
+
+        Args:
+            model: Keys of :class:`WandrConfiguration` and of :class:`Objective`.
+            data: The training split; tables with goals, corpora without, or both.
+            initial: Weights to start from; their statistics are kept.
+            stage: ``pretrain`` or ``finetune``, which differ in their data alone.
+
+        Raises:
+            UsageError: if the table does not describe such a network.
+            InputFileError: if the initial weights do not fit it.
+        """
+        configuration, objective = read_model_table(model)
+        if initial is not None:
+            start = read_weights(initial, kind=KIND)
+            return WandrTraining(_continued(configuration, start), objective, origin_of(start))
+        network = WandrNetwork(configuration)
+        _take_statistics(network, data)
+        return WandrTraining(network, objective)
+
+
+def read_model_table(model: Mapping[str, Any]) -> tuple[WandrConfiguration, Objective]:
+    """Split the table ``[model]`` into the network and what it is trained for.
+
+    Raises:
+        UsageError: for an unknown key or a value of a wrong kind.
+    """
+    return split_model_table(model, WandrConfiguration, Objective)
+
+
+def _take_statistics(network: WandrNetwork, data: TrainingData) -> None:
+    """Standardise by the training split.
+
+    Raises:
+        UsageError: if no motion has three frames at the network's rate.
+    """
+    seen = []
+    deltas = []
+    for batch in _batches(data):
+        recordings = Recordings.of(batch, network.configuration.fps)
+        places = starts(recordings, 1)
+        seen.append(recordings.states(places).seen())
+        deltas.append(recordings.deltas(places))
+    if not sum(len(values) for values in deltas):
+        raise UsageError("the training split: expected motions of three frames or more, found none.")
+    _set(network.seen, torch.cat(seen), _LEAST_SEEN)
+    _set(network.delta, torch.cat(deltas), _LEAST_DELTA)
+
+
+def _batches(data: TrainingData) -> Iterator[MotionBatch]:
+    train = data.train
+    chosen = range(0, len(train), -(-len(train) // _MOST_MOTIONS))
+    # Similar lengths together, so that little is computed for padding.
+    order = sorted(chosen, key=lambda place: int(train.lengths[place]))
+    for first in range(0, len(order), _TOGETHER):
+        yield collate([train[place] for place in order[first : first + _TOGETHER]])
+
+
+def _set(into: Standardisation, values: Float[torch.Tensor, "places size"], least: float) -> None:
+    values = values.double()
+    into.mean.copy_(values.mean(0))
+    into.std.copy_(values.std(0, correction=0).clamp_min(least))
+
+
+def _continued(configuration: WandrConfiguration, start: Weights) -> WandrNetwork:
+    """The network of a file, for a configuration that may differ in a few points.
+
+    Raises:
+        InputFileError: if it differs in others, or the file is damaged.
+    """
+    start.require_same(configuration, apart_from=FREE_TO_CHANGE)
+    network = WandrNetwork(configuration)
+    # Through a network of the file's own configuration, which checks every shape.
+    network.load_state_dict(network_of(start).state_dict())
+    return network

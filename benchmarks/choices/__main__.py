@@ -16,8 +16,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from prbench.checking.matching import match_events
-from prbench.checking.verify_synthetic import on_clock
+from prbench.checking.verify_synthetic import match_events, on_clock
 from prbench.curation import BuildOptions, CurationOptions, build_from_sources
 from prbench.curation.curate import curate_recording
 from prbench.curation.options import DEFAULTS

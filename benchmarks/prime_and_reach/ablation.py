@@ -36,8 +36,7 @@ from prbench.workflows.study.methods import (
 )
 from prbench.workflows.table_two.layout import metric_title
 from prbench_adapters.training.ablations import Ablation, load_ablations, overrides
-from prbench_adapters.training.outputs import WEIGHTS
-from prbench_adapters.training.record import read_record
+from prbench_adapters.training.report import WEIGHTS, read_record
 from prbench_adapters.training.run import TrainRequest, resolved, train
 
 TABLES = tuple(dict.fromkeys(row.table for row in load_ablations()))

@@ -64,7 +64,7 @@ class Work:
     """One piece of work, and what has to be there before."""
 
     words: Callable[[Place], Sequence[object]]
-    """From the place to the words after ``prbench``, or to a function of growth_work.py with its arguments."""
+    """From the place to the words after ``prbench``, or to a function of measured_child.py with its arguments."""
     after: tuple[str, ...] = ()
     of: str = "sequences"
     """What its input is counted in: ``sequences`` or ``recordings``."""

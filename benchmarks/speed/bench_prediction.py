@@ -27,10 +27,9 @@ import torch
 from torch import Tensor
 
 from benchmarks.speed.bench_generation import shortest
-from benchmarks.speed.timing import Row, print_rows
-from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion
+from benchmarks.speed.work import Row, print_rows
+from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion, padded
 from prbench_adapters.prediction.configuration import preset
-from prbench_adapters.prediction.window_dct import padded
 from tests.adapters.prediction.golden import load_denoiser, load_encoder
 
 JOINTS = 21

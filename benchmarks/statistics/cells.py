@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.statistics.designs import Sizes, draw_metres, draw_rates
 from prbench.harness.clusters import SIGNIFICANCE, PerSet, mean_bounds, measure_spread, p_values, rate_bounds
-from prbench.harness.run_folder.means import bounds_of_mean
+from prbench.harness.run_folder.summary import bounds_of_mean
 
 DATASETS = 5
 """Datasets of a mean over datasets, as in the study."""

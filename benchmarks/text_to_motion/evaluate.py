@@ -12,9 +12,8 @@ from jaxtyping import Float
 
 import prbench
 from prbench.errors import UsageError
-from prbench_adapters.training.motions import open_table
-from prbench_benchmarks.text_to_motion.clips import EvaluatedClips, Pass, draw, recorded_features
-from prbench_benchmarks.text_to_motion.extractor import Extractor
+from prbench_adapters.training.store import open_table
+from prbench_benchmarks.text_to_motion.clips import EvaluatedClips, Extractor, Pass, draw, recorded_features
 from prbench_benchmarks.text_to_motion.generated import Generator, MethodRequest, Prompt
 from prbench_benchmarks.text_to_motion.metrics import (
     DIVERSITY_PAIRS,
@@ -30,7 +29,7 @@ from prbench_benchmarks.text_to_motion.metrics import (
 )
 from prbench_benchmarks.text_to_motion.networks import EvaluatorConfiguration
 from prbench_benchmarks.text_to_motion.report import ResultRow, RowTally, TextEvaluation
-from prbench_benchmarks.text_to_motion.task import LoadedEvaluator, load_evaluator
+from prbench_benchmarks.text_to_motion.training import LoadedEvaluator, load_evaluator
 
 _REPETITIONS = 20
 _REPETITIONS_WITH_MULTIMODALITY = 5

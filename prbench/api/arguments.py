@@ -13,7 +13,7 @@ from prbench.contract import Condition
 from prbench.engine import Engine, close_engine
 from prbench.engine.choice import Cluster, open_engine
 from prbench.errors import UsageError, did_you_mean
-from prbench.object_stores.urls import is_url
+from prbench.object_stores.store import is_url
 
 PathLike = str | os.PathLike[str]
 """A path as text or as a :class:`pathlib.Path`, ``~`` means the home folder; or a URL such as ``s3://bucket/folder`` as

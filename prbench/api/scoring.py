@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from prbench.board.comparison import ComparedMetric, RunComparison
-    from prbench.harness.score_predictions import GivenMotions, ScoreReport
+    from prbench.harness.score_request import GivenMotions, ScoreReport
 
 
 _IN_MEMORY = Path("motions")
@@ -137,7 +137,8 @@ def score(
         StorageError: if ``out`` cannot be written.
         ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
-    from prbench.harness.score_predictions import ScoreRequest, score_predictions
+    from prbench.harness.score_predictions import score_predictions
+    from prbench.harness.score_request import ScoreRequest
 
     args.require_positive(limit=limit, max_frames=max_frames)
     given = _given(motions) if isinstance(motions, Mapping) else None
@@ -200,7 +201,7 @@ def _given(motions: Mapping[str, ArrayLike]) -> GivenMotions:
         PredictionsError: if there are none, or one is not of the right form.
     """
     from prbench.harness.run_folder.predictions.rows import as_float32
-    from prbench.harness.score_predictions import GivenMotions
+    from prbench.harness.score_request import GivenMotions
 
     if not motions:
         raise PredictionsError(

@@ -20,8 +20,7 @@ from prbench.harness.planning import open_tables, select
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.agreement import DatasetAgreement
-from prbench.harness.run_folder.means import MeanOverDatasets, means_over_datasets
-from prbench.harness.run_folder.summary import DatasetSummary
+from prbench.harness.run_folder.summary import DatasetSummary, MeanOverDatasets, means_over_datasets
 from prbench.metrics import METRICS, MetricInfo
 
 _ONLY_METHOD = "--method"

@@ -17,9 +17,8 @@ from prbench.harness.benchmark import Benchmark, load_benchmark
 from prbench.harness.methods.installed import METHOD_CONTROLS, name_problem
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder.cost import RunCost
-from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
-from prbench.harness.run_folder.merged import FILE_NAME as MERGED
-from prbench.harness.run_folder.merged import FoldRun, MergedFrom
+from prbench.harness.run_folder.folder import FOLDS_FILE as MERGED
+from prbench.harness.run_folder.folder import DatasetFolder, FoldRun, MergedFrom, RunFolder
 from prbench.harness.run_folder.record import RunRecord, TableRecord
 from prbench.harness.run_folder.scores import read_scores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary

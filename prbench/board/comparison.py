@@ -17,10 +17,10 @@ import numpy as np
 from prbench.board.collect import LeaderboardRow
 from prbench.errors import RunError
 from prbench.harness.benchmark import Benchmark, load_benchmark
-from prbench.harness.comparisons import Comparison, PairedValues, compare
-from prbench.harness.run_folder.coded_scores import CodedScores
+from prbench.harness.intervals import Comparison, PairedValues, compare
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.record import TableRecord
+from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.harness.verification import RunChecker
 from prbench.metrics import MetricInfo

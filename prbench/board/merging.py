@@ -16,8 +16,7 @@ from prbench.errors import RunError, StorageError
 from prbench.files.storage import atomic_folder, sole_writer, text_digest
 from prbench.harness.results import summary_of
 from prbench.harness.run_folder.cost import RunCost, joined_costs
-from prbench.harness.run_folder.folder import RunFolder
-from prbench.harness.run_folder.merged import FILE_NAME, FoldRun, MergedFrom
+from prbench.harness.run_folder.folder import FOLDS_FILE, FoldRun, MergedFrom, RunFolder
 from prbench.harness.run_folder.record import BatchPlanRecord, MethodRecord, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import read_scores, write_scores
 from prbench.harness.run_folder.summary import DatasetSummary
@@ -69,9 +68,9 @@ class MergedRun:
         Raises:
             StorageError: saying what it holds.
         """
-        if not (out / FILE_NAME).is_file():
+        if not (out / FOLDS_FILE).is_file():
             raise StorageError(
-                f"{out}: exists and holds no {FILE_NAME}, so it is no merged run. Choose a new folder for --out."
+                f"{out}: exists and holds no {FOLDS_FILE}, so it is no merged run. Choose a new folder for --out."
             )
         if MergedFrom.read(out).folds != tuple(map(FoldRun.of, self.folds)):
             raise StorageError(f"{out}: holds the merged scores of other runs. Choose a new folder for --out.")

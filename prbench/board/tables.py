@@ -24,10 +24,9 @@ from prbench.board.collect import CollectedRuns, LeaderboardRow
 from prbench.board.comparison import Separate, separate_by_comparison
 from prbench.harness.benchmark import Benchmark
 from prbench.harness.clusters import FEWEST_FOR_TEST, recordings_needed
-from prbench.harness.comparisons import POINTS, POWER
-from prbench.harness.run_folder.means import MeanOverDatasets, mean_over_datasets
+from prbench.harness.intervals import POINTS, POWER
 from prbench.harness.run_folder.record import CONTROL
-from prbench.harness.run_folder.summary import MetricSummary
+from prbench.harness.run_folder.summary import MeanOverDatasets, MetricSummary, mean_over_datasets
 from prbench.metrics import RANKED_METRICS, MetricInfo, printed_unit
 
 _KEYS = ("protocol", "table identity", "table content", "split", "chosen sequences")

@@ -18,7 +18,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from prbench.checking.matching import PRIMED_STAGES, Spread
+from prbench.checking.verify_synthetic import PRIMED_STAGES, Spread
 from prbench.curation import curate_recording
 from prbench.curation.job import NativeSource, native_sources
 from prbench.curation.options import BuildOptions, CurationOptions

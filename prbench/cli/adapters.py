@@ -210,7 +210,7 @@ _FAILED = 5  # as for every other breach of the adapter contract
 @command(
     "check",
     example="prbench adapters check static",
-    report="prbench.checking.conformance.report:Report",
+    report="prbench.checking.conformance.findings:Report",
     writes_report=True,
 )
 @click.argument("method")

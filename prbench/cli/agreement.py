@@ -14,8 +14,7 @@ from prbench.cli.summaries import phi_cell
 from prbench.cli.terminal import print_table
 
 if TYPE_CHECKING:
-    from prbench.harness.run_folder.agreement import DatasetAgreement
-    from prbench.harness.run_folder.rates_of_people import BinRate
+    from prbench.harness.run_folder.agreement import BinRate, DatasetAgreement
 
 _UNITS = {"bearing": "°", "distance": " m", "height": " m"}
 

@@ -131,7 +131,7 @@ def compare(first: Path, second: Path, data: tuple[Path, ...], workers: int) -> 
 
 
 def _print_comparison(compared: RunComparison) -> None:
-    from prbench.harness.comparisons import POINTS
+    from prbench.harness.intervals import POINTS
 
     first = compared.first.path.name
     print_table(

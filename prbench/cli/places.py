@@ -49,7 +49,7 @@ class PlaceType(click.Path):
         if not isinstance(value, str) or "://" not in value:
             return super().convert(value, param, ctx)
         from prbench.errors import UsageError
-        from prbench.object_stores.urls import StoreUrl, is_url
+        from prbench.object_stores.store import StoreUrl, is_url
 
         if not is_url(value):
             return super().convert(value, param, ctx)

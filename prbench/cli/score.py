@@ -28,7 +28,7 @@ from prbench.protocol.manifests import default_benchmark
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
-    from prbench.harness.offline.export import ExportReport
+    from prbench.harness.offline import ExportReport
     from prbench.harness.run_folder.agreement import DatasetAgreement
     from prbench.harness.run_folder.summary import DatasetSummary
     from prbench.prediction.table import WindowsInfo
@@ -117,7 +117,8 @@ def score(
     """
     from prbench.contract import Condition
     from prbench.harness.motion_prediction.offline import FuturesRequest, score_futures
-    from prbench.harness.score_predictions import ScoreRequest, score_predictions
+    from prbench.harness.score_predictions import score_predictions
+    from prbench.harness.score_request import ScoreRequest
     from prbench.protocol.manifests import find_benchmark
 
     shared: dict[str, Any] = {"conditions": conditions, "data": data, "name": given.pop("name"), "out": out}
@@ -171,7 +172,7 @@ def _print(scored: Sequence[ScoredMotions], out: Path | None) -> None:
 @command(
     "export-conditions",
     example="prbench export-conditions --data tables/adt --condition goal-loc --seed 0 --out conditions.npz",
-    report="prbench.harness.offline.export:ExportReport",
+    report="prbench.harness.offline:ExportReport",
 )
 @opt.data_option(required=True)
 @opt.benchmark_option
@@ -215,9 +216,8 @@ def export_conditions(
     """
     from prbench.contract import Condition
     from prbench.harness.motion_prediction.offline import WindowsRequest, export_windows
-    from prbench.harness.offline import ExportRequest
+    from prbench.harness.offline import ExportReport, ExportRequest
     from prbench.harness.offline import export_conditions as export
-    from prbench.harness.offline.export import ExportReport
     from prbench.protocol.manifests import find_benchmark
 
     about = find_benchmark(benchmark or default_benchmark().name)

@@ -21,10 +21,8 @@ if TYPE_CHECKING:
 
     from prbench.harness.run import RunReport
     from prbench.harness.run_folder import RunFolder
-    from prbench.harness.run_folder.agreement import DatasetAgreement
-    from prbench.harness.run_folder.means import MeanOverDatasets
-    from prbench.harness.run_folder.rates_of_people import RateAgreement
-    from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
+    from prbench.harness.run_folder.agreement import DatasetAgreement, RateAgreement
+    from prbench.harness.run_folder.summary import DatasetSummary, MeanOverDatasets, MetricSummary
     from prbench.metrics import MetricInfo
 
 
@@ -169,7 +167,7 @@ def print_datasets(
         metrics: All metrics of the benchmark.
         one_mean: The datasets may enter one mean.
     """
-    from prbench.harness.run_folder.means import means_over_datasets
+    from prbench.harness.run_folder.summary import means_over_datasets
     from prbench.metrics import GAZE_METRICS
 
     first = summaries[0]
@@ -247,7 +245,7 @@ def print_methods_on_datasets(
         origins: Whose methods they are, in words, one a method.
         motionless: Names of methods that stand still, which get no Foot Skating and the like.
     """
-    from prbench.harness.run_folder.means import means_over_datasets
+    from prbench.harness.run_folder.summary import means_over_datasets
     from prbench.metrics import MAIN_METRICS
 
     firsts = [summaries[0] for summaries in methods]
@@ -464,7 +462,7 @@ def shards_answer(made: list[MadeShard]) -> Answer:
 
 
 def _made(report: RunReport) -> MadeRun:
-    from prbench.harness.run_folder.means import means_over_datasets, share_a_mean
+    from prbench.harness.run_folder.summary import means_over_datasets, share_a_mean
 
     record = report.folder.record
     several = len(report.summaries) > 1 and share_a_mean(record.tables)
@@ -492,7 +490,7 @@ def _agreement(report: RunReport, dataset: str) -> DatasetAgreement | None:
 
 def _print_run(report: RunReport, *, single: bool) -> None:
     from prbench.harness.benchmark import load_benchmark
-    from prbench.harness.run_folder.means import share_a_mean
+    from prbench.harness.run_folder.summary import share_a_mean
 
     record = report.folder.record
     metrics = load_benchmark(record.benchmark).metrics

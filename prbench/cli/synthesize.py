@@ -17,7 +17,7 @@ from prbench.entry_points import CORPORA, load_built_in
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
-    from prbench.checking.matching import Verification
+    from prbench.checking.verify_synthetic import Verification
     from prbench.synthetic.write_tree import WrittenRecording, WrittenTree
 
 _SCENES_OF_ONE_PRESET = 12

@@ -4,8 +4,7 @@ An engine is anything with :meth:`Engine.map`; builds, runs and scoring take one
 (:mod:`prbench.engine.on_ray`), imported when it is asked for.
 """
 
-from prbench.engine.base import Engine, Full, answer, is_out_of_memory
-from prbench.engine.pool import InProcess, ProcessPool, call, end_with_parent
+from prbench.engine.pool import Engine, Full, InProcess, ProcessPool, answer, call, end_with_parent, is_out_of_memory
 
 __all__ = [
     "Engine",

@@ -17,7 +17,7 @@ from collections.abc import Callable, Collection, Hashable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from prbench.engine.base import KILLED, Full, item_name, settled
+from prbench.engine.pool import KILLED, Full, item_name, settled
 from prbench.errors import ClusterError
 
 _POLL_S = 0.5

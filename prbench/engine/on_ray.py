@@ -18,9 +18,9 @@ from types import ModuleType
 from typing import Any
 
 from prbench.engine import node_facts as facts_module
-from prbench.engine.base import IfFull, Item, Result
 from prbench.engine.cluster import Node, Rules, Spread, Staff, WorkerLostError
 from prbench.engine.nodes import Needs, Question, problems, question
+from prbench.engine.pool import IfFull, Item, Result
 from prbench.engine.ray_worker import RayWorker
 from prbench.errors import ClusterError, MissingExtraError, StorageError, WorkStopped
 from prbench.shown import quoted

@@ -1,21 +1,105 @@
-"""Work in this process, or in a pool of spawned processes on this machine."""
+"""What every engine has in common, work in this process and in a pool of processes, and memory that is given back."""
 
 from __future__ import annotations
 
+import ctypes
+import errno
 import gc
 import itertools
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Any, Generic
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
-from prbench.engine.base import KILLED, Full, IfFull, Item, Result, answer, settled
+from prbench.errors import MemoryFullError, PrbenchError
+from prbench.shown import quoted
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+IfFull = Callable[[Item, PrbenchError], Result] | None
+"""Gives the result of an item for which the memory does not suffice."""
+KILLED = "a worker process ended without an answer: it was killed, or ran out of memory"
+
+
+@dataclass(frozen=True)
+class Full:
+    """Stands in place of a result: the memory did not suffice, or the worker was killed."""
+
+    reason: str
+    error: PrbenchError | None = None
+    """An error whose message already says it."""
+
+
+def is_out_of_memory(error: BaseException | None) -> bool:
+    """Return True if Python, NumPy, Arrow or torch lacked memory; torch is recognised without importing it.
+
+    One of our own errors is, if such a one has caused it.
+    """
+    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
+        return True
+    if isinstance(error, OSError) and error.errno == errno.ENOMEM:
+        return True
+    if isinstance(error, PrbenchError):
+        return is_out_of_memory(error.__cause__)
+    return isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
+
+
+def answer(function: Callable[[Item], Result], item: Item) -> Result | Full:
+    """The result, or that the memory did not suffice, also where a message already says so."""
+    try:
+        return function(item)
+    except Exception as error:
+        if is_out_of_memory(error):
+            ours = error if isinstance(error, PrbenchError) else None
+            return Full(f"the memory of this machine does not suffice ({quoted(error) or type(error).__name__})", ours)
+        raise
+
+
+@runtime_checkable
+class Engine(Protocol):
+    """Something that runs work."""
+
+    def map(
+        self, function: Callable[[Item], Result], items: Iterable[Item], *, if_full: IfFull[Item, Result] = None
+    ) -> Iterator[Result]:
+        """Yield ``function(item)`` for every item, in the order of the items.
+
+        ``function`` and the items must be picklable; the first exception is raised where its result would stand. An
+        item for which the memory did not suffice is tried once more, alone.
+
+        Args:
+            function: What is done with an item.
+            items: Taken up as they are needed.
+            if_full: Gives the result of an item for which the memory does not suffice alone either, from the item and
+                the error; called in this process. By default the error is raised.
+        """
+        ...
+
+
+def settled(found: Result | Full, item: Item, if_full: IfFull[Item, Result]) -> Result:
+    """The result of the second try, or what stands for it."""
+    if not isinstance(found, Full):
+        return found
+    error = found.error or MemoryFullError(item_name(item), found.reason)
+    if if_full is None:
+        raise error
+    return if_full(item, error)
+
+
+def item_name(item: object) -> str:
+    """Return the name of an item for a message."""
+    for attribute in ("recording_id", "name"):
+        name = getattr(item, attribute, None)
+        if isinstance(name, str):
+            return name
+    return "one item of the work"
 
 
 class _CtrlC:
@@ -179,3 +263,17 @@ class _Submitted(Generic[Item]):
         assert self.future is not None
         killed = isinstance(self.future.exception(), BrokenProcessPool)
         self.suspected = killed or (self.future.exception() is None and isinstance(self.future.result(), Full))
+
+
+def give_back() -> None:
+    """Return what allocators keep of freed memory; call it between two stages that each take much of their own.
+
+    Arrow's pool and the C library keep freed memory for later, in pieces that the next stage seldom fits into.
+    """
+    import pyarrow as pa  # most work of an engine, and its start, goes without
+
+    pa.default_memory_pool().release_unused()
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc alone has it
+        if trim is not None:
+            trim(0)

@@ -7,8 +7,8 @@ import os
 from collections.abc import Callable
 from typing import Any, cast
 
-from prbench.engine.base import Full, answer
 from prbench.engine.cluster import Answered, Raised
+from prbench.engine.pool import Full, answer
 from prbench.errors import PrbenchError
 from prbench.shown import quoted
 

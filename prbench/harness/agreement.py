@@ -15,13 +15,12 @@ from jaxtyping import Bool, Float, Int
 from scipy import special
 
 from prbench.errors import RunError
+from prbench.harness.conditions import is_solid
 from prbench.harness.intervals import CONFIDENCE, metric_interval
-from prbench.harness.obstacles import is_solid
 from prbench.harness.planning import Selection
-from prbench.harness.run_folder.agreement import FILE_NAME, DatasetAgreement
-from prbench.harness.run_folder.coded_scores import CodedScores
+from prbench.harness.run_folder.agreement import FILE_NAME, BinRate, DatasetAgreement, RateAgreement, SceneOfPeople
 from prbench.harness.run_folder.folder import DatasetFolder
-from prbench.harness.run_folder.rates_of_people import BinRate, RateAgreement, SceneOfPeople
+from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.scoring import score_recorded
 from prbench.metrics import METRICS, MetricInfo
 from prbench.protocol.manifests import BenchmarkProtocol

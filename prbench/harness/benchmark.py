@@ -26,10 +26,10 @@ from prbench.errors import UsageError, did_you_mean
 from prbench.harness.methods.loading import LoadedMethod, MethodSpec
 from prbench.harness.methods.remote import MethodGroup
 from prbench.harness.request import RunRequest
-from prbench.harness.run_folder.coded_scores import CodedScores
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.predictions import PredictionRows
 from prbench.harness.run_folder.record import MethodRecord
+from prbench.harness.run_folder.scores import CodedScores
 from prbench.metrics import MetricInfo
 from prbench.protocol.manifests import AboutBenchmark, BenchmarkProtocol, find_benchmark
 from prbench.sequences.dataset_info import Provenance

@@ -4,7 +4,7 @@ As ``--method``, under any condition: ``ground-truth`` (the recorded motion thro
 ``ground-truth-resampled`` (the same after a round trip through the features that models learn from: what the
 representation alone costs), ``ground-truth-20fps`` and ``ground-truth-30fps`` (the same through another frame rate and
 back, as the motions of a method with a rate of its own go), ``scripted`` (constant timing: the least that a method
-has to beat), the cheats of :mod:`prbench.harness.cheats` (what a metric is worth, ``docs/audit.md``) and
+has to beat), the cheats of :mod:`prbench.harness.scripted` (what a metric is worth, ``docs/audit.md``) and
 ``nearest-neighbour`` (the most similar training motion).
 
 As ``--control shuffled-goal`` beside any method: it gets another sequence's goal and is scored on its own, so that a
@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.contract import Motions
+from prbench.errors import TableError
 from prbench.geometry.skeleton import N_JOINTS
-from prbench.harness.cheats import CHEATS, cheating_motions
 from prbench.harness.conditions import ConditionSource, ConditionStream
 from prbench.harness.methods.installed import (
     FLOAT,
@@ -39,11 +39,12 @@ from prbench.harness.methods.installed import (
     TREMOR,
 )
 from prbench.harness.methods.motions import native_frames, resampled
-from prbench.harness.nearest_neighbour import retrieved_motions
-from prbench.harness.planning import Selection
-from prbench.harness.scripted import ScriptedStart, scripted_motions
+from prbench.harness.planning import WINDOW, Selection, select
+from prbench.harness.scripted import CHEATS, ScriptedStart, cheating_motions, scripted_motions
+from prbench.harness.similar_tasks import at_length, laid_on_goal, read_motions
 from prbench.representation import decode, encode
 from prbench.sequences.sequence import SequenceChunk
+from prbench.sequences.table import SequenceTable
 
 _ROUND_TRIP_FPS = {GROUND_TRUTH_20_FPS: 20.0, GROUND_TRUTH_30_FPS: 30.0}
 RECORDED_MOTION = frozenset({GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, *_ROUND_TRIP_FPS})
@@ -155,3 +156,77 @@ def recorded_through_features(chunk: SequenceChunk) -> Float[np.ndarray, "total 
     motions = zip(chunk.sequence_ids, np.split(chunk.joints, chunk.offsets[1:-1]), next_joints)
     features = (encode(own, next_joints=after, source=name, upright=False) for name, own, after in motions)
     return np.concatenate([decode(rows) for rows in features])
+
+
+_TRAINING = "train"
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is asked for: one row a sequence, canonical frame, metres."""
+
+    initial_joints: Float[np.ndarray, "n 22 3"]
+    goal_location: Float[np.ndarray, "n 3"]
+    recording_ids: tuple[str, ...]
+
+
+def retrieved_motions(
+    selection: Selection, source: ConditionSource, plan: list[Int[np.ndarray, "_"]]
+) -> Iterator[Motions]:
+    """Yield the motions of each planned batch, in order.
+
+    Args:
+        selection: The chosen sequences.
+        source: Their conditions.
+        plan: Of :func:`prbench.harness.planning.plan_batches`; a batch never crosses a window.
+
+    Raises:
+        TableError: if the table has no training sequences, or none of another recording.
+    """
+    training = _training_rows(selection.table)
+    known = ConditionSource.read(training)
+    searched = _Task(known.initial_joints, known.goal_location, training.recording_ids)
+    wanted = _Task(source.initial_joints, source.goal_location, selection.recording_ids)
+    nearest = _nearest(wanted, searched, selection.table)
+    place = -1
+    motions: dict[str, np.ndarray] = {}
+    for rows in plan:
+        if int(rows[0]) // WINDOW != place:
+            # Only the motions of one window are held in memory.
+            place = int(rows[0]) // WINDOW
+            window = nearest[place * WINDOW : (place + 1) * WINDOW]
+            ids = frozenset(training.sequence_ids[row] for row in window)
+            motions = read_motions(selection.table, ids, split=_TRAINING)
+        n_frames = source.n_frames[rows]
+        joints = np.zeros((len(rows), int(n_frames.max()), N_JOINTS, 3), dtype=np.float32)
+        for i, row in enumerate(rows):
+            found = int(nearest[row])
+            motion = at_length(motions[training.sequence_ids[found]], int(n_frames[i]))
+            joints[i, : n_frames[i]] = laid_on_goal(motion, known.goal_location[found], source.goal_location[row])
+        yield Motions(joints, n_frames)
+
+
+def _training_rows(table: SequenceTable) -> Selection:
+    if not table.scalars(split=_TRAINING, columns=["split"]).num_rows:
+        raise TableError(
+            f"{table.folder}: expected training sequences, which nearest-neighbour retrieves from, found none in split"
+            f" '{_TRAINING}'. Build more recordings, or leave this control out."
+        )
+    return select(table, split=_TRAINING, limit=None)
+
+
+def _nearest(wanted: _Task, searched: _Task, table: SequenceTable) -> Int[np.ndarray, " n"]:
+    """Row of the most similar task of another recording, for each wanted one."""
+    recordings = np.array(searched.recording_ids, dtype=object)
+    nearest = np.zeros(len(wanted.recording_ids), dtype=np.int64)
+    for row, recording in enumerate(wanted.recording_ids):
+        poses = np.linalg.norm(searched.initial_joints - wanted.initial_joints[row], axis=-1).mean(axis=-1)
+        goals = np.linalg.norm(searched.goal_location - wanted.goal_location[row], axis=-1)
+        distance = np.where(recordings == recording, np.inf, poses + goals)
+        nearest[row] = distance.argmin()
+        if not np.isfinite(distance[nearest[row]]):
+            raise TableError(
+                f"{table.folder}: expected training sequences of another recording than {recording}, found none."
+                " Build more recordings, or leave nearest-neighbour out."
+            )
+    return nearest

@@ -21,7 +21,7 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run_folder import RunFolder, read_scores
 from prbench.harness.run_folder.record import FILE, FILE_NAME, PROGRAM, UNKNOWN, TableRecord
 from prbench.limits import HARMLESS_SIZE
-from prbench.object_stores.urls import is_url
+from prbench.object_stores.store import is_url
 from prbench.protocol.manifests import PROTOCOL_NAME, benchmarks, find_benchmark
 from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.sequences import DatasetInfo, SequenceTable

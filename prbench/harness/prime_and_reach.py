@@ -32,10 +32,10 @@ from prbench.harness.methods.motions import generate_checked
 from prbench.harness.methods.remote import MOTIONS, MethodGroup
 from prbench.harness.planning import Selection, open_tables, plan_batches, select, select_sequences, supported
 from prbench.harness.request import RunRequest
-from prbench.harness.run_folder.coded_scores import CodedScores
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.predictions import PredictionRows
 from prbench.harness.run_folder.record import MethodRecord
+from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.scoring import ScoringRules, score_selection
 from prbench.metrics import METRICS, MetricInfo
 from prbench.protocol.manifests import PROTOCOL_NAME, BenchmarkProtocol, load_protocol

@@ -15,8 +15,7 @@ from prbench.contract import Condition, ConditionBatch, Gaze, Motions
 from prbench.engine import Engine, InProcess
 from prbench.errors import PredictionsError
 from prbench.geometry.shapes import Boxes
-from prbench.harness.conditions import opaque_ids, run_salt
-from prbench.harness.lengths import length_problem
+from prbench.harness.conditions import SCENE_COLUMNS, SolidBoxes, opaque_ids, run_salt
 from prbench.harness.methods.motions import (
     at_table_rate,
     coordinate_problem,
@@ -24,9 +23,8 @@ from prbench.harness.methods.motions import (
     impossible_frames,
     native_frames,
 )
-from prbench.harness.obstacles import SCENE_COLUMNS, SolidBoxes
 from prbench.harness.planning import WINDOW, Selection
-from prbench.harness.recorded_motion import is_recorded_motion
+from prbench.harness.recorded_motion import is_recorded_motion, length_problem
 from prbench.harness.run_folder.predictions import PredictionRows, Predictions
 from prbench.harness.run_folder.scores import SCORES
 from prbench.harness.run_folder.summary import RECORDED_MOTION

@@ -24,7 +24,7 @@ from prbench.harness.run import RunPart, RunReport, generate_all, prepared_folde
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.record import RunRecord
 from prbench.object_stores.inputs import fetched
-from prbench.object_stores.urls import is_url
+from prbench.object_stores.store import is_url
 from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.protocol.own_protocol import write_protocol
 

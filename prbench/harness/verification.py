@@ -15,15 +15,14 @@ import numpy as np
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError
-from prbench.harness.again import scored_again
 from prbench.harness.agreement import agreement_with_people, require_agreement
 from prbench.harness.benchmark import CaseTable, load_benchmark
-from prbench.harness.results import require_scores, require_summary, summary_of
-from prbench.harness.run_folder.coded_scores import CodedScores
+from prbench.harness.results import require_scores, require_summary, scored_again, summary_of
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.record import RunRecord, TableRecord
+from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.run_folder.summary import DatasetSummary
-from prbench.harness.score_predictions.again import scored_sequences
+from prbench.harness.score_predictions import scored_sequences
 from prbench.sequences import SequenceTable
 from prbench.shown import quoted
 

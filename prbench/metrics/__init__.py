@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from prbench.metrics.batch import MotionBatch
+from prbench.metrics.batch import UNKNOWN_HAND, GazeRays, MotionBatch, ScoringPair, ScoringTargets
 from prbench.metrics.registry import (
+    CHUNK_FRAMES,
     MetricFamily,
     MetricInfo,
     MetricValues,
@@ -16,9 +17,8 @@ from prbench.metrics.registry import (
     find_families,
     printed_scale,
     printed_unit,
+    score_pair,
 )
-from prbench.metrics.scoring import CHUNK_FRAMES, score_pair
-from prbench.metrics.targets import UNKNOWN_HAND, GazeRays, ScoringPair, ScoringTargets
 from prbench.protocol.manifests import MetricConstants
 
 FAMILIES: tuple[MetricFamily, ...] = find_families(__name__, __path__)

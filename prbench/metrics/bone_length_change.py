@@ -6,9 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.geometry.skeleton import BONES
-from prbench.metrics.batch import MotionBatch
+from prbench.metrics.batch import MotionBatch, ScoringPair
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
-from prbench.metrics.targets import ScoringPair
 from prbench.protocol.manifests import MetricConstants
 
 _NO_LENGTH = 1e-6  # metres; what float32 resolves a few metres from the origin

@@ -8,9 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.geometry.skeleton import TOES
-from prbench.metrics.batch import MotionBatch, moving_sum, odd_window
+from prbench.metrics.batch import MotionBatch, ScoringPair, moving_sum, odd_window
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
-from prbench.metrics.targets import ScoringPair
 from prbench.protocol.manifests import MetricConstants
 
 Fps = float | Float[np.ndarray, " n"]

@@ -6,9 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.geometry.skeleton import Joint
-from prbench.metrics.batch import MotionBatch
+from prbench.metrics.batch import MotionBatch, ScoringPair
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
-from prbench.metrics.targets import ScoringPair
 from prbench.protocol.manifests import MetricConstants
 
 

@@ -6,9 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.geometry.skeleton import N_JOINTS
-from prbench.metrics.batch import MotionBatch, require_equal_lengths, sum_rows
+from prbench.metrics.batch import MotionBatch, ScoringPair, require_equal_lengths, sum_rows
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
-from prbench.metrics.targets import ScoringPair
 from prbench.protocol.manifests import MetricConstants
 
 

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from prbench.metrics.batch import MotionBatch
+from prbench.metrics.batch import MotionBatch, ScoringPair
 from prbench.metrics.bone_length_change import bone_length_change
 from prbench.metrics.foot_skating import Fps, slow_slides
 from prbench.metrics.posture import floating, largest_trunk_tilt, lowest_pelvis, penetration
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
 from prbench.metrics.smoothness import largest_jerk
-from prbench.metrics.targets import ScoringPair
 from prbench.protocol.manifests import MetricConstants
 
 

@@ -7,10 +7,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from prbench.metrics.batch import MotionBatch, ranges
+from prbench.metrics.batch import MotionBatch, ScoringPair, ScoringTargets, ranges
 from prbench.metrics.ray_track import CandidateFrames, RayTrack, candidate_frames, head_track, untrusted
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
-from prbench.metrics.targets import ScoringPair, ScoringTargets
 from prbench.protocol.manifests import MetricConstants
 
 Variant = Literal["equation", "arrival", "onset", "angle"]

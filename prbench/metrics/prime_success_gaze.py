@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from prbench.metrics.batch import MotionBatch
+from prbench.metrics.batch import MotionBatch, ScoringPair, ScoringTargets
 from prbench.metrics.prime_success import Variant, primed
 from prbench.metrics.ray_track import CandidateFrames, RayTrack, candidate_frames, gaze_track, untrusted
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
-from prbench.metrics.targets import ScoringPair, ScoringTargets
 from prbench.protocol.manifests import MetricConstants
 
 

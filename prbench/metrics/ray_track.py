@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from prbench.geometry.skeleton import Joint, head_forward
-from prbench.metrics.batch import MotionBatch, moving_sum, odd_window, ranges
-from prbench.metrics.targets import GazeRays
+from prbench.metrics.batch import GazeRays, MotionBatch, moving_sum, odd_window, ranges
 from prbench.protocol.manifests import MetricConstants
 
 _TIME_TOLERANCE = 1e-9  # seconds

@@ -6,9 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from prbench.geometry.skeleton import WRISTS
-from prbench.metrics.batch import MotionBatch
+from prbench.metrics.batch import MotionBatch, ScoringPair, final_reaching_wrist
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
-from prbench.metrics.targets import ScoringPair, final_reaching_wrist
 from prbench.protocol.manifests import MetricConstants
 
 

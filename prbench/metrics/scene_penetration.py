@@ -1,7 +1,7 @@
 """Scene penetration: how often and how deep a body comes into the boxes of what stands around it.
 
 Definition: docs/specification/scene.md#scene-penetration. Which boxes are solid is decided by whoever hands them in
-(:func:`prbench.harness.obstacles.solid_boxes`); a box that holds the goal is left out here, because whatever is
+(:func:`prbench.harness.conditions.solid_boxes`); a box that holds the goal is left out here, because whatever is
 reached in a cupboard lies in the cupboard's box.
 """
 
@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.geometry.shapes import Boxes, deepest
-from prbench.metrics.batch import MotionBatch
+from prbench.metrics.batch import MotionBatch, ScoringPair, ScoringTargets
 from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
-from prbench.metrics.targets import ScoringPair, ScoringTargets
 from prbench.protocol.manifests import MetricConstants, load_scene_constants
 
 

@@ -16,10 +16,17 @@ import msgspec
 from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError, PrbenchError, StorageError
 from prbench.files.storage import in_turn, remove_folder, text_digest, write_bytes
-from prbench.object_stores.manifest import FINISHED, LARGEST_MANIFEST, UNFINISHED, FolderManifest, decode_manifest
-from prbench.object_stores.opened import opened_elsewhere
-from prbench.object_stores.store import Store, StoredObject
-from prbench.object_stores.urls import StoreUrl
+from prbench.object_stores.store import (
+    FINISHED,
+    LARGEST_MANIFEST,
+    UNFINISHED,
+    FolderManifest,
+    Store,
+    StoredObject,
+    StoreUrl,
+    decode_manifest,
+    opened_elsewhere,
+)
 from prbench.protocol.manifests import load_manifest
 from prbench.shown import clean
 
@@ -137,7 +144,7 @@ def _no_manifest(store: Store) -> InputFileError:
         found = f"other files and no {FINISHED}"
         remedy = (
             "Only what prbench has finished is read there. Of a folder that was copied by another program:"
-            " `python -m prbench.object_stores.describe DIR` writes the manifest to copy with it, last."
+            " `python -m prbench.object_stores.store DIR` writes the manifest to copy with it, last."
         )
     expected = "a finished folder of prbench, or a file"
     return InputFileError(str(store.url), "", expected=expected, found=found, remedy=remedy)

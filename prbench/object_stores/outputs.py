@@ -16,20 +16,22 @@ import msgspec
 from prbench.errors import InputFileError, StorageError, UsageError
 from prbench.files.storage import file_digest, remove_folder, sole_writer, write_bytes
 from prbench.object_stores.inputs import Tell, fetch_files, finished_manifest
-from prbench.object_stores.manifest import (
+from prbench.object_stores.store import (
     FINISHED,
     LARGEST_MANIFEST,
     OWN_PREFIX,
     UNFINISHED,
     WORK_PREFIX,
     FolderManifest,
+    ObjectStoreError,
+    Store,
     StoredFile,
+    StoreUrl,
     decode_manifest,
+    opened,
+    opened_elsewhere,
     stays_inside,
 )
-from prbench.object_stores.opened import opened, opened_elsewhere
-from prbench.object_stores.store import ObjectStoreError, Store
-from prbench.object_stores.urls import StoreUrl
 
 SECONDS_VARIABLE = "PRBENCH_UPLOAD_SECONDS"
 """Environment variable: seconds between two uploads of finished parts while a command works."""

@@ -1,4 +1,4 @@
-"""Objects below one URL, read and written through fsspec; what goes wrong there gets one clear line."""
+"""Object stores: their URLs, their objects, and the manifest by which a folder in them is whole or not there."""
 
 from __future__ import annotations
 
@@ -6,17 +6,145 @@ import contextlib
 import errno
 import hashlib
 import importlib.util
+import json
+import os
 import re
-from collections.abc import Iterable, Iterator
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
+import msgspec
+
 from prbench.errors import ErrorOfParts, InputFileError, MissingExtraError, PrbenchError, StorageError, UsageError
-from prbench.files.storage import atomic_path
-from prbench.object_stores.urls import StoreUrl
-from prbench.shown import quoted
+from prbench.files.bounded import foreign_input
+from prbench.files.storage import (
+    atomic_path,
+    bytes_digest,
+    cache_folder,
+    file_digest,
+    is_path_part,
+    text_digest,
+    write_bytes,
+)
+from prbench.limits import LARGEST_JSON
+from prbench.shown import clean, quoted
+
+_URL = re.compile(r"[a-zA-Z][a-zA-Z0-9+.-]+(::[^/]*)?://")
+_SWALLOWED = re.compile(r"(s3a?|gs|gcs|az|abfss?|hf|https?|memory):/(?!/)")
+"""How ``pathlib.Path`` spells the URL of a store: it makes one slash of two."""
+_ACCOUNT_BEHIND_AT = frozenset({"abfs", "abfss", "az"})
+"""Protocols that write ``container@account`` where others write ``user:password@host``."""
+
+
+def is_url(text: object) -> bool:
+    """Return True for text such as ``s3://bucket/folder``; paths of this machine are none.
+
+    Raises:
+        UsageError: for a URL that went through :class:`pathlib.Path`, which makes one slash of two.
+    """
+    if isinstance(text, Path):
+        text = str(text)
+        if _SWALLOWED.match(text):
+            raise UsageError(f"{clean(text)}: give a URL as text, not as a Path, which makes one slash of two.")
+        return False
+    return isinstance(text, str) and _URL.match(text) is not None
+
+
+@dataclass(frozen=True)
+class StoreUrl:
+    """The URL of a folder or file, without anything secret.
+
+    Args:
+        text: The URL, without a slash at the end.
+    """
+
+    text: str
+
+    @classmethod
+    def parse(cls, text: str) -> StoreUrl:
+        """Check a URL.
+
+        Raises:
+            UsageError: if it holds a password, a query or a fragment, chains protocols, or names nothing; what might be
+                secret is not repeated.
+        """
+        protocol, _, rest = text.partition("://")
+        server, slash, path = rest.partition("/")
+        # The container of abfs stands where the password might.
+        place = re.split(r"[?#]", server.rpartition("@")[2] + slash + path)[0]
+        shown = f"{clean(protocol)}://{quoted(place)}"
+        if "::" in protocol:
+            raise UsageError(f"{shown}: expected one protocol, found several joined by '::'.")
+        if ("@" in server and protocol not in _ACCOUNT_BEHIND_AT) or ":" in server.rpartition("@")[0]:
+            raise UsageError(
+                f"{shown}: the URL holds a name or a password. Leave it out: credentials are those of the protocol's"
+                " own library, from its environment variables and files (docs/object-stores.md#credentials)."
+            )
+        if "?" in rest or "#" in rest:
+            raise UsageError(
+                f"{shown}: expected a URL without '?' and '#', which could hold a token. Leave what follows out:"
+                " credentials come from the environment (docs/object-stores.md#credentials)."
+            )
+        if not rest.strip("/") or any(part in (".", "..") for part in rest.split("/")):
+            raise UsageError(f"{shown}: expected a bucket and a folder or file, such as s3://bucket/folder.")
+        return cls(text.rstrip("/"))
+
+    def __str__(self) -> str:
+        return clean(self.text)
+
+    @property
+    def protocol(self) -> str:
+        """What stands before ``://``."""
+        return self.text.partition("://")[0]
+
+    @property
+    def name(self) -> str:
+        """Last part of the path, as the name of a local folder or file."""
+        name = self.text.rpartition("/")[2]
+        return name if is_path_part(name) else "copy"
+
+    @property
+    def parent(self) -> StoreUrl:
+        """The URL one level up."""
+        return StoreUrl(self.text.rpartition("/")[0])
+
+    @property
+    def cache(self) -> Path:
+        """Folder of the local copies of what lies there."""
+        return cache_folder() / "object-stores" / text_digest(self.text)[:32]
+
+
+VARIABLE = "PRBENCH_LOCAL_COPIES"
+"""Environment variable that tells the processes that a command starts: JSON, from URLs to local copies. They write
+there and leave the uploading to the command."""
+
+
+def opened_elsewhere(text: str) -> Path | None:
+    """Return the local copy of a URL that is worked on already; None for any other."""
+    copies = _copies()
+    return Path(copies[text]) if text in copies else None
+
+
+@contextlib.contextmanager
+def opened(text: str, path: Path) -> Iterator[None]:
+    """Tell the processes that the block starts about a local copy."""
+    before = os.environ.get(VARIABLE)
+    os.environ[VARIABLE] = json.dumps({**_copies(), text: str(path)})
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(VARIABLE, None)
+        else:
+            os.environ[VARIABLE] = before
+
+
+def _copies() -> dict[str, str]:
+    return json.loads(os.environ.get(VARIABLE) or "{}")
+
 
 _BLOCK = 8 * 2**20
 """Bytes that are asked for at once."""
@@ -278,3 +406,126 @@ def _described(name: str, found: dict[str, Any]) -> StoredObject:
 def _other(shown: str, expected: str, found: str) -> InputFileError:
     remedy = "It was changed or cut while it lay there; run the same command again, or write the folder again."
     return InputFileError(shown, "", expected=expected, found=found, remedy=remedy)
+
+
+FINISHED = "prbench-manifest.json"
+"""Name of the manifest of a finished folder."""
+UNFINISHED = "prbench-unfinished.json"
+"""Name of the manifest of what an unfinished command has uploaded."""
+OWN_PREFIX = ".prbench/"
+"""Names of objects that are no file of the folder: intermediate parts, and files beside an older one of their name."""
+WORK_PREFIX = f"{OWN_PREFIX}work/"
+_VERSION = 1
+
+
+class StoredFile(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One file of a folder."""
+
+    size: int
+    """Bytes."""
+    sha256: str
+    object: str | None = None
+    """Name of the object that holds it, relative to the URL; None for the file's own name."""
+
+
+class FolderManifest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """All files of a folder."""
+
+    schema_version: int
+    files: dict[str, StoredFile]
+    """By path relative to the folder."""
+    writer: str | None = None
+    """Drawn by each command that writes; tells two at once apart. None in a finished folder."""
+    begun_from: str | None = None
+    """Digest of the finished manifest that stood there when the command began; empty for none."""
+    coming: tuple[str, ...] = ()
+    """Objects that are being uploaded, and belong to nothing yet."""
+
+    @classmethod
+    def of(cls, files: Mapping[str, StoredFile]) -> FolderManifest:
+        """The manifest of a finished folder."""
+        return cls(schema_version=_VERSION, files=dict(sorted(files.items())))
+
+    def encoded(self) -> bytes:
+        """Return the bytes of the manifest; equal manifests give equal bytes."""
+        return msgspec.json.format(msgspec.json.encode(self, order="sorted"), indent=2) + b"\n"
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the manifest."""
+        return bytes_digest(self.encoded())
+
+    def object_of(self, name: str) -> str:
+        """Name of the object that holds a file."""
+        return self.files[name].object or name
+
+    @property
+    def objects(self) -> dict[str, str]:
+        """Maps the name of each object to its digest."""
+        return {self.object_of(name): file.sha256 for name, file in self.files.items()}
+
+
+@foreign_input()
+def decode_manifest(content: bytes, shown: str) -> FolderManifest:
+    """Check a manifest that was read at a URL.
+
+    Args:
+        content: Its bytes.
+        shown: Its URL, for messages.
+
+    Raises:
+        InputFileError: if it is no manifest, of another version, or a name in it leads out of the folder.
+    """
+    try:
+        manifest = msgspec.json.decode(content, type=FolderManifest)
+    except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputFileError(shown, "", expected="a manifest of prbench", found=str(error)) from error
+    if manifest.schema_version != _VERSION:
+        found = f"version {manifest.schema_version}"
+        raise InputFileError(shown, "", expected=f"version {_VERSION}", found=found, remedy="Update prbench.")
+    for name, file in manifest.files.items():
+        for path in (name, file.object or name):
+            if not stays_inside(path):
+                raise InputFileError(
+                    shown, name, expected="a path inside this folder", found=f"{path}, which may lead out of it"
+                )
+        if file.size < 0 or len(file.sha256) != 64:
+            raise InputFileError(shown, name, expected="a size and a SHA-256", found=f"{file.size} and {file.sha256}")
+    return manifest
+
+
+def stays_inside(name: str) -> bool:
+    """Return True if a relative path stays in its folder, on every system, and can be shown."""
+    path = PurePosixPath(name)
+    parts_are_plain = path.as_posix() == name and ".." not in path.parts and not path.is_absolute()
+    return bool(path.parts) and parts_are_plain and not set(name) & set("\\:") and clean(name) == name
+
+
+LARGEST_MANIFEST = LARGEST_JSON
+
+
+def describe(folder: Path) -> FolderManifest:
+    """Write the manifest of all files in a folder into it.
+
+    Args:
+        folder: The folder; hidden files and folders are left out.
+
+    Raises:
+        InputFileError: if it is no folder.
+        StorageError: if it cannot be written.
+    """
+    if not folder.is_dir():
+        raise InputFileError(folder, "", expected="a folder", found="none")
+    files = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and name != FINISHED and not any(part.startswith(".") for part in name.split("/")):
+            files[name] = StoredFile(size=path.stat().st_size, sha256=file_digest(path))
+    manifest = FolderManifest.of(files)
+    write_bytes(folder / FINISHED, manifest.encoded())
+    return manifest
+
+
+if __name__ == "__main__":
+    for each in sys.argv[1:]:
+        describe(Path(each))

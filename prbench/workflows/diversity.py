@@ -17,7 +17,7 @@ from prbench.harness.diversity import SPREADS, MotionsToGoal, SpreadInfo, spread
 from prbench.harness.first_run import tables_of_runs
 from prbench.harness.intervals import Estimate, difference_interval, mean_interval
 from prbench.harness.run_folder import RunFolder
-from prbench.harness.score_predictions.again import scored_sequences
+from prbench.harness.score_predictions import scored_sequences
 from prbench.harness.similar_tasks import Tasks, at_length, laid_on_goal, read_motions
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import SequenceTable

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from prbench_adapters.diffusion.bundled import bundled_names, bundled_weights
+from prbench_adapters.diffusion.method import bundled_names, bundled_weights
 from prbench_adapters.diffusion.model import MotionModel
 from tests.adapters.cards import described
 

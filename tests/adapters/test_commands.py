@@ -19,8 +19,8 @@ from prbench.harness.methods import installed
 from prbench.sequences import SequenceTable
 from prbench.sequences.folds import participant_folds
 from prbench_adapters.training.dataset import SequenceDataset
-from prbench_adapters.training.motions import REFIT
-from prbench_adapters.training.outputs import draw_curves
+from prbench_adapters.training.report import draw_curves
+from prbench_adapters.training.store import REFIT
 from prbench_adapters.training.weights import read_weights
 from tests.adapters.training.toy import SIGNAL_VARIABLE, entry_points_of
 from tests.cli.reports import refused, reported
@@ -44,7 +44,7 @@ def toy_is_installed(monkeypatch, tmp_path_factory):
     monkeypatch.setattr("prbench.harness.methods.installed.entry_points_of", entry_points_of)
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path_factory.getbasetemp() / "train-cache"))
     # Curves are drawn once, in `trained`.
-    monkeypatch.setattr("prbench_adapters.training.outputs.draw_curves", lambda *arguments: None)
+    monkeypatch.setattr("prbench_adapters.training.report.draw_curves", lambda *arguments: None)
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +113,7 @@ NOT_THE_SAME = ("timing.json", "tensorboard/")
 
 
 def test_two_smoke_trainings_have_the_same_bytes_but_for_their_times(data, tmp_path, monkeypatch):
-    monkeypatch.setattr("prbench_adapters.training.outputs.draw_curves", draw_curves)
+    monkeypatch.setattr("prbench_adapters.training.report.draw_curves", draw_curves)
     monkeypatch.setattr("prbench.harness.methods.installed.entry_points_of", INSTALLED)
     folders = [tmp_path / "one", tmp_path / "other"]
     for out in folders:

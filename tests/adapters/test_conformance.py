@@ -11,11 +11,10 @@ from typing import ClassVar
 
 import pytest
 
-from prbench.checking.conformance.cases import write_sequences
-from prbench.checking.conformance.report import CheckRequest, Outcome
+from prbench.checking.conformance.cases import synthetic_sequences, write_sequences
+from prbench.checking.conformance.findings import CheckRequest, Outcome
 from prbench.checking.conformance.session import check
 from prbench.checking.conformance.suite import AdapterConformance
-from prbench.checking.conformance.synthetic_people import synthetic_sequences
 
 pytestmark = pytest.mark.filterwarnings("ignore::prbench.checking.conformance.suite.ConformanceWarning")
 

@@ -7,9 +7,9 @@ from prbench.contract import Adapter, Condition, ConditionBatch
 from prbench.errors import AdapterError
 from prbench.geometry.skeleton import Joint, bone_lengths
 from prbench_adapters import dno
-from prbench_adapters.diffusion.batches import ModelBodies
+from prbench_adapters.diffusion.generation import ModelBodies
 from prbench_adapters.diffusion.noise_optimisation.generation import optimise_batch
-from prbench_adapters.diffusion.noise_optimisation.objective import keyframes
+from prbench_adapters.diffusion.noise_optimisation.optimise import keyframes
 from tests.adapters.diffusion import tiny
 
 QUICK = {"iterations": "3", "ddim-steps": "2"}

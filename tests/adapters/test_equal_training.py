@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from prbench_adapters.diffusion.bundled import bundled_weights
+from prbench_adapters.diffusion.method import bundled_weights
 from prbench_adapters.training.configuration import TrainingConfiguration, load_configuration
 
 COMPARED = ("mdm", "gmd", "dart", "wandr")

@@ -125,7 +125,7 @@ def test_importing_the_module_is_cheap():
 
 
 def test_bundled_weights_run_by_name_if_they_are_shipped():
-    from prbench_adapters.diffusion.bundled import bundled_names
+    from prbench_adapters.diffusion.method import bundled_names
 
     if DEFAULT_WEIGHTS not in bundled_names():
         pytest.skip("this checkout has no bundled weights")

@@ -11,7 +11,7 @@ import pytest
 from prbench.contract import Condition, Motions
 from prbench.errors import AdapterError, InputFileError
 from prbench.geometry.skeleton import BONES, Joint
-from prbench_adapters.diffusion import bundled
+from prbench_adapters.diffusion import method
 from prbench_adapters.pr import PR, load
 from tests.adapters.diffusion import tiny
 from tests.adapters.diffusion.goal_batches import conditions
@@ -159,7 +159,7 @@ def test_a_dropped_condition_changes_nothing(tmp_path, dropped):
 
 def test_without_weights_the_condition_chooses_the_bundled_ones(weights, monkeypatch):
     files = {"pr-small-goal-loc": Condition.GOAL_LOCATION, "pr-small-goal-pose": Condition.GOAL_POSE}
-    monkeypatch.setattr(bundled, "bundled_weights", lambda name, folder: weights[files[name]])
+    monkeypatch.setattr(method, "bundled_weights", lambda name, folder: weights[files[name]])
     adapter = load(None, options=SAMPLING, device="cpu")
     for condition in GOALS:
         assert adapter.weights_for(condition) == weights[condition]

@@ -29,7 +29,7 @@ def look_around(removed):
     from prbench.harness.methods.loading import load_adapter
     from prbench.harness.methods.installed import list_adapters
     from prbench.harness.methods.installed import list_tasks, load_task
-    from prbench_adapters.diffusion.bundled import bundled_names
+    from prbench_adapters.diffusion.method import bundled_names
 
     assert prbench.__file__.startswith(sys.path[0])
     assert importlib.util.find_spec("prbench_adapters." + removed) is None

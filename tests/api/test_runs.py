@@ -14,7 +14,8 @@ import pytest
 
 import prbench
 from prbench.harness.run_folder import DatasetSummary
-from prbench.harness.score_predictions import ScoreRequest, score_predictions
+from prbench.harness.score_predictions import score_predictions
+from prbench.harness.score_request import ScoreRequest
 
 
 @pytest.fixture(scope="module")

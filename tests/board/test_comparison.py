@@ -12,7 +12,7 @@ from prbench.board.comparison import separate_by_comparison
 from prbench.board.tables import undecided
 from prbench.cli import main
 from prbench.errors import RunError
-from prbench.harness.comparisons import smallest_detectable_unpaired
+from prbench.harness.intervals import smallest_detectable_unpaired
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import DatasetSummary, read_scores

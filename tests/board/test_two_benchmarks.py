@@ -12,7 +12,7 @@ from prbench.errors import RunError
 from prbench.harness.first_run import table_finder
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
-from prbench.harness.run_folder.means import share_a_mean
+from prbench.harness.run_folder.summary import share_a_mean
 from prbench.harness.verification import RunChecker
 from prbench.prediction.table import write_windows
 from tests.prediction.windows import cut, info, walking

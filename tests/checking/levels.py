@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from prbench.checking.matching import Verification
-from prbench.checking.verify_synthetic import LEVELS, SensorLevel
+from prbench.checking.verify_synthetic import LEVELS, SensorLevel, Verification
 from prbench.protocol.manifests import load_manifest
 
 _SLACK = 1e-4

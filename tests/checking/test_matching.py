@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from prbench.checking.matching import Spread, match_events, verification
+from prbench.checking.verify_synthetic import Spread, match_events, verification
 from prbench.sequences.sequence import Event
 from prbench.synthetic.performance import TrueEvent
 

@@ -15,8 +15,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prbench.checking.matching import Match, Verification, match_events, verification
-from prbench.checking.verify_synthetic import LEVELS, SensorLevel, on_clock, verify_level, verify_tree
+from prbench.checking.verify_synthetic import (
+    LEVELS,
+    Match,
+    SensorLevel,
+    Verification,
+    match_events,
+    on_clock,
+    verification,
+    verify_level,
+    verify_tree,
+)
 from prbench.curation import build_dataset, curate_recording
 from prbench.harness.synthetic_table import Staging, build_synthetic_table
 from prbench.protocol.manifests import load_manifest, load_protocol

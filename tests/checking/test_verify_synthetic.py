@@ -7,12 +7,14 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from prbench.checking.matching import Verification, match_events, verification
 from prbench.checking.verify_synthetic import (
     LEVELS,
     SensorLevel,
     StagedComparison,
     Staging,
+    Verification,
+    match_events,
+    verification,
     verify_level,
     verify_tree,
 )

@@ -8,7 +8,7 @@ import tomllib
 import pytest
 
 from prbench.harness.methods.messages import WIRE_VERSION
-from prbench.harness.offline.conditions_file import FORMAT_VERSION
+from prbench.harness.offline import FORMAT_VERSION
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION
 from prbench.sequences.corpus import CORPUS_SCHEMA_VERSION
 from prbench.sequences.schema import SCHEMA_VERSION

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from prbench.engine.base import Full, answer
 from prbench.engine.cluster import Answered, Node, Raised, Rules, Spread, Staff, WorkerLostError
+from prbench.engine.pool import Full, answer
 from prbench.errors import ClusterError, InputFileError, MemoryFullError
 
 RULES = Rules(slow_seconds=5.0)

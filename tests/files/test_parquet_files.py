@@ -9,7 +9,7 @@ import pytest
 
 from prbench.errors import InputFileError, PredictionsError, RunError, TableError
 from prbench.files import arrays
-from prbench.harness.offline.files import _read_parquet as read_conditions
+from prbench.harness.offline import _read_parquet as read_conditions
 from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.scores import read_scores
 from prbench.sequences.schema import open_parquet

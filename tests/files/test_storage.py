@@ -38,7 +38,7 @@ from prbench.harness.offline import ExportRequest
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.predictions import Predictions
-from prbench.harness.score_predictions import ScoreRequest
+from prbench.harness.score_request import ScoreRequest
 from prbench.prediction.anchored import build_anchored_windows
 from prbench.prediction.table import WindowsTable
 from prbench.readers import reader_for

@@ -14,7 +14,8 @@ from prbench.harness.agreement import _phi_without_each, goal_places, phi_coeffi
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder, read_scores
 from prbench.harness.run_folder.agreement import DatasetAgreement
-from prbench.harness.score_predictions import ScoreRequest, score_predictions
+from prbench.harness.score_predictions import score_predictions
+from prbench.harness.score_request import ScoreRequest
 from prbench.harness.verification import RunChecker
 from prbench.metrics import METRICS
 from prbench.protocol.manifests import load_protocol

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from prbench.geometry.skeleton import WRISTS, Joint, bone_lengths
-from prbench.harness.cheats import CHEATS, cheating_motions
 from prbench.harness.controls import CONTROLS
 from prbench.harness.methods.installed import METHOD_CONTROLS
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import Predictions
-from prbench.harness.scripted import ScriptedStart
+from prbench.harness.scripted import CHEATS, ScriptedStart, cheating_motions
 from prbench.metrics import MotionBatch, ScoringTargets, score
 from prbench.protocol.manifests import load_protocol
 from tests.fakes import STANDING

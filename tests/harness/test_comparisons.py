@@ -9,8 +9,15 @@ import pytest
 from scipy import stats
 
 from prbench.harness.clusters import power_of, recordings_needed
-from prbench.harness.comparisons import POINTS, PairedValues, compare, holm, paired_p_value, smallest_detectable
-from prbench.harness.intervals import clustered
+from prbench.harness.intervals import (
+    POINTS,
+    PairedValues,
+    clustered,
+    compare,
+    holm,
+    paired_p_value,
+    smallest_detectable,
+)
 from tests.harness.test_intervals import names
 
 

@@ -11,8 +11,7 @@ from benchmarks.statistics.__main__ import LEAST_COVERAGE, MOST_FALSE_POSITIVES,
 from benchmarks.statistics.cells import coverage_over_datasets, false_positives, mean_coverage, rate_coverage
 from benchmarks.statistics.designs import DESIGNS, FIRST_RUN, METRES, UNUSED_METRES, draw_metres, draw_rates
 from prbench.harness.clusters import p_values, rate_bounds
-from prbench.harness.comparisons import paired_p_value
-from prbench.harness.intervals import clustered, rate_interval
+from prbench.harness.intervals import clustered, paired_p_value, rate_interval
 
 pytestmark = pytest.mark.unchecked_shapes
 _SETS = 2_000

@@ -21,7 +21,8 @@ from prbench.harness.run_folder import Predictions
 from prbench.harness.run_folder.agreement import DatasetAgreement
 from prbench.harness.run_folder.record import RunRecord
 from prbench.harness.run_folder.scores import read_scores
-from prbench.harness.score_predictions import ScoreRequest, score_predictions
+from prbench.harness.score_predictions import score_predictions
+from prbench.harness.score_request import ScoreRequest
 from prbench.viewing.view import ViewRequest, scenes_of
 from tests.fakes import fake_dataset, fake_sequence
 from tests.method_fixtures import adapter_source

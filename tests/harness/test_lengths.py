@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.harness.lengths import length_problem, likely_cause
 from prbench.harness.methods.motions import native_frames
+from prbench.harness.recorded_motion import length_problem, likely_cause
 
 EXPECTED = np.array([81, 60, 120, 97])
 

@@ -8,7 +8,7 @@ import pytest
 
 from prbench.errors import TableError
 from prbench.geometry.skeleton import bone_lengths
-from prbench.harness import nearest_neighbour
+from prbench.harness import controls
 from prbench.harness.conditions import ConditionSource
 from prbench.harness.controls import control_motions
 from prbench.harness.planning import plan_batches, select
@@ -76,7 +76,7 @@ def test_batches_leave_no_trace(table):
 
 def test_without_training_sequences_of_another_recording_it_says_so(tmp_path, monkeypatch):
     everything = fake_dataset(tmp_path / "table", 4)
-    monkeypatch.setattr(nearest_neighbour, "_TRAINING", "validation")
+    monkeypatch.setattr(controls, "_TRAINING", "validation")
     with pytest.raises(TableError, match="of another recording than rec003"):
         retrieved(everything, "validation")
     one = fake_dataset(tmp_path / "one", 2)

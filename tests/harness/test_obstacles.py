@@ -9,7 +9,7 @@ from prbench.cli.summaries import print_scene
 from prbench.contract import Condition
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import Joint
-from prbench.harness.obstacles import SCENE_COLUMNS, SolidBoxes
+from prbench.harness.conditions import SCENE_COLUMNS, SolidBoxes
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import read_scores
 from prbench.harness.run_folder.agreement import DatasetAgreement

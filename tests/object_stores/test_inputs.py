@@ -10,9 +10,7 @@ import pytest
 
 from prbench.errors import InputFileError, StorageError
 from prbench.object_stores.inputs import fetched, fetched_native
-from prbench.object_stores.manifest import FINISHED
-from prbench.object_stores.store import ObjectStoreError, Store
-from prbench.object_stores.urls import StoreUrl
+from prbench.object_stores.store import FINISHED, ObjectStoreError, Store, StoreUrl
 from tests.object_stores.conftest import contents, local_contents
 from tests.object_stores.test_outputs import publish
 

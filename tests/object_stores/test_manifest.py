@@ -6,8 +6,7 @@ import msgspec
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.object_stores.describe import describe
-from prbench.object_stores.manifest import FINISHED, FolderManifest, StoredFile, decode_manifest, stays_inside
+from prbench.object_stores.store import FINISHED, FolderManifest, StoredFile, decode_manifest, describe, stays_inside
 
 ENTRY = StoredFile(size=3, sha256="0" * 64)
 

@@ -9,10 +9,8 @@ import pytest
 
 from prbench.errors import InputFileError, StorageError
 from prbench.object_stores.inputs import fetched
-from prbench.object_stores.manifest import FINISHED, OWN_PREFIX, UNFINISHED
 from prbench.object_stores.outputs import _OutputCopy, written_file, written_folder
-from prbench.object_stores.store import ObjectStoreError, Store
-from prbench.object_stores.urls import StoreUrl
+from prbench.object_stores.store import FINISHED, OWN_PREFIX, UNFINISHED, ObjectStoreError, Store, StoreUrl
 from tests.object_stores.conftest import contents, local_contents
 
 

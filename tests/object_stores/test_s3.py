@@ -17,10 +17,8 @@ from prbench.cli.main import main
 from prbench.errors import InputFileError, RunError
 from prbench.files.storage import cache_folder
 from prbench.harness import run as running
-from prbench.object_stores.describe import describe
 from prbench.object_stores.inputs import fetched
-from prbench.object_stores.manifest import FINISHED, OWN_PREFIX, UNFINISHED, WORK_PREFIX
-from prbench.object_stores.store import ObjectStoreError, Store
+from prbench.object_stores.store import FINISHED, OWN_PREFIX, UNFINISHED, WORK_PREFIX, ObjectStoreError, Store, describe
 from tests.fakes import fake_dataset
 from tests.object_stores.conftest import contents, local_contents, start_moto, use_server
 from tests.object_stores.test_outputs import publish
@@ -200,7 +198,7 @@ _KILLED = """
 import os, signal, sys, time
 from prbench.cli.main import main
 from prbench.engine import InProcess
-from prbench.object_stores.manifest import UNFINISHED
+from prbench.object_stores.store import UNFINISHED
 from prbench.object_stores.store import Store
 
 begin, write, wanted = InProcess.map, Store.write, sys.argv[1].encode()

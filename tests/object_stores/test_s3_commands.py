@@ -8,8 +8,7 @@ import os
 
 import pytest
 
-from prbench.object_stores.describe import describe
-from prbench.object_stores.manifest import FINISHED
+from prbench.object_stores.store import FINISHED, describe
 from tests.object_stores.conftest import contents
 from tests.object_stores.test_s3 import put_folder
 from tests.writing import WRITING, Inputs, Writing, run

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from prbench.errors import UsageError
-from prbench.object_stores.urls import StoreUrl, is_url
+from prbench.object_stores.store import StoreUrl, is_url
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,8 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import RunFolder, read_scores
 from prbench.harness.run_folder.agreement import DatasetAgreement
-from prbench.harness.score_predictions import ScoreRequest, score_predictions
+from prbench.harness.score_predictions import score_predictions
+from prbench.harness.score_request import ScoreRequest
 from prbench.harness.verification import RunChecker
 from prbench.protocol.manifests import BenchmarkProtocol, digest_of, load_protocol
 from prbench.protocol.own_protocol import FILE_NAME, read_protocol, write_protocol

@@ -12,12 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.geometry.skeleton import WRISTS, Joint, bone_lengths, canonical_frame, invert_rigid, transform_points
-from prbench.metrics.batch import MotionBatch
+from prbench.metrics.batch import MotionBatch, ScoringTargets
 from prbench.metrics.foot_skating import contact_share, foot_skating
 from prbench.metrics.prime_success import prime_success
 from prbench.metrics.reach_success import reach_success
 from prbench.metrics.smoothness import jitter
-from prbench.metrics.targets import ScoringTargets
 from prbench.protocol.manifests import load_protocol
 from prbench.synthetic.activities import NarratedMotion
 from prbench.synthetic.people.kinematics import forward_of

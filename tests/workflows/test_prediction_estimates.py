@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from prbench.errors import UsageError
-from prbench.harness.comparisons import compare
+from prbench.harness.intervals import compare
 from prbench.prediction.scoring import Scores
 from prbench.workflows.prediction_tables.estimates import estimates, paired
 

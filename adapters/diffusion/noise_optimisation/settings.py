@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, cast, get_args
 
-from prbench_adapters.diffusion.generation import Precision
+from prbench_adapters.diffusion.generation import Precision, choice, number, whole_number
 from prbench_adapters.diffusion.model import Reach
-from prbench_adapters.diffusion.options import choice, number, whole_number
 from prbench_adapters.diffusion.sampling import Spacing
 
 Hand = Literal["right", "left", "nearest"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from prbench_adapters.prediction.adapter import LearnedPredictor
-    from prbench_adapters.prediction.task import PredictorTask
+    from prbench_adapters.prediction.training import PredictorTask
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> LearnedPredictor:
@@ -20,6 +20,6 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> Le
 
 def training_task() -> PredictorTask:
     """Make the task that ``prbench train --method belfusion`` trains."""
-    from prbench_adapters.prediction.task import STAGES_OF_BELFUSION, PredictorTask, belfusion
+    from prbench_adapters.prediction.training import STAGES_OF_BELFUSION, PredictorTask, belfusion
 
     return PredictorTask("belfusion", belfusion, STAGES_OF_BELFUSION)

@@ -1,35 +1,148 @@
 """Check one method from the outside: the findings of all checks, whatever the method does.
 
-The checks run in a child process. When a method crashes it, or does not come to an end, the check that was under way
-fails with that, and another child goes on with those that are left.
+The checks run in a child process, ``python -m prbench.checking.conformance``, which gets one order in JSON on stdin and
+tells events on stdout. When a method crashes it, or does not come to an end, the check that was under way fails with
+that, and another child goes on with those that are left.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import os
 import queue
 import subprocess
+import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import psutil
 
-from prbench.checking.conformance.check import FORM, Check, worst_of
-from prbench.checking.conformance.judges import judge_of
-from prbench.checking.conformance.method_subject import working_folder
-from prbench.checking.conformance.report import CheckRequest, Finding, Outcome, Report, failed, skipped
+from prbench.checking.conformance import predictors
+from prbench.checking.conformance.cases import cases_of_table, kept_synthetic_cases
+from prbench.checking.conformance.checks import CHECKS
+from prbench.checking.conformance.findings import (
+    FORM,
+    Check,
+    CheckRequest,
+    Finding,
+    Outcome,
+    Report,
+    examine,
+    failed,
+    skipped,
+    worst_of,
+)
+from prbench.checking.conformance.predictors import (
+    BENCHMARK,
+    PredictorSubject,
+    require_windows,
+    synthetic_windows,
+    windows_of_table,
+)
+from prbench.checking.conformance.subject import MethodSubject, Subject, working_folder
 from prbench.errors import UsageError
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.methods.installed import METHOD_CONTROLS
-from prbench.harness.methods.loading import MethodSpec, method_spec
+from prbench.harness.methods.loading import MethodSpec, forget_loaded_methods, method_spec
 from prbench.harness.methods.process import exit_story, python_words, users_environment
+from prbench.harness.methods.programs import is_program
+from prbench.protocol.manifests import default_benchmark
 
-_MODULE = "prbench.checking.conformance.child"
+
+@dataclass(frozen=True)
+class Judge:
+    """The checks of one benchmark."""
+
+    checks: tuple[Check, ...]
+    subject: Callable[[MethodSpec, CheckRequest, Path], MethodSubject]
+    """Makes the method under examination: how to make it, the request, the folder of the check."""
+    require_table: Callable[[Path], object]
+    """Refuses a folder that holds no cases."""
+
+
+def _motions(spec: MethodSpec, request: CheckRequest, folder: Path) -> Subject:
+    cases = kept_synthetic_cases(folder) if request.data is None else cases_of_table(request.data)
+    return Subject(spec, cases, folder)
+
+
+def _futures(spec: MethodSpec, request: CheckRequest, folder: Path) -> PredictorSubject:
+    cases = synthetic_windows(folder) if request.data is None else windows_of_table(request.data, folder)
+    return PredictorSubject(spec, cases, folder)
+
+
+_JUDGES = {
+    default_benchmark().name: Judge(CHECKS, _motions, cases_of_table),
+    BENCHMARK: Judge(predictors.CHECKS, _futures, require_windows),
+}
+
+
+def judge_of(benchmark: str) -> Judge:
+    """Return the checks of a benchmark's methods.
+
+    Raises:
+        UsageError: for a benchmark whose methods cannot be checked.
+    """
+    if benchmark not in _JUDGES:
+        raise UsageError(
+            f"--benchmark {benchmark}: its methods cannot be checked; expected one of {', '.join(_JUDGES)}."
+        )
+    return _JUDGES[benchmark]
+
+
+Tell = Callable[..., None]
+
+
+def run_ordered() -> None:
+    """Run the checks that are ordered on stdin and tell what they find; what the method prints goes to stderr."""
+    order = json.loads(sys.stdin.readline())
+    tell = _teller()
+    request = CheckRequest.of_json(order["request"])
+    subject = _subject(request, Path(order["folder"]))
+    subject.asking = lambda text: tell(event="asking", text=text)
+    subject.starting = lambda text: tell(event="starting", text=text)
+    known = {name: Outcome(value) for name, value in order["known"].items()}
+    checks = [one for one in judge_of(request.benchmark).checks if one.name in order["checks"]]
+    for finding in examine(subject, checks, known=known, announce=lambda one: tell(event="check", name=one.name)):
+        tell(event="finding", finding=asdict(finding))
+    forget_loaded_methods()
+    tell(event="end")
+    os._exit(0)  # a method's threads that do not end would keep the process
+
+
+def _teller() -> Tell:
+    """Writes events to what was stdout; from now on ``print`` writes to stderr."""
+    # A method that prints must not break the events, which share the pipe with nobody.
+    events = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+
+    def tell(**event: object) -> None:
+        events.write(json.dumps(event) + "\n")
+        events.flush()
+
+    return tell
+
+
+def _subject(wanted: CheckRequest, folder: Path) -> MethodSubject:
+    spec = method_spec(
+        wanted.method,
+        weights=wanted.weights,
+        options=wanted.options,
+        device=wanted.device,
+        threads=wanted.threads,
+        isolate=wanted.isolate,
+        timeout=wanted.time_limit if wanted.isolate or is_program(wanted.method) else None,
+        hidden=() if wanted.data is None else (wanted.data,),
+        group=load_benchmark(wanted.benchmark).methods,
+    )
+    return judge_of(wanted.benchmark).subject(spec, wanted, folder)
+
+
+_MODULE = "prbench.checking.conformance"
 _SHOWN_LINES = 5
 _OTHERWISE = 120.0
 _HEARTBEAT = 10.0  # seconds between words about the same work
@@ -174,7 +287,7 @@ class _Session:
         left = list(checks)
         while left:
             if why := self._blocked():
-                self.findings += [skipped(why).of(one.name) for one in left]
+                self.findings += [replace(skipped(why), check=one.name) for one in left]
                 return
             left = self._in_one_child(left)
 
@@ -201,7 +314,7 @@ class _Session:
                 blamed = under_way or left.pop(0)
                 self._lost.append(blamed.name)
                 remedy = f"{_LOST} {_SLOW_START}" if blamed.name in _STARTS else _LOST
-                self.findings.append(failed(str(lost), remedy).of(blamed.name))
+                self.findings.append(replace(failed(str(lost), remedy), check=blamed.name))
         return left
 
     def _known(self) -> dict[str, Outcome]:

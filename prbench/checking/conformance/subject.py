@@ -1,25 +1,403 @@
-"""A method of prime-and-reach under examination."""
+"""The method under examination: loaded, fitted if it learns, asked for the same thing once, and what it answered."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import dataclasses
+import math
+import random
+import sys
+import tempfile
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
+from jaxtyping import Float
 
-from prbench.checking.conformance.answer import STATE_SEED, Answer, ask
 from prbench.checking.conformance.cases import Cases, write_training_table
-from prbench.checking.conformance.method_subject import MethodSubject
-from prbench.checking.conformance.report import Remedy
-from prbench.contract import Condition, ConditionBatch
+from prbench.checking.conformance.findings import Remedy
+from prbench.contract import Adapter, Condition, ConditionBatch, Motions
+from prbench.errors import PrbenchError
 from prbench.harness.conditions import ConditionSource, run_salt
 from prbench.harness.methods.loading import LoadedMethod, MethodSpec, fit_to_training_rows, fitted_to
-from prbench.harness.methods.motions import native_frames
+from prbench.harness.methods.motions import Declared, generate_checked, native_frames
+from prbench.harness.methods.process import computing_threads
 from prbench.harness.planning import rows_of
 from prbench.protocol.manifests import load_protocol
 from prbench.sequences import SequenceTable
+
+
+def generators_touched(before: dict[str, bytes]) -> tuple[str, ...]:
+    """Return the names of the generators whose state differs from ``before``."""
+    return tuple(name for name, state in generator_states().items() if before.get(name, state) != state)
+
+
+def generator_states() -> dict[str, bytes]:
+    """Map the name of each global generator to its state."""
+    # The key changes every 624 draws only; the place in it changes with each.
+    _, key, *place = np.random.get_state(legacy=True)  # noqa: NPY002 - only looked at
+    found = {
+        "random": repr(random.getstate()).encode(),
+        "numpy.random": np.asarray(key).tobytes() + repr(place).encode(),
+    }
+    torch = sys.modules.get("torch")
+    if torch is not None and hasattr(torch, "random"):
+        found["torch"] = torch.random.get_rng_state().numpy().tobytes()
+    return found
+
+
+@contextmanager
+def generators_set_to(seed: int) -> Iterator[None]:
+    """Seed all global generators, and restore their states at the end."""
+    python = random.getstate()
+    legacy = np.random.get_state()  # noqa: NPY002 - put back as it was
+    torch = sys.modules.get("torch")
+    drawn = torch.random.get_rng_state() if torch is not None and hasattr(torch, "random") else None
+    random.seed(seed)
+    np.random.seed(seed)  # noqa: NPY002 - a method that draws from it is found out by another seed
+    if torch is not None and drawn is not None:
+        torch.random.manual_seed(seed)
+    try:
+        yield
+    finally:
+        random.setstate(python)
+        np.random.set_state(legacy)  # noqa: NPY002 - put back as it was
+        if torch is not None and drawn is not None:
+            torch.random.set_rng_state(drawn)
+
+
+STATE_SEED = 20_240_607
+"""Seed of the global generators before every call. Only the check of global generators uses another one."""
+_COPIED = ("n_frames", "initial_joints", "previous_joints", "goal_joints", "goal_location")
+TOLERANCE = 1e-4
+"""Metres by which a motion may change where only rounding differs (docs/specification/protocol.md#reproducibility)."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer of a method to a batch, of whichever benchmark."""
+
+    batch: Any
+    """What it was asked, at the table's rate."""
+    motions: Any
+    """Motions or futures, float32, as the harness accepts them (but for their distance from the origin); else None."""
+    error: str = ""
+    """The reason, as the harness words it."""
+    returned: object = None
+    """The object that the method itself returned."""
+    answered: bool = False
+    """True if the method returned without raising."""
+    seconds: float = 0.0
+    halvings: int = 0
+    overwritten: tuple[str, ...] = ()
+    """Fields of the batch that it wrote into."""
+    drew_from: tuple[str, ...] = ()
+    """Global generators whose state moved."""
+    n_samples: int = 1
+    """Futures of each window that a predictor was asked for."""
+
+    def motion(self, row: int) -> Float[np.ndarray, "*frames joints 3"]:
+        """Return what was answered to one row without padding, metres."""
+        joints = self.motions.joints[row]
+        lengths = getattr(self.batch, "n_frames", None)
+        return joints if lengths is None else joints[: int(lengths[row])]
+
+    @property
+    def given_joints(self) -> np.ndarray | None:
+        """The positions as the method returned them; None if it returned nothing with such."""
+        joints = getattr(self.returned, "joints", None)
+        return None if joints is None else np.asarray(joints)
+
+
+@dataclass
+class _Watched:
+    """Wraps a method and records what goes in and what comes out."""
+
+    adapter: Adapter
+    returned: object = None
+    answered: bool = False
+    overwritten: set[str] = field(default_factory=set)
+    drew_from: set[str] = field(default_factory=set)
+    seconds: float = 0.0
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.adapter, name)
+
+    def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:
+        """Generate, and compare the batch and the global generators with what they were."""
+        before = {name: getattr(batch, name).copy() for name in _COPIED if getattr(batch, name) is not None}
+        states = generator_states()
+        started = time.perf_counter()
+        try:
+            self.returned = self.adapter.generate(batch, seed=seed)
+            self.answered = True
+        finally:
+            self.seconds += time.perf_counter() - started
+            self.drew_from.update(generators_touched(states))
+            after = {name: getattr(batch, name) for name in before}
+            self.overwritten |= {name for name in before if not np.array_equal(before[name], after[name])}
+        return self.returned  # type: ignore[return-value] - whatever it is, the harness checks it
+
+
+def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, threads: int) -> Answer:
+    """Call the method as a run does; whatever it raises becomes part of the answer.
+
+    Args:
+        adapter: The method.
+        batch: What it is asked, at the table's rate.
+        seed: The run's seed.
+        state_seed: Of the global generators.
+        threads: Of NumPy's and torch's libraries.
+    """
+    watched = _Watched(adapter)
+    motions = None
+    halvings = 0
+    error = ""
+    # A method may keep or change its batch; the answer holds the one that was meant.
+    own = dataclasses.replace(batch)
+    try:
+        with computing_threads(threads), generators_set_to(state_seed):
+            motions, halvings = generate_checked(
+                watched,  # type: ignore[arg-type] - its other attributes are the method's
+                own,
+                seed=seed,
+                method=str(getattr(adapter, "name", "?")),
+                sequence_ids=[f"#{row}" for row in range(len(batch))],
+                farthest=math.inf,  # how far out a body is, and in which unit, is the doctor's to say
+            )
+    except PrbenchError as raised:
+        error = str(raised)
+    return Answer(
+        batch,
+        motions,
+        error,
+        watched.returned,
+        watched.answered,
+        watched.seconds,
+        halvings,
+        overwritten=tuple(sorted(watched.overwritten)),
+        drew_from=tuple(sorted(watched.drew_from)),
+    )
+
+
+def largest_changes(first: Answer, second: Answer, rows: list[int] | None = None) -> Float[np.ndarray, " rows"]:
+    """Return for each motion the largest distance of any joint in any frame between two answers, metres.
+
+    Args:
+        first: Any answer with motions.
+        second: Answers rows of the same lengths.
+        rows: Where in ``first`` each row of ``second`` stands; None for the same order.
+    """
+    places = range(len(second.batch)) if rows is None else rows
+    return np.array(
+        [
+            float(np.linalg.norm(first.motion(place) - second.motion(row), axis=-1).max())
+            for row, place in enumerate(places)
+        ]
+    )
+
+
+def same_bytes(first: Answer, second: Answer) -> bool:
+    """Return True if two answers to the same batch hold the same numbers to the last bit."""
+    return all(np.array_equal(first.motion(row), second.motion(row)) for row in range(len(first.batch)))
+
+
+def metres(distance: float) -> str:
+    """Write a distance in a unit that is easy to read.
+
+    >>> metres(0.034)
+    '3.4 cm'
+    """
+    if distance >= 1:
+        return f"{distance:.2f} m"
+    if distance >= 0.001:
+        return f"{distance * 100:.1f} cm"
+    return f"{distance:.1e} m" if distance else "0 m"
+
+
+_FIRST = "first-motions.npy"
+_FEW = 2  # cases that even a slow method is asked about
+_BATCH_SECONDS = 12.0  # seconds that a batch should take
+
+
+class MethodSubject(ABC):
+    """A method, and the cases that it is asked about.
+
+    Args:
+        spec: How to make the method.
+        folder: Where a method that learns may leave what it learnt.
+    """
+
+    case: ClassVar[str]
+    """What it is asked about, for messages: ``sequence`` or ``window``."""
+    answer: ClassVar[str] = "motion"
+    """What times and memory are told of."""
+    asks: ClassVar[str]
+    """Name of the check that asks it under every condition."""
+    own_generators: ClassVar[Remedy]
+    """How a method draws so that nothing decides but what may."""
+    own_row: ClassVar[str]
+    """How the rows of a batch are kept apart."""
+
+    def __init__(self, spec: MethodSpec, folder: Path) -> None:
+        self.spec = spec
+        self.folder = folder
+        self.overwritten: set[str] = set()
+        """Fields of batches that the method wrote into."""
+        self.drew_from: set[str] = set()
+        """Global generators whose state it moved."""
+        self.asking: Callable[[str], None] = lambda _text: None
+        """Called before each call of the method, with a text that describes it."""
+        self.starting: Callable[[str], None] = lambda _text: None
+        """Called with a text that describes the work before the first call."""
+        self._answers: dict[StrEnum, Any] = {}
+
+    @property
+    @abstractmethod
+    def conditions(self) -> tuple[Any, ...]:
+        """The conditions that it declares, the richest first."""
+
+    @property
+    @abstractmethod
+    def n_cases(self) -> int:
+        """Number of cases that it can be asked about."""
+
+    @property
+    @abstractmethod
+    def limits(self) -> str:
+        """Say what it declares besides its conditions."""
+
+    @abstractmethod
+    def learns(self, loaded: LoadedMethod) -> bool:
+        """Return True for a method that learns from a table."""
+
+    @abstractmethod
+    def fitted_spec(self) -> MethodSpec:
+        """Return how to make the method fitted to the training cases."""
+
+    @abstractmethod
+    def batch(self, rows: Sequence[int], condition: Any, *, sample: int = 0) -> Any:
+        """Return the conditions of some cases that the method may know.
+
+        Args:
+            rows: Numbers of the cases.
+            condition: What the method may know of them.
+            sample: Another one comes with other noise.
+        """
+
+    @abstractmethod
+    def rows_of(self, batch: Any, rows: Sequence[int]) -> Any:
+        """Return some rows of a batch, in the order given."""
+
+    @abstractmethod
+    def nudged(self, batch: Any, by: np.float32) -> Any | None:
+        """Return the batch with all given poses moved by some metres; None where none is given."""
+
+    @abstractmethod
+    def ask(self, batch: Any, *, seed: int = 0, state_seed: int = STATE_SEED) -> Any:
+        """Call the method once; whatever goes wrong is part of the answer."""
+
+    @property
+    def adapter(self) -> Any:
+        """The method, ready to be asked.
+
+        Raises:
+            PrbenchError: if it cannot be loaded or fitted.
+        """
+        return self.loaded.adapter
+
+    @cached_property
+    def loaded(self) -> LoadedMethod:
+        """The method as a run holds it; fitted, if it learns and was given no weights.
+
+        Raises:
+            PrbenchError: if it cannot be loaded or fitted.
+        """
+        loaded = self.spec.load()
+        if self.spec.weights is not None or self.spec.table_folder is not None or not self.learns(loaded):
+            return loaded
+        self.asking("while it learnt from a table")
+        self.spec = self.fitted_spec()
+        return self.spec.load()
+
+    def load_again(self) -> None:
+        """Start a program again that was ended because another was started; a method in this process stays."""
+        if self.spec.program is not None:
+            vars(self).pop("loaded", None)
+
+    @cached_property
+    def declared(self) -> Declared:
+        """The declarations of the method about itself."""
+        return Declared.by(self.adapter, origin=self.origin, conditions=self.spec.group.conditions)
+
+    @property
+    def origin(self) -> str:
+        """The name of the method in messages."""
+        return f"adapter '{self.spec.name}'"
+
+    @property
+    def is_installed(self) -> bool:
+        """True if it is an installed adapter, wherever it runs; False for a program that the user named."""
+        return self.spec.package is None
+
+    @property
+    def is_program(self) -> bool:
+        """True if it runs in its own process: neither its objects nor its generators can be seen from here."""
+        return self.spec.program is not None
+
+    @property
+    def working(self) -> tuple[Any, ...]:
+        """The conditions under which the harness accepts its answers."""
+        if not self.n_cases:
+            return ()
+        return tuple(condition for condition in self.conditions if self.standard(condition).motions is not None)
+
+    @property
+    def main(self) -> Any:
+        """The richest working condition."""
+        return self.working[0]
+
+    @cached_property
+    def first_answer(self) -> Any:
+        """The first call of all, which pays for what loads on first use; kept for other processes to compare with."""
+        answer: Answer = self.ask(self.batch(range(min(2, self.n_cases)), self.conditions[0]))
+        kept = self.folder / _FIRST
+        if answer.motions is not None and not kept.is_file():
+            np.save(kept, answer.motions.joints)
+        return answer
+
+    def first_motions(self) -> Float[np.ndarray, "batch *frames joints 3"] | None:
+        """Return the answer to the very first batch in the first process, or None if there is none."""
+        kept = self.folder / _FIRST
+        return np.load(kept) if kept.is_file() else None
+
+    @cached_property
+    def rows(self) -> tuple[int, ...]:
+        """The cases of a usual batch: all, or a few of the shorter ones if the method is slow."""
+        total = self.n_cases
+        # The first call also pays for loading; only the second tells how slow the method is.
+        second: Answer = self.ask(self.first_answer.batch)
+        number = int(np.clip(_BATCH_SECONDS * len(second.batch) / max(second.seconds, 1e-9), min(_FEW, total), total))
+        last = total - 1 if number == total else total // 2
+        return tuple(int(row) for row in np.unique(np.linspace(0, last, number).round().astype(int)))
+
+    def standard(self, condition: Any) -> Any:
+        """Return the answer to the usual batch of a condition."""
+        if condition not in self._answers:
+            self._answers[condition] = self.ask(self.batch(self.rows, condition))
+        return self._answers[condition]
+
+
+def working_folder() -> tempfile.TemporaryDirectory[str]:
+    """Return a folder for what a method learns, gone with the check."""
+    return tempfile.TemporaryDirectory(prefix="prbench-check-", ignore_cleanup_errors=True)
+
 
 RICHEST_FIRST = (Condition.GOAL_LOCATION, Condition.GOAL_POSE, Condition.TEXT, Condition.NONE)
 """The condition that most checks use is the first of these that works."""

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import unittest
 import warnings
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import fields
 from typing import ClassVar
 
-from prbench.checking.conformance.judges import judge_of
-from prbench.checking.conformance.predictors.subject import BENCHMARK
-from prbench.checking.conformance.report import START_LIMIT, TIME_LIMIT, CheckRequest, Finding, Outcome, Report
-from prbench.checking.conformance.session import check
+from prbench.checking.conformance.findings import CheckRequest, Finding, Outcome, Report
+from prbench.checking.conformance.predictors import BENCHMARK
+from prbench.checking.conformance.session import check, judge_of
 from prbench.errors import UsageError
 from prbench.protocol.manifests import default_benchmark
 
@@ -27,23 +26,13 @@ class ConformanceWarning(UserWarning):
 
 
 class _Conformance:
-    """Examines a method with the first of its tests; the others read the report."""
+    """Examines a method with the first of its tests; the others read the report.
+
+    Every field of :class:`CheckRequest` may be given as an attribute of the class: ``method`` (installed name, ``cmd:``
+    and a command, or path of a TOML file), ``options``, ``weights``, ``device``, ``data``, ``time_limit`` …
+    """
 
     benchmark: ClassVar[str]
-
-    method: ClassVar[str]
-    """Installed name, ``cmd:`` and a command, or path of a TOML file."""
-    options: ClassVar[Mapping[str, str]] = {}
-    weights: ClassVar[Path | None] = None
-    device: ClassVar[str] = "cpu"
-    data: ClassVar[Path | None] = None
-    """A table whose test cases are asked about; None for synthetic people."""
-
-    time_limit: ClassVar[float] = TIME_LIMIT
-    """Seconds for each call of the method."""
-
-    start_limit: ClassVar[float] = START_LIMIT
-    """Seconds for importing an installed method, and for loading it."""
 
     _report: ClassVar[Report | None] = None
 
@@ -57,17 +46,8 @@ class _Conformance:
         if "_report" not in cls.__dict__ or cls._report is None:
             if not hasattr(cls, "method"):
                 raise UsageError(f'class {cls.__name__} names no method; write  method = "glide"  into it.')
-            request = CheckRequest(
-                cls.method,
-                benchmark=cls.benchmark,
-                weights=cls.weights,
-                options=cls.options,
-                device=cls.device,
-                data=cls.data,
-                time_limit=cls.time_limit,
-                start_limit=cls.start_limit,
-            )
-            cls._report = check(request)
+            given = {each.name: getattr(cls, each.name) for each in fields(CheckRequest) if hasattr(cls, each.name)}
+            cls._report = check(CheckRequest(**given))
         return cls._report
 
 

@@ -34,8 +34,7 @@ from prbench.files.bounded import foreign_input, open_regular
 from prbench.files.storage import turn_into_paths
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.harness.conditions import opaque_ids, run_salt
-from prbench.harness.offline import read_conditions_file
-from prbench.harness.offline.conditions_file import ConditionsFile
+from prbench.harness.offline import ConditionsFile, read_conditions_file
 from prbench.sequences import SequenceTable
 
 _LARGEST = 8 * 1024**3  # bytes of one array

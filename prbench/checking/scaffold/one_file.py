@@ -31,7 +31,7 @@ _ROOTS: Mapping[str, tuple[str, ...]] = {
     "prbench.errors": ("PrbenchError", "InputFileError", "UsageError"),
     "prbench.geometry.skeleton": ("Joint", "PARENTS", "y_up", "z_up"),
     "prbench.randomness": ("sequence_generator",),
-    "prbench.contract.noise": ("batch_noise", "sequence_noise"),
+    "prbench.contract": ("batch_noise", "sequence_noise"),
     "prbench.representation": ("Statistics", "UniformSkeleton", "canonicalise", "rest_offsets", "retarget"),
 }
 """Names that the file offers besides the converters."""

@@ -1,4 +1,4 @@
-"""Names and states of the files of a run, and how a folder is opened for a run or refused."""
+"""Names and states of the files of a run, how a folder is opened for a run or refused, and a merge's ``folds.json``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -14,9 +15,9 @@ from prbench.engine import shards
 from prbench.errors import InputFileError, RunError, StorageError
 from prbench.files.arrays import read_parquet
 from prbench.files.bounded import foreign_input
-from prbench.files.storage import inside, remove_half_written, remove_leftovers
+from prbench.files.storage import file_digest, inside, remove_half_written, remove_leftovers, write_json
 from prbench.harness.run_folder import agreement, record, summary
-from prbench.harness.run_folder.record import RunRecord
+from prbench.harness.run_folder.record import RunRecord, read_record
 from prbench.protocol.manifests import BenchmarkProtocol, default_benchmark
 from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.protocol.own_protocol import protocol_beside, write_protocol
@@ -208,3 +209,61 @@ class RunFolder:
         (self.path / record.FILE_NAME).unlink(missing_ok=True)
         if self.path.is_dir() and not any(self.path.iterdir()):
             self.path.rmdir()
+
+
+FOLDS_FILE = "folds.json"
+
+
+class FoldRun(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The run on one fold."""
+
+    fold: str
+    """Such as ``2/6``."""
+    run: str
+    """Name of its folder, for people."""
+    record_sha256: str
+    """Digest of its ``run.json``."""
+    scores_sha256: str
+    """Digest of its ``scores.parquet``."""
+
+    @classmethod
+    def of(cls, run: RunFolder) -> FoldRun:
+        """Describe a finished run on one dataset."""
+        table = run.record.tables[0]
+        return cls(
+            fold=table.fold or "",
+            run=run.path.resolve().name,
+            record_sha256=file_digest(run.path / record.FILE_NAME),
+            scores_sha256=file_digest(run.dataset(table.dataset).scores),
+        )
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Both digests, by which the run is found again."""
+        return self.record_sha256, self.scores_sha256
+
+
+class MergedFrom(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The whole of ``folds.json``."""
+
+    folds: tuple[FoldRun, ...]
+
+    def write(self, folder: Path) -> None:
+        """Write ``folds.json``."""
+        write_json(folder / FOLDS_FILE, msgspec.to_builtins(self))
+
+    @classmethod
+    @foreign_input()
+    def read(cls, folder: Path) -> MergedFrom:
+        """Read ``folds.json``.
+
+        Raises:
+            RunError: if it is missing or damaged.
+        """
+        path = folder / FOLDS_FILE
+        return read_record(
+            path,
+            cls,
+            missing=f"{path}: expected the runs that were merged, found no file.",
+            remedy="Merge the runs of the folds again.",
+        )

@@ -17,7 +17,7 @@ from prbench.harness.error_budget.looking import PRIMED, diagnose_looking
 from prbench.harness.error_budget.reaching import REACHED, diagnose_reaching
 from prbench.harness.run_folder import RunFolder
 from prbench.harness.run_folder.predictions import Predictions
-from prbench.harness.score_predictions.again import scored_sequences
+from prbench.harness.score_predictions import scored_sequences
 from prbench.harness.scoring import COLUMNS, targets_of
 from prbench.metrics import MotionBatch, ScoringTargets
 from prbench.protocol.manifests import MetricConstants, load_protocol

@@ -7,8 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from prbench.harness.clusters import SIGNIFICANCE
-from prbench.harness.comparisons import Comparison
-from prbench.harness.intervals import Estimate
+from prbench.harness.intervals import Comparison, Estimate
 from prbench.prediction.protocol import load_prediction_protocol
 from prbench.prediction.published import PUBLISHED_METRICS
 from prbench.shown import markdown

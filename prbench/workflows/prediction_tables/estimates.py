@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from prbench.errors import UsageError
-from prbench.harness.comparisons import PairedValues
-from prbench.harness.intervals import Estimate, metric_interval
+from prbench.harness.intervals import Estimate, PairedValues, metric_interval
 from prbench.harness.motion_prediction.metrics import prediction_metrics
 from prbench.prediction.scoring import Scores
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prbench.harness.comparisons import Comparison, PairedValues, compare
+from prbench.harness.intervals import Comparison, PairedValues, compare
 from prbench.prediction.batch import Condition
 from prbench.prediction.scoring import Scores
 from prbench.workflows.prediction_tables.estimates import paired

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prbench.datasets import SYNTHETIC_PREFIX
-from prbench.harness.comparisons import Comparison, compare
-from prbench.harness.intervals import Estimate
+from prbench.harness.intervals import Comparison, Estimate, compare
 from prbench.prediction.published import (
     PUBLISHED_DATASETS,
     TABLES,

@@ -16,7 +16,7 @@ from typing import Literal
 from prbench.board import collect_runs, make_leaderboard
 from prbench.board.comparison import paired_scores
 from prbench.board.tables import FEWEST_RANKED, DatasetTable, TableRow, hides, of_all_methods, undecided_lines
-from prbench.harness.comparisons import Comparison, compare
+from prbench.harness.intervals import Comparison, compare
 from prbench.harness.planning import Selection, select
 from prbench.harness.run_folder.cost import RunCost
 from prbench.harness.run_folder.folder import RunFolder

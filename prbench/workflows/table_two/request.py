@@ -17,10 +17,10 @@ from prbench.contract import Condition
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import UsageError, did_you_mean
 from prbench.files.storage import text_digest
-from prbench.harness.cheats import CHEATS
 from prbench.harness.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
 from prbench.harness.methods.installed import NEAREST_NEIGHBOUR
 from prbench.harness.preparation import DEFAULT_PARENT
+from prbench.harness.scripted import CHEATS
 from prbench.protocol.manifests import read_toml
 from prbench.protocol.own_protocol import read_protocol
 from prbench.protocol.published import load_table_one

@@ -15,10 +15,9 @@ from pathlib import Path
 from prbench.engine import Engine, is_out_of_memory
 from prbench.errors import PrbenchError, StorageError
 from prbench.files.storage import sole_writer
-from prbench.harness.generation import BatchTask, run_batch
 from prbench.harness.methods.loading import forget_loaded_methods
 from prbench.harness.request import RunRequest
-from prbench.harness.run import missing_batches
+from prbench.harness.run import BatchTask, missing_batches, run_batch
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.record import FILE_NAME as RECORD
 

@@ -10,9 +10,7 @@ import torch
 from torch import Tensor
 
 from prbench.text import text_encoder
-from prbench_adapters.dart.configuration import DartConfiguration
-from prbench_adapters.dart.model import DartModel, FeatureScaling
-from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
+from prbench_adapters.dart.model import DartConfiguration, DartModel, FeatureScaling, LatentDenoiser, PrimitiveVAE
 from prbench_adapters.diffusion.model import TextVectors
 
 _LAYER = [

@@ -9,8 +9,8 @@ from prbench.contract import Adapter, Condition
 from prbench.errors import AdapterError, InputFileError
 from prbench_adapters import dart
 from prbench_adapters.dart.adapter import parts_of_similar_cost
-from prbench_adapters.dart.configuration import DartConfiguration
-from prbench_adapters.diffusion.batches import ModelBodies
+from prbench_adapters.dart.model import DartConfiguration
+from prbench_adapters.diffusion.generation import ModelBodies
 from tests.adapters.dart import tiny
 from tests.adapters.diffusion.goal_batches import conditions
 

@@ -11,14 +11,21 @@ import torch
 from prbench.contract import Condition
 from prbench.geometry.skeleton import Joint
 from prbench_adapters.dart.adapter import generate
-from prbench_adapters.dart.configuration import DartSettings
 from prbench_adapters.dart.frames import Frames, Placement
-from prbench_adapters.dart.guidance import GuidedDenoiser, PreparedDenoiser, by_ddim, by_ddpm
-from prbench_adapters.dart.losses import delta_loss, divergence
-from prbench_adapters.dart.model import DartModel, FeatureScaling
-from prbench_adapters.dart.optimisation import goal_loss, optimise, unit_gradient
-from prbench_adapters.dart.rollout import first_history, roll_out
-from prbench_adapters.diffusion.noise_optimisation.objective import Targets
+from prbench_adapters.dart.model import DartModel, DartSettings, FeatureScaling
+from prbench_adapters.dart.rollout import (
+    GuidedDenoiser,
+    PreparedDenoiser,
+    by_ddim,
+    by_ddpm,
+    first_history,
+    goal_loss,
+    optimise,
+    roll_out,
+    unit_gradient,
+)
+from prbench_adapters.dart.training import delta_loss, divergence
+from prbench_adapters.diffusion.noise_optimisation.optimise import Targets
 from prbench_adapters.kinematics import DART, root_orientation
 from tests.adapters.dart import page, tiny
 from tests.adapters.diffusion.goal_batches import conditions

@@ -7,10 +7,8 @@ from importlib import resources
 import pytest
 
 from prbench.harness.methods.installed import list_tasks, load_task
-from prbench_adapters.dart.configuration import DartConfiguration
-from prbench_adapters.dart.losses import Objective
-from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
-from prbench_adapters.dart.task import DartTask, read_model_table
+from prbench_adapters.dart.model import DartConfiguration, LatentDenoiser, PrimitiveVAE
+from prbench_adapters.dart.training import DartTask, Objective, read_model_table
 from prbench_adapters.training.configuration import TrainingConfiguration, list_configurations, load_configuration
 
 PACKAGE = "prbench_adapters.dart"

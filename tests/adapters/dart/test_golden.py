@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from prbench_adapters.dart.frames import Placement
-from prbench_adapters.dart.guidance import GuidedDenoiser, by_ddim
-from prbench_adapters.dart.rollout import Primitive, roll_out
+from prbench_adapters.dart.rollout import GuidedDenoiser, Primitive, by_ddim, roll_out
 from tests.adapters.dart import golden
 
 TOLERANCE = 1e-5

@@ -11,9 +11,9 @@ import torch
 from prbench.contract import Condition
 from prbench.geometry.skeleton import Joint
 from prbench_adapters.dart.adapter import generate
-from prbench_adapters.dart.configuration import DartSettings
-from prbench_adapters.dart.optimisation import goal_loss, optimise, unit_gradient
-from prbench_adapters.diffusion.noise_optimisation.objective import Targets
+from prbench_adapters.dart.model import DartSettings
+from prbench_adapters.dart.rollout import goal_loss, optimise, unit_gradient
+from prbench_adapters.diffusion.noise_optimisation.optimise import Targets
 from tests.adapters.dart import tiny
 from tests.adapters.diffusion.goal_batches import conditions
 

@@ -16,16 +16,23 @@ from prbench.contract import Condition
 from prbench.errors import InputFileError, TrainingStopped, UsageError
 from prbench.files.storage import read_json
 from prbench.harness.methods.loading import load_adapter
-from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.frames import Frames
-from prbench_adapters.dart.losses import body_losses, delta_loss, divergence, feedback
-from prbench_adapters.dart.task import DartTask
-from prbench_adapters.dart.training import DartTraining
-from prbench_adapters.dart.windows import drawn_starts, primitives_of, window
+from prbench_adapters.dart.model import DartConfiguration
+from prbench_adapters.dart.training import (
+    DartTask,
+    DartTraining,
+    body_losses,
+    delta_loss,
+    divergence,
+    drawn_starts,
+    feedback,
+    primitives_of,
+    window,
+)
 from prbench_adapters.kinematics import rest_offsets
 from prbench_adapters.training import SequenceDataset, collate
 from prbench_adapters.training.configuration import OptimisationConfiguration, TrainingConfiguration
-from prbench_adapters.training.items import MotionBatch
+from prbench_adapters.training.dataset import MotionBatch
 from prbench_adapters.training.loop import fit
 from prbench_adapters.training.state import TrainingState
 from prbench_adapters.training.task import TrainingData
@@ -253,7 +260,7 @@ def test_what_does_not_fit_is_refused(model, message, data):
 
 @pytest.mark.parametrize("stopped_after", [2, 4])
 def test_a_stopped_training_goes_on_to_the_same_bits_in_either_phase(data, tmp_path, monkeypatch, stopped_after):
-    monkeypatch.setattr("prbench_adapters.training.outputs.draw_curves", lambda *arguments: None)
+    monkeypatch.setattr("prbench_adapters.training.report.draw_curves", lambda *arguments: None)
     settings = OptimisationConfiguration(steps=6, learning_rate=1e-3, ema=0.9, save_every=9, log_every=1)
     configuration = TrainingConfiguration(model={}, training=settings)
 

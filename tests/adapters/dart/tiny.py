@@ -8,10 +8,16 @@ import msgspec
 import torch
 
 from prbench.text import text_encoder
-from prbench_adapters.dart.configuration import DartConfiguration
 from prbench_adapters.dart.frames import Frames
-from prbench_adapters.dart.model import KIND, REPRESENTATION, DartModel, FeatureScaling
-from prbench_adapters.dart.networks import LatentDenoiser, PrimitiveVAE
+from prbench_adapters.dart.model import (
+    KIND,
+    REPRESENTATION,
+    DartConfiguration,
+    DartModel,
+    FeatureScaling,
+    LatentDenoiser,
+    PrimitiveVAE,
+)
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.kinematics import DART
 from prbench_adapters.training.weights import write_weights

@@ -9,8 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from prbench_adapters.diffusion.condition import EncodedCondition
-from prbench_adapters.diffusion.configuration import DenoiserConfiguration
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration, EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser
 
 _RENAMED = [

@@ -11,7 +11,7 @@ from prbench.geometry import skeleton
 from prbench.geometry.skeleton import BONES, Joint
 from prbench.randomness import sequence_generator
 from prbench.representation import REST_OFFSETS
-from prbench_adapters.diffusion.batches import (
+from prbench_adapters.diffusion.generation import (
     ModelBodies,
     SequenceNoise,
     bone_lengths,

@@ -7,8 +7,12 @@ import pytest
 import torch
 
 from prbench.contract import Condition, ConditionBatch
-from prbench_adapters.diffusion.condition import ConditionScaling, raw_condition, raw_condition_of
-from prbench_adapters.diffusion.configuration import DenoiserConfiguration
+from prbench_adapters.diffusion.configuration import (
+    ConditionScaling,
+    DenoiserConfiguration,
+    raw_condition,
+    raw_condition_of,
+)
 from tests.fakes import STANDING
 
 LOCATION = DenoiserConfiguration(goal="location")

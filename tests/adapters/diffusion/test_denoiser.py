@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 import torch
 
-from prbench_adapters.diffusion.condition import EncodedCondition
+from prbench_adapters.diffusion.configuration import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser
 from tests.adapters.diffusion import tiny
 

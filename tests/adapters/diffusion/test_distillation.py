@@ -11,16 +11,15 @@ import torch
 
 from prbench.errors import InputFileError, UsageError
 from prbench_adapters import pr
-from prbench_adapters.diffusion.condition import EncodedCondition
-from prbench_adapters.diffusion.configuration import DenoiserConfiguration
-from prbench_adapters.diffusion.distillation import Distillation, student_of, teacher_walks
-from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
+from prbench_adapters.diffusion.configuration import DenoiserConfiguration, EncodedCondition
+from prbench_adapters.diffusion.denoiser import FrameDenoiser
 from prbench_adapters.diffusion.generation import SamplingSettings
 from prbench_adapters.diffusion.model import network
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim
+from prbench_adapters.diffusion.tasks import Distillation, student_of, teacher_walks
 from prbench_adapters.diffusion.training import DiffusionTraining
 from prbench_adapters.training import SequenceDataset, collate
-from prbench_adapters.training.items import MotionBatch
+from prbench_adapters.training.dataset import MotionBatch
 from prbench_adapters.training.task import TrainingData
 from prbench_adapters.training.weights import write_weights
 from tests.fakes import fake_dataset

@@ -9,7 +9,7 @@ import torch
 from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError
 from prbench_adapters.diffusion import generation
-from prbench_adapters.diffusion.condition import EncodedCondition
+from prbench_adapters.diffusion.configuration import EncodedCondition
 from prbench_adapters.diffusion.generation import Guided, SamplingSettings, generate
 from tests.adapters.diffusion import tiny
 

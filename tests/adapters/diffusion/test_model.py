@@ -9,7 +9,7 @@ import torch
 from prbench.contract import Condition, ConditionBatch
 from prbench.errors import AdapterError, InputFileError, UsageError
 from prbench.representation import decode
-from prbench_adapters.diffusion.condition import ConditionScaling
+from prbench_adapters.diffusion.configuration import ConditionScaling
 from prbench_adapters.diffusion.model import MotionModel, torch_device
 from prbench_adapters.training.weights import read_weights, write_weights
 from tests.adapters.diffusion import tiny

@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from prbench_adapters.diffusion.generation import SamplingSettings
-from prbench_adapters.diffusion.options import require_known, sampling_settings
+from prbench_adapters.diffusion.generation import SamplingSettings, require_known, sampling_settings
 
 
 def _settings(**options: str) -> SamplingSettings:

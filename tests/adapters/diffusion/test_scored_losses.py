@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from prbench.geometry.skeleton import Joint
-from prbench_adapters.diffusion.scored_losses import foot_loss, ray_loss, wrist_loss
+from prbench_adapters.diffusion.training import foot_loss, ray_loss, wrist_loss
 from tests.fakes import STANDING
 
 FPS = 20.0

@@ -18,7 +18,7 @@ from prbench_adapters import mdm, pr
 from prbench_adapters.diffusion.tasks import DiffusionTask
 from prbench_adapters.diffusion.training import DiffusionTraining, Objective, losses
 from prbench_adapters.training import SequenceDataset, collate
-from prbench_adapters.training.items import MotionBatch
+from prbench_adapters.training.dataset import MotionBatch
 from prbench_adapters.training.task import TrainingData
 from prbench_adapters.training.weights import write_weights
 from tests.fakes import fake_dataset

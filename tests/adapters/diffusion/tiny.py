@@ -10,10 +10,8 @@ import torch
 
 from prbench.contract import Condition, ConditionBatch
 from prbench.text import text_encoder
-from prbench_adapters.diffusion.condition import ConditionScaling
-from prbench_adapters.diffusion.configuration import DenoiserConfiguration
-from prbench_adapters.diffusion.denoiser import Denoiser
-from prbench_adapters.diffusion.frame_denoiser import FrameDenoiser
+from prbench_adapters.diffusion.configuration import ConditionScaling, DenoiserConfiguration
+from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser
 from prbench_adapters.diffusion.model import MotionModel, TextVectors, network
 from prbench_adapters.training.weights import write_weights
 

@@ -8,9 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from prbench_adapters.gmd.public_files import Checkpoint
-from prbench_adapters.gmd.public_weights import parameters_of, widths_of
-from prbench_adapters.gmd.unet import GMDConfiguration, TemporalUNet
+from prbench_adapters.gmd.model import GMDConfiguration, TemporalUNet
+from prbench_adapters.gmd.public_weights import Checkpoint, parameters_of, widths_of
 
 STEPS = 1000
 WINDOW = 224

@@ -14,9 +14,9 @@ from prbench.harness.methods.loading import load_adapter
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.predictions import Predictions
-from prbench_adapters.diffusion import bundled
+from prbench_adapters.diffusion import method
 from prbench_adapters.gmd.adapter import GMD, generate
-from prbench_adapters.gmd.stages import GMDSettings
+from prbench_adapters.gmd.sampling import GMDSettings
 from tests.adapters.gmd import tiny
 from tests.fakes import fake_dataset, fake_sequence
 
@@ -73,7 +73,7 @@ def test_wrong_options_are_named(weights, option, message):
 
 
 def test_without_weights_the_user_is_told_how_to_train_some(monkeypatch):
-    monkeypatch.setattr(bundled, "bundled_names", lambda folder: [])
+    monkeypatch.setattr(method, "bundled_names", lambda folder: [])
     with pytest.raises(AdapterError, match=r"gmd: no weights come with .*`prbench train --method gmd --config small"):
         _load(None)
 

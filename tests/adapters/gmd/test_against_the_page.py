@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 import torch
 
-from prbench_adapters.diffusion.batches import SequenceNoise
+from prbench_adapters.diffusion.generation import SequenceNoise
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.gmd.features import FeatureSpace, decode_absolute, emphasis_projection, with_absolute_root
-from prbench_adapters.gmd.sampling import Ends, RootGoal
-from prbench_adapters.gmd.stages import GMDSettings, GuidedNetwork, sample_motion, sample_trajectory
+from prbench_adapters.gmd.sampling import Ends, GMDSettings, GuidedNetwork, RootGoal, sample_motion, sample_trajectory
 from tests.adapters.gmd import page, page_network, tiny
 
 FRAMES = 13  # no multiple of what the networks divide by

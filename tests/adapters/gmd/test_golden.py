@@ -12,6 +12,7 @@ from torch import Tensor
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.gmd.features import ROOT_XZ, FeatureSpace
 from prbench_adapters.gmd.sampling import (
+    GuidedNetwork,
     RootGoal,
     clean_of_noise,
     guided_mean,
@@ -20,7 +21,6 @@ from prbench_adapters.gmd.sampling import (
     imputed_root,
     noised,
 )
-from prbench_adapters.gmd.stages import GuidedNetwork
 from tests.adapters.gmd import golden
 
 STEP = 250

@@ -22,7 +22,7 @@ from prbench.harness.run_folder.predictions import Predictions
 from prbench_adapters.gmd.import_public import main
 from prbench_adapters.gmd.model import GMDModel
 from prbench_adapters.gmd.public_weights import PublicFiles, import_public
-from prbench_adapters.gmd.stages import GuidedNetwork
+from prbench_adapters.gmd.sampling import GuidedNetwork
 from tests.adapters.gmd import golden, released, tiny
 from tests.fakes import fake_dataset, fake_sequence
 from tests.text import tiny_clip

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from prbench_adapters.gmd.model import GMDNetworks
-from prbench_adapters.gmd.unet import GMDConfiguration
+from prbench_adapters.gmd.model import GMDConfiguration, GMDNetworks
 from tests.adapters.gmd import tiny
 
 

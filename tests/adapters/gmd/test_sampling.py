@@ -1,4 +1,4 @@
-"""Goals, imputation and both stages, with networks of random weights."""
+"""Goals, imputation and both sampling, with networks of random weights."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ import torch
 from prbench.contract import ConditionBatch
 from prbench.errors import AdapterError
 from prbench.geometry.skeleton import Joint, bone_lengths
-from prbench_adapters.diffusion.batches import SequenceNoise
+from prbench_adapters.diffusion.generation import SequenceNoise
 from prbench_adapters.diffusion.sampling import CosineSchedule
-from prbench_adapters.gmd import stages
+from prbench_adapters.gmd import sampling
 from prbench_adapters.gmd.adapter import generate
-from prbench_adapters.gmd.sampling import Ends, RootGoal, clean_of_noise, guided_mean, imputed_root
-from prbench_adapters.gmd.stages import GMDSettings
+from prbench_adapters.gmd.sampling import Ends, GMDSettings, RootGoal, clean_of_noise, guided_mean, imputed_root
 from tests.adapters.gmd import tiny
 
 
@@ -91,8 +90,8 @@ def test_without_a_goal_no_gradient_is_taken():
 @pytest.mark.parametrize(("steps", "limits"), [(1000, (20, 100, 1)), (100, (2, 10, 1)), (50, (1, 5, 1))])
 def test_limits_scale_with_the_schedule(steps, limits):
     schedule = CosineSchedule(steps)
-    assert tuple(stages._step(schedule, of_thousand) for of_thousand in (20, 100, 1)) == limits
-    assert stages._step(schedule, 0) == 0
+    assert tuple(sampling._step(schedule, of_thousand) for of_thousand in (20, 100, 1)) == limits
+    assert sampling._step(schedule, 0) == 0
 
 
 def _root(joints: np.ndarray) -> np.ndarray:
@@ -155,7 +154,7 @@ def test_bones_keep_the_lengths_of_the_initial_pose_if_asked(model):
 
 def test_the_body_follows_the_whole_trajectory(model, monkeypatch):
     followed = []
-    trajectory_stage = stages.sample_trajectory
+    trajectory_stage = sampling.sample_trajectory
 
     def watched(*arguments, **keywords):
         followed.append(trajectory_stage(*arguments, **keywords))
@@ -244,15 +243,17 @@ def test_each_step_imputes_and_guides_as_its_noise_asks(monkeypatch, imputation,
         guided.extend([i] if loss is not None else [])
         return state
 
-    monkeypatch.setattr(stages, "imputed_by_noising", noising)
-    monkeypatch.setattr(stages, "imputed_in_mean", in_mean)
-    monkeypatch.setattr(stages, "guided_mean", mean_of)
+    monkeypatch.setattr(sampling, "imputed_by_noising", noising)
+    monkeypatch.setattr(sampling, "imputed_in_mean", in_mean)
+    monkeypatch.setattr(sampling, "guided_mean", mean_of)
     model, ends, settings = tiny.model(diffusion_steps=100), _ends(), GMDSettings(imputation=imputation)
     noise = SequenceNoise([1, 2], ends.n_frames.numpy())
     text, window = torch.zeros(2, 64), model.configuration.window(5)
-    network = stages.GuidedNetwork(model.networks.motion, text, ends.n_frames, window=window, scale=1.0)
-    trajectory = stages.sample_trajectory(network, model.schedule, model.space, ends.root_keyframes(), noise, settings)
-    stages.sample_motion(network, model.schedule, model.space, trajectory, ends, noise, settings)
+    network = sampling.GuidedNetwork(model.networks.motion, text, ends.n_frames, window=window, scale=1.0)
+    trajectory = sampling.sample_trajectory(
+        network, model.schedule, model.space, ends.root_keyframes(), noise, settings
+    )
+    sampling.sample_motion(network, model.schedule, model.space, trajectory, ends, noise, settings)
 
     line = [(t, 5) for t in range(99, 9, -1)]
     assert imputed[0] == line + [(t, 2) for t in range(9, last_imputed[0] - 1, -1)]

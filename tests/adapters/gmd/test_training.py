@@ -18,7 +18,7 @@ from prbench_adapters.gmd.model import GMDModel, GMDNetworks
 from prbench_adapters.gmd.training import GMDTask, GMDTraining, read_model_table
 from prbench_adapters.training import SequenceDataset, collate
 from prbench_adapters.training.configuration import TrainingConfiguration, list_configurations, load_configuration
-from prbench_adapters.training.items import MotionBatch
+from prbench_adapters.training.dataset import MotionBatch
 from prbench_adapters.training.task import TrainingData, TrainingTask
 from prbench_adapters.training.weights import write_weights
 from tests.fakes import fake_dataset
@@ -182,7 +182,7 @@ def _train(table: Path, out: Path, *more: str) -> int:
 
 def test_smoke_training_makes_weights_that_generate_and_resumes_to_the_same_bytes(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("prbench_adapters.training.outputs.draw_curves", lambda *arguments: None)
+    monkeypatch.setattr("prbench_adapters.training.report.draw_curves", lambda *arguments: None)
     table = fake_dataset(tmp_path / "table", 24).folder
     validated = ("--set", "validation.every=4", "--set", "validation.sequences=1")
     validated += ("--set", "validation.condition=goal-pose")

@@ -12,8 +12,7 @@ from prbench.contract import Condition, ConditionBatch
 from prbench.text import text_encoder
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.gmd.features import FeatureSpace, emphasis_projection
-from prbench_adapters.gmd.model import GMDModel, GMDNetworks
-from prbench_adapters.gmd.unet import GMDConfiguration
+from prbench_adapters.gmd.model import GMDConfiguration, GMDModel, GMDNetworks
 from prbench_adapters.training.weights import write_weights
 from tests.fakes import STANDING
 

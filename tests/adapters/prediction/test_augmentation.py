@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from prbench.geometry.skeleton import BONES, Joint
-from prbench_adapters.prediction.augmentation import augmented, mirror_partners
+from prbench_adapters.prediction.training import augmented, mirror_partners
 
 NAMES = [joint.name.lower() for joint in Joint]
 STILL, NEVER = torch.zeros(2), torch.zeros(2, dtype=torch.bool)

@@ -6,10 +6,8 @@ import pytest
 import torch
 
 from prbench.randomness import noise_seed
-from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion
+from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion, PreparedCondition, padded
 from prbench_adapters.prediction.configuration import PRESETS, preset
-from prbench_adapters.prediction.denoiser import PreparedCondition
-from prbench_adapters.prediction.window_dct import padded
 
 TINY = {
     "n_joints": 4,

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion
+from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion, padded
 from prbench_adapters.prediction.configuration import preset
-from prbench_adapters.prediction.window_dct import padded
 from tests.adapters.prediction.golden import (
     largest_difference,
     load,

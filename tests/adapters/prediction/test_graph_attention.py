@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from prbench_adapters.prediction.graph_attention import GraphAttention
+from prbench_adapters.prediction.coefficient_diffusion import GraphAttention
 
 
 @pytest.fixture

@@ -5,11 +5,14 @@ from __future__ import annotations
 import pytest
 import torch
 
-from prbench_adapters.prediction.behaviour import BehaviourConfiguration, PastAutoencoder
-from prbench_adapters.prediction.belfusion import BeLFusion
-from prbench_adapters.prediction.cvae import CVAE, CVAEConfiguration
-from prbench_adapters.prediction.dlow import DLow, DLowConfiguration
-from prbench_adapters.prediction.latent_unet import LatentUNet, UNetConfiguration
+from prbench_adapters.prediction.belfusion import (
+    BehaviourConfiguration,
+    BeLFusion,
+    LatentUNet,
+    PastAutoencoder,
+    UNetConfiguration,
+)
+from prbench_adapters.prediction.recurrent import CVAE, CVAEConfiguration, DLow, DLowConfiguration
 
 
 def _count(module):
@@ -40,7 +43,7 @@ def test_dlow_survives_a_scale_of_zero():
     model = DLow(DLowConfiguration(n_samples=2, state=4, mlp=(4,)), cvae)
     for parameter in model.scales.parameters():
         torch.nn.init.zeros_(parameter)
-    loss = model.loss(torch.randn(2, 5, 2, 3), torch.randn(2, 4, 2, 3), torch.randn(2, 3)).total
+    loss = model.loss(torch.randn(2, 5, 2, 3), torch.randn(2, 4, 2, 3), torch.randn(2, 3))["loss"]
     loss.backward()
     assert all(p.grad.isfinite().all() for p in model.parameters() if p.requires_grad)
 
@@ -65,7 +68,7 @@ def test_belfusion_samples_depend_on_their_seeds_alone():
 def test_belfusion_trains_the_denoiser_alone():
     model = _belfusion()
     loss = model.loss(torch.randn(2, 9, 2, 3), torch.tensor([0, 9]), torch.randn(2, 3, 8), torch.randn(2, 8))
-    loss.total.mean().backward()
+    loss["loss"].mean().backward()
     assert all(parameter.grad is None for parameter in (*model.past.parameters(), *model.behaviour.parameters()))
     assert all(parameter.grad is not None for parameter in model.denoiser.output.parameters())
 

@@ -16,8 +16,8 @@ from prbench.prediction.batch import Condition, ObservedBatch, ask
 from prbench.prediction.table import WindowsTable
 from prbench_adapters.prediction.adapter import LearnedPredictor, load_predictor
 from prbench_adapters.prediction.training import RateCourse
+from prbench_adapters.training.batches import WindowChoice, WindowsDataset
 from prbench_adapters.training.run import TrainRequest, train
-from prbench_adapters.training.windows import WindowChoice, WindowsDataset
 from tests.prediction.windows import walking, write
 
 FIRST = {"dlow": "cvae", "belfusion": "autoencoders"}
@@ -26,7 +26,7 @@ FIRST = {"dlow": "cvae", "belfusion": "autoencoders"}
 
 @pytest.fixture(autouse=True)
 def no_pictures(monkeypatch):
-    monkeypatch.setattr("prbench_adapters.training.outputs.draw_curves", lambda *arguments: None)
+    monkeypatch.setattr("prbench_adapters.training.report.draw_curves", lambda *arguments: None)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ class Trained:
         path = self.folder / name / "weights.safetensors"
         if not path.is_file():
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr("prbench_adapters.training.outputs.draw_curves", lambda *arguments: None)
+                patch.setattr("prbench_adapters.training.report.draw_curves", lambda *arguments: None)
                 train(self.request(name, name))
         return path
 

@@ -3,9 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion
+from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion, Whitening
 from prbench_adapters.prediction.configuration import preset
-from prbench_adapters.prediction.whitening import Whitening
 
 
 @pytest.fixture

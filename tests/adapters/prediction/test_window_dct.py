@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from prbench_adapters.diffusion.sampling import CosineSchedule
-from prbench_adapters.prediction.window_dct import WindowDCT, dct_rows, padded
+from prbench_adapters.prediction.coefficient_diffusion import WindowDCT, dct_rows, padded
 
 
 def test_rows_of_constant_and_rising_values():

@@ -12,7 +12,7 @@ from prbench.errors import TableError, UsageError
 from prbench.geometry.skeleton import Joint, facing_yaw
 from prbench.representation import canonicalise, encode
 from prbench_adapters.training.dataset import SequenceDataset
-from prbench_adapters.training.motions import mirrored_text
+from prbench_adapters.training.store import mirrored_text
 from tests.adapters.training.tables import CAPTIONS, corpus_table, sequence_table
 
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 import pytest
 
 from prbench.errors import TableError
-from prbench_adapters.training import store_building
+from prbench_adapters.training import store
 from prbench_adapters.training.dataset import SequenceDataset
 from tests.adapters.training.tables import sequence_table
 
@@ -29,7 +29,7 @@ def test_features_are_computed_once(tmp_path, monkeypatch):
     table, cache = sequence_table(tmp_path / "t"), tmp_path / "cache"
     first = SequenceDataset(table, cache=cache)
     made = {path: path.stat().st_mtime_ns for path in cache.iterdir()}
-    monkeypatch.setattr(store_building, "encoded", refuse)
+    monkeypatch.setattr(store, "encoded", refuse)
     again = SequenceDataset(table.folder, cache=cache)
     assert again[2].features.tobytes() == first[2].features.tobytes()
     assert {path: path.stat().st_mtime_ns for path in cache.iterdir()} == made
@@ -65,7 +65,7 @@ def test_a_copy_of_a_table_takes_the_store_over(tmp_path, monkeypatch):
     cache = tmp_path / "cache"
     SequenceDataset(sequence_table(tmp_path / "a"), cache=cache)
     copy = sequence_table(tmp_path / "b")
-    monkeypatch.setattr(store_building, "encoded", refuse)
+    monkeypatch.setattr(store, "encoded", refuse)
     SequenceDataset(copy, cache=cache)
 
 
@@ -75,7 +75,7 @@ def test_an_interrupted_build_leaves_nothing(tmp_path, monkeypatch):
 
     table, cache = sequence_table(tmp_path / "t"), tmp_path / "cache"
     with monkeypatch.context() as patch:
-        patch.setattr(store_building, "encoded", interrupted)
+        patch.setattr(store, "encoded", interrupted)
         with pytest.raises(KeyboardInterrupt):
             SequenceDataset(table, cache=cache)
     assert stores(cache) == []
@@ -86,14 +86,14 @@ _KILLED_WHILE_WRITING = """
 import os, signal, sys
 from pathlib import Path
 from prbench.sequences import SequenceTable
-from prbench_adapters.training import store_building
+from prbench_adapters.training import store
 
 def killed(*arguments):
     os.kill(os.getpid(), signal.SIGKILL)
 
-store_building._encoded_rows = killed
-encoding = store_building.Encoding("train", "continuous", 241, "end", mirrored=False)
-store_building.table_store(SequenceTable.open(Path(sys.argv[1])), encoding, Path(sys.argv[2]))
+store._encoded_rows = killed
+encoding = store.DataConfiguration()
+store.table_store(SequenceTable.open(Path(sys.argv[1])), "train", encoding, Path(sys.argv[2]))
 """
 
 
@@ -127,7 +127,7 @@ def test_what_a_killed_build_of_another_store_left_goes_when_nobody_has_written_
 def test_other_code_of_the_representation_makes_its_own_store(tmp_path, monkeypatch):
     table, cache = sequence_table(tmp_path / "t"), tmp_path / "cache"
     SequenceDataset(table, cache=cache)
-    monkeypatch.setattr(store_building, "_representation_digest", lambda: "other")
+    monkeypatch.setattr(store, "_representation_digest", lambda: "other")
     SequenceDataset(table, cache=cache)
     assert len(stores(cache)) == 4
 

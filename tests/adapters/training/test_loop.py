@@ -30,7 +30,7 @@ SETTINGS = OptimisationConfiguration(
 @pytest.fixture(autouse=True)
 def no_pictures(monkeypatch):
     """Curves have tests of their own and would take most of the time here."""
-    monkeypatch.setattr("prbench_adapters.training.outputs.draw_curves", lambda *arguments: None)
+    monkeypatch.setattr("prbench_adapters.training.report.draw_curves", lambda *arguments: None)
 
 
 def configuration(**changes):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from prbench_adapters.training import outputs as log
+from prbench_adapters.training import report as log
 from prbench_adapters.training.configuration import OptimisationConfiguration
-from prbench_adapters.training.outputs import TrainingLog, draw_curves
+from prbench_adapters.training.report import TrainingLog, draw_curves
 from prbench_adapters.training.state import TrainingState
 from tests.adapters.training.toy import toy
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from prbench_adapters.training import precision as under_test
-from prbench_adapters.training.precision import chosen_precision, quicker_precision
+from prbench_adapters.training import run as under_test
+from prbench_adapters.training.run import chosen_precision, quicker_precision
 
 
 @pytest.fixture

@@ -15,9 +15,8 @@ from safetensors.torch import load_file, save_file
 from prbench.errors import UsageError
 from prbench.files.storage import read_json, write_json
 from prbench_adapters.training.configuration import OptimisationConfiguration, TrainingConfiguration
-from prbench_adapters.training.items import MotionBatch
-from prbench_adapters.training.loop import fit
-from prbench_adapters.training.processes import make_fabric
+from prbench_adapters.training.dataset import MotionBatch
+from prbench_adapters.training.loop import fit, make_fabric
 from prbench_adapters.training.task import TrainingModule
 from tests.adapters.training.tables import sequence_table
 from tests.adapters.training.toy import random_batch, rows_of

@@ -14,7 +14,7 @@ from prbench.files.storage import write_json
 from prbench.harness.methods import installed
 from prbench.harness.methods.installed import load_task
 from prbench_adapters.training.configuration import OptimisationConfiguration, TrainingConfiguration
-from prbench_adapters.training.record import TableRecord, TrainingRecord, require_same_training, thinned, write_record
+from prbench_adapters.training.report import TableRecord, TrainingRecord, require_same_training, thinned, write_record
 
 TABLE = TableRecord(
     dataset="a", title="A", synthetic=True, licence="MIT", identity_digest="i", content_digest="c", sequences=3

@@ -86,7 +86,7 @@ def test_losses_are_means_over_sequences_whatever_the_batches(table):
 
 
 def _batch(validation, places):
-    from prbench_adapters.training.items import collate
+    from prbench_adapters.training.dataset import collate
 
     return collate([validation.data[place] for place in places])
 

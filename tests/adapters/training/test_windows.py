@@ -10,7 +10,7 @@ import pytest
 from prbench.errors import TableError, UsageError
 from prbench.prediction.batch import Condition
 from prbench.prediction.table import WindowsTable
-from prbench_adapters.training.windows import WindowChoice, WindowsDataset
+from prbench_adapters.training.batches import WindowChoice, WindowsDataset
 from tests.prediction.windows import walking, write
 
 

@@ -16,7 +16,7 @@ from torch import nn
 
 from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import UsageError
-from prbench_adapters.training.items import MotionBatch
+from prbench_adapters.training.dataset import MotionBatch
 from prbench_adapters.training.task import TrainingData, TrainingModule
 from prbench_adapters.training.weights import read_weights
 

@@ -16,9 +16,9 @@ from prbench.errors import AdapterError, InputFileError
 from prbench.geometry.skeleton import Joint, bone_lengths
 from prbench.harness.methods.loading import load_adapter
 from prbench.representation import mirror
-from prbench_adapters.diffusion import bundled
+from prbench_adapters.diffusion import method
 from prbench_adapters.wandr.adapter import WANDR, Generation
-from prbench_adapters.wandr.state import TRANSLATION
+from prbench_adapters.wandr.network import TRANSLATION
 from tests.adapters.wandr import tiny
 
 RIGHT, LEFT = Joint.RIGHT_WRIST, Joint.LEFT_WRIST
@@ -209,7 +209,7 @@ def test_files_of_something_else_are_refused(tmp_path):
 
 
 def test_a_version_without_weights_says_how_to_get_some(tmp_path, monkeypatch):
-    monkeypatch.setattr(bundled, "files", lambda package: tmp_path)
+    monkeypatch.setattr(method, "files", lambda package: tmp_path)
     folder = tmp_path / "wandr" / "weights"
     folder.mkdir(parents=True)
     with pytest.raises(AdapterError, match="wandr: no weights come with this version of prbench"):

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.kinematics import rest_offsets
 from prbench_adapters.wandr.adapter import Start, roll_out
-from prbench_adapters.wandr.network import WandrNetwork
-from prbench_adapters.wandr.state import BodyState, heading_of, intentions, yaw_rotation
+from prbench_adapters.wandr.network import BodyState, WandrNetwork, heading_of, intentions, yaw_rotation
 from tests.adapters.wandr import page, tiny
 from tests.fakes import smooth_motion
 

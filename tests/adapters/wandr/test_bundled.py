@@ -18,7 +18,7 @@ from prbench.harness.methods.motions import generate_checked
 from prbench.harness.planning import select
 from prbench.harness.synthetic_table import Staging, synthetic_source
 from prbench.sequences import SequenceTable
-from prbench_adapters.diffusion.bundled import own_weights
+from prbench_adapters.diffusion.method import own_weights
 from prbench_adapters.wandr import adapter
 from tests.adapters.cards import described
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from prbench_adapters.kinematics import matrices_of, rows_of
-from prbench_adapters.wandr.state import BodyState, heading_of, intentions, yaw_rotation
+from prbench_adapters.wandr.network import BodyState, heading_of, intentions, yaw_rotation
 
 TOLERANCE = 1e-5
 

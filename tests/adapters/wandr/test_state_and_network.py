@@ -7,13 +7,16 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from prbench_adapters.kinematics import WANDR, rest_offsets
-from prbench_adapters.wandr.network import CONDITION_SIZE, WandrConfiguration, WandrNetwork, hidden_widths
-from prbench_adapters.wandr.state import (
+from prbench_adapters.wandr.network import (
+    CONDITION_SIZE,
     DELTA_SIZE,
     SEEN_SIZE,
     BodyState,
+    WandrConfiguration,
+    WandrNetwork,
     clean_delta,
     heading_of,
+    hidden_widths,
     intentions,
     yaw_rotation,
 )

@@ -19,13 +19,22 @@ from prbench.representation import mirror
 from prbench_adapters.kinematics import WANDR as WORLD
 from prbench_adapters.training import SequenceDataset, collate
 from prbench_adapters.training.configuration import load_configuration
-from prbench_adapters.training.items import MotionBatch
+from prbench_adapters.training.dataset import MotionBatch
 from prbench_adapters.training.task import TrainingData
 from prbench_adapters.training.weights import write_weights
 from prbench_adapters.wandr.network import WandrNetwork
-from prbench_adapters.wandr.recordings import Places, Recordings, goal_frames, starts
-from prbench_adapters.wandr.task import WandrTask, read_model_table
-from prbench_adapters.wandr.training import WandrTraining, delta_loss, divergence, joint_loss
+from prbench_adapters.wandr.training import (
+    Places,
+    Recordings,
+    WandrTask,
+    WandrTraining,
+    delta_loss,
+    divergence,
+    goal_frames,
+    joint_loss,
+    read_model_table,
+    starts,
+)
 from tests.adapters.training.tables import corpus_table
 from tests.adapters.wandr import tiny
 from tests.adapters.wandr.tiny import TINY

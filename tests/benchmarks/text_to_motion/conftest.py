@@ -6,7 +6,7 @@ import torch
 from prbench_adapters.training import LengthBatches, SequenceDataset, collate
 from prbench_adapters.training.task import TrainingData
 from prbench_adapters.training.weights import write_weights
-from prbench_benchmarks.text_to_motion.task import t2m_evaluator
+from prbench_benchmarks.text_to_motion.training import t2m_evaluator
 from tests.benchmarks.text_to_motion.corpora import TINY, made_up_corpus
 
 

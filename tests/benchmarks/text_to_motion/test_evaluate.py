@@ -17,7 +17,7 @@ from prbench_benchmarks.text_to_motion.evaluate import MISMATCHED, REAL, TextEva
 from prbench_benchmarks.text_to_motion.generated import MethodRequest, generated_features
 from prbench_benchmarks.text_to_motion.networks import EvaluatorConfiguration
 from prbench_benchmarks.text_to_motion.report import TextEvaluation
-from prbench_benchmarks.text_to_motion.task import load_evaluator
+from prbench_benchmarks.text_to_motion.training import load_evaluator
 from tests.benchmarks.text_to_motion.corpora import TINY
 from tests.benchmarks.text_to_motion.test_training import trained
 from tests.cli.reports import plain, refused, reported

@@ -7,7 +7,7 @@ from torch import nn
 
 from prbench.representation import Statistics
 from prbench.text import text_encoder
-from prbench_benchmarks.text_to_motion.extractor import Extractor
+from prbench_benchmarks.text_to_motion.clips import Extractor
 from prbench_benchmarks.text_to_motion.networks import (
     EvaluatorConfiguration,
     MotionEncoder,

@@ -18,12 +18,13 @@ from prbench_adapters.training.configuration import (
 from prbench_adapters.training.loop import fit
 from prbench_adapters.training.task import TrainingTask
 from prbench_adapters.training.weights import read_weights
-from prbench_benchmarks.text_to_motion.task import read_model_table, t2m_evaluator
 from prbench_benchmarks.text_to_motion.training import (
     EvaluatorObjective,
     contrastive_losses,
     different_texts,
+    read_model_table,
     reconstruction_losses,
+    t2m_evaluator,
 )
 from tests.benchmarks.text_to_motion.corpora import TINY
 

@@ -5,8 +5,14 @@ import pytest
 import torch
 
 from prbench.errors import InputFileError
-from prbench_benchmarks.text_to_motion.networks import EvaluatorConfiguration, TextEncoder
-from prbench_benchmarks.text_to_motion.words import LISTS, POS_CLASSES, GloveCaptions, WordVectors
+from prbench_benchmarks.text_to_motion.networks import (
+    LISTS,
+    POS_CLASSES,
+    EvaluatorConfiguration,
+    GloveCaptions,
+    TextEncoder,
+    WordVectors,
+)
 
 WORDS = ["unk", "sos", "eos", "walk", "left", "hand"]
 

@@ -9,12 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from prbench.checking.conformance.cases import SEQUENCES, Cases, cases_of, write_sequences
-from prbench.checking.conformance.check import examine
+from prbench.checking.conformance.cases import SEQUENCES, Cases, cases_of, synthetic_sequences, write_sequences
 from prbench.checking.conformance.checks import CHECKS
-from prbench.checking.conformance.report import Finding
+from prbench.checking.conformance.findings import Finding, examine
 from prbench.checking.conformance.subject import Subject
-from prbench.checking.conformance.synthetic_people import synthetic_sequences
 from prbench.harness.methods.loading import forget_loaded_methods, method_spec
 from prbench.sequences import Sequence
 from tests.checking.conformance.methods_under_test import FAULTS

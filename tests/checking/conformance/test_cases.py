@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.checking.conformance.cases import cases_of, kept_synthetic_cases, write_training_table
-from prbench.checking.conformance.checks.resources import growth_per_round
-from prbench.checking.conformance.report import CheckRequest
+from prbench.checking.conformance.cases import cases_of, kept_synthetic_cases, synthetic_sequences, write_training_table
+from prbench.checking.conformance.checks.body import growth_per_round
+from prbench.checking.conformance.findings import CheckRequest
 from prbench.checking.conformance.subject import Subject
-from prbench.checking.conformance.synthetic_people import synthetic_sequences
 from prbench.geometry.skeleton import WRISTS, Joint, facing_yaw
 from prbench.harness.methods.loading import method_spec
 from prbench.harness.methods.training_split import TrainingSplit
@@ -80,7 +79,7 @@ def test_a_request_survives_the_way_into_another_process(tmp_path):
 def test_a_slow_method_is_asked_about_few_and_short_sequences(site, people, tmp_path, monkeypatch):
     quick = Subject(method_spec("glide"), cases_of(people), tmp_path)
     assert quick.rows == tuple(range(12))
-    monkeypatch.setattr("prbench.checking.conformance.method_subject._PATIENCE", 1e-6)
+    monkeypatch.setattr("prbench.checking.conformance.subject._BATCH_SECONDS", 1e-6)
     slow = Subject(method_spec("glide"), cases_of(people), tmp_path)
     assert slow.rows == (0, 6)
 

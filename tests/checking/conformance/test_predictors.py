@@ -9,11 +9,15 @@ from pathlib import Path
 import pytest
 
 from prbench.checking.conformance import CheckRequest, Outcome
-from prbench.checking.conformance.check import examine
-from prbench.checking.conformance.judges import judge_of
-from prbench.checking.conformance.predictors.cases import AskedWindows, synthetic_windows, windows_of_table
-from prbench.checking.conformance.predictors.subject import BENCHMARK, PredictorSubject
-from prbench.checking.conformance.session import check
+from prbench.checking.conformance.findings import examine
+from prbench.checking.conformance.predictors import (
+    BENCHMARK,
+    AskedWindows,
+    PredictorSubject,
+    synthetic_windows,
+    windows_of_table,
+)
+from prbench.checking.conformance.session import check, judge_of
 from prbench.errors import TableError, UsageError
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.methods.loading import forget_loaded_methods, method_spec

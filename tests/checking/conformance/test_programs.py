@@ -8,8 +8,8 @@ import textwrap
 import pytest
 
 from prbench.checking.conformance import Outcome
-from prbench.checking.conformance.check import examine
 from prbench.checking.conformance.checks import CHECKS
+from prbench.checking.conformance.findings import examine
 from prbench.checking.conformance.subject import Subject
 from prbench.harness.methods.loading import forget_loaded_methods, method_spec
 
@@ -110,8 +110,8 @@ def test_remedies_speak_of_the_wire_to_authors_of_programs(found_in_program):
 
 
 def _remedies():
-    from prbench.checking.conformance.checks import form, inputs, loading, reproducibility
-    from prbench.checking.conformance.report import Remedy
+    from prbench.checking.conformance.checks import form, reproducibility
+    from prbench.checking.conformance.findings import Remedy
 
-    modules = (form, inputs, loading, reproducibility)
+    modules = (form, reproducibility)
     return [value for module in modules for value in vars(module).values() if isinstance(value, Remedy)]

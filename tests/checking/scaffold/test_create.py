@@ -15,10 +15,9 @@ import pytest
 
 from prbench.checking import scaffold
 from prbench.checking.conformance import Outcome
-from prbench.checking.conformance.check import examine
-from prbench.checking.conformance.judges import judge_of
-from prbench.checking.conformance.predictors.cases import windows_of_table
-from prbench.checking.conformance.predictors.subject import PredictorSubject
+from prbench.checking.conformance.findings import examine
+from prbench.checking.conformance.predictors import PredictorSubject, windows_of_table
+from prbench.checking.conformance.session import judge_of
 from prbench.checking.scaffold import ScaffoldRequest, new_adapter
 from prbench.cli import main
 from prbench.errors import StorageError, UsageError

@@ -9,7 +9,7 @@ import re
 import pytest
 
 from prbench.checking.scaffold import create
-from prbench.checking.scaffold.values import filled, method_names, template_flags, template_values
+from prbench.checking.scaffold.create import filled, method_names, template_flags, template_values
 from prbench.contract import Condition
 from prbench.entry_points import InstalledEntry
 from prbench.errors import UsageError

@@ -27,7 +27,8 @@ from prbench.harness.methods.programs import read_description
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import RunRecord
-from prbench.harness.score_predictions import ScoreRequest, score_predictions
+from prbench.harness.score_predictions import score_predictions
+from prbench.harness.score_request import ScoreRequest
 from tests.harness.test_run import request
 from tests.method_fixtures import adapter_source
 
@@ -119,7 +120,7 @@ def test_a_package_never_trains_in_place_of_a_method_of_prbench(install, tmp_pat
     found = [(point.name, point.value) for point in entry_points_of("prbench.training_tasks")]
     assert ("mdm", "prbench_made:task") not in found
     assert [value for name, value in found if name == "t2m-evaluator"] == [
-        "prbench_benchmarks.text_to_motion.task:t2m_evaluator"
+        "prbench_benchmarks.text_to_motion.training:t2m_evaluator"
     ]
 
 

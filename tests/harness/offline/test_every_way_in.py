@@ -13,7 +13,8 @@ from prbench.contract import Condition
 from prbench.harness.offline import ExportRequest, export_conditions, read_conditions_file
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
-from prbench.harness.score_predictions import ScoreRequest, score_predictions
+from prbench.harness.score_predictions import score_predictions
+from prbench.harness.score_request import ScoreRequest
 from tests.harness.offline import method
 
 GLIDE = Path(__file__).parents[3] / "docs/examples/glide.py"

@@ -6,8 +6,7 @@ import pyarrow as pa
 import pytest
 
 from prbench.errors import RunError
-from prbench.harness.run_folder.coded_scores import CodedScores
-from prbench.harness.run_folder.scores import SCORES, read_scores, write_scores
+from prbench.harness.run_folder.scores import SCORES, CodedScores, read_scores, write_scores
 
 
 def scores(sequences: int = 3, samples: int = 2) -> pa.Table:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.harness.run_folder.means import bounds_of_mean, mean_over_datasets
-from prbench.harness.run_folder.summary import MetricSummary
+from prbench.harness.run_folder.summary import MetricSummary, bounds_of_mean, mean_over_datasets
 
 
 def metric(mean: float, low: float | None, high: float | None) -> MetricSummary:

@@ -1,1 +1,1 @@
-"""The files of a new method, as templates: see :mod:`prbench.checking.scaffold.values` for their few marks."""
+"""The files of a new method, as templates: see :mod:`prbench.checking.scaffold.create` for their few marks."""

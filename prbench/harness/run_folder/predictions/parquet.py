@@ -17,8 +17,13 @@ import pyarrow.parquet as pq
 from prbench.errors import PredictionsError
 from prbench.files.arrays import open_parquet
 from prbench.geometry.skeleton import N_JOINTS
-from prbench.harness.run_folder.predictions.rows import POSE_SIZE, IndexedRows, PredictionRows, as_float32
-from prbench.harness.run_folder.predictions.unpacked import UnpackedFrames
+from prbench.harness.run_folder.predictions.rows import (
+    POSE_SIZE,
+    IndexedRows,
+    PredictionRows,
+    UnpackedFrames,
+    as_float32,
+)
 from prbench.harness.run_folder.scores import GAZE_COLUMNS
 
 _CACHED_BYTES = 64 * 1024**2

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from prbench_adapters.diffusion.generation import Guided
-from prbench_adapters.diffusion.noise_optimisation.decoder import UnrolledChain
+from prbench_adapters.diffusion.noise_optimisation.generation import UnrolledChain
 from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 from prbench_adapters.diffusion.sampling import sample_ddim
 from tests.adapters.diffusion import tiny

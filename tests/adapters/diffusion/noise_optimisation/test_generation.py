@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from prbench_adapters.diffusion.batches import start_noise
+from prbench_adapters.diffusion.generation import start_noise
 from prbench_adapters.diffusion.noise_optimisation.generation import optimise_noise
-from prbench_adapters.diffusion.noise_optimisation.objective import Targets
+from prbench_adapters.diffusion.noise_optimisation.optimise import Targets
 from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
 from tests.adapters.diffusion import tiny
 

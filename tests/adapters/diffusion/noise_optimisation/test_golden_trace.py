@@ -9,12 +9,16 @@ import pytest
 import torch
 
 from prbench.representation import tensors
-from prbench_adapters.diffusion.condition import EncodedCondition
+from prbench_adapters.diffusion.configuration import EncodedCondition
 from prbench_adapters.diffusion.denoiser import Denoiser
 from prbench_adapters.diffusion.noise_optimisation.generation import optimise_noise
-from prbench_adapters.diffusion.noise_optimisation.objective import Targets, keyframes
+from prbench_adapters.diffusion.noise_optimisation.optimise import (
+    Targets,
+    decorrelation,
+    keyframes,
+    learning_rate_factor,
+)
 from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
-from prbench_adapters.diffusion.noise_optimisation.solver import decorrelation, learning_rate_factor
 from tests.adapters.diffusion import golden
 
 PUBLISHED = OptimisationSettings(

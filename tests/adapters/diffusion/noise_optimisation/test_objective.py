@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from prbench.geometry.skeleton import Joint
-from prbench_adapters.diffusion.noise_optimisation.objective import (
+from prbench_adapters.diffusion.noise_optimisation.optimise import (
     Keyframes,
     PrimeAndReach,
     Targets,

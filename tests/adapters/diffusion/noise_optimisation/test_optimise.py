@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from prbench_adapters.diffusion.noise_optimisation.objective import Targets, prime_and_reach
-from prbench_adapters.diffusion.noise_optimisation.optimise import optimise
+from prbench_adapters.diffusion.noise_optimisation.optimise import (
+    AdamState,
+    Targets,
+    optimise,
+    prime_and_reach,
+    unit_gradient,
+)
 from prbench_adapters.diffusion.noise_optimisation.settings import OptimisationSettings
-from prbench_adapters.diffusion.noise_optimisation.solver import AdamState, unit_gradient
 from tests.adapters.diffusion.noise_optimisation.linear import LinearDecoder, noise
 
 SETTINGS = OptimisationSettings(iterations=50, warmup=5, learning_rate=0.5, decorrelation_weight=10.0, jerk_weight=0.01)

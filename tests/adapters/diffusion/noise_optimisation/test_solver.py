@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from prbench_adapters.diffusion.noise_optimisation.solver import (
+from prbench_adapters.diffusion.noise_optimisation.optimise import (
     DecorrelationPadding,
     decorrelation,
     learning_rate_factor,

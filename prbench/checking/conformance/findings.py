@@ -1,0 +1,231 @@
+"""One engine of findings: the request of a check, checks declared as data, one loop that makes them, one report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from prbench.protocol.manifests import default_benchmark
+
+TIME_LIMIT = 600.0
+"""Default limit of each call of the method, seconds."""
+START_LIMIT = 120.0
+"""Default limit of importing and of loading a method, seconds; programs have the same for their hello."""
+
+
+class Outcome(StrEnum):
+    """The result of a check, from good to bad."""
+
+    PASSED = "passed"
+    SKIPPED = "skipped"
+    WARNING = "warning"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One sentence about a method, and what its author can do about it."""
+
+    check: str
+    """Name of the check; one check may find several things."""
+    outcome: Outcome
+    """How it came out."""
+    said: str
+    """The observation with its numbers; for a skipped check, the reason."""
+    remedy: str = ""
+    """The change to make; empty where there is none."""
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    """Maps names that end in their unit to measured numbers."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """All findings about one method."""
+
+    method: str
+    """The method, as it was named."""
+    findings: tuple[Finding, ...]
+    """In the order of the checks. The exit code is 5 if one failed."""
+    seconds: float
+    """How long the checks took."""
+
+    @property
+    def failed(self) -> tuple[Finding, ...]:
+        """The findings that need a change."""
+        return self.of(Outcome.FAILED)
+
+    def of(self, outcome: Outcome) -> tuple[Finding, ...]:
+        """Return the findings of one outcome."""
+        return tuple(finding for finding in self.findings if finding.outcome is outcome)
+
+    def about(self, check: str) -> tuple[Finding, ...]:
+        """Return the findings of one check."""
+        return tuple(finding for finding in self.findings if finding.check == check)
+
+
+class Remedy(str):
+    """A change to make, worded for the author of an adapter in Python; ``program`` words it for that of a program."""
+
+    program: str
+
+    def __new__(cls, adapter: str, program: str) -> Remedy:
+        """Hold both wordings."""
+        remedy = super().__new__(cls, adapter)
+        remedy.program = program
+        return remedy
+
+    def then(self, text: str) -> Remedy:
+        """Return the remedy with ``text`` appended to both wordings."""
+        return Remedy(f"{self} {text}", f"{self.program} {text}")
+
+    def after(self, text: str) -> Remedy:
+        """Return the remedy with ``text`` before both wordings."""
+        return Remedy(f"{text} {self}", f"{text} {self.program}")
+
+
+@dataclass(frozen=True)
+class CheckRequest:
+    """A method, and how to check it."""
+
+    method: str
+    """Installed name, ``cmd:`` and a command, or a TOML file."""
+    weights: Path | None = None
+    options: Mapping[str, str] = field(default_factory=dict)
+    device: str = "cpu"
+    threads: int = 1
+    isolate: bool = False
+    benchmark: str = default_benchmark().name
+    """The benchmark that it is a method of."""
+    data: Path | None = None
+    """A table whose test cases are asked about; None for synthetic people."""
+    time_limit: float = TIME_LIMIT
+    """Seconds for each call of the method."""
+    start_limit: float = START_LIMIT
+    """Seconds for importing it, and for loading it; a program's own are in its TOML file."""
+
+    def as_json(self) -> dict[str, object]:
+        """Return the request as plain values, for another process."""
+        weights = None if self.weights is None else str(self.weights)
+        data = None if self.data is None else str(self.data.absolute())
+        return asdict(self) | {"options": dict(self.options), "weights": weights, "data": data}
+
+    @classmethod
+    def of_json(cls, values: Mapping[str, Any]) -> CheckRequest:
+        """Read the request that :meth:`as_json` wrote."""
+        paths = {name: None if values[name] is None else Path(values[name]) for name in ("weights", "data")}
+        return cls(**{**values, **paths})
+
+
+def passed(said: str, **numbers: float) -> Finding:
+    """Find that all is well; ``said`` holds the evidence. The loop puts the name of the check to it."""
+    return Finding("", Outcome.PASSED, said, numbers=numbers)
+
+
+def skipped(said: str) -> Finding:
+    """Find that a check did not apply, with the reason."""
+    return Finding("", Outcome.SKIPPED, said)
+
+
+def warning(said: str, remedy: str, **numbers: float) -> Finding:
+    """Find what is allowed but what the author should know."""
+    return Finding("", Outcome.WARNING, said, remedy, numbers)
+
+
+def failed(said: str, remedy: str, **numbers: float) -> Finding:
+    """Find what is against the contract and makes numbers of this method wrong."""
+    return Finding("", Outcome.FAILED, said, remedy, numbers)
+
+
+_Examine = Callable[[Any], Iterable[Finding]]
+FORM = ("generates", "predicts", "shapes", "dtype", "finite", "past")
+"""Checks without which there is nothing to look at."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One question to a method."""
+
+    name: str
+    title: str
+    """The question, for lists and headings."""
+    examine: _Examine
+    needs: tuple[str, ...] = ()
+    """Checks that must not have failed; a fault that explains others is reported alone."""
+    of_motions: bool = False
+    """True if it needs a condition under which the method generates motions that the harness accepts."""
+    fresh: bool = False
+    """True if it looks at a method in a process that has done nothing else."""
+
+
+def check(
+    name: str, title: str, *, needs: tuple[str, ...] = (), of_motions: bool = False, fresh: bool = False
+) -> Callable[[_Examine], Check]:
+    """Make a check of a function; the arguments are those of :class:`Check`."""
+
+    def made(examine: _Examine) -> Check:
+        return Check(name, title, examine, needs, of_motions, fresh)
+
+    return made
+
+
+def examine(
+    subject: Any,
+    checks: Iterable[Check],
+    *,
+    known: Mapping[str, Outcome] | None = None,
+    announce: Callable[[Check], None] | None = None,
+) -> Iterator[Finding]:
+    """Make checks and yield their findings.
+
+    Args:
+        subject: The method, of whichever benchmark: what the checks ask, and ``is_installed``, ``working``, ``asks``.
+        checks: What to look at, in this order.
+        known: How earlier checks ended, by name.
+        announce: Called before each check.
+    """
+    # Earlier processes have made some checks already; later ones build on them.
+    worst = dict(known or {})
+    for one in checks:
+        if announce is not None:
+            announce(one)
+        findings = []
+        for found in _found(one, subject, worst):
+            remedy = found.remedy
+            # Who wrote a program is told what to change in the program, others what to change in the adapter.
+            if isinstance(remedy, Remedy) and not subject.is_installed:
+                remedy = remedy.program
+            numbers = {name: float(value) for name, value in found.numbers.items()}
+            findings.append(Finding(one.name, found.outcome, found.said, str(remedy), numbers))
+        worst[one.name] = worst_of(findings)
+        yield from findings
+
+
+def worst_of(findings: Iterable[Finding]) -> Outcome:
+    """Return the worst outcome of the findings of one check."""
+    order = (Outcome.SKIPPED, Outcome.PASSED, Outcome.WARNING, Outcome.FAILED)
+    return max((finding.outcome for finding in findings), key=order.index, default=Outcome.SKIPPED)
+
+
+def _found(one: Check, subject: Any, worst: Mapping[str, Outcome]) -> list[Finding]:
+    """Make one check, unless an earlier failure explains what it would find."""
+    missing = [name for name in one.needs if worst.get(name) is Outcome.FAILED]
+    if one.of_motions and worst.get("load") is Outcome.FAILED:
+        missing.append("load")
+    if missing:
+        return [skipped(f"not looked at before '{missing[0]}' passes.")]
+    try:
+        if one.of_motions and not subject.working:
+            broken = [name for name in FORM if worst.get(name) is Outcome.FAILED]
+            first = broken[0] if broken else repr(subject.asks)
+            return [skipped(f"there are no motions to look at before {first} passes.")]
+        return list(one.examine(subject))
+    except Exception as error:  # a method may answer in ways that no check expects
+        return [
+            failed(
+                f"the check could not make sense of the method's answers: {type(error).__name__}: {error}",
+                "Look at the failures above first; if there are none, this is a defect of prbench: please report it.",
+            )
+        ]

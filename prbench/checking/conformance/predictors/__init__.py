@@ -1,1 +1,0 @@
-"""Checks of predictors: the methods of motion prediction."""
