@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import msgspec
 import numpy as np
@@ -26,7 +25,6 @@ from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
 from prbench.metrics import MetricInfo
 from prbench.metrics.registry import LENGTH_MISMATCH
 from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
-from prbench.sequences import DatasetInfo
 
 
 def scored_again(run: RunFolder, table: CaseTable, engine: Engine) -> CodedScores:
@@ -214,93 +212,46 @@ def metric_differences(made: MetricSummary, stored: MetricSummary) -> Iterator[t
             yield f"{made.metric}.{name}", value, found[name]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ScoredSet:
-    """The motions that the scores belong to."""
-
-    info: DatasetInfo | TableRecord
-    metrics: tuple[MetricInfo, ...]
-    """All metrics of the benchmark, in the order in which they are printed."""
-    recording_of: Mapping[str, str]
-    """Recording of each scored sequence."""
-    chosen: int
-    """Sequences of split and limit, whether or not the method could generate them."""
-    method: str
-    condition: str
-    control: str | None
-    split: str
-    samples: int
-    gaze: bool
-    """The motions bring gaze that a method generated."""
-    obstacles: bool
-    """The method was given the solid boxes around each sequence."""
-
-
-def summarise(scores: CodedScores | pa.Table, scored: ScoredSet) -> DatasetSummary:
-    """``summary.json`` of one dataset.
-
-    Args:
-        scores: Rows of ``scores.parquet``.
-        scored: What they are of.
-    """
-    metrics = _metrics(CodedScores.of([scores]) if isinstance(scores, pa.Table) else scores, scored)
-    mismatched = max((metric.flags.get(LENGTH_MISMATCH, 0) for metric in metrics), default=0)
-    return DatasetSummary(
-        dataset=scored.info.dataset,
-        title=_titled(scored.info.title, synthetic=scored.info.synthetic),
-        synthetic=scored.info.synthetic,
-        redistribution=scored.info.redistribution,
-        method=scored.method,
-        condition=scored.condition,
-        control=scored.control,
-        split=scored.split,
-        sequences=scored.chosen,
-        unsupported=scored.chosen - len(scored.recording_of),
-        recordings=len(set(scored.recording_of.values())),
-        samples=scored.samples,
-        gaze=scored.gaze,
-        obstacles=scored.obstacles,
-        length_mismatches=mismatched,
-        metrics=metrics,
-    )
-
-
 def summary_of(
     record: RunRecord, table: TableRecord, scores: CodedScores | pa.Table, recording_of: Mapping[str, str]
 ) -> DatasetSummary:
-    """Make ``summary.json`` anew from ``run.json``, the scores and the recording of each case."""
-    return summarise(
-        scores,
-        ScoredSet(
-            info=table,
-            metrics=load_benchmark(record.benchmark).metrics,
-            recording_of=recording_of,
-            chosen=table.sequences,
-            method=record.method.name,
-            condition=record.condition,
-            control=record.control,
-            split=record.split,
-            samples=record.samples,
-            gaze=record.method.gaze,
-            obstacles=record.method.wants_obstacles,
-        ),
-    )
+    """Make ``summary.json`` of one dataset from ``run.json``, the scores and the recording of each scored case.
 
-
-def _titled(title: str, *, synthetic: bool) -> str:
-    """The title of a dataset, with the word "synthetic" where the data are."""
-    return f"{title} (synthetic)" if synthetic and "synthetic" not in title.lower() else title
-
-
-def _metrics(scores: CodedScores, scored: ScoredSet) -> tuple[MetricSummary, ...]:
-    ranked = sum(info.main and info.ranked for info in scored.metrics)
+    Args:
+        record: What the motions are of.
+        table: Its entry for the dataset.
+        scores: Rows of ``scores.parquet``.
+        recording_of: Maps each scored case to its recording.
+    """
+    coded = CodedScores.of([scores]) if isinstance(scores, pa.Table) else scores
+    infos = load_benchmark(record.benchmark).metrics
+    ranked = sum(info.main and info.ranked for info in infos)
     # Numbers in the order of the names take the place of the names, which are sorted many times.
-    sequences = _ranks(scores.sequence_ids)
-    recordings = _ranks([scored.recording_of[name] for name in scores.sequence_ids])
-    return tuple(
-        _summarised(info, scores, scores.rows_of(info.id), sequences, recordings, ranked)
-        for info in scored.metrics
-        if info.id in scores.metrics
+    sequences = _ranks(coded.sequence_ids)
+    recordings = _ranks([recording_of[name] for name in coded.sequence_ids])
+    metrics = tuple(
+        _summarised(info, coded, coded.rows_of(info.id), sequences, recordings, ranked)
+        for info in infos
+        if info.id in coded.metrics
+    )
+    says_synthetic = not table.synthetic or "synthetic" in table.title.lower()
+    return DatasetSummary(
+        dataset=table.dataset,
+        title=table.title if says_synthetic else f"{table.title} (synthetic)",
+        synthetic=table.synthetic,
+        redistribution=table.redistribution,
+        method=record.method.name,
+        condition=record.condition,
+        control=record.control,
+        split=record.split,
+        sequences=table.sequences,
+        unsupported=table.sequences - len(recording_of),
+        recordings=len(set(recording_of.values())),
+        samples=record.samples,
+        gaze=record.method.gaze,
+        obstacles=record.method.wants_obstacles,
+        length_mismatches=max((metric.flags.get(LENGTH_MISMATCH, 0) for metric in metrics), default=0),
+        metrics=metrics,
     )
 
 

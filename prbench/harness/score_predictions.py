@@ -7,6 +7,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 import prbench
@@ -22,13 +23,13 @@ from prbench.harness.offline import read_conditions_file
 from prbench.harness.planning import Selection, open_tables, select, supported
 from prbench.harness.preparation import table_record
 from prbench.harness.request import ProgressCallback, reported, silent
-from prbench.harness.results import ScoredSet, require_same_table, summarise
+from prbench.harness.results import require_same_table, summary_of
 from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder.agreement import DatasetAgreement
 from prbench.harness.run_folder.cost import total_cost
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.predictions import Numbering, Predictions
-from prbench.harness.run_folder.record import FILE, BatchPlanRecord, MethodRecord, RunRecord
+from prbench.harness.run_folder.record import FILE, BatchPlanRecord, MethodRecord, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION, CodedScores
 from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.harness.score_request import (
@@ -43,7 +44,6 @@ from prbench.harness.score_request import (
     stated_by_request,
 )
 from prbench.harness.scoring import ScoringRules, score_selection
-from prbench.metrics import METRICS
 from prbench.protocol.manifests import BenchmarkProtocol
 from prbench.protocol.own_protocol import FILE_NAME, protocol_for, write_protocol
 from prbench.sequences import SequenceTable
@@ -64,25 +64,10 @@ class Work:
     progress: ProgressCallback
 
 
-@dataclass(frozen=True, kw_only=True)
-class About:
-    """Facts on the motions that a summary holds beside their scores."""
-
-    method: str
-    condition: str
-    control: str | None
-    obstacles: bool = False
-    """The method was given the solid boxes around each sequence, as far as a run's record says."""
-
-
 @dataclass(frozen=True)
 class Scored:
     """The results of one table."""
 
-    chosen: Selection
-    """The sequences of split and limit."""
-    selection: Selection
-    """The chosen sequences that were scored."""
     scores: CodedScores
     summary: DatasetSummary
     agreement: DatasetAgreement
@@ -90,81 +75,24 @@ class Scored:
     @classmethod
     def of(
         cls,
-        chosen: Selection,
+        record: RunRecord,
+        table: TableRecord,
         selection: Selection,
         predictions: Predictions,
         *,
         samples: Sequence[int],
         rules: ScoringRules,
         protocol: BenchmarkProtocol,
-        about: About,
         work: Work,
     ) -> Scored:
-        """Score the motions of a table and summarise them."""
+        """Score the motions of the chosen sequences of a table and summarise them as those of a run."""
         windows = score_selection(selection, predictions, samples=samples, rules=rules, engine=work.engine)
-        dataset = selection.table.info.dataset
-        scores = CodedScores.of(reported(windows, dataset, len(selection), work.progress))
+        scores = CodedScores.of(reported(windows, table.dataset, len(selection), work.progress))
         give_back()
         agreement = agreement_with_people(selection, scores, protocol=protocol)
         give_back()
-        scored = ScoredSet(
-            info=selection.table.info,
-            metrics=METRICS,
-            recording_of=dict(zip(selection.sequence_ids, selection.recording_ids)),
-            chosen=len(chosen),
-            method=about.method,
-            condition=about.condition,
-            control=about.control,
-            split=selection.split,
-            samples=len(samples),
-            gaze=predictions.has_gaze,
-            obstacles=about.obstacles,
-        )
-        return cls(chosen, selection, scores, summarise(scores, scored), agreement)
-
-
-def offline_record(
-    name: str, stated: Stated, scored: tuple[Scored, ...], *, package: str, digest: str, protocol: BenchmarkProtocol
-) -> RunRecord:
-    """Return what is known of a submission as a run's record.
-
-    Args:
-        name: Name of the method.
-        stated: How its motions were made.
-        scored: Their scores, one a table.
-        package: Name of the file that the motions came as.
-        digest: Digest of the motions; its beginning is the version of the method.
-        protocol: Rules by which they were scored.
-    """
-    return RunRecord(
-        schema_version=RUN_SCHEMA_VERSION,
-        prbench_version=prbench.__version__,
-        protocol_version=protocol.version,
-        protocol_digest=protocol.digest,
-        method=MethodRecord(
-            name=name,
-            kind=FILE,
-            package=package,
-            version=digest[:12],
-            weights=None,
-            weights_digest=None,
-            options={},
-            max_frames=stated.max_frames,
-            native_fps=stated.native_fps,
-            motionless=False,
-            gaze=any(one.summary.gaze for one in scored),
-        ),
-        condition=stated.condition.value if stated.condition else UNSTATED,
-        control=stated.control,
-        split=stated.split,
-        limit=stated.limit,
-        seed=stated.seed,
-        samples=scored[0].summary.samples,
-        device=_ELSEWHERE,
-        threads=0,
-        packages={},
-        tables=tuple(table_record(one.chosen, one.selection, _NO_BATCHES) for one in scored),
-    )
+        recording_of = dict(zip(selection.sequence_ids, selection.recording_ids))
+        return cls(scores, summary_of(record, table, scores, recording_of), agreement)
 
 
 def predictions_digest(path: Path) -> str:
@@ -268,27 +196,34 @@ def _scored(
     run: RunFolder, table: SequenceTable, request: ScoreRequest, work: Work, protocol: BenchmarkProtocol
 ) -> Scored:
     require_same_table(run, table)
-    chosen, selection = _selections(request, run.record, table)
+    record = run.record
+    chosen, selection = _selections(request, record, table)
     predictions = Predictions.open(run.dataset(table.info.dataset).predictions)
     wanted = Wanted(
         path=request.predictions,
         selections=(selection,),
-        seed=run.record.seed,
+        seed=record.seed,
         samples=None,
         native_fps=None,
         conditions=None,
     )
     samples = require_complete(predictions, wanted)
-    rules = _rules(request, run.record, selection, protocol)
-    record = run.record
-    about = About(
-        method=record.method.name,
-        condition=record.condition,
-        control=record.control,
-        obstacles=record.method.wants_obstacles,
+    # What is scored may be another split or fewer sequences than the run's.
+    scored = msgspec.structs.replace(
+        record,
+        split=selection.split,
+        samples=len(samples),
+        method=msgspec.structs.replace(record.method, gaze=predictions.has_gaze),
     )
     return Scored.of(
-        chosen, selection, predictions, samples=samples, rules=rules, protocol=protocol, about=about, work=work
+        scored,
+        table_record(chosen, selection, _NO_BATCHES),
+        selection,
+        predictions,
+        samples=samples,
+        rules=_rules(request, record, selection, protocol),
+        protocol=protocol,
+        work=work,
     )
 
 
@@ -383,18 +318,44 @@ def _score_submission(
         id_seed=stated.seed,
         native_fps=stated.native_fps,
     )
-    condition = stated.condition.value if stated.condition else UNSTATED
-    about = About(method=name, condition=condition, control=stated.control)
+    digest = ""  # takes long, and nobody asks for it where nothing is written
+    if request.out is not None:
+        digest = predictions_digest(request.predictions) if given is None else given.digest
+    record = RunRecord(
+        schema_version=RUN_SCHEMA_VERSION,
+        prbench_version=prbench.__version__,
+        protocol_version=protocol.version,
+        protocol_digest=protocol.digest,
+        method=MethodRecord(
+            name=name,
+            kind=FILE,
+            package=request.predictions.name,
+            version=digest[:12],
+            weights=None,
+            weights_digest=None,
+            options={},
+            max_frames=stated.max_frames,
+            native_fps=stated.native_fps,
+            motionless=False,
+            gaze=predictions.has_gaze,
+        ),
+        condition=stated.condition.value if stated.condition else UNSTATED,
+        control=stated.control,
+        split=stated.split,
+        limit=stated.limit,
+        seed=stated.seed,
+        samples=len(samples),
+        device=_ELSEWHERE,
+        threads=0,
+        packages={},
+        tables=tuple(table_record(each, own, _NO_BATCHES) for each, own in zip(chosen, selections)),
+    )
     scored = tuple(
-        Scored.of(each, selection, predictions, samples=samples, rules=rules, protocol=protocol, about=about, work=work)
-        for each, selection in zip(chosen, selections)
+        Scored.of(record, table, selection, predictions, samples=samples, rules=rules, protocol=protocol, work=work)
+        for table, selection in zip(record.tables, selections)
     )
     folders: tuple[Path | None, ...] = (None,) * len(scored)
     if request.out is not None:
-        digest = predictions_digest(request.predictions) if given is None else given.digest
-        record = offline_record(
-            name, stated, scored, package=request.predictions.name, digest=digest, protocol=protocol
-        )
         folders = write_submission(request.out, record, scored, protocol)
     origin = f"file {clean(request.predictions.name)}"
     return tuple(ScoreReport(one.scores, one.summary, at, origin, one.agreement) for one, at in zip(scored, folders))
