@@ -10,9 +10,9 @@ import re
 import sys
 import traceback
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from numbers import Integral, Real
 from typing import Any, NamedTuple
@@ -57,44 +57,26 @@ class Declared:
         Raises:
             AdapterError: naming the attribute that is not what the contract asks for.
         """
-        declared = cls.checked(
-            adapter.conditions,
-            getattr(adapter, "max_frames", None),
-            getattr(adapter, "native_fps", None),
-            bool(getattr(adapter, "motionless", False)),
-            bool(getattr(adapter, "gaze", False)),
-            origin=origin,
-            known=conditions,
-        )
-        return replace(
-            declared,
-            wants_obstacles=bool(getattr(adapter, "wants_obstacles", False)),
-            one_design=bool(getattr(adapter, "one_design", False)),
-        )
+        stated = {each.name: getattr(adapter, each.name, None) for each in fields(cls)}
+        return cls.checked(stated | {"conditions": adapter.conditions}, origin=origin, known=conditions)
 
     @classmethod
-    def checked(
-        cls,
-        conditions: object,
-        max_frames: object,
-        native_fps: object,
-        motionless: bool,
-        gaze: bool = False,
-        *,
-        origin: str,
-        known: type[StrEnum] = Condition,
-    ) -> Declared:
-        """Read the same from values of unknown types.
+    def checked(cls, stated: Mapping[str, Any], *, origin: str, known: type[StrEnum] = Condition) -> Declared:
+        """Read the same from values of unknown types, such as those of a program's hello.
+
+        Args:
+            stated: Maps the names of the attributes to what is declared; others are passed over.
+            origin: Name of the method in messages.
+            known: The conditions of its benchmark.
 
         Raises:
             AdapterError: see :meth:`by`.
         """
         return cls(
-            _conditions(conditions, origin, known),
-            _max_frames(max_frames, origin),
-            _native_fps(native_fps, origin),
-            motionless,
-            gaze,
+            _conditions(stated["conditions"], origin, known),
+            _max_frames(stated.get("max_frames"), origin),
+            _native_fps(stated.get("native_fps"), origin),
+            **{name: bool(stated.get(name, False)) for name in ("motionless", "gaze", "wants_obstacles", "one_design")},
         )
 
 

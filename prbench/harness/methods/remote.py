@@ -132,8 +132,6 @@ class Introduction:
     version: str
     declared: Declared
     weights: Mapping[StrEnum, RemoteWeights] = field(default_factory=dict)
-    one_design: bool = False
-    """True for a predictor whose K futures are one design."""
     trainable: bool = False
     """True if the installed method can be fitted to a table; only prbench's own worker says so."""
 
@@ -154,35 +152,33 @@ class Introduction:
                 f"{origin}: expected it to answer 'hello' with 'hello', found the message {header['message'][:80]!r}."
             )
         _require_version(header.get("wire"), origin)
-        motionless = header.get("motionless")
-        if motionless is not None and not isinstance(motionless, bool):
+        for flag in ("motionless", "gaze", "one_design"):
+            value = header.get(flag)
+            if value is not None and not isinstance(value, bool):
+                raise AdapterError(
+                    f"{origin}: expected '{flag}' in its hello to be true or false, found {_shown(value)}."
+                )
+        name = header.get("name")
+        if not has_form(name):
             raise AdapterError(
-                f"{origin}: expected 'motionless' in its hello to be true or false, found {_shown(motionless)}."
+                f"{origin}: expected 'name' in its hello to be a text of {NAME_FORM}; found {_shown(name)}."
             )
-        gaze = header.get("gaze")
-        if gaze is not None and not isinstance(gaze, bool):
-            raise AdapterError(f"{origin}: expected 'gaze' in its hello to be true or false, found {_shown(gaze)}.")
-        one_design = header.get("one_design")
-        if one_design is not None and not isinstance(one_design, bool):
+        version = header.get("version")
+        is_text = isinstance(version, str) and version.strip() and version.isprintable()
+        if not is_text or len(str(version)) > _TEXT_LIMIT:
             raise AdapterError(
-                f"{origin}: expected 'one_design' in its hello to be true or false, found {_shown(one_design)}."
+                f"{origin}: expected 'version' in its hello to be a text of 1 to {_TEXT_LIMIT} printable characters,"
+                f" found {_shown(version)}."
             )
-        return cls(
-            _name(header, origin),
-            _text(header, "version", origin),
-            Declared.checked(
-                _array(header, "conditions", origin),
-                header.get("max_frames"),
-                header.get("native_fps"),
-                motionless is True,
-                gaze is True,
-                origin=origin,
-                known=conditions,
-            ),
-            _weights(header.get("weights"), origin, conditions),
-            one_design=one_design is True,
-            trainable=header.get("trainable") is True,
-        )
+        if not isinstance(header.get("conditions"), list):
+            raise AdapterError(
+                f"{origin}: expected 'conditions' in its hello to be an array of strings,"
+                f" found {_shown(header.get('conditions'))}."
+            )
+        # Obstacles are handed over in this process alone, whatever a program says.
+        declared = Declared.checked({**header, "wants_obstacles": False}, origin=origin, known=conditions)
+        weights = _weights(header.get("weights"), origin, conditions)
+        return cls(str(name), str(version), declared, weights, trainable=header.get("trainable") is True)
 
 
 def _require_batch(header: Header, number: int) -> None:
@@ -207,13 +203,6 @@ def _reported(header: Header) -> MemoryError | ReportedError:
     return MemoryError(text) if out_of_memory else ReportedError(f"reported an error: {text}")
 
 
-def _array(header: Mapping[str, Any], key: str, origin: str) -> list[Any]:
-    value = header.get(key)
-    if isinstance(value, list):
-        return value
-    raise AdapterError(f"{origin}: expected '{key}' in its hello to be an array of strings, found {_shown(value)}.")
-
-
 def _require_version(found: object, origin: str) -> None:
     if type(found) is int and found == WIRE_VERSION:
         return
@@ -223,23 +212,6 @@ def _require_version(found: object, origin: str) -> None:
     raise AdapterError(
         f"{origin}: expected version {WIRE_VERSION} of the wire protocol ('wire' in its hello),"
         f" found {_shown(found)}. {remedy}."
-    )
-
-
-def _name(header: Mapping[str, Any], origin: str) -> str:
-    value = header.get("name")
-    if isinstance(value, str) and has_form(value):
-        return value
-    raise AdapterError(f"{origin}: expected 'name' in its hello to be a text of {NAME_FORM}; found {_shown(value)}.")
-
-
-def _text(header: Mapping[str, Any], key: str, origin: str) -> str:
-    value = header.get(key)
-    if isinstance(value, str) and value.strip() and value.isprintable() and len(value) <= _TEXT_LIMIT:
-        return value
-    raise AdapterError(
-        f"{origin}: expected '{key}' in its hello to be a text of 1 to {_TEXT_LIMIT} printable characters,"
-        f" found {_shown(value)}."
     )
 
 
@@ -312,7 +284,7 @@ class RemoteMethod:
         self.max_frames, self.native_fps = introduction.declared.max_frames, introduction.declared.native_fps
         self.motionless = introduction.declared.motionless
         self.gaze = introduction.declared.gaze
-        self.one_design = introduction.one_design
+        self.one_design = introduction.declared.one_design
         self.weights: Mapping[StrEnum, RemoteWeights] = introduction.weights
         """Weights that it says it uses under each condition; empty if it says nothing."""
         self.trainable = introduction.trainable
