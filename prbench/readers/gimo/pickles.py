@@ -110,6 +110,7 @@ def run_pickle(
     memo: dict[int, Any] = {}
     at = position
     name = ""
+    argument: Any
     try:
         while True:
             at = stream.tell()
@@ -119,7 +120,7 @@ def run_pickle(
             if name not in _OPCODES:
                 raise PickleRefused(f"the opcode {name}", foreign=True)
             try:
-                _, argument, _ = next(opcodes)
+                argument = next(opcodes)[1]
             except ValueError:
                 if stream.tell() >= len(content):
                     raise PickleRefused("the end of the bytes before the pickle's own end") from None

@@ -111,7 +111,11 @@ def match_clocks(
             f"{recording}: {len(found)} of {len(truth_ns)} headset rows are found in the MPS trajectory, at least"
             f" {_FEWEST_ROWS} are needed to align the clocks. Download both files again."
         )
-    low, high = _offset_bounds(truth_ns[found], device_ns, row)
+    # The nearest row of the trajectory was taken, so an offset may be half a step off to either side.
+    offset = device_ns[row] - truth_ns[found]
+    half_step = np.diff(device_ns) // 2
+    low = offset - np.append(half_step[:1], half_step)[row]
+    high = offset + np.append(half_step, half_step[-1:])[row]
     # Relative to one offset the bounds are small enough for floats to hold them exactly.
     reference = int(np.median(low + high) / 2)
     agreeing = np.abs((low + high) / 2 - reference) <= _STRAY_NS
@@ -121,8 +125,28 @@ def match_clocks(
             " agree about the offset of the clocks within 5 ms. Download both files again."
         )
     times = truth_ns[found][agreeing]
-    bounds = (low[agreeing] - reference).astype(np.float64), (high[agreeing] - reference).astype(np.float64)
-    return _intersection(times, *bounds, reference=reference, rows=len(truth_ns), recording=recording)
+    low = (low[agreeing] - reference).astype(np.float64)
+    high = (high[agreeing] - reference).astype(np.float64)
+    # The middle of the offsets that all rows allow; with a drift if no constant fits.
+    origin = int(times[0])
+    lowest = float(low.max())
+    highest = float(high.min())
+    slope = 0.0
+    if lowest > highest:
+        middle, slope, half = _with_drift((times - origin) / 1e9, low, high)
+        if half < 0 or abs(slope) * 1e-3 > _LARGEST_DRIFT_PPM:
+            raise RecordingUnusable(
+                f"{recording}: no offset and no drift of the clocks fits all {len(times)} headset rows that are found"
+                f" in the MPS trajectory (short by {(lowest - highest) / 1e6:.2f} ms). Download both files again."
+            )
+    else:
+        middle = (lowest + highest) / 2
+        half = (highest - lowest) / 2
+    if 2 * half > _LARGEST_WIDTH_NS:
+        raise RecordingUnusable(
+            f"{recording}: the offset of the clocks stays uncertain by {2 * half / 1e6:.2f} ms, 1 ms is needed."
+        )
+    return ClockMatch(reference + middle, half, slope * 1e-9, origin, len(times), len(truth_ns))
 
 
 def _find_rows(
@@ -147,46 +171,6 @@ def _find_rows(
     candidates = np.where(exact.any(axis=1, keepdims=True), exact, near)
     found = np.flatnonzero(candidates.sum(axis=1) == 1)
     return found, index[found, candidates[found].argmax(axis=1)], distance[:, 0]
-
-
-def _offset_bounds(
-    truth_ns: Int[np.ndarray, " k"], device_ns: Int[np.ndarray, " m"], row: Int[np.ndarray, " k"]
-) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
-    """Least and largest offset that each row allows: the nearest one was taken, so half a step to either side."""
-    offset = device_ns[row] - truth_ns
-    half = np.diff(device_ns) // 2
-    return offset - np.append(half[:1], half)[row], offset + np.append(half, half[-1:])[row]
-
-
-def _intersection(
-    times: Int[np.ndarray, " k"],
-    low: Float[np.ndarray, " k"],
-    high: Float[np.ndarray, " k"],
-    *,
-    reference: int,
-    rows: int,
-    recording: str,
-) -> ClockMatch:
-    """The middle of the offsets that all rows allow; with a drift if no constant fits."""
-    origin = int(times[0])
-    lowest = float(low.max())
-    highest = float(high.min())
-    slope = 0.0
-    if lowest > highest:
-        middle, slope, half = _with_drift((times - origin) / 1e9, low, high)
-        if half < 0 or abs(slope) * 1e-3 > _LARGEST_DRIFT_PPM:
-            raise RecordingUnusable(
-                f"{recording}: no offset and no drift of the clocks fits all {len(times)} headset rows that are found"
-                f" in the MPS trajectory (short by {(lowest - highest) / 1e6:.2f} ms). Download both files again."
-            )
-    else:
-        middle = (lowest + highest) / 2
-        half = (highest - lowest) / 2
-    if 2 * half > _LARGEST_WIDTH_NS:
-        raise RecordingUnusable(
-            f"{recording}: the offset of the clocks stays uncertain by {2 * half / 1e6:.2f} ms, 1 ms is needed."
-        )
-    return ClockMatch(reference + middle, half, slope * 1e-9, origin, len(times), rows)
 
 
 def _with_drift(
