@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -26,7 +26,7 @@ from prbench.geometry.shapes import Boxes, deepest
 from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
 from prbench.protocol.manifests import BenchmarkProtocol, InHandRule, Manifest, SplitRule
 from prbench.randomness import hash_fraction
-from prbench.recording import ObjectTrack, Recording
+from prbench.recording import Recording
 from prbench.recording.streams import wrists_at
 from prbench.sequences.sequence import Event, SceneBox, Sequence
 from prbench.sequences.sequence import Recording as RecordingRow
@@ -34,52 +34,6 @@ from prbench.sequences.table import body_movement, hand_movement
 
 _STILL = 0.01
 """Metres within which a thing keeps its place through the recording; choice: above the noise of optical tracking."""
-
-
-def scene_boxes(recording: Recording) -> tuple[SceneBox, ...]:
-    """Boxes of furniture and other things that nobody moves, with how far the recorded person comes into each.
-
-    Left out is what the dataset tracks as movable, what has hinges, what changes its place, and boxes without volume.
-
-    Args:
-        recording: What a reader yields.
-    """
-    tracks = [track for track in (*recording.objects, *recording.furniture) if _stands(track, recording)]
-    return tuple(_box(track, recording) for track in sorted(tracks, key=lambda track: track.object_id))
-
-
-def _stands(track: ObjectTrack, recording: Recording) -> bool:
-    if track.movable or track.object_id in recording.hinged_objects or not track.valid.any():
-        return False
-    places = track.position[track.valid]
-    return bool((np.ptp(places, axis=0) <= _STILL).all() and (track.box_max > track.box_min).all())
-
-
-def _box(track: ObjectTrack, recording: Recording) -> SceneBox:
-    first = int(np.argmax(track.valid))
-    rotation = track.rotation[first]
-    turn = Rotation.from_quat(rotation, scalar_first=True)
-    centre = track.position[first] + turn.apply((track.box_min + track.box_max) / 2)
-    half_extents = (track.box_max - track.box_min) / 2
-    box = Boxes(centre[None], turn.as_matrix()[None], half_extents[None], np.array([0, 1]))
-    return SceneBox(
-        recording_id=recording.recording_id,
-        object_id=track.object_id,
-        name=track.name,
-        category=track.category,
-        centre=centre,
-        rotation=rotation,
-        half_extents=half_extents,
-        entered=_entered(box, recording),
-    )
-
-
-def _entered(box: Boxes, recording: Recording) -> float | None:
-    if recording.body is None or not recording.body.valid.any():
-        return None
-    return float(deepest(recording.body.joints[recording.body.valid], box).max())
-
-
 Split = Literal["train", "validation", "test"]
 
 
@@ -130,8 +84,12 @@ def curate_recording(
     split = split or split_of(recording.recording_id, group, manifest, protocol.splits)
     rule = options.in_hand_rule(manifest)
     events, remarks = find_events(recording, rule)
-    if options.priming == "published":
-        _require_published_priming(recording)
+    annotated = recording.annotated_events
+    if options.priming == "published" and annotated and all(each.published_priming is None for each in annotated):
+        raise RecordingUnusable(
+            f"{recording.recording_id}: --priming published needs the dataset's own priming results; none belongs to"
+            f" any of the {len(annotated)} events of this recording. Is the file there, and of the same release?"
+        )
     rays = gaze_rays(recording, options.ray_origin or protocol.curation.ray_origin)
     surroundings = Surroundings(recording) if options.occlusion != "off" else None
     stories = [_follow(recording, event, rays, surroundings, protocol, options, split) for event in events]
@@ -225,6 +183,28 @@ def _sequence(
     """One row of the table: the clip in its canonical frame."""
     grid = piece.grid
     preroll = prime.time - grid.start_time
+    # The wrist of the event's hand; where that is unknown, the one nearer to the goal in the last frame.
+    if event.hand is not None:
+        wrist = Joint.LEFT_WRIST if event.hand == "left" else Joint.RIGHT_WRIST
+    else:
+        wrist = WRISTS[int(np.linalg.norm(piece.joints[-1, WRISTS] - place.location, axis=1).argmin())]
+    # The canonical frame is that of the clip's first frame.
+    world_from_canonical = canonical_frame(piece.joints)
+    canonical_from_world = invert_rigid(world_from_canonical)
+    turn = Rotation.from_matrix(canonical_from_world[:3, :3])
+    head_position = piece.head_position
+    head_rotation = piece.head_rotation
+    if head_position is not None and head_rotation is not None:
+        head_position = transform_points(canonical_from_world, head_position)
+        turned = turn * Rotation.from_quat(head_rotation, scalar_first=True)
+        # A quaternion and its negative are the same rotation; the canonical one keeps the bytes of tables equal.
+        head_rotation = turned.as_quat(canonical=True, scalar_first=True)
+    # What told the hand, and remarks that apply to few sequences only.
+    extra = {} if event.hand_source is None else {"hand_source": event.hand_source}
+    if event.tracking_gap is not None:
+        extra["placed_in_tracking_gap_of_s"] = f"{event.tracking_gap:.3f}"
+    if prime.through:
+        extra["primed_through"] = prime.through
     return Sequence(
         sequence_id=sequence_id(event.event_id, recording.pose_source),
         dataset=recording.dataset,
@@ -250,60 +230,28 @@ def _sequence(
         goal_box_world_min=place.box_min,
         goal_box_world_max=place.box_max,
         body_movement=body_movement(piece.joints),
-        hand_movement=hand_movement(piece.joints, _reaching_wrist(event, place, piece)),
+        hand_movement=hand_movement(piece.joints, wrist),
         pose_source=recording.pose_source,
         head_tilt_deg=recording.head_tilt_deg,
         previous_source=piece.previous_source,
         next_source=piece.next_source,
         gaze_valid=piece.gaze_valid,
-        extra=_extra(event, prime),
-        **_in_canonical_frame(piece, place),
+        world_from_canonical=world_from_canonical,
+        goal_location=transform_points(canonical_from_world, place.location),
+        joints=transform_points(canonical_from_world, piece.joints),
+        previous_joints=transform_points(canonical_from_world, piece.previous_joints),
+        next_joints=transform_points(canonical_from_world, piece.next_joints),
+        head_position=head_position,
+        head_rotation=head_rotation,
+        gaze_origin=transform_points(canonical_from_world, piece.gaze_origin),
+        gaze_direction=turn.apply(piece.gaze_direction),  # a direction turns, but does not move
+        extra=extra,
     )
-
-
-def _in_canonical_frame(piece: Clip, place: Place) -> dict[str, Any]:
-    """The columns that change with the frame, by name: the canonical one is that of the clip's first frame."""
-    world_from_canonical = canonical_frame(piece.joints)
-    canonical_from_world = invert_rigid(world_from_canonical)
-    turn = Rotation.from_matrix(canonical_from_world[:3, :3])
-    head_position = piece.head_position
-    head_rotation = piece.head_rotation
-    if head_position is not None and head_rotation is not None:
-        head_position = transform_points(canonical_from_world, head_position)
-        turned = turn * Rotation.from_quat(head_rotation, scalar_first=True)
-        # A quaternion and its negative are the same rotation; the canonical one keeps the bytes of tables equal.
-        head_rotation = turned.as_quat(canonical=True, scalar_first=True)
-    return {
-        "world_from_canonical": world_from_canonical,
-        "goal_location": transform_points(canonical_from_world, place.location),
-        "joints": transform_points(canonical_from_world, piece.joints),
-        "previous_joints": transform_points(canonical_from_world, piece.previous_joints),
-        "next_joints": transform_points(canonical_from_world, piece.next_joints),
-        "head_position": head_position,
-        "head_rotation": head_rotation,
-        "gaze_origin": transform_points(canonical_from_world, piece.gaze_origin),
-        "gaze_direction": turn.apply(piece.gaze_direction),  # a direction turns, but does not move
-    }
-
-
-def _extra(event: PickPutEvent, prime: Prime) -> dict[str, str]:
-    """Return what told the hand, and remarks that apply to few sequences only."""
-    extra = {} if event.hand_source is None else {"hand_source": event.hand_source}
-    if event.tracking_gap is not None:
-        extra["placed_in_tracking_gap_of_s"] = f"{event.tracking_gap:.3f}"
-    return extra | ({"primed_through": prime.through} if prime.through else {})
 
 
 def sequence_id(event_id: str, pose_source: str) -> str:
     """One event gives one sequence for each source of body poses."""
     return f"{event_id}/{pose_source}"
-
-
-def _reaching_wrist(event: PickPutEvent, place: Place, piece: Clip) -> int:
-    """The wrist of the event's hand; where that is unknown, the one nearer to the goal in the last frame."""
-    if event.hand is not None:
-        return Joint.LEFT_WRIST if event.hand == "left" else Joint.RIGHT_WRIST
-    return WRISTS[int(np.linalg.norm(piece.joints[-1, WRISTS] - place.location, axis=1).argmin())]
 
 
 def _event_record(recording: Recording, story: _Story) -> Event:
@@ -338,15 +286,6 @@ def _event_record(recording: Recording, story: _Story) -> Event:
     )
 
 
-def _require_published_priming(recording: Recording) -> None:
-    events = recording.annotated_events
-    if events and all(event.published_priming is None for event in events):
-        raise RecordingUnusable(
-            f"{recording.recording_id}: --priming published needs the dataset's own priming results; none belongs to"
-            f" any of the {len(events)} events of this recording. Is the file there, and of the same release?"
-        )
-
-
 def _missing_parts(recording: Recording, rule: InHandRule | None, *, found: bool) -> tuple[str, ...]:
     """Name what a recording lacks to have events (``found`` says if it has some) or sequences."""
     remarks = []
@@ -364,3 +303,42 @@ def _missing_parts(recording: Recording, rule: InHandRule | None, *, found: bool
     if not recording.gaze.valid.any():
         remarks.append("no valid gaze, so no event can be primed")
     return tuple(remarks)
+
+
+def scene_boxes(recording: Recording) -> tuple[SceneBox, ...]:
+    """Boxes of furniture and other things that nobody moves, with how far the recorded person comes into each.
+
+    Left out is what the dataset tracks as movable, what has hinges, what changes its place, and boxes without volume.
+
+    Args:
+        recording: What a reader yields.
+    """
+    body = recording.body
+    boxes = []
+    for track in sorted((*recording.objects, *recording.furniture), key=lambda track: track.object_id):
+        if track.movable or track.object_id in recording.hinged_objects or not track.valid.any():
+            continue
+        moved = np.ptp(track.position[track.valid], axis=0)
+        if not ((moved <= _STILL).all() and (track.box_max > track.box_min).all()):
+            continue
+        first = int(np.argmax(track.valid))
+        rotation = track.rotation[first]
+        turn = Rotation.from_quat(rotation, scalar_first=True)
+        centre = track.position[first] + turn.apply((track.box_min + track.box_max) / 2)
+        half_extents = (track.box_max - track.box_min) / 2
+        entered = None
+        if body is not None and body.valid.any():
+            box = Boxes(centre[None], turn.as_matrix()[None], half_extents[None], np.array([0, 1]))
+            entered = float(deepest(body.joints[body.valid], box).max())
+        box_row = SceneBox(
+            recording_id=recording.recording_id,
+            object_id=track.object_id,
+            name=track.name,
+            category=track.category,
+            centre=centre,
+            rotation=rotation,
+            half_extents=half_extents,
+            entered=entered,
+        )
+        boxes.append(box_row)
+    return tuple(boxes)
