@@ -172,8 +172,9 @@ def fetched_native(text: str, dataset: str | None, *, tell: Tell = lambda _: Non
     patterns = _patterns(dataset)
     above = tuple(part for part in store.url.text.partition("://")[2].split("/") if part)
     listed = store.listing()
-    if dataset is None and any(each.name == "dataset.json" for each in listed):
-        return fetched(text, tell=tell)  # a built table, which is fetched by its digests
+    if dataset is None and (not listed or any(each.name == "dataset.json" for each in listed)):
+        # A built table is fetched by its digests. Where nothing lies, this also tells a bucket that is missing.
+        return fetched(text, tell=tell)
     wanted = [each for each in listed if _is_wanted((*above, *each.name.split("/")), patterns)]
     if not wanted:
         raise InputFileError(
