@@ -19,8 +19,8 @@ from prbench.cli.main import main
 from prbench.errors import StorageError
 from prbench.readers.egoallo.synthetic import write_smplh_model
 from tests.adapters.training.toy import entry_points_of
+from tests.benchmarks.motion_prediction.windows import write as write_windows
 from tests.fakes import fake_dataset
-from tests.prediction.windows import write as write_windows
 from tests.readers import gimo_sample
 
 FAKE_EGOALLO = Path(__file__).parent / "workflows" / "fake_egoallo.py"

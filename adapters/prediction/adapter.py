@@ -1,4 +1,4 @@
-"""The trained networks as predictors of :mod:`prbench.prediction`: observed frames in, K futures out.
+"""The trained networks as predictors of :mod:`prbench_benchmarks.motion_prediction`: observed frames in, K futures out.
 
 Each sample draws its noise from a seed that depends on the run's seed, the window's key and the sample's number alone.
 """
@@ -16,8 +16,6 @@ import torch
 from jaxtyping import Float
 
 from prbench.errors import AdapterError, UsageError
-from prbench.prediction.batch import Condition, Futures, ObservedBatch, sample_generator
-from prbench.prediction.joint_sets import invert_each, rotations_alone, transform_each
 from prbench_adapters.diffusion.generation import choice, number, require_known, whole_number
 from prbench_adapters.diffusion.method import bundled_names, bundled_weights, resolve
 from prbench_adapters.diffusion.model import torch_device
@@ -33,6 +31,8 @@ from prbench_adapters.prediction.records import (
 )
 from prbench_adapters.prediction.recurrent import DLow
 from prbench_adapters.training.weights import read_weights
+from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, sample_generator
+from prbench_benchmarks.motion_prediction.joint_sets import invert_each, rotations_alone, transform_each
 
 _MOST_TOGETHER = 512
 """Samples that go through a network together: more take more memory and hardly less time."""
@@ -68,7 +68,7 @@ class LearnedPredictor:
         return self._loaded[condition].path
 
     def predict(self, batch: ObservedBatch, *, n_samples: int, seed: int) -> Futures:
-        """See :class:`prbench.prediction.batch.Predictor`.
+        """See :class:`prbench_benchmarks.motion_prediction.batch.Predictor`.
 
         Windows of another rate than the network's are interpolated in time to its own, and its futures back, where both
         last as long.

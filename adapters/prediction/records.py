@@ -6,9 +6,6 @@ import msgspec
 import torch
 from torch import nn
 
-from prbench.prediction.batch import Condition
-from prbench.prediction.joint_sets import JointSet, joint_set
-from prbench.prediction.protocol import FrameName
 from prbench_adapters.prediction.belfusion import (
     BehaviourAutoencoder,
     BehaviourConfiguration,
@@ -21,6 +18,9 @@ from prbench_adapters.prediction.configuration import DiffusionConfiguration
 from prbench_adapters.prediction.recurrent import CVAE, CVAEConfiguration, DLow, DLowConfiguration
 from prbench_adapters.training.batches import WindowsDataset
 from prbench_adapters.training.weights import Weights, weights_header
+from prbench_benchmarks.motion_prediction.batch import Condition
+from prbench_benchmarks.motion_prediction.joint_sets import JointSet, joint_set
+from prbench_benchmarks.motion_prediction.protocol import FrameName
 
 PredictorNetwork = CoefficientDiffusion | CVAE | DLow | BeLFusion
 

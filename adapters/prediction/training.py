@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from prbench.errors import UsageError
-from prbench.prediction.batch import Condition
 from prbench.randomness import named_generator
 from prbench_adapters.prediction.belfusion import BehaviourConfiguration, BeLFusion, UNetConfiguration
 from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion, held
@@ -37,6 +36,7 @@ from prbench_adapters.prediction.recurrent import CVAE, CVAEConfiguration, DLow,
 from prbench_adapters.training.batches import WindowBatch, WindowChoice, WindowsDataset
 from prbench_adapters.training.task import TrainingModule, split_model_table
 from prbench_adapters.training.weights import Weights, origin_of, read_weights
+from prbench_benchmarks.motion_prediction.batch import Condition
 
 _SIDES = (("left", "right"), ("right", "left"), ("l", "r"), ("r", "l"))
 

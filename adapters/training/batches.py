@@ -20,13 +20,19 @@ from jaxtyping import Bool, Float, Int
 from torch.utils.data import DataLoader, Dataset
 
 from prbench.errors import TableError, UsageError
-from prbench.prediction.batch import Condition
-from prbench.prediction.joint_sets import JointSet, invert_each, joint_set, rotations_alone, transform_each
-from prbench.prediction.protocol import FrameName
-from prbench.prediction.table import Run, WindowsTable
 from prbench.randomness import hash_fraction, named_generator
 from prbench_adapters.training.dataset import MotionBatch, SequenceDataset
 from prbench_adapters.training.store import REFIT, parts_of
+from prbench_benchmarks.motion_prediction.batch import Condition
+from prbench_benchmarks.motion_prediction.joint_sets import (
+    JointSet,
+    invert_each,
+    joint_set,
+    rotations_alone,
+    transform_each,
+)
+from prbench_benchmarks.motion_prediction.protocol import FrameName
+from prbench_benchmarks.motion_prediction.table import Run, WindowsTable
 
 _HELD_OUT = 0.1
 """Share of the published training segments that validate, as the published split has no such part."""

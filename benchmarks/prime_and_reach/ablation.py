@@ -25,8 +25,11 @@ from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import FILE_NAME as RUN
 from prbench.metrics import MAIN_METRICS
 from prbench.protocol.published import DATASETS, load_published, published_table
-from prbench.workflows.study.document import DASH, StudyBlock, StudyTable, StudyValue
-from prbench.workflows.study.methods import (
+from prbench_adapters.training.ablations import Ablation, load_ablations, overrides
+from prbench_adapters.training.report import WEIGHTS, read_record
+from prbench_adapters.training.run import TrainRequest, resolved, train
+from prbench_benchmarks.prime_and_reach.study.document import DASH, StudyBlock, StudyTable, StudyValue
+from prbench_benchmarks.prime_and_reach.study.methods import (
     measured_cells,
     measured_title,
     measured_values,
@@ -34,10 +37,7 @@ from prbench.workflows.study.methods import (
     published_value,
     table_notes,
 )
-from prbench.workflows.table_two.layout import metric_title
-from prbench_adapters.training.ablations import Ablation, load_ablations, overrides
-from prbench_adapters.training.report import WEIGHTS, read_record
-from prbench_adapters.training.run import TrainRequest, resolved, train
+from prbench_benchmarks.prime_and_reach.table_two.layout import metric_title
 
 TABLES = tuple(dict.fromkeys(row.table for row in load_ablations()))
 """Tables of ablations, as the study numbers them."""

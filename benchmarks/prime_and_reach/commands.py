@@ -119,9 +119,9 @@ def _command(number: str) -> Command:
 
 
 def _answer(number: str, data: tuple[Path, ...], workers: int, report: AblationReport) -> Answer:
-    from prbench.cli.study_answers import print_study_tables
-    from prbench.workflows.study.formats import FORMATS, write_tables
     from prbench_benchmarks.prime_and_reach.ablation import ablation_table
+    from prbench_benchmarks.prime_and_reach.study.formats import FORMATS, write_tables
+    from prbench_benchmarks.prime_and_reach.study_answers import print_study_tables
 
     files: list[Path] = []
     tables = []

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from prbench.protocol.published import load_published, published_table
-from prbench.workflows.study.document import DASH, StudyBlock, StudyTable, StudyValue
+from prbench_benchmarks.prime_and_reach.study.document import DASH, StudyBlock, StudyTable, StudyValue
 from prbench_benchmarks.text_to_motion.metrics import Repeated
 from prbench_benchmarks.text_to_motion.report import ResultRow, TextEvaluation
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
@@ -22,6 +22,7 @@ from prbench.cli import options as opt
 from prbench.cli.commands import Answer, Group, command, note, progress, session
 from prbench.cli.summaries import phi_cell
 from prbench.cli.terminal import print_table, shown_width
+from prbench.entry_points import STUDY_ITEMS, load_built_in
 from prbench.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from prbench.board.export import Board
     from prbench.metrics import MetricInfo
     from prbench.viewing.pareto import ScoredMethod
-    from prbench.workflows.study.beside import Difference
 
 
 EXAMPLE = "prbench leaderboard export runs/static runs/ground-truth --format md --out leaderboard.md"
@@ -64,7 +64,7 @@ class BoardReport(msgspec.Struct, frozen=True, kw_only=True):
     format: str
     out: Path | None
     board: Board
-    published: list[Difference] = []
+    published: list[Any] = []
     not_beside_published: tuple[str, ...] = ()
 
 
@@ -91,12 +91,13 @@ def export(
     from prbench import board as boards
     from prbench.board.export import as_board
     from prbench.files.storage import sole_writer, write_text
-    from prbench.workflows.study.beside import add_published, differences, why_none
 
     board = boards.make_leaderboard(opt.collected_runs(runs, data, workers, any_benchmark=True))
     text = boards.export(board, format)
+    published: list[Any] = []
+    without: tuple[str, ...] = ()
     if with_published:
-        text = add_published(text, board, format)
+        text, published, without = load_built_in(STUDY_ITEMS, "published")(text, board, format)
     if out is not None:
         with sole_writer(out):
             write_text(out, text)
@@ -104,8 +105,8 @@ def export(
         format=format,
         out=out,
         board=as_board(board),
-        published=[one for table in board.tables for one in differences(table.rows)] if with_published else [],
-        not_beside_published=why_none(board) if with_published else (),
+        published=published,
+        not_beside_published=without,
     )
     return Answer(report, lambda: print(text, end="") if out is None else print(f"leaderboard: {out}"))
 

@@ -42,7 +42,6 @@ _COMMANDS = {
         "inspect": "prbench.cli.datasets:inspect",
         "poses": "prbench.cli.datasets:poses",
         "build-dataset": "prbench.cli.builds:build_dataset",
-        "build-windows": "prbench.cli.build_windows:build_windows",
         "split-dataset": "prbench.cli.builds:split_dataset",
         "validate": "prbench.cli.datasets:validate",
         "import-release": "prbench.cli.release:import_release",
@@ -58,12 +57,7 @@ _COMMANDS = {
     "train: networks": {},
     "board: runs side by side": {
         "leaderboard": "prbench.cli.leaderboard:leaderboard",
-        "agreement": "prbench.cli.agreement:agreement",
-        "diversity": "prbench.cli.diversity:diversity",
         "audit": "prbench.cli.leaderboard:audit",
-        "error-budget": "prbench.cli.error_budget:error_budget",
-        "study": "prbench.cli.study:study",
-        "prediction": "prbench.cli.prediction:prediction",
     },
     "look: at tables, events and motions": {
         "explain": "prbench.cli.view:explain",

@@ -25,10 +25,9 @@ import msgspec
 from prbench.cli import options as opt
 from prbench.cli.commands import Answer, command, note, progress, session
 from prbench.cli.summaries import RunAnswer, run_answer, shards_answer
-from prbench.cli.table_two import ALL, run_table_two
 from prbench.engine import end_with_parent
 from prbench.engine.choice import Cluster
-from prbench.entry_points import ADAPTERS
+from prbench.entry_points import ADAPTERS, STUDY_ITEMS, load_built_in
 from prbench.errors import AdapterError, UsageError
 
 if TYPE_CHECKING:
@@ -39,6 +38,9 @@ if TYPE_CHECKING:
     from prbench.harness.request import Progress, RunRequest
     from prbench.harness.run import RunReport
     from prbench.harness.run_folder import RunFolder
+
+ALL = "all"
+"""Every method, or every condition: the rows of Table 2."""
 
 
 _FIRST_RUN_WORKERS = 2
@@ -149,8 +151,9 @@ def run(
         for option, value in single.items():
             if value:
                 raise UsageError(f"--{option}: belongs to a run of one method under one condition; leave it out.")
-        made = run_table_two(given, minutes=minutes, choice=engine)
-        return replace(made, report=RunAnswer(runs=[], companions=[], view=None, table_two=made.report))
+        made = load_built_in(STUDY_ITEMS, "table-2-rows")(given, minutes=minutes, choice=engine)
+        table = msgspec.to_builtins(made.report, enc_hook=str)
+        return replace(made, report=RunAnswer(runs=[], companions=[], view=None, table_two=table))
     if minutes is not None:
         raise UsageError("--minutes: belongs to --method all or --condition all; --limit N chooses N sequences.")
     if given["with_controls"]:

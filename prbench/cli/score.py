@@ -18,11 +18,10 @@ import click
 import msgspec
 
 from prbench.cli import options as opt
-from prbench.cli.build_windows import windows_answer
 from prbench.cli.builds import BuiltTable, table_answer
 from prbench.cli.commands import Answer, command, note, progress
 from prbench.cli.summaries import MadeRun, print_agreement, print_scene, print_summary, run_answer
-from prbench.entry_points import CORPORA, load_built_in
+from prbench.entry_points import CORPORA, STUDY_ITEMS, load_built_in
 from prbench.errors import UsageError
 from prbench.protocol.manifests import default_benchmark
 
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from prbench.harness.offline import ExportReport
     from prbench.harness.run_folder.agreement import DatasetAgreement
     from prbench.harness.run_folder.summary import DatasetSummary
-    from prbench.prediction.table import WindowsInfo
 
 
 class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
@@ -116,7 +114,7 @@ def score(
     motion-prediction it is .npz with opaque_id and joints (windows, samples, frames, joints, 3).
     """
     from prbench.contract import Condition
-    from prbench.harness.motion_prediction.offline import FuturesRequest, score_futures
+    from prbench.harness.benchmark import load_benchmark
     from prbench.harness.score_predictions import score_predictions
     from prbench.harness.score_request import ScoreRequest
     from prbench.protocol.manifests import find_benchmark
@@ -147,8 +145,9 @@ def score(
         if conditions is None:
             raise UsageError("--conditions FILE: futures are scored with the file of windows that they were made from.")
         with progress("scoring") as show:
-            futures = score_futures(
-                FuturesRequest(futures=predictions, one_design=one_design, **shared),
+            offline = load_benchmark(about.name).offline
+            futures = offline.score_futures(
+                offline.FuturesRequest(futures=predictions, one_design=one_design, **shared),
                 engine=opt.opened(engine, reads=(predictions, conditions, *data)),
                 progress=lambda step: show(step.done, step.total, step.dataset),
             )
@@ -215,7 +214,7 @@ def export_conditions(
     `prbench score` takes the motions that the method makes from it.
     """
     from prbench.contract import Condition
-    from prbench.harness.motion_prediction.offline import WindowsRequest, export_windows
+    from prbench.harness.benchmark import load_benchmark
     from prbench.harness.offline import ExportReport, ExportRequest
     from prbench.harness.offline import export_conditions as export
     from prbench.protocol.manifests import find_benchmark
@@ -235,7 +234,8 @@ def export_conditions(
             if value is not None:
                 option = name.replace("_", "-")
                 raise UsageError(f"--{option}: the benchmark {about.name} does not have it; leave it out.")
-        exported = export_windows(WindowsRequest(condition=condition, **given))
+        offline = load_benchmark(about.name).offline
+        exported = offline.export_windows(offline.WindowsRequest(condition=condition, **given))
         report = ExportReport(
             out=exported.out,
             rows=exported.windows * given["samples"],
@@ -285,7 +285,7 @@ class MergeReport(msgspec.Struct, frozen=True, kw_only=True):
     kind: str
     shards: int
     table: BuiltTable | None = None
-    windows: WindowsInfo | None = None
+    windows: dict[str, Any] | None = None
     run: MadeRun | None = None
     folds: DatasetSummary | None = None
     unverified: list[str] = []
@@ -333,11 +333,8 @@ def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: b
         answer = load_built_in(CORPORA, "merge")(opened, out, replace=replace)
         report = msgspec.structs.replace(report, table=answer.report.built[0])
     elif kind == "windows":
-        from prbench.curation.windows import merge_windows_shards
-
-        made = merge_windows_shards(opened, out)
-        answer = windows_answer(made.info, made.folder)
-        report = msgspec.structs.replace(report, windows=answer.report.built)
+        answer = load_built_in(STUDY_ITEMS, "merged-windows")(opened, out)
+        report = msgspec.structs.replace(report, windows=msgspec.to_builtins(answer.report.built, enc_hook=str))
     else:
         from prbench.engine import engine_for
         from prbench.harness.sharded import merge_run_shards

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from prbench.cli.commands import Answer
 from prbench.cli.options import MadeShard, shard_answer
-from prbench.cli.table_two import TableTwoAnswer
 from prbench.cli.terminal import print_table, shown_width
 
 if TYPE_CHECKING:
@@ -416,7 +415,7 @@ class RunAnswer(msgspec.Struct, frozen=True, kw_only=True):
     runs: list[MadeRun]
     companions: list[MadeRun]
     view: Path | None
-    table_two: TableTwoAnswer | None
+    table_two: dict[str, Any] | None
     shards: list[MadeShard] = []
 
 

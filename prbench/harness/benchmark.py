@@ -316,6 +316,11 @@ class Benchmark(ABC, Generic[Table, Chosen]):
     ) -> CaseWork:
         """Return the work on the cases of one table."""
 
+    @property
+    def offline(self) -> Any:
+        """Return the module that writes what a method may see and scores what was made elsewhere."""
+        raise NotImplementedError(self.name)
+
     @abstractmethod
     def recording_key(self, sequence_id: str) -> str:
         """Return what cases of one recording have in common, from the id alone."""

@@ -348,6 +348,8 @@ class AboutBenchmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     """Methods that come with prbench, installed or not; no other package may use these names in the group."""
     value: str
     """``module:object`` of the benchmark's value."""
+    checks: str = ""
+    """``module:function`` that returns the checks of its methods; empty where they cannot be checked."""
     default: bool = False
     """The benchmark that is meant where none is named."""
 

@@ -27,7 +27,7 @@ from prbench.harness.run_folder.scores import read_scores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
 from prbench.harness.verification import CheckedSummary
 from prbench.metrics import METRICS
-from prbench.workflows.study.methods import methods_table
+from prbench_benchmarks.prime_and_reach.study.methods import methods_table
 from tests.fakes import fake_dataset
 from tests.harness.run_folder.test_record import METHOD, RECORD, SUMMARY, TABLE
 

@@ -14,8 +14,8 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.summary import share_a_mean
 from prbench.harness.verification import RunChecker
-from prbench.prediction.table import write_windows
-from tests.prediction.windows import cut, info, walking
+from prbench_benchmarks.motion_prediction.table import write_windows
+from tests.benchmarks.motion_prediction.windows import cut, info, walking
 
 
 def windows(folder: Path, dataset: str, *, estimated: bool = False) -> Path:

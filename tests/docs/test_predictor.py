@@ -7,8 +7,8 @@ from pathlib import Path
 
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
+from tests.benchmarks.motion_prediction.windows import write
 from tests.method_fixtures import install, own_cache
-from tests.prediction.windows import write
 
 __all__ = ["install", "own_cache"]
 

@@ -19,7 +19,6 @@ from prbench.contract import Condition
 from prbench.curation import build_dataset, plan_build
 from prbench.curation.build import build_all, plan_all
 from prbench.curation.differences import compare_builds
-from prbench.curation.windows import build_windows
 from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError, PrbenchError, StorageError
 from prbench.files.storage import (
@@ -39,8 +38,6 @@ from prbench.harness.request import RunRequest
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.score_request import ScoreRequest
-from prbench.prediction.anchored import build_anchored_windows
-from prbench.prediction.table import WindowsTable
 from prbench.readers import reader_for
 from prbench.release.exporting import export_release
 from prbench.release.importing import import_release
@@ -48,6 +45,9 @@ from prbench.sequences import CorpusInfo, CorpusTable, DatasetInfo, SequenceTabl
 from prbench.viewing.explain import explain_event
 from prbench.viewing.view import ViewRequest
 from prbench_adapters.corpora.build import build_corpus, plan_corpus
+from prbench_benchmarks.motion_prediction.anchored import build_anchored_windows
+from prbench_benchmarks.motion_prediction.table import WindowsTable
+from prbench_benchmarks.motion_prediction.windows import build_windows
 
 
 def write_half(path):

@@ -18,10 +18,10 @@ from prbench.harness.run_folder import RunFolder
 from prbench.harness.sharded import merge_run_shards, run_shard
 from prbench.object_stores.outputs import written_folder
 from prbench.sequences import SequenceTable
+from tests.benchmarks.motion_prediction.windows import write
 from tests.fakes import fake_dataset
 from tests.harness.test_run import reproducible_bytes, request
 from tests.method_fixtures import adapter_source
-from tests.prediction.windows import write
 
 
 def run_bytes(folder: Path) -> dict[str, bytes]:

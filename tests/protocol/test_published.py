@@ -16,7 +16,7 @@ from prbench.protocol.published import (
     load_table_one,
     published_table,
 )
-from prbench.workflows.table_two.request import load_table_two
+from prbench_benchmarks.prime_and_reach.table_two.request import load_table_two
 
 SCORES = {"2": 540, "3": 56, "4": 24, "S1": 48, "S3": 540, "S4": 16, "S5": 16, "S6": 16, "S7": 40, "S8": 12}
 METRIC_IDS = {info.id for info in METRICS}

@@ -16,15 +16,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
-from prbench.curation.windows import JointChoice, WindowsPlan, runs_of_recording
 from prbench.errors import InputFileError, UsageError
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, text_digest
 from prbench.geometry.skeleton import Joint, y_up
 from prbench.geometry.timelines import slerp
-from prbench.prediction.joint_sets import SMPL22
-from prbench.prediction.protocol import PredictionProtocol
-from prbench.prediction.table import CutRun
 from prbench.protocol.manifests import digest_of, load_manifest
 from prbench.readers import described_options
 from prbench.readers.aria_mps import format as mps
@@ -38,6 +34,10 @@ from prbench_adapters.corpora.nymeria.format import SUIT_FILE, SUIT_RATE
 from prbench_adapters.corpora.nymeria.source import CORPUS, NymeriaSource
 from prbench_adapters.corpora.nymeria.suit import BodyMotion, CleanSuit, clean_suit, read_suit
 from prbench_adapters.corpora.sources import CorpusOptions
+from prbench_benchmarks.motion_prediction.joint_sets import SMPL22
+from prbench_benchmarks.motion_prediction.protocol import PredictionProtocol
+from prbench_benchmarks.motion_prediction.table import CutRun
+from prbench_benchmarks.motion_prediction.windows import JointChoice, WindowsPlan, runs_of_recording
 
 _STEP = 0.1  # s between two poses whose turn is compared
 _LEAST_TURN = np.deg2rad(2.0)  # smaller turns tell more of noise than of an axis
@@ -241,13 +241,13 @@ def _no_gaze() -> GazeStream:
 
 @dataclass(frozen=True)
 class NymeriaWindows:
-    """One sequence of Nymeria (see :class:`prbench.curation.windows.WindowSource`)."""
+    """One sequence of Nymeria (see :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`)."""
 
     source: NymeriaSource
 
     @property
     def recording_id(self) -> str:
-        """See :class:`prbench.curation.windows.WindowSource`."""
+        """See :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`."""
         return self.source.identity.recording_id
 
     @property
@@ -257,25 +257,25 @@ class NymeriaWindows:
 
     @property
     def joint_set(self) -> str:
-        """See :class:`prbench.curation.windows.WindowSource`."""
+        """See :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`."""
         return SMPL22.name
 
     @property
     def settings(self) -> str:
-        """See :class:`prbench.curation.windows.WindowSource`."""
+        """See :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`."""
         options = described_options(self.source.options)
         return text_digest(digest_of(CORPUS.manifest), self.source.identity.split, *map(str, options.items()))
 
     def input_digest(self) -> str:
-        """See :class:`prbench.curation.windows.WindowSource`."""
+        """See :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`."""
         return SuitRecording(self.source).input_digest()
 
     def without_places(self, message: str) -> str:
-        """See :class:`prbench.curation.windows.WindowSource`."""
+        """See :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`."""
         return self.source.without_places(message)
 
     def cut(self, protocol: PredictionProtocol) -> Iterator[CutRun]:
-        """See :class:`prbench.curation.windows.WindowSource`."""
+        """See :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`."""
         recording = SuitRecording(self.source).read()
         yield from runs_of_recording(recording, protocol.windows, split=self.source.identity.split)
 
@@ -289,7 +289,7 @@ def plan_windows(
     limit: int | None,
     reader: tuple[tuple[str, str], ...],
 ) -> WindowsPlan:
-    """See :func:`prbench.curation.windows.plan_windows`; Nymeria's joints are the 22.
+    """See :func:`prbench_benchmarks.motion_prediction.windows.plan_windows`; Nymeria's joints are the 22.
 
     Raises:
         UsageError: as there, and for native joints.

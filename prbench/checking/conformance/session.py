@@ -8,6 +8,7 @@ that, and another child goes on with those that are left.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import json
 import os
 import queue
@@ -22,7 +23,6 @@ from pathlib import Path
 
 import psutil
 
-from prbench.checking.conformance import predictors
 from prbench.checking.conformance.cases import cases_of_table, kept_synthetic_cases
 from prbench.checking.conformance.checks import CHECKS
 from prbench.checking.conformance.findings import (
@@ -37,13 +37,6 @@ from prbench.checking.conformance.findings import (
     skipped,
     worst_of,
 )
-from prbench.checking.conformance.predictors import (
-    BENCHMARK,
-    PredictorSubject,
-    require_windows,
-    synthetic_windows,
-    windows_of_table,
-)
 from prbench.checking.conformance.subject import MethodSubject, Subject, working_folder
 from prbench.errors import UsageError
 from prbench.harness.benchmark import load_benchmark
@@ -51,7 +44,7 @@ from prbench.harness.methods.installed import METHOD_CONTROLS
 from prbench.harness.methods.loading import MethodSpec, forget_loaded_methods, method_spec
 from prbench.harness.methods.process import exit_story, python_words, users_environment
 from prbench.harness.methods.programs import is_program
-from prbench.protocol.manifests import default_benchmark
+from prbench.protocol.manifests import benchmarks, find_benchmark
 
 
 @dataclass(frozen=True)
@@ -70,28 +63,20 @@ def _motions(spec: MethodSpec, request: CheckRequest, folder: Path) -> Subject:
     return Subject(spec, cases, folder)
 
 
-def _futures(spec: MethodSpec, request: CheckRequest, folder: Path) -> PredictorSubject:
-    cases = synthetic_windows(folder) if request.data is None else windows_of_table(request.data, folder)
-    return PredictorSubject(spec, cases, folder)
-
-
-_JUDGES = {
-    default_benchmark().name: Judge(CHECKS, _motions, cases_of_table),
-    BENCHMARK: Judge(predictors.CHECKS, _futures, require_windows),
-}
-
-
 def judge_of(benchmark: str) -> Judge:
     """Return the checks of a benchmark's methods.
 
     Raises:
         UsageError: for a benchmark whose methods cannot be checked.
     """
-    if benchmark not in _JUDGES:
-        raise UsageError(
-            f"--benchmark {benchmark}: its methods cannot be checked; expected one of {', '.join(_JUDGES)}."
-        )
-    return _JUDGES[benchmark]
+    about = find_benchmark(benchmark)
+    if about.default:
+        return Judge(CHECKS, _motions, cases_of_table)
+    if not about.checks:
+        known = ", ".join(each.name for each in benchmarks().values() if each.default or each.checks)
+        raise UsageError(f"--benchmark {benchmark}: its methods cannot be checked; expected one of {known}.")
+    module, _, attribute = about.checks.partition(":")
+    return getattr(importlib.import_module(module), attribute)()
 
 
 Tell = Callable[..., None]

@@ -15,7 +15,6 @@ from dataclasses import fields
 from typing import ClassVar
 
 from prbench.checking.conformance.findings import CheckRequest, Finding, Outcome, Report
-from prbench.checking.conformance.predictors import BENCHMARK
 from prbench.checking.conformance.session import check, judge_of
 from prbench.errors import UsageError
 from prbench.protocol.manifests import default_benchmark
@@ -63,7 +62,7 @@ class AdapterConformance(_Conformance):
 class PredictorConformance(_Conformance):
     """Holds one test for each check of a predictor of motion prediction; used like :class:`AdapterConformance`."""
 
-    benchmark = BENCHMARK
+    benchmark = "motion-prediction"
 
 
 def _test_of(name: str, title: str) -> Callable[[_Conformance], None]:

@@ -19,8 +19,8 @@ from prbench.checking.scaffold.one_file import ONE_FILE, converters_file
 from prbench.contract import GIVEN, Condition
 from prbench.errors import StorageError, UsageError
 from prbench.files.storage import atomic_folder, sole_writer
+from prbench.harness.benchmark import load_benchmark
 from prbench.harness.methods.installed import list_adapters, name_problem
-from prbench.prediction.batch import Condition as PredictorCondition
 from prbench.protocol.manifests import benchmarks, default_benchmark, find_benchmark
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
@@ -248,7 +248,7 @@ _PREDICTOR_LEARNS = (
 
 def _predictor_flags(conditions: Sequence[str], *, trainable: bool) -> frozenset[str]:
     """Return the names of the optional parts that are kept."""
-    given = {"gaze"} if set(conditions) - {PredictorCondition.POSE.value} else set()
+    given = {"gaze"} if set(conditions) - {"pose"} else set()
     return frozenset(given | ({"trainable"} if trainable else set()))
 
 
@@ -256,7 +256,7 @@ def _predictor_values(
     names: MethodNames, conditions: Sequence[str], *, trainable: bool, program: bool
 ) -> dict[str, str]:
     """Return the text for every place in the templates."""
-    chosen = list(dict.fromkeys(PredictorCondition(name) for name in conditions))
+    chosen = list(dict.fromkeys(load_benchmark("motion-prediction").condition(name) for name in conditions))
     lines = _predictor_commands(names, chosen[0].value, program=program)
     return common_values(names, chosen, _PREDICTOR_DOES) | {
         "described": f"The predictor '{names.method}' for the motion prediction benchmark of prbench.",

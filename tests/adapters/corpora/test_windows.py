@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from prbench.curation.windows import build_planned_windows
 from prbench.engine import InProcess
 from prbench.errors import InputFileError, UsageError
 from prbench.geometry.skeleton import XSENS_SEGMENTS, y_up
-from prbench.prediction.batch import Condition
-from prbench.prediction.table import WindowsTable
 from prbench.readers.aria_mps import format as mps
 from prbench_adapters.corpora.nymeria.recording import plan_windows
+from prbench_benchmarks.motion_prediction.batch import Condition
+from prbench_benchmarks.motion_prediction.table import WindowsTable
+from prbench_benchmarks.motion_prediction.windows import build_planned_windows
 from tests.adapters.corpora.suits import START_US, walking_suit, write_arrays
 from tests.readers.mps_files import COLUMNS, WORLD, write_lines
 

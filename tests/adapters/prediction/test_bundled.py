@@ -10,12 +10,12 @@ import pytest
 import prbench_adapters.prediction
 from prbench.curation import build_from_sources
 from prbench.harness.synthetic_table import Staging, synthetic_source
-from prbench.prediction.anchored import build_anchored_windows
-from prbench.prediction.batch import Condition
-from prbench.prediction.predictors import ZeroVelocity
-from prbench.prediction.scoring import score_predictor
-from prbench.prediction.table import WindowsTable
 from prbench_adapters.prediction.adapter import load_predictor
+from prbench_benchmarks.motion_prediction.anchored import build_anchored_windows
+from prbench_benchmarks.motion_prediction.batch import Condition
+from prbench_benchmarks.motion_prediction.predictors import ZeroVelocity
+from prbench_benchmarks.motion_prediction.scoring import score_predictor
+from prbench_benchmarks.motion_prediction.table import WindowsTable
 from tests.adapters.cards import described
 
 FOLDER = Path(prbench_adapters.prediction.__file__).with_name("weights")

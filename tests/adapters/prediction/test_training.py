@@ -12,13 +12,13 @@ import torch
 
 from prbench.errors import AdapterError, InputFileError, PrbenchError, TrainingStopped, UsageError
 from prbench.harness.methods.installed import load_task
-from prbench.prediction.batch import Condition, ObservedBatch, ask
-from prbench.prediction.table import WindowsTable
 from prbench_adapters.prediction.adapter import LearnedPredictor, load_predictor
 from prbench_adapters.prediction.training import RateCourse
 from prbench_adapters.training.batches import WindowChoice, WindowsDataset
 from prbench_adapters.training.run import TrainRequest, train
-from tests.prediction.windows import walking, write
+from prbench_benchmarks.motion_prediction.batch import Condition, ObservedBatch, ask
+from prbench_benchmarks.motion_prediction.table import WindowsTable
+from tests.benchmarks.motion_prediction.windows import walking, write
 
 FIRST = {"dlow": "cvae", "belfusion": "autoencoders"}
 """What each method's training starts from."""

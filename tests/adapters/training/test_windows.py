@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from prbench.errors import TableError, UsageError
-from prbench.prediction.batch import Condition
-from prbench.prediction.table import WindowsTable
 from prbench_adapters.training.batches import WindowChoice, WindowsDataset
-from tests.prediction.windows import walking, write
+from prbench_benchmarks.motion_prediction.batch import Condition
+from prbench_benchmarks.motion_prediction.table import WindowsTable
+from tests.benchmarks.motion_prediction.windows import walking, write
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,8 @@ from prbench.harness.verification import RunChecker
 from prbench_adapters.training.ablations import load_ablations
 from prbench_benchmarks.prime_and_reach import ablation
 from prbench_benchmarks.prime_and_reach.ablation import TABLES, AblationRequest, ablation_table, run_ablation
+from tests.benchmarks.prime_and_reach.study.test_formats import require_whole_latex
 from tests.fakes import fake_dataset
-from tests.workflows.study.test_formats import require_whole_latex
 
 
 @pytest.fixture(scope="module")

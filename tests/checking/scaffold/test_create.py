@@ -16,15 +16,15 @@ import pytest
 from prbench.checking import scaffold
 from prbench.checking.conformance import Outcome
 from prbench.checking.conformance.findings import examine
-from prbench.checking.conformance.predictors import PredictorSubject, windows_of_table
 from prbench.checking.conformance.session import judge_of
 from prbench.checking.scaffold import ScaffoldRequest, new_adapter
 from prbench.cli import main
 from prbench.errors import StorageError, UsageError
 from prbench.harness.benchmark import load_benchmark
 from prbench.harness.methods.loading import forget_loaded_methods, method_spec
+from prbench_benchmarks.motion_prediction.conformance import PredictorSubject, windows_of_table
+from tests.benchmarks.motion_prediction.windows import walking, write
 from tests.fakes import fake_dataset
-from tests.prediction.windows import walking, write
 
 CONDITIONS = ("none", "text", "goal-pose", "goal-loc")
 CHOICES = [

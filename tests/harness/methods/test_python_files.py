@@ -14,7 +14,7 @@ from prbench.harness.methods.programs import short_name
 
 GROUP = load_benchmark("motion-prediction").methods
 SOURCE = """
-    from prbench.prediction.predictors import ZeroVelocity
+    from prbench_benchmarks.motion_prediction.predictors import ZeroVelocity
 
     def load(weights, *, options, device):
         return ZeroVelocity(name="NAME")
@@ -53,7 +53,7 @@ def test_a_function_of_a_module_is_a_method(file, monkeypatch):
     ("method", "message"),
     [
         ("no_such_module_at_all:load", "expected a module 'no_such_module_at_all' that Python can import"),
-        ("prbench.prediction.batch:nothing", "expected a function 'nothing"),
+        ("prbench_benchmarks.motion_prediction.batch:nothing", "expected a function 'nothing"),
     ],
 )
 def test_a_module_without_the_function_is_refused(method, message):

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.prediction.joint_sets import JOINT_SETS
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.gimo import GimoOptions, GimoReader
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.to_recording import published_track
+from prbench_benchmarks.motion_prediction.joint_sets import JOINT_SETS
 from tests.readers import gimo_sample
 
 

@@ -1,0 +1,171 @@
+"""Windows around the primes and events of a prime-and-reach table, from that table alone.
+
+Source: docs/specification/motion-prediction.md#the-anchored-track.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from jaxtyping import Bool, Float
+
+from prbench.errors import UsageError
+from prbench.files.storage import sole_writer
+from prbench.geometry.skeleton import head_forward, transform_points
+from prbench.recording.streams import is_estimated
+from prbench.sequences.dataset_info import Provenance
+from prbench.sequences.sequence import SequenceChunk
+from prbench.sequences.table import SequenceTable
+from prbench_benchmarks.motion_prediction.protocol import AnchoredRules, WindowRules, load_prediction_protocol
+from prbench_benchmarks.motion_prediction.table import SCHEMA_VERSION, CutRun, Run, Window, WindowsInfo, write_windows
+
+_TEXT = ("sequence_id", "recording_id", "participant_id", "split", "action", "pose_source")
+_NUMBERS = ("n_frames", "prime_frame", "start_time", "fps", "head_tilt_deg")
+_ARRAYS = ("joints", "gaze_direction", "gaze_valid", "goal_location", "world_from_canonical")
+
+
+def anchors() -> tuple[str, ...]:
+    """Return the names of all anchors: the prime, and the protocol's times before the event."""
+    return ("prime", *(f"event-{lead:g}" for lead in load_prediction_protocol().anchored.leads))
+
+
+def build_anchored_windows(data: Path | str, out: Path | str, *, only: Collection[str] = ()) -> WindowsInfo:
+    """Make the anchored track of a prime-and-reach table.
+
+    Args:
+        data: Folder of the table.
+        out: Folder of the windows; an earlier table of windows there is replaced.
+        only: Anchors, such as ``prime`` and ``event-1.5``; all if empty.
+
+    Returns:
+        The provenance as written.
+
+    Raises:
+        TableError: if the table cannot be read, or no sequence is long enough.
+        StorageError: if ``out`` cannot be written or holds something else.
+        UsageError: for an anchor that the protocol does not have.
+    """
+    unknown = sorted(set(only) - set(anchors()))
+    if unknown:
+        raise UsageError(f"--anchor {unknown[0]}: expected some of {', '.join(anchors())}.")
+    table = SequenceTable.open(data).with_sequences()
+    out = Path(out).expanduser().absolute()
+    protocol = load_prediction_protocol()
+    fps = table.scalars()["fps"][0].as_py()
+    rules = protocol.windows.at(fps)
+    seen: set[str] = set()
+
+    def cut() -> Iterator[CutRun]:
+        for chunk in table.chunks(columns=[*_TEXT, *_NUMBERS, *_ARRAYS]):
+            seen.update(chunk.strings("pose_source"))
+            for row in range(len(chunk)):
+                sequence = _Sequence.of(chunk.take([row]))
+                windows = sequence.windows(rules, protocol.anchored)
+                windows = tuple(each for each in windows if not only or each.anchor in only)
+                if windows:
+                    yield CutRun(sequence.run, windows)
+
+    def finish(info: WindowsInfo) -> WindowsInfo:
+        return msgspec.structs.replace(info, estimated_bodies=any(map(is_estimated, seen)))
+
+    source = {name: getattr(table.info, name) for name in Provenance.__struct_fields__}
+    changed = {
+        "schema_version": SCHEMA_VERSION,
+        "protocol_version": protocol.version,
+        "protocol_digest": protocol.digest,
+        "input_digest": table.info.content_digest,
+        "options": {
+            "track": "anchored",
+            "table_identity": table.info.identity_digest,
+            **({"anchors": ", ".join(name for name in anchors() if name in only)} if only else {}),
+        },
+        "quarantine": (),
+        "outcomes": {},
+    }
+    info = WindowsInfo(
+        **(source | changed),
+        fps=fps,
+        observed_frames=rules.observed_frames,
+        future_frames=rules.future_frames,
+        fewest_gaze_frames=rules.fewest_gaze_frames,
+        joint_set="smpl22",
+        has_gaze=False,
+        estimated_bodies=False,
+        participants=0,
+        recordings=0,
+        runs=0,
+        frames=0,
+    )
+    with sole_writer(out):
+        return write_windows(out, info, cut(), finish=finish)
+
+
+@dataclass(frozen=True)
+class _Sequence:
+    """One sequence in the room."""
+
+    run: Run
+    prime_frame: int
+    goal: Float[np.ndarray, "3"]
+
+    @classmethod
+    def of(cls, chunk: SequenceChunk) -> _Sequence:
+        """The only row of a chunk."""
+        room_from_canonical = chunk.vectors("world_from_canonical").reshape(4, 4)
+        text = {name: chunk.strings(name)[0] for name in _TEXT}
+        number = {name: float(chunk.numbers(name)[0]) for name in _NUMBERS}
+        # The canonical frame knows the lowest joint of the whole sequence, the room knows nothing of it.
+        joints = transform_points(room_from_canonical, chunk.joints.astype(np.float64))
+        directions = chunk.frames("gaze_direction").astype(np.float64) @ room_from_canonical[:3, :3].T
+        delay = round(load_prediction_protocol().anchored.gaze_delay * number["fps"])
+        gaze, valid = _delayed(directions, chunk.frames("gaze_valid").astype(bool), delay)
+        run = Run(
+            run_id=text["sequence_id"],
+            recording_id=text["recording_id"],
+            participant_id=text["participant_id"],
+            split=text["split"],
+            published_split="",
+            segment=text["action"],
+            pose_source=text["pose_source"],
+            fps=number["fps"],
+            start_time=number["start_time"],
+            joints=joints,
+            joints_valid=np.ones(len(joints), dtype=bool),
+            gaze=gaze,
+            gaze_valid=valid,
+            head_direction=head_forward(joints, number["head_tilt_deg"])[0],
+        )
+        goal = transform_points(room_from_canonical, chunk.vectors("goal_location")[0])
+        return cls(run, int(number["prime_frame"]), goal)
+
+    def windows(self, rules: WindowRules, anchored: AnchoredRules) -> tuple[Window, ...]:
+        """Up to the prime, and up to each lead before the event, where both halves are there."""
+        event = len(self.run) - 1
+        last_observed = {"prime": self.prime_frame}
+        last_observed |= {f"event-{lead:g}": event - round(lead * rules.fps) for lead in anchored.leads}
+        shortest = round(anchored.shortest_future * rules.fps)
+        windows = []
+        for anchor, last in last_observed.items():
+            start = last + 1 - rules.observed_frames
+            n_scored = min(rules.future_frames, event - last)
+            if start < 0 or n_scored < shortest:
+                continue
+            looking = int(self.run.gaze_valid[start : last + 1].sum())
+            goal = self.goal if last + n_scored == event else None
+            windows.append(Window(start, looking, n_scored, anchor=anchor, goal=goal))
+        return tuple(windows)
+
+
+def _delayed(
+    directions: Float[np.ndarray, "n 3"], valid: Bool[np.ndarray, " n"], delay: int
+) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
+    """The gaze of some frames before, held where it is not valid; +Z before the first valid one."""
+    frames = np.arange(len(valid)) - delay
+    shown = (frames >= 0) & valid[np.maximum(frames, 0)]
+    last = np.maximum.accumulate(np.where(shown, frames, -1))
+    held = np.where((last >= 0)[:, None], directions[np.maximum(last, 0)], [0.0, 0.0, 1.0])
+    return held, shown

@@ -1,0 +1,167 @@
+"""``prbench build-windows``: recordings, or a table of sequences, into windows for motion prediction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+import msgspec
+
+from prbench.cli import builds
+from prbench.cli import options as opt
+from prbench.cli.commands import Answer, command, note, progress
+from prbench.cli.terminal import print_table
+from prbench.entry_points import CORPORA, load_built_in
+from prbench.errors import UsageError
+
+if TYPE_CHECKING:
+    from prbench.engine.choice import EngineChoice
+    from prbench.engine.shards import ShardRecord
+    from prbench_benchmarks.motion_prediction.table import WindowsInfo
+
+
+class WindowsReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The work of ``build-windows``, done or counted.
+
+    Attributes:
+        folder: The table of windows that was written; null with ``--dry-run`` and ``--shard``.
+        built: The content of its ``windows.json``; null likewise.
+        counted: With ``--dry-run``: maps the splits of the study to their numbers of segments, frames and windows.
+        shard: The shard that was made, with ``--shard``; else null.
+    """
+
+    folder: Path | None = None
+    built: WindowsInfo | None = None
+    counted: dict[str, tuple[int, int, int]] = {}
+    shard: opt.MadeShard | None = None
+
+
+@command(
+    "build-windows",
+    section="data",
+    example="prbench build-windows mogaze --root /data/MoGaze --out windows/mogaze --workers 4",
+    report=WindowsReport,
+)
+@click.argument("dataset", required=False)
+@opt.root_option(required=False)
+@click.option(
+    "--data", type=opt.PATH, metavar="DIR", help="In place of a dataset, a built table: windows at its events."
+)
+@opt.out_folder_option("Folder of the windows; earlier ones are replaced once the new ones are ready.")
+@click.option(
+    "--anchor",
+    "anchors",
+    multiple=True,
+    metavar="NAME",
+    help="With --data: windows at this anchor alone, prime or event-2, event-1.5, event-1, event-0.5; repeatable.",
+)
+@click.option("--dry-run", is_flag=True, help="Count what a study used, from gimo's dataset.csv alone; write nothing.")
+@click.option(
+    "--joints",
+    type=click.Choice(["native", "smpl22"]),
+    help="Joints that a study scored (default for mogaze and gimo), or the 22 joints of any dataset.",
+)
+@opt.recordings_options
+@opt.on_error_option()
+@opt.reader_options()
+@opt.engine_options()
+@opt.shard_option("the dataset's recordings")
+def build_windows(
+    *,
+    dataset: str | None,
+    root: Path | None,
+    data: Path | None,
+    out: Path | None,
+    anchors: tuple[str, ...],
+    dry_run: bool,
+    joints: Literal["native", "smpl22"] | None,
+    recordings: str,
+    max_recordings: int | None,
+    on_error: Literal["skip", "fail"],
+    options: tuple[tuple[str, str], ...],
+    engine: EngineChoice,
+    shard: str | None,
+) -> Answer:
+    """Cut recordings into windows for motion prediction: half a second to observe, two seconds to predict.
+
+    DATASET is its name, for example mogaze (`prbench datasets` lists them).
+    """
+    if (data is None) is (dataset is None) or (dataset is None) is not (root is None):
+        raise UsageError("expected either DATASET with --root DIR, or --data DIR alone.")
+    part = opt.chosen_shard(shard, dry_run=dry_run, data=data)
+    if anchors and data is None:
+        raise UsageError("--anchor: belongs to --data; windows of recordings slide.")
+    if dry_run:
+        return _counted(dataset, root)
+    if out is None:
+        raise UsageError("--out DIR is needed: the folder of the windows. (--dry-run does without.)")
+    if data is not None:
+        from prbench_benchmarks.motion_prediction.anchored import build_anchored_windows
+
+        if joints or recordings != "*" or max_recordings or options:
+            raise UsageError("--data: a built table has its recordings and joints; leave the other options out.")
+        return windows_answer(build_anchored_windows(data, out, only=anchors), out)
+    assert dataset is not None
+    assert root is not None
+    from prbench_benchmarks.motion_prediction.windows import build_planned_windows, build_windows_shard, plan_windows
+
+    # Nymeria has no reader of recordings: its windows are cut where its corpus is read.
+    planner = load_built_in(CORPORA, "windows") if dataset == "nymeria" else plan_windows
+    plan = planner(dataset, root, joints=joints, recordings=recordings, limit=max_recordings, reader=options)
+    where = opt.opened(engine, reads=(root,), writes=(out,))
+    if part is None:
+        with progress(f"cutting {dataset}") as tell:
+            report = build_planned_windows(plan, out, on_error=on_error, engine=where, progress=tell)
+        return windows_answer(report.info, out)
+    with progress(f"cutting shard {part} of {dataset}") as tell:
+        done = build_windows_shard(plan, out, part, on_error=on_error, engine=where, progress=tell)
+    for each in done.records:
+        if each.status != "read":
+            note(f"{each.recording_id}: {each.status}: {each.message}")
+    report = builds.made_shard(done, len(done.records))
+    complete = all(each.status != "failed" for each in done.records)
+    exit_code = 0 if complete else builds.NOT_EVERYTHING
+    return opt.shard_answer(WindowsReport(shard=report), report, unit="recordings", exit_code=exit_code)
+
+
+def windows_answer(info: WindowsInfo, folder: Path) -> Answer:
+    """Answer a command that has written a table of windows."""
+    for each in info.quarantine:
+        note(f"{each.recording_id}: {each.status}: {each.message}")
+    if info.estimated_bodies:
+        note("bodies were estimated from whole tracks of the head: an observed frame may carry later head motion")
+
+    def show() -> None:
+        rows = [(name, str(getattr(info, name))) for name in ("participants", "recordings", "runs", "frames")]
+        for outcome, number in info.outcomes.items():
+            rows.append(("windows" if outcome == "window" else f"windows: {outcome}", str(number)))
+        print_table(
+            f"{info.title}: {info.joint_set}, {info.fps:g} frames a second", ("of", "number"), rows, numbers=(1,)
+        )
+        print(f"windows: {folder}")
+
+    failed = any(each.status == "failed" for each in info.quarantine)
+    return Answer(WindowsReport(folder=folder, built=info), show, builds.NOT_EVERYTHING if failed else 0)
+
+
+def _counted(dataset: str | None, root: Path | None) -> Answer:
+    """Count a study's segments and windows."""
+    from prbench_benchmarks.motion_prediction.windows import published_counts
+
+    if dataset is None or root is None:
+        raise UsageError("--dry-run: expected DATASET with --root DIR.")
+    counts = published_counts(dataset, root)
+    rows = [(split, *map(str, numbers)) for split, numbers in counts.items()]
+    title = f"{dataset}: what the study of prediction used"
+    header = ("split", "segments", "frames", "windows")
+    return Answer(WindowsReport(counted=counts), lambda: print_table(title, header, rows, numbers=(1, 2, 3)))
+
+
+def merged_windows(shards: Sequence[tuple[Path, ShardRecord]], out: Path) -> Answer:
+    """Put the shards of a table of windows together, and answer as the command that makes a whole table does."""
+    from prbench_benchmarks.motion_prediction.windows import merge_windows_shards
+
+    made = merge_windows_shards(shards, out)
+    return windows_answer(made.info, made.folder)

@@ -1,0 +1,147 @@
+"""Predictors without learning: zero velocity, constant velocity, and the nearest past of the training set.
+
+Source: docs/specification/motion-prediction.md#predictors-without-learning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.distance import cdist
+
+from prbench.errors import UsageError
+from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch
+from prbench_benchmarks.motion_prediction.joint_sets import (
+    JOINT_SETS,
+    JointSet,
+    invert_each,
+    rotations_alone,
+    transform_each,
+)
+from prbench_benchmarks.motion_prediction.table import Truth
+
+_ALL = frozenset(Condition)
+
+
+def _repeated(joints: Float[np.ndarray, "batch future joints 3"], n_samples: int) -> Futures:
+    """The same future for every sample: these predictors know of no other."""
+    return Futures(joints=np.repeat(joints[:, None], n_samples, axis=1).astype(np.float32))
+
+
+@dataclass(frozen=True)
+class ZeroVelocity:
+    """The last observed pose, for ever."""
+
+    name: str = "zero-velocity"
+    conditions: frozenset[Condition] = _ALL
+
+    def predict(self, batch: ObservedBatch, *, n_samples: int, seed: int) -> Futures:  # noqa: ARG002 - a protocol
+        """See :class:`prbench_benchmarks.motion_prediction.batch.Predictor`; ``seed`` leaves no trace."""
+        last = batch.observed_joints[:, -1:]
+        return _repeated(np.repeat(last, batch.n_future, axis=1), n_samples)
+
+
+@dataclass(frozen=True)
+class ConstantVelocity:
+    """Every joint goes on with the speed of its last two observed frames."""
+
+    name: str = "constant-velocity"
+    conditions: frozenset[Condition] = _ALL
+
+    def predict(self, batch: ObservedBatch, *, n_samples: int, seed: int) -> Futures:  # noqa: ARG002 - a protocol
+        """See :class:`prbench_benchmarks.motion_prediction.batch.Predictor`; ``seed`` leaves no trace.
+
+        Raises:
+            UsageError: for a single observed frame, which has no speed.
+        """
+        if batch.observed_joints.shape[1] < 2:
+            raise UsageError(f"{self.name}: expected two observed frames or more, found one.")
+        last = batch.observed_joints[:, -1].astype(np.float64)
+        step = last - batch.observed_joints[:, -2]
+        steps = np.arange(1, batch.n_future + 1)[:, None, None]
+        return _repeated(last[:, None] + steps * step[:, None], n_samples)
+
+
+@dataclass(frozen=True)
+class NearestPast:
+    """Sample k is the future of the training window whose observed frames are k-th nearest.
+
+    Pasts are compared, and futures placed, with the pelvis of the last observed frame over the origin facing +Z. A gaze
+    that is given counts as one more joint, a metre from the origin.
+    """
+
+    pasts: Float[np.ndarray, "windows values"]
+    """Observed frames of the training windows, flattened."""
+    futures: Float[np.ndarray, "windows future joints 3"]
+    condition: Condition
+    name: str = "nearest-past"
+
+    @property
+    def conditions(self) -> frozenset[Condition]:
+        """The condition that it was made for."""
+        return frozenset({self.condition})
+
+    @classmethod
+    def fit(cls, batches: Iterable[tuple[ObservedBatch, Truth]]) -> NearestPast:
+        """Remember windows of the training split.
+
+        Args:
+            batches: See :meth:`prbench_benchmarks.motion_prediction.table.WindowsTable.batches`.
+
+        Raises:
+            UsageError: if none is left.
+        """
+        pasts = []
+        futures = []
+        condition = Condition.POSE
+        for batch, truth in batches:
+            condition = batch.condition
+            frames, features = _own_frame(batch)
+            pasts.append(features)
+            # Windows of an anchored table end with the event: their last pose is held, as nothing is known after it.
+            shown = np.minimum(np.arange(batch.n_future), truth.n_scored[:, None] - 1)
+            whole = np.take_along_axis(truth.joints, shown[:, :, None, None], axis=1)
+            futures.append(transform_each(invert_each(frames), whole).astype(np.float32))
+        if not futures:
+            raise UsageError("nearest-past: expected windows to remember, found none.")
+        return cls(np.concatenate(pasts), np.concatenate(futures), condition)
+
+    def predict(self, batch: ObservedBatch, *, n_samples: int, seed: int) -> Futures:  # noqa: ARG002 - a protocol
+        """See :class:`prbench_benchmarks.motion_prediction.batch.Predictor`; ``seed`` leaves no trace.
+
+        Raises:
+            UsageError: if fewer windows are remembered than samples are asked for, or windows of another length or of
+                other joints.
+        """
+        if n_samples > len(self.futures):
+            raise UsageError(f"{self.name}: expected at most {len(self.futures)} samples, found {n_samples}.")
+        frames, features = _own_frame(batch)
+        shapes = (self.pasts.shape[1], *self.futures.shape[1:3])
+        asked = (features.shape[1], batch.n_future, len(batch.joint_names))
+        if asked != shapes:
+            raise UsageError(
+                f"{self.name}: it remembers windows of {shapes[1]} future frames and {shapes[2]} joints ({shapes[0]}"
+                f" observed numbers), these have {asked[1]} and {asked[2]} ({asked[0]}). Fit it to windows like these."
+            )
+        apart = cdist(features, self.pasts)
+        # Stable, so that a tie is not broken by how many samples are asked for.
+        nearest = np.argsort(apart, axis=1, kind="stable")[:, :n_samples]
+        return Futures(joints=transform_each(frames, self.futures[nearest]).astype(np.float32))
+
+
+def _own_frame(batch: ObservedBatch) -> tuple[Float[np.ndarray, "batch 4 4"], Float[np.ndarray, "batch values"]]:
+    """``batch_from_own`` of each window, and its observed frames in the frame of its last pose, flattened."""
+    frames = _joint_set_of(batch).last_pose_frame(batch.observed_joints[:, -1])
+    own_from_batch = invert_each(frames)
+    features = [transform_each(own_from_batch, batch.observed_joints).reshape(len(batch), -1)]
+    if batch.gaze is not None:
+        turned = transform_each(rotations_alone(own_from_batch), batch.gaze)
+        features.append(turned.reshape(len(batch), -1))
+    return frames, np.concatenate(features, axis=1)
+
+
+def _joint_set_of(batch: ObservedBatch) -> JointSet:
+    return next(each for each in JOINT_SETS.values() if each.names == batch.joint_names)

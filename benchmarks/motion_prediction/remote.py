@@ -1,0 +1,121 @@
+"""A predictor behind the wire protocol (docs/wire-protocol.md#motion-prediction)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Float
+
+from prbench.harness.methods.messages import Header, arrow_stream, numbers_by_id
+from prbench.harness.methods.motions import asked_for
+from prbench.harness.methods.remote import Exchange, RemoteMethod, answer_in
+from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, Predictor, require_futures
+
+
+class RemotePredictor(RemoteMethod):
+    """Satisfies :class:`prbench_benchmarks.motion_prediction.batch.Predictor`."""
+
+    all_conditions = Condition
+    said: ClassVar[Mapping[str, Any]] = {"benchmark": "motion-prediction"}
+
+    def predict(self, batch: ObservedBatch, *, n_samples: int, seed: int) -> Futures:
+        """Ask the program for the futures of a batch.
+
+        Raises:
+            AdapterError: see :meth:`RemoteMethod.exchange`.
+            MemoryError: see :meth:`RemoteMethod.exchange`.
+        """
+        ids = tuple(f"{key:016x}" for key in batch.key)
+        shape = (len(batch), n_samples, batch.n_future, len(batch.joint_names), 3)
+        header = {
+            "message": "predict",
+            "condition": batch.condition.value,
+            "rows": len(batch),
+            "fps": float(batch.fps),
+            "seed": seed,
+            "n_samples": n_samples,
+            "n_observed": batch.shape[1],
+            "n_future": batch.n_future,
+            "joint_names": list(batch.joint_names),
+        }
+        asked = Exchange(
+            header=header,
+            payload=_observed_payload(batch, ids),
+            # Twice the size in float64: room for any list type, and still a bound on what is read.
+            largest=2 * int(np.prod(shape)) * 8,
+            read=partial(_futures_in, ids=ids, shape=shape),
+            asked_for=asked_for(ids),
+        )
+        return Futures(joints=self.exchange(asked))
+
+
+def _observed_payload(batch: ObservedBatch, ids: tuple[str, ...]) -> bytes:
+    """Arrow stream of what a program may know, one row a window."""
+
+    def rows(values: np.ndarray, kind: pa.DataType) -> pa.Array:
+        size = int(np.prod(values.shape[1:]))
+        flat = pa.array(values.reshape(-1), kind)
+        return pa.FixedSizeListArray.from_arrays(flat, size)
+
+    columns = {
+        "opaque_id": pa.array(ids, pa.utf8()),
+        "key": pa.array(batch.key, pa.int64()),
+        "observed_joints": rows(batch.observed_joints, pa.float32()),
+    }
+    if batch.gaze is not None and batch.gaze_valid is not None:
+        columns["gaze"] = rows(batch.gaze, pa.float32())
+        columns["gaze_valid"] = rows(batch.gaze_valid, pa.bool_())
+    return arrow_stream(columns)
+
+
+def _futures_in(
+    header: Header, payload: bytes | None, number: int, *, ids: tuple[str, ...], shape: tuple[int, ...]
+) -> Float[np.ndarray, "batch samples future joints 3"]:
+    size = int(np.prod(shape[1:]))
+    read = partial(numbers_by_id, asked=ids, name="joints", size=size)
+    return answer_in(header, payload, number, due="futures", read=read).reshape(shape)
+
+
+def serve_futures(name: str, adapter: Predictor, header: Header, payload: bytes) -> tuple[Header, bytes]:
+    """Answer a ``predict`` message for an installed predictor.
+
+    Args:
+        name: Name of the predictor.
+        adapter: The predictor.
+        header: As received.
+        payload: As received.
+
+    Returns:
+        Header, without the number of the batch, and payload of the answer.
+    """
+    with pa.ipc.open_stream(payload) as reader:
+        rows = reader.read_next_batch()
+    observed = (len(rows), header["n_observed"])
+
+    def column(column_name: str, *shape: int) -> np.ndarray | None:
+        if column_name not in rows.schema.names:
+            return None
+        return rows[column_name].flatten().to_numpy(zero_copy_only=False).reshape(*observed, *shape)
+
+    joints = column("observed_joints", len(header["joint_names"]), 3)
+    assert joints is not None
+    batch = ObservedBatch(
+        condition=Condition(header["condition"]),
+        fps=header["fps"],
+        n_future=header["n_future"],
+        joint_names=tuple(header["joint_names"]),
+        observed_joints=joints,
+        key=tuple(rows["key"].to_pylist()),
+        gaze=column("gaze", 3),
+        gaze_valid=column("gaze_valid"),
+    )
+    n_samples = header["n_samples"]
+    answer = adapter.predict(batch, n_samples=n_samples, seed=header["seed"])
+    futures = require_futures(answer, batch, n_samples, predictor=name)
+    joints = np.asarray(futures.joints, dtype=np.float32).reshape(len(batch), -1)
+    sent = pa.FixedSizeListArray.from_arrays(pa.array(joints.reshape(-1)), joints.shape[1])
+    return {"message": "futures"}, arrow_stream({"opaque_id": rows["opaque_id"], "joints": sent})

@@ -1,0 +1,577 @@
+"""The windows of motion prediction on disk: runs of frames in ``streams``, and slices of them in ``windows``.
+
+Source: docs/specification/motion-prediction.md#tables. A window is a slice of a run, so overlap costs nothing. Runs are
+read a few at a time: memory does not grow with the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Sequence as SequenceOf
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+from jaxtyping import Bool, Float, Int
+
+from prbench.errors import TableError, UsageError
+from prbench.files.bounded import foreign_input
+from prbench.files.storage import atomic_folder, require_replaceable
+from prbench.recording.streams import is_estimated
+from prbench.sequences.dataset_info import Provenance
+from prbench.sequences.schema import (
+    naming,
+    open_parquet,
+    read_parquet,
+    require_distinct,
+    require_unchanged,
+    table_parts,
+)
+from prbench.sequences.sequence import column_field, row_batch
+from prbench.sequences.write import write_tables
+from prbench_benchmarks.motion_prediction.batch import Condition, ObservedBatch, window_keys
+from prbench_benchmarks.motion_prediction.joint_sets import (
+    JointSet,
+    invert_each,
+    joint_set,
+    rotations_alone,
+    transform_each,
+)
+from prbench_benchmarks.motion_prediction.protocol import FrameName
+
+SCHEMA_VERSION = 1
+FILE_NAME = "windows.json"
+RUNS_AT_ONCE = 8
+"""Runs in a row group: a run may hold 20 minutes, 10 MB."""
+_IDENTITY = ("run_id", "split", "segment", "n_frames")
+
+WINDOWS = pa.schema(
+    [
+        column_field("window_id", pa.string()),
+        column_field("row", pa.int32()),
+        column_field("start", pa.int32()),
+        column_field("anchor", pa.string()),
+        column_field("n_scored", pa.int32()),
+        column_field("n_gaze_valid", pa.int32()),
+        column_field("exclusion", pa.string()),
+        column_field("goal", pa.list_(pa.float64(), 3), nullable=True),
+    ]
+)
+
+
+def streams_schema(joints: JointSet) -> pa.Schema:
+    """Columns of ``streams`` for a joint set."""
+    n_joints = len(joints.names)
+    direction = pa.list_(pa.list_(pa.float32(), 3))
+    return pa.schema(
+        [
+            column_field("run_id", pa.string()),
+            column_field("recording_id", pa.string()),
+            column_field("participant_id", pa.string()),
+            column_field("split", pa.string()),
+            column_field("published_split", pa.string()),
+            column_field("segment", pa.string()),
+            column_field("pose_source", pa.string()),
+            column_field("fps", pa.float64()),
+            column_field("start_time", pa.float64()),
+            column_field("n_frames", pa.int32()),
+            column_field("joints", pa.list_(pa.list_(pa.float32(), n_joints * 3))),
+            column_field("joints_valid", pa.list_(pa.bool_())),
+            column_field("gaze", direction),
+            column_field("gaze_valid", pa.list_(pa.bool_())),
+            column_field("head_direction", direction),
+        ],
+        metadata={"joint_set": joints.name},
+    )
+
+
+@dataclass(frozen=True)
+class Run:
+    """Frames at the table's rate, without a gap in time. Room, metres, Y up."""
+
+    run_id: str
+    recording_id: str
+    participant_id: str
+    split: str
+    published_split: str
+    """``train``, ``test``, ``unused``, or empty where no study published one."""
+    segment: str
+    pose_source: str
+    fps: float
+    start_time: float
+    joints: Float[np.ndarray, "n joints 3"]
+    joints_valid: Bool[np.ndarray, " n"]
+    gaze: Float[np.ndarray, "n 3"]
+    """Unit vectors; where ``gaze_valid`` is False the last one measured before, or +Z if there was none."""
+    gaze_valid: Bool[np.ndarray, " n"]
+    head_direction: Float[np.ndarray, "n 3"]
+
+    def __len__(self) -> int:
+        return len(self.joints)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames."""
+        return len(self.joints)
+
+
+@dataclass(frozen=True)
+class Window:
+    """A slice of a run."""
+
+    start: int
+    n_gaze_valid: int
+    """Observed frames with measured gaze."""
+    n_scored: int
+    """Frames after the observed ones that are scored; a predictor is asked for as many as every window of the table."""
+    exclusion: str = ""
+    """``invalid_body``, ``gap_at_border``, or empty."""
+    anchor: str = "sliding"
+    """``sliding``; ``prime`` or ``event-2`` and the like in an anchored table."""
+    goal: Float[np.ndarray, "3"] | None = None
+    """Goal location, room; only where the last scored frame is the event. Never given to a predictor."""
+
+    def row(self, run: Run, row: int) -> dict[str, object]:
+        """Columns of ``windows``."""
+        return {
+            "window_id": f"{run.run_id}/{self.anchor}/{self.start}",
+            "row": row,
+            "start": self.start,
+            "anchor": self.anchor,
+            "n_scored": self.n_scored,
+            "n_gaze_valid": self.n_gaze_valid,
+            "exclusion": self.exclusion,
+            "goal": None if self.goal is None else self.goal.tolist(),
+        }
+
+    @classmethod
+    def of(cls, row: Mapping[str, Any]) -> Window:
+        """A row of ``windows`` again, as :meth:`row` wrote it."""
+        return cls(
+            start=row["start"],
+            n_gaze_valid=row["n_gaze_valid"],
+            n_scored=row["n_scored"],
+            exclusion=row["exclusion"],
+            anchor=row["anchor"],
+            goal=None if row["goal"] is None else np.array(row["goal"]),
+        )
+
+
+class WindowsInfo(Provenance, frozen=True, kw_only=True):
+    """Provenance of one table of windows; its outcomes count windows by exclusion (``window`` for the others)."""
+
+    file_name = FILE_NAME
+    described = "table of windows"
+    build_command = "build-windows"
+
+    fps: float
+    """Frames a second."""
+    observed_frames: int
+    """Frames that a predictor is given."""
+    future_frames: int
+    """Frames that it predicts."""
+    fewest_gaze_frames: int
+    """Observed frames with measured gaze that a window has at least."""
+    joint_set: str
+    """``smpl22``, or native joints such as ``mogaze21``."""
+    has_gaze: bool
+    """False where no frame of any recording has measured gaze."""
+    estimated_bodies: bool
+    """Bodies were estimated from whole tracks of the head: an observed frame may carry later head motion."""
+    participants: int
+    """Number of participants."""
+    recordings: int
+    """Number of recordings with windows."""
+    runs: int
+    """Number of runs of frames (segments, sequences)."""
+    frames: int
+    """Number of frames in all runs."""
+
+
+@dataclass(frozen=True)
+class CutRun:
+    """A run with the windows that begin in it."""
+
+    run: Run
+    windows: tuple[Window, ...]
+
+
+def write_windows(
+    folder: Path,
+    info: WindowsInfo,
+    cut: Iterable[CutRun],
+    *,
+    finish: Callable[[WindowsInfo], WindowsInfo] = lambda info: info,
+) -> WindowsInfo:
+    """Write a folder of windows whole or not at all; an earlier one there is replaced.
+
+    Args:
+        folder: The table's folder.
+        info: Provenance; digests, counts, ``has_gaze`` and ``outcomes`` are filled in here.
+        cut: Runs in table order, taken up one by one.
+        finish: Fills in what is known of the provenance after the last run was taken up.
+
+    Returns:
+        The provenance as written.
+
+    Raises:
+        StorageError: if the folder holds something that is no table of windows, or cannot be written.
+        TableError: if there is no window, or captured bodies stand beside estimated ones.
+    """
+    require_replaceable(folder, FILE_NAME, kind="table of windows")
+    joints = joint_set(info.joint_set)
+    schemas = {"streams": streams_schema(joints), "windows": WINDOWS}
+    tally = _Tally(folder, schemas["streams"])
+    with atomic_folder(folder) as temporary:
+        tables = {"streams": tally.streams(cut), "windows": tally.windows()}
+        # The provenance counts what was written, so it is written once more at the end.
+        written = write_tables(temporary, info, tables, schemas, _IDENTITY, row_group_rows=RUNS_AT_ONCE)
+        if not tally.windows_found:
+            raise TableError(
+                f"{folder}: expected a run of frames longer than a window, found 0 windows in {tally.runs} runs."
+            )
+        written = finish(tally.filled_in(written))
+        written.write(temporary)
+    return written
+
+
+class _Tally:
+    """Turns runs into rows, and remembers the windows and counts that are known only at the end."""
+
+    def __init__(self, folder: Path, schema: pa.Schema) -> None:
+        self._folder = folder
+        self._schema = schema
+        self._kinds: dict[bool, str] = {}
+        self._windows: list[dict[str, object]] = []
+        self.runs = 0
+        self._frames = 0
+        self._gaze = False
+        self._outcomes: dict[str, int] = {}
+        self._recordings: set[str] = set()
+        self._participants: set[str] = set()
+
+    def streams(self, cut: Iterable[CutRun]) -> Iterator[pa.RecordBatch]:
+        """Yield rows of ``streams.parquet``, one a run, and count what they hold."""
+        for each in cut:
+            run = each.run
+            self._require_one_kind(run)
+            self._windows += [window.row(run, self.runs) for window in each.windows]
+            for window in each.windows:
+                outcome = window.exclusion or "window"
+                self._outcomes[outcome] = self._outcomes.get(outcome, 0) + 1
+            self.runs += 1
+            self._frames += len(run)
+            self._gaze |= bool(run.gaze_valid.any())
+            self._recordings.add(run.recording_id)
+            self._participants.add(run.participant_id)
+            yield row_batch([run], self._schema)
+
+    def _require_one_kind(self, run: Run) -> None:
+        """Estimated bodies may carry later head motion: they never enter one mean with captured ones."""
+        self._kinds.setdefault(is_estimated(run.pose_source), run.recording_id)
+        if len(self._kinds) > 1:
+            raise TableError(
+                f"{self._folder}: expected captured bodies or estimated ones, found both: {self._kinds[False]} and"
+                f" {self._kinds[True]}. Build a table of each; they never enter one mean."
+            )
+
+    def windows(self) -> Iterator[pa.RecordBatch]:
+        """Yield rows of ``windows.parquet`` for the runs that were counted."""
+        for start in range(0, len(self._windows), 4096):
+            yield pa.RecordBatch.from_pylist(self._windows[start : start + 4096], schema=WINDOWS)
+
+    @property
+    def windows_found(self) -> int:
+        """Number of windows so far."""
+        return len(self._windows)
+
+    def filled_in(self, info: WindowsInfo) -> WindowsInfo:
+        """Put the counts into the description of the table."""
+        return msgspec.structs.replace(
+            info,
+            runs=self.runs,
+            frames=self._frames,
+            has_gaze=self._gaze,
+            outcomes=dict(sorted(self._outcomes.items())),
+            recordings=len(self._recordings),
+            participants=len(self._participants),
+        )
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What scoring knows of the windows of an :class:`ObservedBatch`, in the batch's frame, and no predictor does."""
+
+    window_ids: tuple[str, ...]
+    recording_ids: tuple[str, ...]
+    participant_ids: tuple[str, ...]
+    segments: tuple[str, ...]
+    anchors: tuple[str, ...]
+    n_scored: Int[np.ndarray, " batch"]
+    joints: Float[np.ndarray, "batch future joints 3"]
+    """NaN beyond ``n_scored``."""
+    goal: Float[np.ndarray, "batch 3"]
+    """NaN where the event lies beyond the scored frames."""
+    room_from_batch: Float[np.ndarray, "batch 4 4"]
+
+
+@dataclass(frozen=True)
+class WindowsTable:
+    """A table of windows, opened; runs are read when they are asked for."""
+
+    folder: Path
+    info: WindowsInfo
+    windows: pa.Table
+    """All rows of ``windows``."""
+    runs: pa.Table
+    """The short columns of ``streams``."""
+
+    @classmethod
+    @foreign_input()
+    def open(cls, folder: Path | str) -> WindowsTable:
+        """Open a folder of windows, and check that no file was edited.
+
+        Raises:
+            TableError: naming the file, what was expected and what was found.
+        """
+        folder = Path(folder)
+        info = WindowsInfo.read(folder)
+        if info.schema_version != SCHEMA_VERSION:
+            raise TableError(
+                f"{folder / FILE_NAME}: expected version {SCHEMA_VERSION}, found {info.schema_version}. Build it again."
+            )
+        schema = streams_schema(joint_set(info.joint_set))
+        for name, expected in (("streams", schema), ("windows", WINDOWS)):
+            for path in table_parts(folder, name):
+                found = open_parquet(path).schema_arrow.remove_metadata()
+                if found != expected.remove_metadata():
+                    wrong = next((field.name for field in expected if field not in list(found)), "another column")
+                    raise TableError(
+                        f"{path}: expected a column '{wrong}' of version {SCHEMA_VERSION}. Build it again."
+                    )
+        short = [field.name for field in schema if not pa.types.is_list(field.type)]
+        paths = table_parts(folder, "streams")
+        runs = pa.concat_tables(read_parquet(path, short) for path in paths).combine_chunks()
+        windows = pa.concat_tables(read_parquet(path, WINDOWS.names) for path in table_parts(folder, "windows"))
+        table = cls(folder, info, windows.combine_chunks(), runs)
+        require_unchanged(
+            folder,
+            folder / FILE_NAME,
+            info.file_digests,
+            main="streams",
+            others=["windows"],
+            require_same_values=table._refuse,
+        )
+        require_distinct(windows["window_id"].to_pylist(), f"{folder}, windows")
+        return table
+
+    @property
+    def identity(self) -> str:
+        """Digest of which runs and frames there are."""
+        return self.info.identity_digest
+
+    @property
+    def content(self) -> str:
+        """Digest of all values."""
+        return self.info.content_digest
+
+    def _refuse(self) -> None:
+        raise TableError(f"{self.folder}: streams.parquet was changed after the build. Build the windows again.")
+
+    @property
+    def joints(self) -> JointSet:
+        """The joint set of all runs."""
+        return joint_set(self.info.joint_set)
+
+    @cached_property
+    def _columns(self) -> Mapping[str, np.ndarray]:
+        short = ("split", "published_split", "recording_id", "participant_id")
+        columns = {name: np.array(self.runs[name].to_pylist()) for name in short}
+        row = self.windows["row"].to_numpy()
+        return {name: values[row] for name, values in columns.items()} | {
+            "row": row,
+            "exclusion": np.array(self.windows["exclusion"].to_pylist()),
+            "n_gaze_valid": self.windows["n_gaze_valid"].to_numpy(),
+            "anchor": np.array(self.windows["anchor"].to_pylist()),
+        }
+
+    def chosen(
+        self,
+        *,
+        split: str | None = None,
+        published_split: str | None = None,
+        anchor: str | None = None,
+        recordings: SequenceOf[str] | None = None,
+        participants: SequenceOf[str] | None = None,
+        with_excluded: bool = False,
+    ) -> Int[np.ndarray, " n"]:
+        """Places of the windows that are scored, the same under every condition, so that conditions can be paired.
+
+        Args:
+            split: Only this split of the dataset.
+            published_split: Only this split of the published evaluation.
+            anchor: Only this anchor.
+            recordings: Only these recordings, for splits of one's own.
+            participants: Only these participants, for leaving one out (module ``folds``).
+            with_excluded: Windows with an invalid body or too little gaze, too: those that the study counts.
+
+        Raises:
+            UsageError: if none is left.
+        """
+        columns = self._columns
+        keep = np.ones(len(columns["row"]), dtype=bool)
+        for name, wanted in (("split", split), ("published_split", published_split), ("anchor", anchor)):
+            if wanted is not None:
+                keep &= columns[name] == wanted
+        for name, some in (("recording_id", recordings), ("participant_id", participants)):
+            if some is not None:
+                keep &= np.isin(columns[name], list(some))
+        if not with_excluded:
+            keep &= columns["exclusion"] == ""
+            if self.info.has_gaze:
+                keep &= columns["n_gaze_valid"] >= self.info.fewest_gaze_frames
+        if not keep.any():
+            raise UsageError(
+                f"{self.folder}: no window of {len(keep)} is left (split {split or published_split or 'any'}, anchor"
+                f" {anchor or 'any'}). The table's runs are of the splits"
+                f" {', '.join(sorted(set(self.runs['split'].to_pylist())))}."
+            )
+        return np.flatnonzero(keep)
+
+    def iterate_runs(self, rows: Iterable[int] | None = None) -> Iterator[tuple[int, Run]]:
+        """Read runs in table order, a few at a time.
+
+        Args:
+            rows: Only these rows; all if None.
+        """
+        wanted = None if rows is None else frozenset(int(row) for row in rows)
+        first = 0
+        for path in table_parts(self.folder, "streams"):
+            with naming(path):
+                file = open_parquet(path)
+                for group in range(file.metadata.num_row_groups):
+                    count = file.metadata.row_group(group).num_rows
+                    here = [row for row in range(first, first + count) if wanted is None or row in wanted]
+                    if here:
+                        batch = file.read_row_group(group)
+                        for row in here:
+                            yield row, run_of(batch.slice(row - first, 1))
+                    first += count
+
+    def batches(
+        self,
+        condition: Condition,
+        chosen: Int[np.ndarray, " n"],
+        *,
+        frame: FrameName = "last-pose",
+        size: int = 64,
+    ) -> Iterator[tuple[ObservedBatch, Truth]]:
+        """The windows in table order, as a predictor may see them, each with its truth.
+
+        Args:
+            condition: What the predictor knows.
+            chosen: Places of windows (:meth:`chosen`).
+            frame: Frame of the joints.
+            size: Windows of a batch.
+
+        Raises:
+            UsageError: for ``pose+gaze`` where nobody's gaze was recorded.
+        """
+        if condition is Condition.POSE_GAZE and not self.info.has_gaze:
+            raise UsageError(
+                f"{self.folder}: expected recorded gaze for the condition '{condition.value}', found none in any"
+                " recording. Choose pose or pose+head."
+            )
+        rows = self._columns["row"][chosen]
+        pending: list[tuple[int, Run]] = []
+        for row, run in self.iterate_runs(np.unique(rows)):
+            pending += [(int(place), run) for place in chosen[rows == row]]
+            while len(pending) >= size:
+                yield self._batch(condition, pending[:size], frame)
+                pending = pending[size:]
+        if pending:
+            yield self._batch(condition, pending, frame)
+
+    def _batch(
+        self, condition: Condition, windows: list[tuple[int, Run]], frame: FrameName
+    ) -> tuple[ObservedBatch, Truth]:
+        rows = self.windows.take([place for place, _ in windows]).to_pylist()
+        observed = self.info.observed_frames
+        starts = [row["start"] for row in rows]
+        seen = [(run, slice(start, start + observed)) for start, (_, run) in zip(starts, windows, strict=True)]
+        joints = np.stack([run.joints[part] for run, part in seen])
+        room_from_batch = np.tile(np.eye(4), (len(rows), 1, 1))
+        if frame == "last-pose":
+            room_from_batch = self.joints.last_pose_frame(joints[:, -1])
+        gaze = None
+        valid = None
+        if condition is Condition.POSE_GAZE:
+            gaze = np.stack([run.gaze[part] for run, part in seen])
+            valid = np.stack([run.gaze_valid[part] for run, part in seen])
+        elif condition is Condition.POSE_HEAD:
+            gaze = np.stack([run.head_direction[part] for run, part in seen])
+            valid = np.ones(gaze.shape[:2], dtype=bool)
+        batch_from_room = invert_each(room_from_batch)
+        turns = rotations_alone(batch_from_room)
+        batch = ObservedBatch(
+            condition=condition,
+            fps=self.info.fps,
+            n_future=self.info.future_frames,
+            joint_names=self.joints.names,
+            observed_joints=transform_each(batch_from_room, joints).astype(np.float32),
+            key=window_keys([row["window_id"] for row in rows]),
+            gaze=None if gaze is None else transform_each(turns, gaze).astype(np.float32),
+            gaze_valid=valid,
+        )
+        return batch, self._truth(rows, [run for _, run in windows], batch_from_room, room_from_batch)
+
+    def _truth(
+        self,
+        rows: list[dict],
+        runs: list[Run],
+        batch_from_room: Float[np.ndarray, "batch 4 4"],
+        room_from_batch: Float[np.ndarray, "batch 4 4"],
+    ) -> Truth:
+        future = np.full((len(rows), self.info.future_frames, len(self.joints.names), 3), np.nan)
+        goal = np.full((len(rows), 3), np.nan)
+        for place, (row, run) in enumerate(zip(rows, runs, strict=True)):
+            first = row["start"] + self.info.observed_frames
+            future[place, : row["n_scored"]] = run.joints[first : first + row["n_scored"]]
+            if row["goal"] is not None:
+                goal[place] = row["goal"]
+        return Truth(
+            window_ids=tuple(row["window_id"] for row in rows),
+            recording_ids=tuple(run.recording_id for run in runs),
+            participant_ids=tuple(run.participant_id for run in runs),
+            segments=tuple(run.segment for run in runs),
+            anchors=tuple(row["anchor"] for row in rows),
+            n_scored=np.array([row["n_scored"] for row in rows], dtype=np.int64),
+            joints=transform_each(batch_from_room, future).astype(np.float32),
+            goal=transform_each(batch_from_room, goal),
+            room_from_batch=room_from_batch,
+        )
+
+
+def run_of(rows: pa.Table | pa.RecordBatch) -> Run:
+    """The only row of ``streams`` that is given, as a run."""
+    row = rows if isinstance(rows, pa.RecordBatch) else rows.combine_chunks().to_batches()[0]
+
+    def frames(name: str, size: int) -> np.ndarray:
+        flat = row.column(name).flatten()
+        flat = flat.flatten() if size else flat
+        return flat.to_numpy(zero_copy_only=False).reshape(-1, *((size // 3, 3) if size > 3 else (size,) * bool(size)))
+
+    n_values = row.schema.field("joints").type.value_type.list_size
+    plain = ("run_id", "recording_id", "participant_id", "split", "published_split", "segment", "pose_source")
+    return Run(
+        **{name: row.column(name)[0].as_py() for name in (*plain, "fps", "start_time")},
+        joints=frames("joints", n_values),
+        joints_valid=frames("joints_valid", 0),
+        gaze=frames("gaze", 3),
+        gaze_valid=frames("gaze_valid", 0),
+        head_direction=frames("head_direction", 3),
+    )

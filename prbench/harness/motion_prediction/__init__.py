@@ -1,1 +1,0 @@
-"""Motion prediction as a benchmark: its windows, what a predictor may know of them, and what judges its futures."""

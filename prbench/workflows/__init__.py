@@ -1,1 +1,0 @@
-"""Workflows that join curation and evaluation: from recordings to tables, from nothing to a first score."""

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prbench.errors import UsageError
+from prbench_benchmarks.motion_prediction.batch import Condition, ask
+from prbench_benchmarks.motion_prediction.predictors import ConstantVelocity, NearestPast, ZeroVelocity
+from prbench_benchmarks.motion_prediction.scoring import SimilarPasts, score_predictor
+from prbench_benchmarks.motion_prediction.table import WindowsTable
+from tests.benchmarks.motion_prediction import windows
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory) -> WindowsTable:
+    return WindowsTable.open(windows.write(tmp_path_factory.mktemp("windows") / "w"))
+
+
+def question(table, condition=Condition.POSE, split="test", **options):
+    return next(table.batches(condition, table.chosen(split=split), **options))
+
+
+def test_zero_velocity_holds_the_last_pose(table):
+    batch, _ = question(table)
+    futures = ask(ZeroVelocity(), batch, n_samples=2, seed=0)
+    assert (futures.joints == batch.observed_joints[:, None, -1:]).all()
+
+
+def test_constant_velocity_goes_on_as_it_was(table):
+    batch, _ = question(table)
+    futures = ask(ConstantVelocity(), batch, n_samples=1, seed=0).joints[:, 0]
+    step = batch.observed_joints[:, -1] - batch.observed_joints[:, -2]
+    np.testing.assert_allclose(futures[:, 9] - batch.observed_joints[:, -1], 10 * step, atol=1e-5)
+
+
+@pytest.mark.parametrize("condition", list(Condition))
+@pytest.mark.parametrize("frame", ["room", "last-pose"])
+def test_the_nearest_past_of_a_window_that_was_learnt_is_its_own(table, condition, frame):
+    predictor = NearestPast.fit(table.batches(condition, table.chosen(split="train")))
+    batch, truth = question(table, condition, "train", frame=frame)
+    futures = ask(predictor, batch, n_samples=3, seed=0)
+    np.testing.assert_allclose(futures.joints[:, 0], truth.joints, atol=1e-5)
+    fewer = ask(predictor, batch, n_samples=2, seed=0)
+    np.testing.assert_array_equal(fewer.joints, futures.joints[:, :2])
+
+
+def test_the_nearest_past_cannot_give_more_samples_than_it_saw(table):
+    predictor = NearestPast.fit(table.batches(Condition.POSE, table.chosen(split="train")))
+    with pytest.raises(UsageError, match="at most 5 samples, found 6"):
+        ask(predictor, question(table)[0], n_samples=6, seed=0)
+
+
+def test_scores_do_not_depend_on_the_frame_or_the_batch(table):
+    chosen = table.chosen()
+    similar = SimilarPasts.of(table, chosen, closer_than=0.4)
+    scored = [
+        score_predictor(
+            ConstantVelocity(), table, Condition.POSE, chosen, similar=similar, n_samples=2, frame=frame, size=size
+        ).table()
+        for frame, size in (("room", 4), ("last-pose", 5))
+    ]
+    assert scored[0].column_names == scored[1].column_names
+    for name in scored[0].column_names:
+        values = [each[name].to_pylist() for each in scored]
+        if isinstance(values[0][0], str):
+            assert values[0] == values[1]
+        else:
+            np.testing.assert_allclose(values[0], values[1], atol=2e-5)
+
+
+def test_every_window_is_similar_to_itself_and_its_own_future_counts(table):
+    chosen = table.chosen()
+    similar = SimilarPasts.of(table, chosen, closer_than=1e-9)
+    scores = score_predictor(ZeroVelocity(), table, Condition.POSE, chosen, similar=similar, n_samples=1)
+    assert scores.columns["similar_pasts"] == [1.0] * len(chosen)
+    np.testing.assert_allclose(scores.columns["mmade"], scores.columns["ade"], atol=1e-5)
+    np.testing.assert_allclose(scores.columns["mmfde_canonical"], scores.columns["fde"], atol=1e-5)
+
+
+def test_smaller_numbers_of_samples_are_scored_as_prefixes(table):
+    scores = score_predictor(ZeroVelocity(), table, Condition.POSE, table.chosen(), n_samples=1)
+    assert scores.means()["ade@k1"] == pytest.approx(np.mean(scores.columns["ade"]))
+    assert "ade@k5" not in scores.columns
+
+
+def test_no_samples_are_refused(table):
+    with pytest.raises(UsageError, match="one sample"):
+        score_predictor(ZeroVelocity(), table, Condition.POSE, table.chosen(), n_samples=0)

@@ -1,0 +1,439 @@
+"""A table works through its rows unattended, resumes, and shows dashes where it has nothing."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pyarrow.compute as pc
+import pytest
+
+from prbench.board.tables import FEWEST_RANKED
+from prbench.contract import Condition
+from prbench.errors import AdapterError, PrbenchError, RunError, StorageError, UsageError
+from prbench.files.storage import sole_writer
+from prbench.harness.run_folder import read_scores
+from prbench_benchmarks.prime_and_reach.table_two import TableRequest, plan, run, run_table
+from prbench_benchmarks.prime_and_reach.table_two import state as subset
+from prbench_benchmarks.prime_and_reach.table_two.budget import RowCost
+from prbench_benchmarks.prime_and_reach.table_two.request import CONTROLS, MORE_CONTROLS
+from prbench_benchmarks.prime_and_reach.table_two.run import Say
+from prbench_benchmarks.prime_and_reach.table_two.state import TablePlan
+from tests.fakes import fake_dataset
+
+
+def request(*tables, out: Path, **changes) -> TableRequest:
+    return TableRequest(**{"data": tuple(table.folder for table in tables), "out": out, "limit": 3, **changes})
+
+
+def lines(report, dataset: int = 0) -> dict:
+    return {line.name: line for block in report.layout.datasets[dataset].blocks for line in block.lines}
+
+
+def results(folder: Path) -> dict[str, bytes]:
+    """All that must not depend on interruptions."""
+    found = (path for path in sorted((folder / "rows").rglob("*")) if path.is_file() and path.name != "cost.json")
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
+
+
+def test_rows_end_well_break_or_are_skipped_and_the_table_goes_on(small_tables, made_up, tmp_path, monkeypatch):
+    monkeypatch.setattr(plan, "CONTROLS", CONTROLS)
+    said = []
+    report = run_table(
+        request(small_tables[0], out=tmp_path / "t", weights=made_up.weights), say=Say(notice=said.append)
+    )
+    states = {name: line.state for name, line in lines(report).items()}
+    assert states == {
+        "none-static-mean-training-pose": "run",
+        "text-breaker-finetuned": "failed",
+        "text-stranger-finetuned": "skipped",
+        "goal-loc-absent-finetuned": "skipped",
+        "goal-loc-reacher-pretrained": "skipped",
+        "goal-loc-reacher-finetuned": "run",
+        "ground-truth": "run",
+        "ground-truth-resampled": "run",
+        "scripted": "run",
+    }
+    text = "\n".join(said)
+    assert "Breaker (text): failed, " in text
+    assert "no such luck" in text
+    assert "Stranger (text): skipped, no method 'stranger' is installed" in text
+    assert "absent: found no weights absent-small. Train some." in text
+    assert "Reacher † (goal-loc): skipped, no weights (zero-shot) come with prbench; --weights FOLDER" in text
+    assert "synthetic-adt n = 3 of 5" in text
+    assert [outcome.planned.name for outcome in report.failed] == ["text-breaker-finetuned"]
+    assert all(cell is None for cell in lines(report)["text-breaker-finetuned"].cells.values())
+
+
+def test_cheats_stand_among_the_controls_if_asked_for_and_arrival_tells_them_apart(small_tables, tmp_path):
+    asked = request(small_tables[0], out=tmp_path / "t", condition=Condition.NONE, more_controls=True)
+    report = run_table(asked)
+    controls = report.layout.datasets[0].blocks[-1]
+    assert [line.label for line in controls.lines] == ["ground-truth", *MORE_CONTROLS]
+    assert {line.state for line in controls.lines} == {"run"}
+    cells = {line.label: line for line in controls.lines}
+    assert cells["stare"].arrival.mean == 0.0
+    page = (tmp_path / "t/table_2.md").read_text()
+    assert re.search(r"Prime Success \(arrival\) of the controls on synthetic-adt, in %: .*stare 0\.00", page)
+    with pytest.raises(RunError, match="--with-controls"):
+        run_table(replace(asked, more_controls=False))
+
+
+def test_a_defect_costs_one_row_and_a_full_disk_all(small_tables, tmp_path, monkeypatch):
+    def run_method(asked, **settings):
+        if asked.method == "reacher":
+            raise error
+        return real(asked, **settings)
+
+    real = run.run_method
+    monkeypatch.setattr(run, "run_method", run_method)
+    error: Exception = RecursionError("round and round")
+    report = run_table(request(small_tables[0], out=tmp_path / "t", method="reacher"))
+    assert lines(report)["goal-loc-reacher-finetuned"].reason == "RecursionError: round and round"
+    assert lines(report)["ground-truth"].state == "run"
+    error = StorageError("no space left on the device")
+    with pytest.raises(StorageError, match="no space left"):
+        run_table(request(small_tables[0], out=tmp_path / "t", method="reacher"))
+
+
+class DiesOnce:
+    """An engine whose first worker is killed after its first batch."""
+
+    def __init__(self) -> None:
+        self.dies = True
+
+    def map(self, function, items, *, if_full=None):
+        for item in items:
+            yield function(item)
+            if self.dies:
+                self.dies = False
+                raise PrbenchError("a worker process ended without an answer.")
+
+
+def test_a_killed_worker_costs_no_row(small_tables, made_up, tmp_path):
+    said = []
+    asked = request(small_tables[0], out=tmp_path / "t", condition=Condition.GOAL_LOCATION, batch_size=1)
+    report = run_table(asked, engine=DiesOnce(), say=Say(notice=said.append))
+    assert "a worker process ended without an answer. Going on row by row." in said
+    assert not report.failed
+    assert made_up.calls() == ["reacher goal-loc 1"] * 3  # none twice
+    run_table(replace(asked, out=tmp_path / "u"))
+    assert results(tmp_path / "t") == results(tmp_path / "u")
+
+
+def test_a_row_that_fails_leaves_nothing_behind_and_is_tried_again(small_tables, made_up, tmp_path):
+    asked = request(small_tables[0], out=tmp_path / "t", weights=made_up.weights, batch_size=1)
+    run_table(asked)
+    assert made_up.calls().count("breaker text 1") == 1  # the other two batches would fail as well
+    assert not (tmp_path / "t/rows/text-breaker-finetuned").exists()
+    run_table(asked)
+    assert made_up.calls() == ["breaker text 1"]
+
+
+def test_cells_hold_what_the_runs_say(small_tables, tmp_path):
+    report = run_table(request(small_tables[0], out=tmp_path / "t"))
+    found = lines(report)
+    summary = json.loads((tmp_path / "t/rows/goal-loc-reacher-finetuned/summary.json").read_text())
+    means = {metric["metric"]: metric["mean"] for metric in summary["metrics"]}
+    cells = found["goal-loc-reacher-finetuned"].cells
+    assert list(cells) == [
+        "prime_success",
+        "reach_success",
+        "goal_mpjpe",
+        "location_error",
+        "mpjpe",
+        "foot_skating",
+    ]  # the study's order
+    assert cells["reach_success"].mean == 100.0
+    assert cells["mpjpe"].mean == means["mpjpe"]
+    assert found["none-static-mean-training-pose"].cells["foot_skating"] is None  # it stands still
+    assert found["ground-truth"].cells["mpjpe"].mean == 0.0
+    cost = found["goal-loc-reacher-finetuned"].cost
+    assert cost.network_passes == 3
+    assert cost.seconds > 0
+    assert cost.memory_mebibytes > 1
+    assert found["ground-truth"].cost.seconds is None
+
+
+def test_several_tables_stand_in_the_studys_order_in_both_files(small_tables, tmp_path):
+    report = run_table(request(*small_tables, out=tmp_path / "t", condition=Condition.GOAL_LOCATION))
+    assert [part.dataset for part in report.layout.datasets] == ["synthetic-hd-epic", "synthetic-adt"]
+    assert [block.title for block in report.layout.datasets[0].blocks] == ["+ Initial State & Object Loc.", "Controls"]
+    page = (tmp_path / "t/table_2.md").read_text()
+    assert page.count("| + Initial State & Object Loc. | Absent | – | – | – | – | – | – | – | – | – |") == 2
+    assert "n = 3 sequences of" in page
+    assert "synthetic-adt cannot be decided: " in page
+    assert "Nothing is ranked on synthetic-hd-epic, synthetic-adt: fewer than 50 sequences." in page
+    assert "never compare them with published ones" in page
+    assert "Reacher (reacher-small)" in page  # what stands in is named
+    saved = json.loads((tmp_path / "t/table_2.json").read_text())
+    assert [part["dataset"] for part in saved["datasets"]] == ["synthetic-hd-epic", "synthetic-adt"]
+    row = saved["datasets"][1]["blocks"][0]["lines"][2]
+    assert (row["label"], row["method"], row["weights"], row["state"]) == (
+        "Reacher",
+        "reacher",
+        "reacher-finetuned",
+        "run",
+    )
+    assert row["cells"]["reach_success"]["mean"] == 100.0
+
+
+def test_a_killed_table_goes_on_to_the_same_files(small_tables, made_up, tmp_path):
+    whole, broken = (request(*small_tables, out=tmp_path / name, batch_size=2) for name in ("whole", "broken"))
+    run_table(whole)
+    assert len([call for call in made_up.calls() if call.startswith("reacher")]) == 4
+    made_up.stop("reacher")
+    with pytest.raises(KeyboardInterrupt):
+        run_table(broken)
+    assert not (tmp_path / "broken/table_2.md").exists()
+    made_up.stop("reacher", now=False)
+    run_table(broken)
+    assert results(tmp_path / "broken") == results(tmp_path / "whole")
+    made_up.calls()
+    run_table(broken)
+    assert made_up.calls() == []  # nothing is generated twice
+
+
+def test_weights_that_arrive_later_fill_their_row(small_tables, made_up, tmp_path):
+    asked = request(small_tables[0], out=tmp_path / "t", weights=made_up.weights, condition=Condition.GOAL_LOCATION)
+    assert lines(run_table(asked))["goal-loc-reacher-pretrained"].state == "skipped"
+    before = results(tmp_path / "t")
+    (made_up.weights / "reacher-pretrained.safetensors").write_text("w")
+    line = lines(run_table(asked))["goal-loc-reacher-pretrained"]
+    assert line.state == "run"
+    assert line.weights_used == "reacher-pretrained.safetensors"
+    assert not line.stands_in
+    after = results(tmp_path / "t")
+    assert {name: after[name] for name in before} == before
+
+
+def test_the_users_weights_come_before_the_bundled_ones(small_tables, made_up, tmp_path):
+    (made_up.weights / "reacher-finetuned").write_text("w")
+    report = run_table(request(small_tables[0], out=tmp_path / "t", weights=made_up.weights, method="reacher"))
+    line = lines(report)["goal-loc-reacher-finetuned"]
+    assert (line.weights_used, line.stands_in) == ("reacher-finetuned", False)
+
+
+def test_nothing_is_ranked_below_fifty_sequences_and_controls_never(large_table, made_up, tmp_path):
+    (made_up.weights / "reacher-pretrained.safetensors").write_text("w")
+    asked = {
+        "weights": made_up.weights,
+        "condition": Condition.GOAL_LOCATION,
+        "options": {"reacher.spread": "0.2"},
+    }
+    few = run_table(request(large_table, out=tmp_path / "few", limit=FEWEST_RANKED - 1, **asked))
+    assert not [cell for line in lines(few).values() for cell in line.cells.values() if cell and cell.rank]
+    assert not few.layout.datasets[0].blocks[0].order
+    enough = run_table(request(large_table, out=tmp_path / "enough", limit=FEWEST_RANKED, **asked))
+    ranked = {name for name, line in lines(enough).items() if any(c and c.rank for c in line.cells.values())}
+    assert ranked == {"goal-loc-reacher-pretrained", "goal-loc-reacher-finetuned"}
+    block = enough.layout.datasets[0].blocks[0]
+    (step,) = block.order
+    assert {step.better, step.worse} == ranked
+    assert not step.supported  # the same method twice
+    (step,) = block.arrival_order
+    assert {step.better, step.worse} == ranked
+    assert all(line.arrival is not None and line.arrival.rank for line in block.lines if line.name in ranked)
+    page = (tmp_path / "enough/table_2.md").read_text()
+    assert "by Prime Success: Reacher" in page
+    assert "by Prime Success (arrival): Reacher" in page
+    (header,) = {row for row in page.splitlines() if row.startswith("| Condition")}
+    assert header.count("|") - 1 == 2 + 6 + 3, "the study's six columns, and three of cost"
+    assert "not supported by the data" in page
+    assert "**" not in page  # the best mean was bold here, though the data support no difference
+
+
+def test_every_line_is_scored_on_the_sequences_that_all_can_generate(large_table, made_up, tmp_path):
+    (made_up.weights / "reacher-pretrained.safetensors").write_text("w")
+    rows = large_table.scalars(split="test")
+    lengths = sorted(rows["n_frames"].to_pylist())
+    made_up.limit("reacher-pretrained", lengths[-2])
+    short = sum(length <= lengths[-2] for length in lengths)
+    assert FEWEST_RANKED <= short < len(lengths)
+    asked = {"weights": made_up.weights, "condition": Condition.GOAL_LOCATION, "limit": len(lengths)}
+    report = run_table(request(large_table, out=tmp_path / "t", **asked))
+    part = report.layout.datasets[0]
+    assert (part.sequences, part.chosen) == (short, len(lengths))
+    found = lines(report)
+    assert found["goal-loc-reacher-pretrained"].unsupported == len(lengths) - short
+    assert found["goal-loc-reacher-finetuned"].unsupported == 0
+    common = set(rows.filter(pc.field("n_frames") <= lengths[-2])["sequence_id"].to_pylist())
+    for name in ("goal-loc-reacher-pretrained", "goal-loc-reacher-finetuned", "ground-truth"):
+        scores = read_scores(tmp_path / "t" / "rows" / name / "scores.parquet").to_pylist()
+        values = [row["value"] for row in scores if row["metric"] == "mpjpe" and row["sequence_id"] in common]
+        assert len(values) == short
+        assert found[name].cells["mpjpe"].mean == pytest.approx(sum(values) / short)
+    ranks = {name: line.cells["mpjpe"].rank for name, line in found.items() if line.cells["mpjpe"]}
+    # Both rows are one method with one seed: on the same sequences they are equal and share the first place.
+    assert [ranks[name] for name in ranks if name.startswith("goal-loc-reacher")] == [1, 1]
+    assert len(part.blocks[0].order) == 1
+    page = (tmp_path / "t" / "table_2.md").read_text()
+    assert f"n = {short} sequences (of {len(lengths)}: those that every method can generate)" in page
+    assert (
+        f"{len(lengths) - short} sequences are longer than it can generate and were left out for every method" in page
+    )
+
+
+def test_shuffled_goals_stand_among_the_controls(small_tables, tmp_path):
+    report = run_table(request(small_tables[0], out=tmp_path / "t", method="reacher", shuffled_goal=True))
+    controls = report.layout.datasets[0].blocks[-1]
+    assert controls.title == "Controls"
+    assert [line.label for line in controls.lines] == [
+        "ground-truth",
+        "Reacher †, goal-loc, shuffled-goal",
+        "Reacher, goal-loc, shuffled-goal",
+    ]
+    shuffled, own = (lines(report)[f"goal-loc-reacher-finetuned{end}"] for end in ("-shuffled-goal", ""))
+    assert own.cells["reach_success"].mean == 100.0
+    assert shuffled.cells["reach_success"].mean < 50.0
+
+
+def test_the_subset_follows_from_a_measured_batch_and_is_kept(small_tables, made_up, tmp_path):
+    said = []
+    asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher", batch_size=2)
+    report = run_table(asked, say=Say(notice=said.append))
+    assert report.layout.limit == 5  # all: made-up motions cost nothing
+    assert "synthetic-adt n = 5 of 5: what fits into 10 min here, about 1 min expected" in said[-1]
+    assert "n is what fitted into 10 min " in (tmp_path / "t/table_2.md").read_text()
+    batches = [f"reacher goal-loc {size}" for size in (5, 2, 2, 1)]
+    assert made_up.calls() == batches  # the one that is timed, in one piece, and those that count
+    written = json.loads((tmp_path / "t/plan.json").read_text())
+    assert written["limit"] == 5
+    assert set(written["costs"]) == {"reacher, goal, bundled"}  # controls generate nothing
+    assert written["costs"]["reacher, goal, bundled"]["overhead"] > 0
+    assert not (tmp_path / "t/.timing").exists()
+    run_table(asked)
+    assert made_up.calls() == []
+
+
+def timed(asked: TableRequest, **costs: RowCost) -> None:
+    """Let it have been timed by an earlier call."""
+    plan = TablePlan(asked=asked.deciding(asked.tables()), limit=None, minutes=asked.minutes, costs=costs)
+    plan.write(asked.folder())
+
+
+def test_a_slow_row_makes_the_subset_smaller(small_tables, made_up, tmp_path):
+    asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher", batch_size=5)
+    slow = RowCost(seconds_per_frame=1.6, overhead=1.0)  # about 160 s a sequence in a batch with a longer one
+    timed(asked, **{"reacher, goal, bundled": slow})
+    report = run_table(asked)
+    assert report.layout.limit == 3
+    assert made_up.calls() == ["reacher goal-loc 3"]  # nothing was timed again
+
+
+def test_rows_that_there_was_no_time_to_time_count_as_the_slowest(small_tables, made_up, tmp_path, monkeypatch):
+    monkeypatch.setattr(subset, "TIMING_SHARE", -1.0)
+    asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher")
+    slow = RowCost(seconds_per_frame=4.0, overhead=1.0)  # a row of about 340 s a sequence in nine minutes
+    timed(asked, **{"static, none, bundled": slow})
+    assert run_table(asked).layout.limit == 1
+    assert made_up.calls() == ["reacher goal-loc 1"]
+
+
+def test_rows_of_one_kind_are_timed_once(small_tables, made_up, tmp_path):
+    for name in ("reacher-pretrained", "reacher-finetuned"):
+        (made_up.weights / name).write_text("w")
+    asked = request(small_tables[0], out=tmp_path / "t", limit=None, weights=made_up.weights, method="reacher")
+    run_table(asked)
+    assert made_up.calls() == [f"reacher goal-loc {size}" for size in (5, 3, 2, 3, 2)]
+    (made_up.weights / "reacher-finetuned").write_text("of another size")
+    run_table(replace(asked, out=tmp_path / "u"))
+    assert made_up.calls().count("reacher goal-loc 5") == 2
+
+
+def test_where_not_even_one_sequence_fits_it_says_so(small_tables, tmp_path):
+    said = []
+    asked = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=1, method="reacher")
+    timed(asked, **{"reacher, goal, bundled": RowCost(seconds_per_frame=2.0, overhead=1.0)})
+    report = run_table(asked, say=Say(notice=said.append))
+    assert report.layout.limit == 1
+    assert re.search(r"n = 1 of 5: the fewest there can be; about \d min, more than the 1 min asked for", said[-1])
+    assert "n is what fitted" not in (tmp_path / "t/table_2.md").read_text()
+
+
+def test_the_subset_is_the_one_of_its_limit(small_tables, made_up, tmp_path):
+    chosen = request(small_tables[0], out=tmp_path / "t", limit=None, minutes=10, method="reacher")
+    timed(chosen, **{"reacher, goal, bundled": RowCost(seconds_per_frame=2.0, overhead=1.0)})
+    limit = run_table(chosen).layout.limit
+    run_table(request(small_tables[0], out=tmp_path / "u", limit=limit, method="reacher"))
+    assert results(tmp_path / "t") == results(tmp_path / "u")
+
+
+def test_another_request_is_refused_in_the_same_folder(small_tables, tmp_path):
+    first = request(small_tables[0], out=tmp_path / "t", method="reacher")
+    run_table(first)
+    with pytest.raises(RunError, match=r"another table: --seed was 0, now is 1\. Choose"):
+        run_table(replace(first, seed=1))
+    with pytest.raises(RunError, match="--limit was 3, now is not given; --minutes was not given, now is 30"):
+        run_table(replace(first, limit=None))
+    with pytest.raises(RunError, match="table synthetic-hd-epic is new"):
+        run_table(replace(first, data=tuple(table.folder for table in small_tables)))
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full/precious.txt").touch()
+    with pytest.raises(StorageError, match=r"holds no plan\.json"):
+        run_table(request(small_tables[0], out=tmp_path / "full"))
+    (tmp_path / "file").touch()
+    with pytest.raises(StorageError, match=r"file: is a file"):
+        run_table(request(small_tables[0], out=tmp_path / "file"))
+
+
+def test_a_table_that_was_built_anew_is_refused(tmp_path):
+    asked = request(fake_dataset(tmp_path / "adt", 20), out=tmp_path / "t", method="reacher")
+    run_table(asked)
+    shutil.rmtree(tmp_path / "adt")
+    fake_dataset(tmp_path / "adt", 24)
+    with pytest.raises(RunError, match="table synthetic-adt has other contents now"):
+        run_table(asked)
+
+
+def test_one_process_at_a_time_works_on_a_table(small_tables, tmp_path):
+    asked = request(small_tables[0], out=tmp_path / "t", method="reacher")
+    with sole_writer(tmp_path / "t"), pytest.raises(StorageError, match=r"process \d+ on \S+ is writing there"):
+        run_table(asked)
+    run_table(asked)
+
+
+def test_what_a_killed_process_was_writing_is_cleared_away(small_tables, tmp_path):
+    asked = request(small_tables[0], out=tmp_path / "t", method="reacher")
+    (tmp_path / "t").mkdir()
+    (tmp_path / "t/.plan-abcd1234.partial.json").write_text("{")
+    run_table(asked)
+    row = tmp_path / "t/rows/goal-loc-reacher-finetuned"
+    shutil.rmtree(row)
+    row.mkdir()
+    (row / ".run-abcd1234.partial.json").write_text("{")
+    (tmp_path / "t/.table_2-abcd1234.partial.md").write_text("|")
+    (tmp_path / "t/.table_2-abcd1234.partial.json").write_text("{")
+    assert lines(run_table(asked))["goal-loc-reacher-finetuned"].state == "run"
+    assert not list((tmp_path / "t").rglob(".*"))
+
+
+def test_requests_that_do_not_fit_together_are_refused(small_tables, tmp_path):
+    table = small_tables[0]
+    with pytest.raises(UsageError, match=r"expected METHOD\.spread="):
+        request(table, out=tmp_path / "t", options={"spread": "1"})
+    with pytest.raises(UsageError, match=r"expected METHOD\.spread="):
+        request(table, out=tmp_path / "t", options={"reachr.spread": "1"})
+    with pytest.raises(UsageError, match="expected a folder of weights for a table, found no folder"):
+        request(table, out=tmp_path / "t", weights=tmp_path / "nowhere")
+    (tmp_path / "misnamed").mkdir()
+    (tmp_path / "misnamed/reacher.safetensors").touch()
+    with pytest.raises(UsageError, match=r"found a folder without any.*reacher-finetuned"):
+        request(table, out=tmp_path / "t", weights=tmp_path / "misnamed")
+    with pytest.raises(UsageError, match="synthetic-adt more than once"):
+        run_table(request(table, table, out=tmp_path / "t"))
+    with pytest.raises(AdapterError, match="unknown option 'spraed'"):
+        run_table(request(table, out=tmp_path / "t", options={"reacher.spraed": "1"}))
+    assert not (tmp_path / "t").exists()  # so that the corrected command finds no other one's folder
+
+
+def test_options_reach_their_method_only(small_tables, tmp_path):
+    run_table(request(small_tables[0], out=tmp_path / "t", options={"reacher.spread": "0.5"}))
+    recorded = {
+        name: json.loads((tmp_path / f"t/rows/{name}/run.json").read_text())["method"]["options"]
+        for name in ("goal-loc-reacher-finetuned", "none-static-mean-training-pose")
+    }
+    assert recorded == {"goal-loc-reacher-finetuned": {"spread": "0.5"}, "none-static-mean-training-pose": {}}
