@@ -186,7 +186,7 @@ def test_the_command_finds_the_tables_that_stand_with_their_benchmark(tmp_path, 
     assert main(["study", "table-s8", str(path)]) == 0
     assert "70.00 ± 1.00" in capsys.readouterr().out
     assert load_built_in(STUDY_ITEMS, "ablation") is ablation_table
-    with pytest.raises(UsageError, match="no table 'table-99'"):
+    with pytest.raises(UsageError, match="nothing named 'table-99'"):
         load_built_in(STUDY_ITEMS, "table-99")
 
 
