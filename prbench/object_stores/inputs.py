@@ -177,6 +177,7 @@ def fetched_native(text: str, dataset: str | None, *, tell: Tell = lambda _: Non
         return fetched(text, tell=tell)
     wanted = [each for each in listed if _is_wanted((*above, *each.name.split("/")), patterns)]
     if not wanted:
+        store.is_empty()  # a bucket that does not exist is told as such
         raise InputFileError(
             str(store.url),
             "",
