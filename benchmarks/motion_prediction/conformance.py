@@ -259,7 +259,7 @@ def _performed(split: str) -> Iterator[tuple[Performance, Run]]:
     rules = load_prediction_protocol().windows
     source = Source(_SEED, _PRESET, "default")
     for index in count():
-        if assign(source, index, "person_and_room").split != split:
+        if assign(source, index).split != split:
             continue
         performance = perform(_PRESET, seed=_SEED, index=index, rate=2 * rules.fps, provocations={})
         joints = performance.joints[::2]

@@ -191,7 +191,7 @@ def recordings_of_people(preset: str, seed: int, people: Mapping[Split, int]) ->
     for index in itertools.count():
         if all(len(found[split]) == wanted for split, wanted in people.items()):
             break
-        casting = assign(source, index, "person_and_room")
+        casting = assign(source, index)
         known = found.get(casting.split, set())
         if len(known) < people.get(casting.split, 0) and casting.person not in known:
             known.add(casting.person)
@@ -201,5 +201,5 @@ def recordings_of_people(preset: str, seed: int, people: Mapping[Split, int]) ->
 
 def synthetic_source(staging: Staging, index: int) -> SyntheticSource:
     """Recording ``index`` by name and split, not yet acted out."""
-    casting = assign(Source(staging.seed, staging.preset, staging.world), index, "person_and_room")
+    casting = assign(Source(staging.seed, staging.preset, staging.world), index)
     return SyntheticSource(staging, index, name_of_recording(staging.preset, staging.seed, index), casting.split)

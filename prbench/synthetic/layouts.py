@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal
 
 from prbench.errors import UsageError, did_you_mean
 from prbench.files.storage import write_json
@@ -25,21 +25,6 @@ SHARED_PARTS = ".shared-parts"
 """Folder of a tree that is being written; see :meth:`Layout.finish`."""
 
 
-@runtime_checkable
-class Sense(Protocol):
-    """Imitates a dataset's sensors: gives the native content, before any text is made of it."""
-
-    def __call__(self, performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> Any:
-        """Sense a performance.
-
-        Args:
-            performance: The truth.
-            noise: Multiplies every error; 0 for ideal sensors.
-            switches: Which errors are on; all if None.
-        """
-        ...
-
-
 @dataclass(frozen=True)
 class Layout:
     """The sensors and the native files of one dataset.
@@ -49,7 +34,9 @@ class Layout:
 
     dataset: str
     """Name of the imitated dataset."""
-    sense: Sense
+    sense: Callable[..., Any]
+    """Imitates the dataset's sensors: takes a performance, ``noise`` (multiplies every error) and ``switches``
+    (which errors are on), and returns the native content, before any text is made of it."""
     to_recording: Callable[..., Recording]
     """The reader's own function from native content to streams."""
     write: Callable[[Any, Path], None]

@@ -96,7 +96,7 @@ def test_the_test_people_of_every_layout_are_all_there_and_in_no_other_split():
     for layout in first_run.LAYOUTS:
         source = Source(first_run.SEED, layout, "default")
         recordings = recordings_of_people(layout, first_run.SEED, first_run.PEOPLE)
-        castings = [assign(source, index, "person_and_room") for index in recordings]
+        castings = [assign(source, index) for index in recordings]
         people = Counter(casting.split for casting in castings)
         assert people == first_run.PEOPLE
         assert len({casting.person for casting in castings}) == len(castings)

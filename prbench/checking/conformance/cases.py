@@ -45,7 +45,7 @@ def synthetic_sequences(split: str, number: int) -> list[Sequence]:
 def _sequences(split: str) -> Iterator[Sequence]:
     source = Source(_SEED, _PRESET, "default")
     for index in count():
-        if assign(source, index, "person_and_room").split != split:
+        if assign(source, index).split != split:
             continue
         performance = perform(_PRESET, seed=_SEED, index=index, rate=_RATE, provocations={})
         for clip in true_clips(performance)[:_CLIPS_OF_ONE]:

@@ -247,7 +247,7 @@ def identity_of(seed: int, index: int) -> Identity:
     """Return who acts in recording ``index`` of the corpus of a seed."""
     preset = _GOAL_PRESETS[(index // _EVERY) % len(_GOAL_PRESETS)] if index % _EVERY == _EVERY - 1 else None
     source = _source(seed, "activities") if preset is None else Source(_goal_seed(seed), preset, "default")
-    assigned = assign(source, index, "person_and_room")
+    assigned = assign(source, index)
     participant = f"invented_{'a' if preset is None else preset.replace('-', '')}{assigned.person:03d}"
     name = f"20000101_s0_{participant}_act{seed}_n{index:05d}"
     return Identity(name, participant, assigned.split, preset, assigned.person)

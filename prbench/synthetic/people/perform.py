@@ -34,7 +34,7 @@ from prbench.synthetic.people.plan import OPENING, Plan, plan_recording, shares_
 from prbench.synthetic.people.reaching import Posture, shoulder_in_posture, solve_posture
 from prbench.synthetic.people.truth import Scene, events_of_others, move_objects, true_events
 from prbench.synthetic.people.walking import BasePath, Feet, Legs, place_feet, plan_steps, pose_legs, sample_base
-from prbench.synthetic.people.world import Room, Source, SplitRule, World, assign, draw_room, seated
+from prbench.synthetic.people.world import Room, Source, World, assign, draw_room, seated
 from prbench.synthetic.performance import Fixation, ObjectMotion, OtherPerson, Performance
 
 _WRIST_TOLERANCE = 0.008  # metres
@@ -247,7 +247,6 @@ def perform(
     rate: float = 120.0,
     provocations: Mapping[str, float] | None = None,
     bystander_objects: int | None = None,
-    split_rule: SplitRule = "person_and_room",
 ) -> Performance:
     """Act out one recording.
 
@@ -263,7 +262,6 @@ def perform(
         provocations: Share of the movements for each tag of docs/specification/synthetic-recordings.md#provocations;
         None: 10 % together, {}: none.
         bystander_objects: Objects that never move; 3 to 12, drawn with the room, if None.
-        split_rule: See :func:`prbench.synthetic.people.world.assign`.
 
     Raises:
         UsageError: if there is no such preset.
@@ -272,7 +270,7 @@ def perform(
         raise UsageError(f"synthetic preset '{preset}' is unknown. Take one of: {', '.join(PRESETS)}.")
     constants = PRESETS[preset]
     source = Source(seed, preset, world)
-    assigned = assign(source, index, split_rule)
+    assigned = assign(source, index)
     person = draw_person(constants, f"S{assigned.person:03d}", source.generator("person", assigned.person, "body"))
     room_rng = source.generator("room", assigned.room, "plan")
     room = draw_room(constants, f"R{assigned.room:03d}", room_rng, bystander_objects)

@@ -202,7 +202,6 @@ _TEST_SHARE = 0.30
 _VALIDATION_SHARE = 0.10
 
 World = Literal["default", "large"]
-SplitRule = Literal["person_and_room", "recording"]
 Split = Literal["train", "validation", "test"]
 
 _PEOPLE = {"default": 24, "large": 400}
@@ -233,26 +232,17 @@ class Assignment:
     split: Split
 
 
-def assign(source: Source, index: int, rule: SplitRule) -> Assignment:
-    """Draw the side of the split, then room and person.
+def assign(source: Source, index: int) -> Assignment:
+    """Draw the side of the split, then room and person; those of the test side are kept out of training.
 
     Args:
         source: Seed, preset and world.
         index: Of the recording.
-        rule: ``person_and_room`` keeps people and rooms of the test side out of training; ``recording`` reproduces
-            the study's split by recording, with its leakage.
     """
     rng = source.generator("recording", index, "split")
     chance = rng.random()
     people = _ranked(source, "person")
     rooms = _ranked(source, "room")
-    if rule == "recording":
-        person = people[int(rng.integers(len(people)))]
-        room = rooms[int(rng.integers(len(rooms)))]
-        if chance < _TEST_SHARE:
-            return Assignment(room, person, "test")
-        split = "validation" if chance < _TEST_SHARE + 0.07 else "train"
-        return Assignment(room, person, split)
     n_test_people = round(_TEST_SHARE * len(people))
     n_test_rooms = round(_TEST_SHARE * len(rooms))
     is_test = chance < _TEST_SHARE
