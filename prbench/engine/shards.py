@@ -240,8 +240,8 @@ def code_digest() -> str:
 
 
 def _difference_of_settings(mine: dict[str, Any], theirs: dict[str, Any]) -> str | None:
-    wanted = _flat(mine)
-    found = _flat(theirs)
+    wanted = flat_leaves(mine)
+    found = flat_leaves(theirs)
     for key in wanted | found:
         if wanted.get(key) != found.get(key):
             return f"{key}: expected {_shown(wanted.get(key))}, found {_shown(found.get(key))}"
@@ -258,18 +258,17 @@ def _difference_of_plans(mine: tuple[str, ...], theirs: tuple[str, ...]) -> str:
     return f"{numbers}, with '{quoted(added[0])}'" if added else f"{numbers} in another order"
 
 
-def _flat(value: object, prefix: str = "") -> dict[str, object]:
-    """Leaves by dotted key."""
+def flat_leaves(value: object, prefix: str = "") -> dict[str, object]:
+    """Return the leaves of nested values by dotted key; entries of a list of tables are named by their dataset."""
     if isinstance(value, dict):
         items = [(str(key), item) for key, item in value.items()]
     elif isinstance(value, list | tuple):
-        # Tables of a run are named by their dataset.
         items = [(item["dataset"] if isinstance(item, dict) else str(i), item) for i, item in enumerate(value)]
     else:
         return {prefix: value}
     leaves: dict[str, object] = {}
     for key, item in items:
-        leaves |= _flat(item, f"{prefix}.{key}" if prefix else key)
+        leaves |= flat_leaves(item, f"{prefix}.{key}" if prefix else key)
     return leaves
 
 

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from prbench.engine.shards import flat_leaves
 from prbench.errors import RunError
 from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import text_digest, write_json
@@ -217,8 +218,8 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             RunError: naming the first key that differs, with both values.
         """
-        wanted = _flat(other.written)
-        found = _flat(self.written)
+        wanted = flat_leaves(other.written)
+        found = flat_leaves(self.written)
         for key in wanted | found:
             if key.startswith(_VERSIONS) or wanted.get(key) == found.get(key):
                 continue
@@ -237,8 +238,8 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
         Raises:
             RunError: naming the first key that differs, with both values.
         """
-        wanted = _flat(self.written)
-        found = _flat(other.written)
+        wanted = flat_leaves(self.written)
+        found = flat_leaves(other.written)
         # In the order of the record, so that the first difference named is the most telling one.
         for key in wanted | found:
             if wanted.get(key) != found.get(key):
@@ -279,20 +280,6 @@ def _with_todays_kind(record: RunRecord) -> RunRecord:
     else:
         return record
     return msgspec.structs.replace(record, method=msgspec.structs.replace(method, kind=kind))
-
-
-def _flat(value: object, prefix: str = "") -> dict[str, object]:
-    """Leaves by dotted key; tables are named by their dataset."""
-    if isinstance(value, dict):
-        items = [(str(key), item) for key, item in value.items()]
-    elif isinstance(value, list | tuple):
-        items = [(item["dataset"] if isinstance(item, dict) else str(i), item) for i, item in enumerate(value)]
-    else:
-        return {prefix: value}
-    leaves: dict[str, object] = {}
-    for key, item in items:
-        leaves |= _flat(item, f"{prefix}.{key}" if prefix else key)
-    return leaves
 
 
 def _shown(value: object) -> str:
