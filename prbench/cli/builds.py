@@ -126,7 +126,7 @@ class BuildsReport(msgspec.Struct, frozen=True, kw_only=True):
 
 def planned(plan: BuildPlan, workers: int, *, dataset: str, root: Path | None) -> Plan:
     """Return a plan with its place, and with the time that it takes so many workers."""
-    shared = vars(plan) | {"estimated_seconds": plan.estimated_seconds / workers}
+    shared: dict[str, Any] = vars(plan) | {"estimated_seconds": plan.estimated_seconds / workers}
     return Plan(dataset=dataset, root=root, workers=workers, **shared)
 
 
