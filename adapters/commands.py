@@ -25,26 +25,11 @@ from prbench.cli.options import (
 )
 from prbench.errors import UsageError
 from prbench.shown import clean
+from prbench_adapters.trained_network import TrainedNetwork
 
 if TYPE_CHECKING:
     from prbench.engine.choice import EngineChoice
     from prbench_adapters.training.loop import Progress
-
-
-class TrainedNetwork(msgspec.Struct, frozen=True, kw_only=True):
-    """A finished training.
-
-    Attributes:
-        weights: The trained weights.
-        steps: Number of steps that the training has, those of interrupted runs with it.
-        seconds: Seconds that this run of the command has trained.
-        waiting: Fraction of those seconds in which the network waited for data.
-    """
-
-    weights: Path
-    steps: int
-    seconds: float
-    waiting: float
 
 
 class TrainReport(msgspec.Struct, frozen=True, kw_only=True):

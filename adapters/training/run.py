@@ -20,7 +20,7 @@ from prbench.files.storage import cache_folder, read_json, sole_writer, write_js
 from prbench.harness.methods.installed import load_task
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.folds import fold_table, parse_fold
-from prbench_adapters.commands import TrainedNetwork
+from prbench_adapters.trained_network import TrainedNetwork
 from prbench_adapters.training.batches import LengthBatches, WindowsDataset, load_batches
 from prbench_adapters.training.configuration import (
     DEFAULT_STAGES,
