@@ -16,8 +16,15 @@ from torch.nn import functional
 from torch.utils.checkpoint import checkpoint
 
 from prbench.geometry.skeleton import Joint
-from prbench_adapters.dart.frames import Frames, Placement
-from prbench_adapters.dart.model import HISTORY_FRAMES, DartModel, DartSettings, GradientNorm, LatentDenoiser
+from prbench_adapters.dart.model import (
+    HISTORY_FRAMES,
+    DartModel,
+    DartSettings,
+    Frames,
+    GradientNorm,
+    LatentDenoiser,
+    Placement,
+)
 from prbench_adapters.diffusion.denoiser import TransformerLayer
 from prbench_adapters.diffusion.generation import Guidance
 from prbench_adapters.diffusion.noise_optimisation.optimise import Targets, chosen_wrist, largest_jerk, last_frame

@@ -18,15 +18,16 @@ from torch.nn import functional
 from prbench.contract import Adapter
 from prbench.errors import UsageError
 from prbench_adapters.dart.adapter import DartControl
-from prbench_adapters.dart.frames import N_FEATURES, Frames
 from prbench_adapters.dart.model import (
     HISTORY_FRAMES,
     KIND,
+    N_FEATURES,
     REPRESENTATION,
     DartConfiguration,
     DartModel,
     DartSettings,
     FeatureScaling,
+    Frames,
     LatentDenoiser,
     PrimitiveVAE,
     pooled_texts,

@@ -29,8 +29,7 @@ from prbench_adapters.diffusion.generation import (
 )
 from prbench_adapters.diffusion.goal_frame import smoothed
 from prbench_adapters.diffusion.method import SingleModelMethod, own_weights, require_goals_within_reach
-from prbench_adapters.gmd.features import decode_absolute
-from prbench_adapters.gmd.model import GMDModel
+from prbench_adapters.gmd.model import GMDModel, decode_absolute
 from prbench_adapters.gmd.sampling import (
     Ends,
     GMDSettings,

@@ -28,8 +28,7 @@ from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest
 from prbench.representation.features import N_FEATURES
 from prbench.text.pretrained import CLIP
-from prbench_adapters.gmd.features import N_ROOT, ROOT_XZ, FeatureSpace
-from prbench_adapters.gmd.model import KIND, GMDConfiguration, TemporalUNet
+from prbench_adapters.gmd.model import KIND, N_ROOT, ROOT_XZ, FeatureSpace, GMDConfiguration, TemporalUNet
 from prbench_adapters.training.weights import representation_entry, weights_header, write_weights
 
 RELEASED = {

@@ -14,8 +14,7 @@ from torch import Tensor
 from prbench.geometry.skeleton import Joint
 from prbench_adapters.diffusion.generation import Guidance, SequenceNoise
 from prbench_adapters.diffusion.sampling import Chain, CosineSchedule, Denoise
-from prbench_adapters.gmd.features import N_POSE, N_ROOT, ROOT_XZ, FeatureSpace, half_turn_of, pose_columns
-from prbench_adapters.gmd.model import TemporalUNet
+from prbench_adapters.gmd.model import N_POSE, N_ROOT, ROOT_XZ, FeatureSpace, TemporalUNet, half_turn_of, pose_columns
 
 GoalLoss = Literal["absolute", "squared"]
 RowLoss = Callable[[Tensor], Tensor]

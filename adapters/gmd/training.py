@@ -20,15 +20,19 @@ from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.diffusion.training import Draw, losses, scored_losses
 from prbench_adapters.diffusion.training import Objective as DenoiserObjective
 from prbench_adapters.gmd.adapter import GMD
-from prbench_adapters.gmd.features import N_ROOT, FeatureSpace, decode_absolute, emphasis_projection, with_absolute_root
 from prbench_adapters.gmd.model import (
     KIND,
+    N_ROOT,
+    FeatureSpace,
     GMDConfiguration,
     GMDModel,
     GMDNetworks,
     TemporalUNet,
     caption_vectors,
+    decode_absolute,
+    emphasis_projection,
     stored_space,
+    with_absolute_root,
 )
 from prbench_adapters.gmd.sampling import GMDSettings
 from prbench_adapters.training import MotionBatch

@@ -9,8 +9,18 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from benchmarks.statistics.cells import Share, coverage_over_datasets, false_positives, mean_coverage, rate_coverage
-from benchmarks.statistics.designs import CORRELATIONS, DESIGNS, FIRST_RUN, METRES, RATES
+from benchmarks.statistics.cells import (
+    CORRELATIONS,
+    DESIGNS,
+    FIRST_RUN,
+    METRES,
+    RATES,
+    Share,
+    coverage_over_datasets,
+    false_positives,
+    mean_coverage,
+    rate_coverage,
+)
 
 LEAST_COVERAGE = 0.92
 MOST_FALSE_POSITIVES = 0.05

@@ -12,8 +12,7 @@ import sys
 import numpy as np
 
 from benchmarks.statistics.__main__ import MOST_FALSE_POSITIVES, print_head, print_row
-from benchmarks.statistics.cells import false_positives
-from benchmarks.statistics.designs import DESIGNS, METRES, UNUSED_METRES
+from benchmarks.statistics.cells import DESIGNS, METRES, UNUSED_METRES, false_positives
 
 SEED = 20_261_123
 HELD_OUT = {

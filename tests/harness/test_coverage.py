@@ -8,8 +8,18 @@ import numpy as np
 import pytest
 
 from benchmarks.statistics.__main__ import LEAST_COVERAGE, MOST_FALSE_POSITIVES, main
-from benchmarks.statistics.cells import coverage_over_datasets, false_positives, mean_coverage, rate_coverage
-from benchmarks.statistics.designs import DESIGNS, FIRST_RUN, METRES, UNUSED_METRES, draw_metres, draw_rates
+from benchmarks.statistics.cells import (
+    DESIGNS,
+    FIRST_RUN,
+    METRES,
+    UNUSED_METRES,
+    coverage_over_datasets,
+    draw_metres,
+    draw_rates,
+    false_positives,
+    mean_coverage,
+    rate_coverage,
+)
 from prbench.harness.clusters import p_values, rate_bounds
 from prbench.harness.intervals import clustered, paired_p_value, rate_interval
 

@@ -11,8 +11,7 @@ import torch
 from prbench.contract import Condition
 from prbench.geometry.skeleton import Joint
 from prbench_adapters.dart.adapter import generate
-from prbench_adapters.dart.frames import Frames, Placement
-from prbench_adapters.dart.model import DartModel, DartSettings, FeatureScaling
+from prbench_adapters.dart.model import DartModel, DartSettings, FeatureScaling, Frames, Placement
 from prbench_adapters.dart.rollout import (
     GuidedDenoiser,
     PreparedDenoiser,

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from prbench.geometry.skeleton import Joint
-from prbench_adapters.dart.frames import N_FEATURES, Frames, Placement, canonical_placement
+from prbench_adapters.dart.model import N_FEATURES, Frames, Placement, canonical_placement
 from prbench_adapters.dart.rollout import first_history, next_history
 from prbench_adapters.kinematics import DART, forward_kinematics, rest_offsets
 from tests.fakes import STANDING

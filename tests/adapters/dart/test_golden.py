@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from prbench_adapters.dart.frames import Placement
+from prbench_adapters.dart.model import Placement
 from prbench_adapters.dart.rollout import GuidedDenoiser, Primitive, by_ddim, roll_out
 from tests.adapters.dart import golden
 

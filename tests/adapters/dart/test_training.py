@@ -16,8 +16,7 @@ from prbench.contract import Condition
 from prbench.errors import InputFileError, TrainingStopped, UsageError
 from prbench.files.storage import read_json
 from prbench.harness.methods.loading import load_adapter
-from prbench_adapters.dart.frames import Frames
-from prbench_adapters.dart.model import DartConfiguration
+from prbench_adapters.dart.model import DartConfiguration, Frames
 from prbench_adapters.dart.training import (
     DartTask,
     DartTraining,

@@ -8,13 +8,13 @@ import msgspec
 import torch
 
 from prbench.text import text_encoder
-from prbench_adapters.dart.frames import Frames
 from prbench_adapters.dart.model import (
     KIND,
     REPRESENTATION,
     DartConfiguration,
     DartModel,
     FeatureScaling,
+    Frames,
     LatentDenoiser,
     PrimitiveVAE,
 )

@@ -13,7 +13,7 @@ import torch
 
 from prbench_adapters.diffusion.generation import SequenceNoise
 from prbench_adapters.diffusion.sampling import CosineSchedule
-from prbench_adapters.gmd.features import FeatureSpace, decode_absolute, emphasis_projection, with_absolute_root
+from prbench_adapters.gmd.model import FeatureSpace, decode_absolute, emphasis_projection, with_absolute_root
 from prbench_adapters.gmd.sampling import Ends, GMDSettings, GuidedNetwork, RootGoal, sample_motion, sample_trajectory
 from tests.adapters.gmd import page, page_network, tiny
 

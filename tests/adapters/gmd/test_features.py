@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from prbench.representation import tensors
-from prbench_adapters.gmd.features import (
+from prbench_adapters.gmd.model import (
     HEADING,
     ROOT_XZ,
     decode_absolute,

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from prbench_adapters.diffusion.sampling import CosineSchedule
-from prbench_adapters.gmd.features import ROOT_XZ, FeatureSpace
+from prbench_adapters.gmd.model import ROOT_XZ, FeatureSpace
 from prbench_adapters.gmd.sampling import (
     GuidedNetwork,
     RootGoal,

@@ -13,8 +13,7 @@ from prbench.cli import main
 from prbench.errors import InputFileError, UsageError
 from prbench.files.storage import file_digest, read_json
 from prbench.harness.methods.installed import load_task
-from prbench_adapters.gmd.features import with_absolute_root
-from prbench_adapters.gmd.model import GMDModel, GMDNetworks
+from prbench_adapters.gmd.model import GMDModel, GMDNetworks, with_absolute_root
 from prbench_adapters.gmd.training import GMDTask, GMDTraining, read_model_table
 from prbench_adapters.training import SequenceDataset, collate
 from prbench_adapters.training.configuration import TrainingConfiguration, list_configurations, load_configuration

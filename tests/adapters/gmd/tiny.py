@@ -11,8 +11,7 @@ import torch
 from prbench.contract import Condition, ConditionBatch
 from prbench.text import text_encoder
 from prbench_adapters.diffusion.model import TextVectors
-from prbench_adapters.gmd.features import FeatureSpace, emphasis_projection
-from prbench_adapters.gmd.model import GMDConfiguration, GMDModel, GMDNetworks
+from prbench_adapters.gmd.model import FeatureSpace, GMDConfiguration, GMDModel, GMDNetworks, emphasis_projection
 from prbench_adapters.training.weights import write_weights
 from tests.fakes import STANDING
 

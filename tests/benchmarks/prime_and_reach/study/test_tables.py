@@ -20,8 +20,7 @@ from prbench_benchmarks.prime_and_reach.study.formats import FORMATS
 from prbench_benchmarks.prime_and_reach.study.methods import methods_table, poses_table
 from prbench_benchmarks.prime_and_reach.study.sizes import table_one, table_s2
 from prbench_benchmarks.text_to_motion.metrics import Repeated
-from prbench_benchmarks.text_to_motion.report import ResultRow, TextEvaluation
-from prbench_benchmarks.text_to_motion.table_s8 import table_s8
+from prbench_benchmarks.text_to_motion.report import ResultRow, TextEvaluation, table_s8
 from tests.benchmarks.prime_and_reach.study.test_beside import board_of, write_real
 from tests.benchmarks.prime_and_reach.study.test_formats import require_whole_latex
 from tests.board.test_tables import metrics, write_run

@@ -1,1 +1,0 @@
-"""The entry points of the predictors; nothing heavy is imported before one is loaded."""
