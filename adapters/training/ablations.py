@@ -1,7 +1,7 @@
 """The rows of the study's ablations as configurations (*Prime and Reach*, tables 3, 4 and S4 to S7).
 
-``prbench ablation table-3`` trains and runs the rows of a table; ``python -m prbench_adapters.pr.ablations [TABLE …]``
-prints the commands.
+``prbench study table-3 --train`` trains and runs the rows of a table;
+``python -m prbench_adapters.pr.ablations [TABLE …]`` prints the commands.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""``prbench ablation``: train and run the rows of Tables 3, 4 and S4 to S7, and make the table of what is there.
+"""``prbench study ITEM --train``: train and run the rows of Tables 3, 4, S4 to S7, and make the table of what there is.
 
 Every step goes into a folder that its content names, so that the same command goes on with what an interruption has
 left, and rows that share a training or a run share its folder. A row that fails ends nothing but itself.
@@ -196,7 +196,7 @@ def _train(
 
 
 def ablation_table(number: str, folder: Path, check: Check | None, *, with_published: bool) -> list[StudyTable]:
-    """Make a table of ablations from a folder that ``prbench ablation`` has filled, a part for each dataset.
+    """Make a table of ablations from a folder that ``prbench study ITEM --train`` has filled, a part for each dataset.
 
     Args:
         number: ``3``, ``4`` or ``S4`` to ``S7``.

@@ -1,27 +1,491 @@
-"""``prbench study``: the tables and figures of the study on one's own tables and runs."""
+"""``prbench study``: the tables and figures of the study on one's own tables and runs, and its ablations."""
 
 from __future__ import annotations
 
-from prbench.cli.commands import Group
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
 
-_PACKAGE = "prbench_benchmarks.prime_and_reach"
-_ABLATIONS = ("3", "4", "s4", "s5", "s6", "s7")
-_FIGURES = ("1", "2", "4", "5", "s2", "s3")
-_EXAMPLE = "prbench study table-2 runs/table-2 --data tables/adt --with-published --out table_2.tex table_2.csv"
+import click
+import msgspec
+from click.core import ParameterSource
 
-study = Group(
+from prbench.cli.commands import Answer, SeveralValues, command, note, session
+from prbench.cli.options import (
+    OUT_FILE,
+    PATH,
+    collected_runs,
+    data_option,
+    device_option,
+    limit_option,
+    permission_option,
+    run_checker,
+    seed_option,
+    sequence_option,
+    threads_option,
+    workers_option,
+)
+from prbench.cli.places import PlaceType, Remote
+from prbench.cli.terminal import print_table
+from prbench.entry_points import STUDY_ITEMS, load_built_in
+from prbench.errors import RunError, TableError, UsageError
+from prbench_benchmarks.prime_and_reach.study.document import StudyTable
+
+
+class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
+    """What was made.
+
+    Attributes:
+        tables: The tables, or the numbers behind a figure.
+        files: The files that were written.
+        out: The picture of a figure; null for a table.
+        sequences: Ids of the sequences in a picture of motions.
+        notices: Sentences that the datasets' terms ask for, as they stand in such a picture.
+        folder: With --train, folder of the configuration, with its trainings and runs; null without.
+        runs: Run folders that are finished, with --train.
+        failed: Maps rows that failed to the reason, with --train.
+        stamps: Maps the parts of the table to what sets their trainings apart from the study's, with --train.
+    """
+
+    tables: list[StudyTable] = []
+    files: list[Path] = []
+    out: Path | None = None
+    sequences: list[str] = []
+    notices: list[str] = []
+    folder: Path | None = None
+    runs: list[Path] = []
+    failed: dict[str, str] = {}
+    stamps: dict[str, str] = {}
+
+
+def _answer(tables: Sequence[StudyTable], files: Sequence[Path], drawn: Path | None = None) -> Answer:
+    """Write the tables and answer with their numbers."""
+    from prbench_benchmarks.prime_and_reach.study.formats import write_tables
+
+    for path in files:
+        write_tables(tables, path)
+    written = [*([] if drawn is None else [drawn]), *files]
+    return _shown(StudyReport(tables=list(tables), files=written, out=drawn))
+
+
+def _shown(report: StudyReport, lines: Sequence[str] = ()) -> Answer:
+    """Answer with a report: tables block by block with their notes, further lines, and the written files."""
+
+    def show() -> None:
+        for table in report.tables:
+            print(table.heading)
+            for block in table.blocks:
+                print_table(block.title, table.header, block.rows, numbers=range(table.text_columns, len(table.header)))
+            for line in table.notes:
+                print(f"- {line}")
+        for line in lines:
+            print(line)
+        for path in report.files:
+            print(f"written: {path}")
+
+    return Answer(report, show, exit_code=1 if report.failed else 0)
+
+
+def _number(item: str) -> str:
+    """Return the number that a table has in the study, such as ``S3``."""
+    return item.removeprefix("table-").upper()
+
+
+# Tables.
+
+
+def _sizes(item: str, folders: tuple[Path, ...], *, out: tuple[Path, ...]) -> Answer:
+    from prbench.sequences import SequenceTable
+    from prbench_benchmarks.prime_and_reach.study.sizes import table_one, table_s2
+
+    make = table_one if item == "table-1" else table_s2
+    return _answer([make([SequenceTable.open(folder) for folder in folders])], out)
+
+
+def _methods(
+    item: str,
+    runs: tuple[Path, ...],
+    *,
+    data: tuple[Path, ...],
+    with_published: bool,
+    out: tuple[Path, ...],
+    workers: int,
+    part: str | None = None,
+) -> Answer:
+    import dataclasses
+
+    from prbench.board import make_leaderboard
+    from prbench.sequences import SequenceTable
+    from prbench_benchmarks.prime_and_reach.study.methods import methods_table, poses_table
+
+    collected = collected_runs(runs, data, workers)
+    if not collected.rows:
+        raise RunError("no finished run was found.")
+    board = make_leaderboard(collected)
+    if part is not None:
+        known = [table.dataset for table in board.tables]
+        if part not in known:
+            raise UsageError(f"--part: no run is of '{part}'; those named are of: {', '.join(dict.fromkeys(known))}.")
+        board = dataclasses.replace(board, tables=tuple(table for table in board.tables if table.dataset == part))
+    if item != "table-s1":
+        return _answer(methods_table(board, _number(item), with_published=with_published), out)
+    # Where the bodies of a table come from is not in its runs: they name the table by the digest of its content.
+    opened = [SequenceTable.open(folder) for folder in data]
+    sources = {table.content: sorted(set(table.scalars()["pose_source"].to_pylist())) for table in opened}
+    tables = poses_table(board, lambda table: sources.get(table.key[2], []), with_published=with_published)
+    return _answer(tables, out)
+
+
+def _ablation(
+    item: str,
+    folders: tuple[Path, ...],
+    *,
+    data: tuple[Path, ...],
+    with_published: bool,
+    out: tuple[Path, ...],
+    workers: int,
+) -> Answer:
+    from prbench_benchmarks.prime_and_reach.ablation import ablation_table
+
+    if len(folders) > 1:
+        raise UsageError(f"study {item}: name one DIR, the folder of one configuration, such as ablations/paper.")
+    check = run_checker(data, workers).check
+    tables = ablation_table(_number(item), folders[0], check, with_published=with_published)
+    for line in (line for table in tables for line in table.notes):
+        if "unverified, because" in line:
+            note(line)
+    return _answer(tables, out)
+
+
+def _evaluations(item: str, reports: tuple[Path, ...], *, with_published: bool, out: tuple[Path, ...]) -> Answer:
+    return _answer([load_built_in(STUDY_ITEMS, item)(reports, with_published=with_published)], out)
+
+
+def _train(
+    item: str,
+    folders: tuple[Path, ...],
+    *,
+    data: tuple[Path, ...],
+    nymeria: Path | None,
+    humanml3d: Path | None,
+    configuration: Path,
+    out: tuple[Path, ...],
+    limit: int | None,
+    device: str,
+    threads: int,
+    seed: int,
+    workers: int,
+) -> Answer:
+    """Train and run the rows of a table of ablations, and write it in all formats beside them."""
+    from prbench.engine import engine_for
+    from prbench_benchmarks.prime_and_reach.ablation import AblationRequest, ablation_table, run_ablation
+    from prbench_benchmarks.prime_and_reach.study.formats import FORMATS, write_tables
+
+    if folders or len(out) > 1 or not data:
+        raise UsageError(f"study {item} --train: expected --data DIR... and at most one --out DIR, and no DIR else.")
+    session().resumes = True
+    corpora = {"nymeria": nymeria, "humanml3d": humanml3d}
+    request = AblationRequest(
+        table=_number(item),
+        data=data,
+        out=out[0] if out else Path("ablations"),
+        corpora={name: folder for name, folder in corpora.items() if folder is not None},
+        configuration=str(configuration),
+        device=device,
+        threads=threads,
+        limit=limit,
+        seed=seed,
+    )
+    made = run_ablation(request, engine=engine_for(workers), say=note)
+    files: list[Path] = []
+    tables: list[StudyTable] = []
+    if made.runs:
+        tables = ablation_table(_number(item), made.folder, run_checker(data, workers).check, with_published=True)
+        files = [made.folder / f"{item.replace('-', '_')}{suffix}" for suffix in FORMATS]
+        for path in files:
+            write_tables(tables, path)
+    report = StudyReport(
+        tables=tables,
+        files=files,
+        folder=made.folder,
+        runs=list(made.runs),
+        failed=made.failed,
+        stamps={table.part: table.stamp for table in tables if table.stamp},
+    )
+    return _shown(report, [f"failed: {name}: {reason}" for name, reason in made.failed.items()])
+
+
+# Figures.
+
+
+def _distributions(_item: str, folders: tuple[Path, ...], *, out: tuple[Path, ...]) -> Answer:
+    from prbench.sequences import SequenceTable
+    from prbench.sequences.table import table_statistics
+    from prbench.viewing.distributions import draw_table_one
+    from prbench_benchmarks.prime_and_reach.study.sizes import table_one
+
+    tables = [SequenceTable.open(folder) for folder in folders]
+    statistics = [each for each in map(table_statistics, tables) if each.sequences]
+    if not statistics:
+        raise TableError("nothing to draw, since no table holds sequences.")
+    draw_table_one(statistics, out[0])
+    return _answer([table_one(tables)], (), out[0])
+
+
+def _breakdown(
+    _item: str,
+    runs: tuple[Path, ...],
+    *,
+    data: tuple[Path, ...],
+    by: str,
+    numbers: tuple[Path, ...],
+    out: tuple[Path, ...],
+    workers: int,
+) -> Answer:
+    from prbench.engine import engine_for
+    from prbench_benchmarks.prime_and_reach.study.breakdown import break_down, breakdown_table
+    from prbench_benchmarks.prime_and_reach.study.drawing import draw_breakdown
+    from prbench_benchmarks.prime_and_reach.study.genuine import genuine_runs
+
+    scores = break_down(genuine_runs(runs, data, engine_for(workers)), by)
+    draw_breakdown(scores, by, out[0])
+    return _answer([breakdown_table(scores, by)], numbers, out[0])
+
+
+def _sweep(
+    _item: str,
+    runs: tuple[Path, ...],
+    *,
+    data: tuple[Path, ...],
+    variant: str,
+    numbers: tuple[Path, ...],
+    out: tuple[Path, ...],
+    workers: int,
+) -> Answer:
+    from prbench.engine import engine_for
+    from prbench_benchmarks.prime_and_reach.study.drawing import draw_sweep
+    from prbench_benchmarks.prime_and_reach.study.genuine import genuine_runs
+    from prbench_benchmarks.prime_and_reach.study.sweep import sweep, sweep_table
+
+    engine = engine_for(workers)
+    reading = "onset" if variant == "onset" else "equation"
+    sweeps = [sweep(run, variant=reading, engine=engine) for run in genuine_runs(runs, data, engine)]
+    draw_sweep(sweeps, out[0])
+    return _answer([sweep_table(sweeps)], numbers, out[0])
+
+
+_PICTURES = {
+    "figure-1": ("Prime-and-reach sequences: people look at a goal before they reach it", 2),
+    "figure-2": ("Examples of curated prime-and-reach sequences", 1),
+    "figure-5": ("Recorded and generated motion at the first frame, the prime and the reach", 3),
+}
+"""Title of each picture of motions, and how many sequences of each dataset it shows."""
+
+
+def _motions(
+    item: str,
+    inputs: tuple[Path, ...],
+    *,
+    sequences: tuple[str, ...],
+    limit: int | None,
+    permission: tuple[str, ...],
+    out: tuple[Path, ...],
+    data: tuple[Path, ...] | None = None,
+) -> Answer:
+    from prbench.viewing.view import ViewRequest, scenes_of
+    from prbench_benchmarks.prime_and_reach.study.motions import draw_examples, draw_moments
+
+    title, usual = _PICTURES[item]
+    if limit is None and not sequences:
+        limit = usual
+    # Figure 5 is of runs and their tables, the others are of tables alone.
+    runs, data, draw = ((), inputs, draw_examples) if data is None else (inputs, data, draw_moments)
+    request = ViewRequest(out=out[0], runs=runs, data=data, sequences=sequences, limit=limit, permitted=permission)
+    scenes = [scene for scene in scenes_of(request) if runs or scene.shows_recorded]
+    if not scenes:
+        raise UsageError("nothing to draw: the licence of these datasets keeps recorded motion (--permission).")
+    draw(scenes, out[0], title=title)
+    notices = list(dict.fromkeys(scene.notice for scene in scenes if scene.notice))
+    drawn = [scene.sequence_id for scene in scenes]
+    report = StudyReport(files=[out[0]], out=out[0], sequences=drawn, notices=notices)
+    return _shown(report, [*(f"{scene.sequence_id}: {scene.title}" for scene in scenes), *notices])
+
+
+# The items, and the command.
+
+
+class _Item(NamedTuple):
+    """A table or figure: what it shows, what it is made from, the options that it takes, and the function."""
+
+    title: str
+    inputs: str
+    options: tuple[str, ...]
+    make: Callable[..., Answer]
+    trains: bool = False
+
+
+_OF_RUNS = ("data", "with_published", "out", "workers")
+_DRAWN = ("data", "numbers", "out", "workers")
+_OF_MOTIONS = ("sequences", "limit", "permission", "out")
+_TRAINING = ("data", "nymeria", "humanml3d", "configuration", "out", "limit", "device", "threads", "seed", "workers")
+_ITEMS: Mapping[str, _Item] = {
+    "table-1": _Item("how many sequences, how long, how far people move", "DIR", ("out",), _sizes),
+    "table-2": _Item("runs in the layout of the main table, a part a dataset", "RUN", (*_OF_RUNS, "part"), _methods),
+    "table-s1": _Item("runs by poses of training and test (weights …-egoallo, …-mocap)", "RUN", _OF_RUNS, _methods),
+    "table-s2": _Item("sequences and recordings of each split", "DIR", ("out",), _sizes),
+    "table-s3": _Item("models of one dataset each (weights pr-goal-loc-adt)", "RUN", (*_OF_RUNS, "part"), _methods),
+    "table-s8": _Item("files of `prbench evaluate-text`", "FILE", ("with_published", "out"), _evaluations),
+    "table-3": _Item("ablation of conditions and optimisation, one by one", "DIR", _OF_RUNS, _ablation, trains=True),
+    "table-4": _Item("ablation of the pre-training", "DIR", _OF_RUNS, _ablation, trains=True),
+    "table-s4": _Item("ablation: an encoder or a decoder", "DIR", _OF_RUNS, _ablation, trains=True),
+    "table-s5": _Item("ablation of the loss", "DIR", _OF_RUNS, _ablation, trains=True),
+    "table-s6": _Item(
+        "ablation of how initial state and goal enter the memory", "DIR", _OF_RUNS, _ablation, trains=True
+    ),
+    "table-s7": _Item("ablation of the diffusion steps", "DIR", _OF_RUNS, _ablation, trains=True),
+    "figure-1": _Item("recorded sequences with the look that primes the goal", "DIR", _OF_MOTIONS, _motions),
+    "figure-2": _Item("recorded sequences of each table", "DIR", _OF_MOTIONS, _motions),
+    "figure-4": _Item("scores by what a sequence asks for (--by)", "RUN", (*_DRAWN, "by"), _breakdown),
+    "figure-5": _Item("poses at first frame, prime and reach", "RUN", (*_OF_MOTIONS, "data"), _motions),
+    "figure-s2": _Item("where goals lie, how far people move, when they look", "DIR", ("out",), _distributions),
+    "figure-s3": _Item("Prime Success over its distance and window", "RUN", (*_DRAWN, "variant"), _sweep),
+}
+_HELP = "\n".join(["\b", *(f"{name:<10}{item.inputs + '...':<8} {item.title}" for name, item in _ITEMS.items())])
+
+
+class _OutType(PlaceType):
+    """Of the files that are written or, with ``--train``, of the folder."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Take a path, or a URL."""
+        found = super().convert(value, param, ctx)
+        trains = ctx is not None and ctx.params.get("train")
+        return Remote(found.url, "folder") if trains and isinstance(found, Remote) else found
+
+
+@command(
     "study",
     section="board",
-    sections={
-        "tables": {
-            name: f"{_PACKAGE}.table_commands:{name.replace('-', '_')}"
-            for name in ("table-1", "table-2", "table-s1", "table-s2", "table-s3", "table-s8")
-        },
-        "ablations: what `prbench ablation` has made": {
-            f"table-{number}": f"{_PACKAGE}.table_commands:table_{number}" for number in _ABLATIONS
-        },
-        "figures": {f"figure-{number}": f"{_PACKAGE}.figure_commands:figure_{number}" for number in _FIGURES},
-    },
-    example=_EXAMPLE,
-    help="Make the study's tables and figures from your own tables and runs (docs/study.md).",
+    example="prbench study table-2 runs/table-2 --data tables/adt --with-published --out table_2.tex table_2.csv",
+    report=StudyReport,
+    first=(
+        "item",
+        "inputs",
+        "--data",
+        "--with-published",
+        "--part",
+        "--out",
+        "--numbers",
+        "--by",
+        "--workers",
+        "--train",
+        "--json",
+    ),
 )
+@click.argument("item", type=click.Choice(list(_ITEMS)), metavar="ITEM")
+@click.argument("inputs", type=PATH, nargs=-1, metavar="[DIR|RUN|FILE]...")
+@click.option(
+    "--train",
+    is_flag=True,
+    is_eager=True,
+    help="Tables 3, 4 and S4 to S7: train and run the rows, then print the table. A row that fails ends nothing but"
+    " itself; the same command tries it again and goes on where it was interrupted.",
+)
+@data_option(
+    required=False,
+    help="The tables of the runs: scores are held against the motions on them, and called unverified without; the"
+    " embedded tables need not be named. With --train: split 'train' is learnt from, 'test' is run.",
+)
+@click.option(
+    "--with-published",
+    is_flag=True,
+    help="Show the study's rows in a block of their own and, for runs on real recordings, the differences.",
+)
+@click.option("--part", metavar="DATASET", help="Only this dataset's part (default: a part for each).")
+@click.option(
+    "--out",
+    cls=SeveralValues,
+    type=_OutType("file"),
+    metavar="FILE...",
+    help="Write a table to these files: .csv (one number a row), .tex (LaTeX with booktabs) or .md. Of a figure, the"
+    " picture: .png or .svg. With --train: folder of trainings, runs and tables (default ablations).",
+)
+@click.option(
+    "--numbers",
+    cls=SeveralValues,
+    type=OUT_FILE,
+    metavar="FILE...",
+    help="Write what the figure draws to these files: .csv, .tex or .md.",
+)
+@click.option(
+    "--by",
+    type=click.Choice(["action", "hand", "kind", "distance", "bearing", "height", "gap"]),
+    default="action",
+    help="What sequences are grouped by (default action): pick or put, the reaching hand, the kind of prime, distance,"
+    " bearing and height of the goal at the first frame, or the time from prime to event.",
+)
+@click.option(
+    "--variant",
+    type=click.Choice(["equation", "onset"]),
+    default="equation",
+    help="Reading of the deceleration (default equation, as the protocol scores).",
+)
+@sequence_option("Draw this sequence")
+@limit_option("2, 1 and 3 in Figures 1, 2 and 5; all with --train")
+@permission_option
+@click.option("--nymeria", type=PATH, metavar="DIR", help="The built corpus Nymeria, to pre-train on.")
+@click.option("--humanml3d", type=PATH, metavar="DIR", help="The same of HumanML3D (Table 4).")
+@click.option(
+    "--config",
+    "configuration",
+    type=PATH,
+    default="paper",
+    metavar="NAME|FILE",
+    help="Configuration of the trainings: paper (default: days on a GPU), small, smoke (seconds; learns nothing,"
+    " and its table is stamped so), or a .toml file.",
+)
+@device_option
+@threads_option
+@seed_option("of the runs")
+@workers_option()
+@click.pass_context
+def study(ctx: click.Context, item: str, inputs: tuple[Path, ...], train: bool, **given: Any) -> Answer:
+    """Find the item, refuse options that it does not take, and make it; the help stands below, with the items."""
+    row = _ITEMS[item]
+    name = f"study {item} --train" if train else f"study {item}"
+    if train and not row.trains:
+        rows = ", ".join(each for each, about in _ITEMS.items() if about.trains)
+        raise UsageError(f"study {item} has nothing to train; --train goes with: {rows}.")
+    taken = _TRAINING if train else row.options
+    spelt = {option.name: option.opts[0] for option in ctx.command.params if option.name in given}
+    for option, spelling in spelt.items():
+        if option not in taken and ctx.get_parameter_source(option) is not ParameterSource.DEFAULT:
+            own = sorted(spelt[each] for each in taken)
+            raise UsageError(f"{name} takes no {spelling}; its options: {', '.join(own)}.")
+    if train:
+        return _train(item, inputs, **{option: given[option] for option in taken})
+    if not inputs:
+        raise UsageError(f"{name}: name {row.inputs}..., which it is made from.")
+    _require_writable(name, given)
+    return row.make(item, inputs, **{option: given[option] for option in taken})
+
+
+study.help = (
+    "Make a table or figure of the study from your own tables and runs (docs/study.md).\n\n"
+    "DIR are built tables, for ablations the folder of one configuration, such as ablations/paper; RUN are run folders,"
+    f" or folders that hold some, such as that of `prbench run --method all`. ITEM is one of:\n\n{_HELP}"
+)
+
+
+def _require_writable(name: str, given: Mapping[str, Any]) -> None:
+    """Refuse files of unknown formats before anything is done."""
+    from prbench.viewing.figures import require_drawable
+    from prbench_benchmarks.prime_and_reach.study.formats import require_format
+
+    is_figure = name.startswith("study figure")
+    for path in given["numbers"] if is_figure else given["out"]:
+        require_format(path)
+    if is_figure:
+        if len(given["out"]) != 1:
+            raise UsageError(f"{name}: --out FILE is needed, the picture: .png or .svg.")
+        require_drawable(given["out"][0])

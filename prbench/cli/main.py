@@ -70,13 +70,7 @@ _COMMANDS = {
     },
 }
 _RENAMED = {
-    "ablation": "study ITEM --train, such as study table-3 --train",
-    "ablation table-3": "study table-3 --train",
-    "ablation table-4": "study table-4 --train",
-    "ablation table-s4": "study table-s4 --train",
-    "ablation table-s5": "study table-s5 --train",
-    "ablation table-s6": "study table-s6 --train",
-    "ablation table-s7": "study table-s7 --train",
+    "ablation": "study table-3 --train",
     "adapters converters": "adapters list --converters",
     "agreement": "analyse agreement RUN",
     "candidates": "build-dataset gimo --propose-events FILE",

@@ -11,27 +11,41 @@ DASH = "–"
 
 @dataclass(frozen=True, kw_only=True)
 class StudyValue:
-    """One number of a table, as its CSV file holds it: rates in %, lengths in metres, times in seconds."""
+    """One number of a table, as its CSV file holds it.
+
+    Attributes:
+        dataset: Name of the dataset.
+        metric: Id of the metric or quantity.
+        value: Rates in %, lengths in metres, times in seconds; null where a dash is printed.
+        unit: ``%``, ``m``, ``s``, ``ratio``, or empty.
+        condition: What the method was given.
+        method: Name of the method.
+        variant: What tells two rows of one method apart.
+        low: Lower bound of the 95 % interval; null without one.
+        high: Upper bound of the interval.
+        sd: Standard deviation over sequences, or the number after ± in the study.
+        sequences: Number of sequences behind the value.
+        recordings: Number of recordings that they come from.
+        detectable: Smallest difference to an unrelated method of the same spread that would be found with 80 % power;
+            null where nothing can be tested.
+        origin: ``measured``, ``measured on synthetic data``, ``published: …`` or ``measured - published: …``.
+        note: What a reader of the number needs to know.
+    """
 
     dataset: str
     metric: str
     value: float | None
-    """None where a dash is printed."""
     unit: str
     condition: str = ""
     method: str = ""
     variant: str = ""
     low: float | None = None
     high: float | None = None
-    """Bounds of the 95 % interval."""
     sd: float | None = None
-    """Standard deviation over sequences, or the number after ± in the study."""
     sequences: int | None = None
     recordings: int | None = None
     detectable: float | None = None
-    """Smallest difference to an unrelated method of the same spread that would be found with 80 % power."""
     origin: str = MEASURED
-    """``measured``, ``measured on synthetic data``, ``published: …``, or ``measured - published``."""
     note: str = ""
 
 
@@ -42,6 +56,7 @@ class StudyBlock:
     title: str
     """Says where the numbers come from; empty in a table of one block."""
     rows: tuple[tuple[str, ...], ...]
+    """Cells as printed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,9 +66,13 @@ class StudyTable:
     number: str
     """Number in the study, such as ``2`` or ``S3``."""
     title: str
+    """What it shows."""
     header: tuple[str, ...]
+    """Names of the printed columns."""
     blocks: tuple[StudyBlock, ...]
+    """Rows as printed, by where they come from."""
     values: tuple[StudyValue, ...]
+    """Its numbers, one a cell."""
     text_columns: int = 1
     """Columns at the left that hold words; the others are set to the right."""
     dataset: str = ""
@@ -63,6 +82,7 @@ class StudyTable:
     stamp: str = ""
     """A warning that has to stand with the numbers, such as that they come from a smoke configuration."""
     notes: tuple[str, ...] = ()
+    """What a reader of the table needs to know."""
 
     @property
     def heading(self) -> str:

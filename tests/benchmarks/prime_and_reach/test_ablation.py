@@ -1,4 +1,4 @@
-"""``prbench ablation``: rows are trained and run, resumed, shared, stamped, and a failing one costs no other."""
+"""``prbench study ITEM --train``: rows are trained, run, resumed, shared, stamped; a failing one costs no other."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def made(data, tmp_path_factory) -> Path:
 
 
 def _words(data: Path, out: Path) -> list[str]:
-    return ["ablation", "table-s5", "--data", str(data), "--config", "smoke", "--limit", "2", "--out", str(out)]
+    return ["study", "table-s5", "--train", "--data", str(data), "--config", "smoke", "--limit", "2", "--out", str(out)]
 
 
 def checked(data):

@@ -235,3 +235,21 @@ def test_a_synthetic_run_that_claims_real_recordings_is_refused(runs, table, tmp
     assert main(words) != 0
     assert main(["leaderboard", "export", str(folder), "--data", str(table.folder), "--with-published"]) != 0
     assert "the run is of adt, not of synthetic-adt" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["table-1", "t", "--by", "hand"], "study table-1 takes no --by; its options: --out."),
+        (["figure-4", "r"], "study figure-4: --out FILE is needed"),
+        (["table-2"], "study table-2: name RUN..., which it is made from."),
+        (["table-1", "--train"], "has nothing to train; --train goes with: table-3, table-4, table-s4"),
+        (["table-3", "--train"], "expected --data DIR..."),
+        (["table-3", "--train", "--with-published"], "study table-3 --train takes no --with-published"),
+        (["table-3", "a", "b"], "name one DIR"),
+        (["table-9"], "'table-9' is not one of"),
+    ],
+)
+def test_what_an_item_does_not_take_is_refused(words, message, capsys):
+    assert main(["study", *words]) == UsageError.exit_code
+    assert message in capsys.readouterr().err

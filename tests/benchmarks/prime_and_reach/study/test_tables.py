@@ -15,7 +15,6 @@ from prbench.errors import UsageError
 from prbench.protocol.published import load_published, load_table_one
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME
-from prbench_benchmarks.prime_and_reach.ablation import ablation_table
 from prbench_benchmarks.prime_and_reach.study.formats import FORMATS
 from prbench_benchmarks.prime_and_reach.study.methods import methods_table, poses_table
 from prbench_benchmarks.prime_and_reach.study.sizes import table_one, table_s2
@@ -184,7 +183,6 @@ def test_the_command_finds_the_tables_that_stand_with_their_benchmark(tmp_path, 
     path.write_bytes(msgspec.json.encode(evaluation()))
     assert main(["study", "table-s8", str(path)]) == 0
     assert "70.00 ± 1.00" in capsys.readouterr().out
-    assert load_built_in(STUDY_ITEMS, "ablation") is ablation_table
     with pytest.raises(UsageError, match="nothing named 'table-99'"):
         load_built_in(STUDY_ITEMS, "table-99")
 
