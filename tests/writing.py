@@ -295,20 +295,20 @@ WRITING = (
         varies=("cost.json",),
     ),
     Writing(
-        "diversity --out",
-        lambda given, out: ("diversity", given.several, "--data", given.table, "--out", out),
+        "analyse --out, diversity",
+        lambda given, out: ("analyse", "diversity", given.several, "--data", given.table, "--out", out),
         "d.json",
     ),
     Writing(
-        "diversity --fan",
-        lambda given, out: ("diversity", given.several, "--data", given.table, "--fan", out),
+        "analyse --fan",
+        lambda given, out: ("analyse", "diversity", given.several, "--data", given.table, "--fan", out),
         "fan.png",
     ),
     Writing(
-        "error-budget --out",
-        lambda given, out: ("error-budget", given.static, "--data", given.table, "--out", out),
+        "analyse --out, errors",
+        lambda given, out: ("analyse", "errors", given.static, "--data", given.table, "--out", out),
     ),
-    Writing("agreement --out", lambda given, out: ("agreement", given.run, "--out", out), "a.json"),
+    Writing("analyse --out", lambda given, out: ("analyse", "agreement", given.run, "--out", out), "a.json"),
     Writing(
         "leaderboard pareto --out",
         lambda given, out: ("leaderboard", "pareto", given.static, "--out", out),

@@ -1,15 +1,14 @@
-"""``prbench agreement``: on which sequences a method succeeds, beside recorded people and by where the goal is."""
+"""``prbench analyse agreement``: on which sequences methods succeed: those of people, and by where the goal is."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
 import msgspec
 
-from prbench.cli.commands import Answer, command
-from prbench.cli.options import PATH, data_option, run_checker, workers_option
+from prbench.cli.commands import Answer
+from prbench.cli.options import run_checker
 from prbench.cli.summaries import phi_cell
 from prbench.cli.terminal import print_table
 
@@ -49,17 +48,7 @@ class AgreementsReport(msgspec.Struct, frozen=True, kw_only=True):
     runs: list[RunAgreement]
 
 
-@command(
-    "agreement",
-    section="board",
-    example="prbench agreement runs/static runs/scripted --data tables/adt",
-    report=AgreementsReport,
-    writes_report=True,
-)
-@click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")
-@data_option(required=False, help="Tables of the runs, on which their scores are checked; the embedded ones are known.")
-@workers_option()
-def agreement(runs: tuple[Path, ...], data: tuple[Path, ...], workers: int) -> Answer:
+def agreement(runs: tuple[Path, ...], *, data: tuple[Path, ...], workers: int) -> Answer:
     """Say on which sequences methods succeed: those of recorded people, and by where the goal is."""
     from prbench.harness.run_folder import RunFolder
     from prbench.harness.run_folder.agreement import DatasetAgreement

@@ -1,4 +1,4 @@
-"""``prbench diversity``: how far a run's motions for one goal differ, beside recorded people.
+"""``prbench analyse diversity``: how far a run's motions for one goal differ, beside recorded people.
 
 Source: docs/specification/metrics.md#diversity.
 """

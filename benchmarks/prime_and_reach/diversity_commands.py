@@ -1,15 +1,13 @@
-"""``prbench diversity``: how far several motions for one goal differ, beside recorded people."""
+"""``prbench analyse diversity``: how far several motions for one goal differ, beside recorded people."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
 import msgspec
 
-from prbench.cli.commands import Answer, command, progress
-from prbench.cli.options import OUT_FILE, PATH, data_option, permission_option
+from prbench.cli.commands import Answer, progress
 from prbench.cli.terminal import print_table
 from prbench.errors import UsageError
 
@@ -101,34 +99,23 @@ class DiversityReport(msgspec.Struct, frozen=True, kw_only=True):
     fan_sequence: str | None
 
 
-@command(
-    "diversity",
-    section="board",
-    example="prbench diversity runs/pr --data tables/adt --fan fan.png",
-    report=DiversityReport,
-    writes_report=True,
-)
-@click.argument("run", type=PATH, metavar="RUN")
-@data_option(required=False, help="The table(s) of the run; not needed for the embedded synthetic datasets.")
-@click.option(
-    "--fan", type=OUT_FILE, metavar="FILE", help="Draw the motions of one sequence as a fan of bodies: .png, .svg."
-)
-@click.option(
-    "--sequence", metavar="ID", help="The sequence to draw: its id, or a part that fits one only (default: any)."
-)
-@permission_option
 def diversity(
-    run: Path, data: tuple[Path, ...], fan: Path | None, sequence: str | None, permission: tuple[str, ...]
+    runs: tuple[Path, ...],
+    *,
+    data: tuple[Path, ...],
+    fan: Path | None,
+    sequence: str | None,
+    permission: tuple[str, ...],
 ) -> Answer:
-    """Say how far several motions for one goal differ in poses, path and timing, beside recorded people.
-
-    RUN is the folder of a run with --samples 2 or more.
-    """
+    """Say how far several motions for one goal differ in poses, path and timing, beside recorded people."""
     from prbench.harness.run_folder import RunFolder
     from prbench.viewing.fan import draw_fan
     from prbench.viewing.figures import require_drawable
     from prbench_benchmarks.prime_and_reach.diversity import measure_diversity, read_fan
 
+    if len(runs) > 1:
+        raise UsageError("analyse diversity: name one RUN.")
+    (run,) = runs
     if fan is None and sequence is not None:
         raise UsageError("--sequence: belongs to --fan FILE, which it is drawn in.")
     if fan is not None:

@@ -1,14 +1,11 @@
-"""``prbench error-budget``: why the motions of runs fail, and what each part of a method costs."""
+"""``prbench analyse errors``: why the motions of runs fail, and what each part of a method costs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
 
-import click
-
-from prbench.cli.commands import Answer, command, progress
-from prbench.cli.options import PATH, data_option, out_folder_option
+from prbench.cli.commands import Answer, progress
 from prbench.cli.terminal import print_columns
 from prbench_benchmarks.prime_and_reach.error_budget.report import ErrorBudgetReport, Group, Parts, RunBudget
 
@@ -19,27 +16,8 @@ _REACHING = ("stands too far", "comes and leaves", "under way", "stops short")
 _REACHING_SHORT = ("too far", "leaves", "under way", "short")
 
 
-@command(
-    "error-budget",
-    section="board",
-    example="prbench error-budget runs/pr --beside runs/pr-off --data tables/adt --out budget",
-    report=ErrorBudgetReport,
-)
-@click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")
-@click.option(
-    "--beside",
-    type=PATH,
-    metavar="RUN",
-    help="A run of the same sequences by other options, such as one without optimisation: which it gains and loses.",
-)
-@data_option(required=False, help="Tables of the runs; the embedded ones are known.")
-@out_folder_option("Write one row a motion into this folder: motions.parquet and motions.csv.")
-def error_budget(runs: tuple[Path, ...], beside: Path | None, data: tuple[Path, ...], out: Path | None) -> Answer:
-    """Say why the motions of runs fail, one cause each, and what explains the rest.
-
-    Choose with it on the validation split: `prbench run --split validation --samples 3`. docs/error-budget.md has the
-    formulas.
-    """
+def error_budget(runs: tuple[Path, ...], *, beside: Path | None, data: tuple[Path, ...], out: Path | None) -> Answer:
+    """Say why the motions of runs fail, one cause each, and what explains the rest."""
     from prbench.harness.first_run import table_finder
     from prbench_benchmarks.prime_and_reach.error_budget.of_runs import error_budget as budget_of
 

@@ -87,7 +87,7 @@ class Command(click.Command):
         example: A command line of it.
         resumes: It takes up what an interruption has left.
         report: Data class or msgspec struct that it prints with ``--json``, or ``module:class`` of one whose module
-            takes long to import; None for a command that reports nothing.
+            takes long to import; a class for each value of the first argument, where that chooses; None for no report.
         writes_report: ``--out FILE`` writes that JSON; False where the command has an ``--out`` of its own.
         section: For a command that a package registers: the section of ``prbench --help`` in which it is listed, by
             the word before its colon, such as ``train``.
@@ -101,7 +101,7 @@ class Command(click.Command):
         *,
         example: str,
         resumes: bool = False,
-        report: type | str | None = None,
+        report: type | str | Mapping[str, type] | None = None,
         writes_report: bool = False,
         section: str = "",
         first: Collection[str] = (),
@@ -318,7 +318,7 @@ def command(
     *,
     example: str,
     resumes: bool = False,
-    report: type | str | None = None,
+    report: type | str | Mapping[str, type] | None = None,
     writes_report: bool = False,
     section: str = "",
     first: Collection[str] = (),

@@ -86,8 +86,8 @@ def json_page() -> str:
     """Return the text of ``docs/json.md``."""
     writer = _Writer()
     writer.add_envelope()
-    for name, command in reporting_commands():
-        writer.add_command(name, report_of(command))
+    for name, report in reports().items():
+        writer.add_command(name, report)
     return "\n".join(writer.lines) + "\n"
 
 
@@ -97,18 +97,18 @@ def all_commands() -> list[tuple[str, Command]]:
     return [(name, command) for name, command in found if isinstance(command, Command)]
 
 
-def reporting_commands() -> list[tuple[str, Command]]:
-    """Return the commands that report something."""
-    return [(name, command) for name, command in all_commands() if command.report is not None]
-
-
-def report_of(command: Command) -> type:
-    """Return the class of what a command reports, imported if the command names it by module and class."""
-    if isinstance(command.report, str):
-        module, _, name = command.report.partition(":")
-        return getattr(importlib.import_module(module), name)
-    assert command.report is not None
-    return command.report
+def reports() -> dict[str, type]:
+    """Return the class of every report by the name of its command, and of the first argument where that chooses it."""
+    found = {}
+    for name, command in all_commands():
+        if isinstance(command.report, Mapping):
+            found |= {f"{name} {value}": report for value, report in command.report.items()}
+        elif isinstance(command.report, str):  # named, since its module takes long to import
+            module, _, report = command.report.partition(":")
+            found[name] = getattr(importlib.import_module(module), report)
+        elif command.report is not None:
+            found[name] = command.report
+    return found
 
 
 def shapes_in(shape: type) -> list[type]:

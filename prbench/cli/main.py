@@ -82,10 +82,6 @@ _RENAMED = {
     "help completion": "--help, which names the page on completion",
     "help exit-codes": "--help, which names the page on exit codes",
     "leaderboard merge": "merge RUN... --out DIR",
-    "leaderboard pareto": "leaderboard export --plot FILE",
-    "prediction": "study prediction-tables, or view for pictures of futures",
-    "prediction tables": "study prediction-tables",
-    "prediction view": "view RUN",
     "stats": "inspect TABLE",
 }
 """Commands of earlier versions, and how to write them now."""

@@ -14,7 +14,7 @@ import msgspec
 import pytest
 
 from prbench.cli import main
-from prbench.cli.json_page import all_commands, fields_of, has_fields, report_of
+from prbench.cli.json_page import fields_of, has_fields, reports
 from prbench.cli.main import Document
 
 
@@ -22,7 +22,7 @@ def reported(words: Sequence[str], capsys: pytest.CaptureFixture, *, code: int =
     """Run a command with ``--json`` and return its report, which holds exactly what the page on JSON documents."""
     document = printed_document(words, capsys, code=code)
     assert document.error is None
-    return documented(document.report, report_of(dict(all_commands())[document.command]))
+    return documented(document.report, reports()[document.command])
 
 
 def documented(value: Any, kind: Any) -> Any:

@@ -13,8 +13,7 @@ from prbench.cli.json_page import (
     descriptions_of,
     fields_of,
     json_page,
-    report_of,
-    reporting_commands,
+    reports,
     shapes_in,
 )
 from prbench.cli.main import Document
@@ -28,9 +27,9 @@ def test_the_page_is_up_to_date() -> None:
     assert PAGE.read_text(encoding="utf-8") == json_page(), "python -m prbench.cli.json_page docs/json.md"
 
 
-@pytest.mark.parametrize(("name", "command"), reporting_commands(), ids=[name for name, _ in reporting_commands()])
-def test_every_field_of_a_report_is_described_and_no_other(name, command) -> None:
-    for shape in [*shapes_in(Document), *shapes_in(report_of(command))]:
+@pytest.mark.parametrize(("name", "report"), reports().items(), ids=reports())
+def test_every_field_of_a_report_is_described_and_no_other(name, report) -> None:
+    for shape in [*shapes_in(Document), *shapes_in(report)]:
         described = descriptions_of(shape)
         assert set(described) == set(fields_of(shape)), f"{name}: {shape.__name__}"
         assert not [field for field, text in described.items() if not text.endswith(".")]
@@ -42,9 +41,9 @@ def test_every_command_reports_and_has_the_option() -> None:
         assert ("--json" in options) is (name not in WITHOUT_REPORT), name
 
 
-@pytest.mark.parametrize(("name", "command"), reporting_commands(), ids=[name for name, _ in reporting_commands()])
-def test_msgspec_knows_the_shape_of_every_report(name, command) -> None:
-    schema = msgspec.json.schema(report_of(command), schema_hook=lambda kind: {"type": "string"})
+@pytest.mark.parametrize(("name", "report"), reports().items(), ids=reports())
+def test_msgspec_knows_the_shape_of_every_report(name, report) -> None:
+    schema = msgspec.json.schema(report, schema_hook=lambda kind: {"type": "string"})
     assert schema["$defs"]
 
 

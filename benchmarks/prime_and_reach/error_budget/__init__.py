@@ -1,1 +1,1 @@
-"""``prbench error-budget``: why the motions of runs fail, and what explains it (docs/error-budget.md)."""
+"""``prbench analyse errors``: why the motions of runs fail, and what explains it (docs/error-budget.md)."""

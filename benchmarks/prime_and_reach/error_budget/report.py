@@ -1,4 +1,4 @@
-"""Shapes of the report of ``prbench error-budget``; nothing here needs arrays."""
+"""Shapes of the report of ``prbench analyse errors``; nothing here needs arrays."""
 
 from __future__ import annotations
 

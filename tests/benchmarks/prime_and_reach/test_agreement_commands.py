@@ -1,6 +1,8 @@
-"""``prbench agreement``: on which sequences a run succeeds, printed and as JSON."""
+"""``prbench analyse agreement``: on which sequences a run succeeds, printed and as JSON."""
 
 from __future__ import annotations
+
+import json
 
 from prbench.cli import main
 from tests.cli.reports import reported
@@ -14,10 +16,12 @@ def test_agreement_of_runs_is_printed_and_reported(tmp_path, capsys):
     (made,) = reported(words, capsys).runs
     assert main(words) == 0
     assert "agreement with recorded people (phi): Prime Success" in capsys.readouterr().out
-    (found,) = reported(["agreement", run, "--data", table], capsys).runs
+    out = tmp_path / "agreement.json"
+    (found,) = reported(["analyse", "agreement", run, "--data", table, "--out", str(out)], capsys).runs
+    assert json.loads(out.read_text())["command"] == "analyse agreement"
     assert found.agreement == made.agreements[0]
     assert found.unverified == ""
-    assert main(["agreement", run]) == 0
+    assert main(["analyse", "agreement", run]) == 0
     shown = capsys.readouterr().out
     assert "bearing 30 to 90°" in shown
     assert "height from 1.4 m" in shown

@@ -1,4 +1,4 @@
-"""``prbench diversity``: spreads beside those of people, the fan of bodies, and how it refuses."""
+"""``prbench analyse diversity``: spreads beside those of people, the fan of bodies, and how it refuses."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def made_run(table: SequenceTable, out: Path, **changes) -> str:
 def test_spreads_stand_beside_those_of_people_with_intervals(table, tmp_path, install, capsys):
     install("made", adapter_source(body=GENTLE))
     run = made_run(table, tmp_path / "run")
-    words = ["diversity", run, "--data", str(table.folder)]
+    words = ["analyse", "diversity", run, "--data", str(table.folder)]
     (found,) = reported(words, capsys).datasets
     assert (found.motions, found.sequences) == (3, 8)
     assert found.goals_apart is not None
@@ -58,7 +58,7 @@ def test_spreads_stand_beside_those_of_people_with_intervals(table, tmp_path, in
 
 def test_recorded_motion_drawn_several_times_has_no_spread(table, tmp_path, capsys):
     run = made_run(table, tmp_path / "run", method="ground-truth", condition=None)
-    (found,) = reported(["diversity", run, "--data", str(table.folder)], capsys).datasets
+    (found,) = reported(["analyse", "diversity", run, "--data", str(table.folder)], capsys).datasets
     assert [spread.method.mean for spread in found.spreads] == pytest.approx([0.0] * len(found.spreads), abs=1e-12)
     assert all(spread.people is not None and spread.people.mean > 0 for spread in found.spreads[:4])
 
@@ -72,7 +72,7 @@ def test_a_fan_is_drawn_and_the_same_bytes_again(table, tmp_path, install, capsy
     for folder in ("one", "two"):
         out = tmp_path / folder / name
         out.parent.mkdir()
-        words = ["diversity", run, "--data", str(table.folder), "--fan", str(out), "--sequence", sequence]
+        words = ["analyse", "diversity", run, "--data", str(table.folder), "--fan", str(out), "--sequence", sequence]
         assert reported(words, capsys).fan_sequence == sequence
         pictures.append(out.read_bytes())
     assert pictures[0] == pictures[1]
@@ -83,21 +83,21 @@ def test_a_run_that_cannot_be_measured_is_refused_with_what_to_do(table, tmp_pat
     install("made", adapter_source(body=GENTLE))
     data = ["--data", str(table.folder)]
     single = made_run(table, tmp_path / "single", samples=1)
-    assert main(["diversity", single, *data]) == 2
+    assert main(["analyse", "diversity", single, *data]) == 2
     assert "expected two motions or more of each sequence, found one" in capsys.readouterr().err
     shuffled = made_run(table, tmp_path / "shuffled", control="shuffled-goal")
-    assert main(["diversity", shuffled, *data]) == 2
+    assert main(["analyse", "diversity", shuffled, *data]) == 2
     assert "were given other sequences' goals" in capsys.readouterr().err
     run = made_run(table, tmp_path / "run")
-    assert main(["diversity", run, *data, "--sequence", "x"]) == 2
+    assert main(["analyse", "diversity", run, *data, "--sequence", "x"]) == 2
     assert "--sequence: belongs to --fan FILE" in capsys.readouterr().err
-    assert main(["diversity", run, *data, "--fan", str(tmp_path / "fan.mp4")]) == 2
+    assert main(["analyse", "diversity", run, *data, "--fan", str(tmp_path / "fan.mp4")]) == 2
     assert "written as .png or .svg" in capsys.readouterr().err
-    assert main(["diversity", run, *data, "--fan", str(tmp_path / "fan.png"), "--sequence", "nowhere"]) == 2
+    assert main(["analyse", "diversity", run, *data, "--fan", str(tmp_path / "fan.png"), "--sequence", "nowhere"]) == 2
     assert "nowhere" in capsys.readouterr().err
     for part in (tmp_path / "run/predictions").iterdir():
         part.unlink()
-    assert main(["diversity", run, *data]) != 0
+    assert main(["analyse", "diversity", run, *data]) != 0
     assert "expected the predictions of a run, found none" in capsys.readouterr().err
 
 
@@ -105,6 +105,6 @@ def test_a_table_of_one_recording_has_no_people_beside(tmp_path, install, capsys
     install("made", adapter_source(body=GENTLE))
     table = fake_dataset(tmp_path / "table", 12, recordings=1)
     run = made_run(table, tmp_path / "run", split="train", limit=None)
-    (found,) = reported(["diversity", run, "--data", str(table.folder)], capsys).datasets
+    (found,) = reported(["analyse", "diversity", run, "--data", str(table.folder)], capsys).datasets
     assert found.goals_apart is None
     assert all(spread.people is None and spread.difference is None for spread in found.spreads)

@@ -1,4 +1,4 @@
-"""``prbench error-budget``: budgets of runs, alone and beside one another, printed, as JSON and one row a motion."""
+"""``prbench analyse errors``: budgets of runs, alone and beside one another, printed, as JSON and one row a motion."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
 
 
 def budget(folder, capsys, *words, run="run"):
-    given = ["error-budget", str(folder / run), "--data", str(folder / "table"), *map(str, words)]
+    given = ["analyse", "errors", str(folder / run), "--data", str(folder / "table"), *map(str, words)]
     return reported(given, capsys)
 
 
@@ -79,7 +79,15 @@ def test_every_motion_is_a_row(folder, tmp_path, capsys):
 
 
 def test_the_report_fits_on_a_terminal(folder, capsys):
-    words = ["error-budget", str(folder / "run"), "--beside", str(folder / "other"), "--data", str(folder / "table")]
+    words = [
+        "analyse",
+        "errors",
+        str(folder / "run"),
+        "--beside",
+        str(folder / "other"),
+        "--data",
+        str(folder / "table"),
+    ]
     assert main([*words, "-q"]) == 0
     shown = capsys.readouterr().out
     assert "never looks" not in shown
@@ -88,9 +96,22 @@ def test_the_report_fits_on_a_terminal(folder, capsys):
 
 
 def test_a_run_without_table_or_motions_is_refused(folder, tmp_path, capsys):
-    refused(["error-budget", str(folder / "run")], capsys, code=4, message="Name it with --data DIR")
+    refused(["analyse", "errors", str(folder / "run")], capsys, code=4, message="Name it with --data DIR")
     bare = tmp_path / "bare"
     shutil.copytree(folder / "run", bare)
     shutil.rmtree(bare / "predictions")
-    words = ["error-budget", str(bare), "--data", str(folder / "table")]
+    words = ["analyse", "errors", str(bare), "--data", str(folder / "table")]
     refused(words, capsys, code=7, message="expected the motions of the run, found none")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["errors", "r", "--fan", "f.png"], "analyse errors takes no --fan; its options: --beside, --data, --out."),
+        (["agreement", "r", "--out", "."], "is a directory"),
+        (["diversity", "a", "b"], "analyse diversity: name one RUN."),
+        (["diversities", "a"], "'diversities' is not one of"),
+    ],
+)
+def test_what_a_kind_does_not_take_is_refused(words, message, capsys):
+    refused(["analyse", *words], capsys, code=2, message=message)
