@@ -113,9 +113,9 @@ def diversity(
     from prbench.viewing.figures import require_drawable
     from prbench_benchmarks.prime_and_reach.diversity import measure_diversity, read_fan
 
-    if len(runs) > 1:
+    if len(runs) != 1:
         raise UsageError("analyse diversity: name one RUN.")
-    (run,) = runs
+    run = runs[0]
     if fan is None and sequence is not None:
         raise UsageError("--sequence: belongs to --fan FILE, which it is drawn in.")
     if fan is not None:

@@ -147,7 +147,7 @@ def _ablation(
 ) -> Answer:
     from prbench_benchmarks.prime_and_reach.ablation import ablation_table
 
-    if len(folders) > 1:
+    if len(folders) != 1:
         raise UsageError(f"study {item}: name one DIR, the folder of one configuration, such as ablations/paper.")
     check = run_checker(data, workers).check
     tables = ablation_table(_number(item), folders[0], check, with_published=with_published)

@@ -30,6 +30,7 @@ def test_neither_torch_nor_an_adapter_is_imported(arguments):
         "prbench_adapters.commands",
         "prbench_adapters.corpora",
         "prbench_adapters.corpora.commands",
+        "prbench_adapters.trained_network",
     }
     assert not [name for name in modules if name.split(".")[0] in heavy and name not in light]
     assert not {"numpy", "pyarrow", "pandas"} & set(modules), "help and lists must be quick"
