@@ -126,7 +126,8 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
         compared.append(
             ComparedRun(run.path, method.name, method.origin, {name: mark for name, mark in marks.items() if mark})
         )
-    return RunComparison(*compared, tuple(metrics), tuple(left_out), tuple(filter(None, unverified)))
+    one, other = compared
+    return RunComparison(one, other, tuple(metrics), tuple(left_out), tuple(filter(None, unverified)))
 
 
 def _common_sequences(first: RunFolder, second: RunFolder, dataset: str) -> frozenset[str] | None:

@@ -119,9 +119,13 @@ class MotionWork(CaseWork):
         return self._request.method in HOLDS_RECORDINGS
 
     @cached_property
-    def plan(self) -> list[Int[np.ndarray, "_"]]:
-        """Batches of similar length."""
+    def _batches(self) -> list[Int[np.ndarray, "_"]]:
         return plan_batches(self._selection.n_frames, self._request.batch_size)
+
+    @property
+    def plan(self) -> list[Int[np.ndarray, "_"]]:
+        """See :attr:`CaseWork.plan`; batches are of similar length."""
+        return self._batches
 
     def questions(self, wanted: frozenset[int]) -> Iterator[tuple[int, MotionQuestion]]:
         """See :meth:`CaseWork.questions`."""

@@ -229,14 +229,14 @@ def plan_gaze(
         None if kind in ("unprimed", "unseen") else scheduler.prime_time(reach)
         for reach, kind in zip(plan.reaches, kinds, strict=True)
     )
-    looks = [
+    asked = [
         scheduler.sweep(reach, prime) if kind == "swept" else scheduler.goal_looks(reach, prime, kind)
         for reach, prime, kind in zip(plan.reaches, primes, kinds, strict=True)
         if prime is not None
     ]
     # All first looks claim their time before any guiding look does, and those before returns.
     for priority in range(3):
-        for parts in looks:
+        for parts in asked:
             for look in parts[priority]:
                 timeline.add(look)
     goals = sorted(timeline.looks, key=lambda look: look.start)
