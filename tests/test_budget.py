@@ -14,7 +14,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("prbench", "adapters", "benchmarks", "data_manifests")
 BUDGET = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["prbench"]["budget"]
-PAGES = [*ROOT.glob("*.md"), *(path for folder in ("docs", *FOLDERS) for path in (ROOT / folder).rglob("*.md"))]
+FOUND = [*ROOT.glob("*.md"), *(path for folder in ("docs", *FOLDERS) for path in (ROOT / folder).rglob("*.md"))]
+PAGES = [path for path in FOUND if "node_modules" not in path.parts]  # npm puts packages beside the example programs
 
 
 def code_lines(source: str) -> int:
