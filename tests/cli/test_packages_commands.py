@@ -33,7 +33,7 @@ def package(tmp_path, monkeypatch):
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: made\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(
         "[prbench.commands]\ngreet = made_commands:greet\nno-command = made_commands:broken\n"
-        "absent = made_absent:x\nrun = made_commands:greet\nodd\n"
+        "absent = nowhere_to_be_found:x\nrun = made_commands:greet\nodd\n"
     )
     (tmp_path / "made_commands.py").write_text(GREETING)
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -56,7 +56,7 @@ def test_a_command_of_a_package_is_listed_in_its_section_and_runs(package, capsy
 
 @pytest.mark.parametrize(
     ("name", "problem"),
-    [("no-command", "expected a Command or Group"), ("absent", "No module named 'made_absent'")],
+    [("no-command", "expected a Command or Group"), ("absent", "No module named 'nowhere_to_be_found'")],
 )
 def test_a_broken_command_breaks_itself_only(name, problem, package, capsys):
     assert main(["--help"]) == 0
