@@ -23,7 +23,7 @@ from tests.benchmarks.motion_prediction.windows import write as write_windows
 from tests.fakes import fake_dataset
 from tests.readers import gimo_sample
 
-FAKE_EGOALLO = Path(__file__).parent / "workflows" / "fake_egoallo.py"
+FAKE_EGOALLO = Path(__file__).parent / "curation" / "fake_egoallo.py"
 TABLE_OF = "synthetic-adt"
 
 
