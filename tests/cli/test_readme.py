@@ -35,6 +35,8 @@ def _shown_commands() -> list[str]:
 
 NAMED_ONLY = (
     ["adapters", "check"],
+    ["analyse", "diversity"],
+    ["analyse", "errors"],
     ["doctor"],
     ["view"],
     ["synthesize", "--gallery"],

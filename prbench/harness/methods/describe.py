@@ -309,4 +309,6 @@ def _write(report: Path, **values: object) -> None:
 if __name__ == "__main__":
     sys.dont_write_bytecode = True  # looking at a method leaves no files in its package
     main(sys.argv[1], sys.argv[2], Path(sys.argv[3]))
+    with contextlib.suppress(Exception):  # a method may have closed or replaced it; what it printed is counted whole
+        sys.stdout.flush()
     os._exit(0)
