@@ -83,7 +83,14 @@ def fitted_rotations(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.
     for level in tree.levels:
         before = world[-1].index_select(-3, level.parents)
         seen = (before.mT @ bones.index_select(-2, level.joints - 1)[..., None])[..., 0]
-        local.append(_shortest_rotations(tree.rest[level.joints], tree.half_turns[level.joints], seen))
+        # The rotations by the smallest angle that turn fixed axes onto directions.
+        axes = tree.rest[level.joints]
+        half_turn_midways = tree.half_turns[level.joints]
+        between = seen + axes
+        opposite = between.square().sum(-1, keepdim=True) < _OPPOSITE**2
+        midway = unit(torch.where(opposite, half_turn_midways, between))
+        turned = 2 * midway[..., :, None] * midway[..., None, :] - torch.eye(3).to(midway)
+        local.append(turned * (2 * axes.abs() - 1)[:, None, :])
         world.append(before @ local[-1])
     return torch.cat(local, -3).index_select(-3, tree.order)
 
@@ -101,28 +108,6 @@ def root_orientation(joints: Float[torch.Tensor, "*batch 22 3"]) -> Float[torch.
     left = torch.where(sine > _NO_HEADING**2, hips, shoulders)
     front = unit(torch.linalg.cross(left, up))
     return torch.stack((left, torch.linalg.cross(front, left), front), -1)
-
-
-def _shortest_rotations(
-    axes: Float[torch.Tensor, "bones 3"],
-    half_turn_midways: Float[torch.Tensor, "bones 3"],
-    directions: Float[torch.Tensor, "*batch bones 3"],
-) -> Float[torch.Tensor, "*batch bones 3 3"]:
-    """The rotations by the smallest angle that turn fixed axes onto directions.
-
-    Each is the reflection at the axis a followed by the one at the direction m half-way between both:
-    ``(2 m m' - 1)(2 a a' - 1)``. Where the two are opposite, m is not defined and a fixed one is taken.
-
-    Args:
-        axes: Unit vectors along a coordinate axis, either way.
-        half_turn_midways: Unit vectors orthogonal to them, which decide about half turns.
-        directions: Unit vectors.
-    """
-    between = directions + axes
-    opposite = between.square().sum(-1, keepdim=True) < _OPPOSITE**2
-    midway = unit(torch.where(opposite, half_turn_midways, between))
-    turned = 2 * midway[..., :, None] * midway[..., None, :] - torch.eye(3).to(midway)
-    return turned * (2 * axes.abs() - 1)[:, None, :]
 
 
 def unit(vectors: Float[torch.Tensor, "*batch 3"]) -> Float[torch.Tensor, "*batch 3"]:

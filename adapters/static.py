@@ -42,7 +42,12 @@ class Static:
         # A resumed run reads what the first one found, to the last digit.
         if not checkpoint.is_file():
             write_json(checkpoint, mean_pose(train).tolist())
-        self._pose = _read_pose(checkpoint)
+        pose = np.asarray(read_json(checkpoint), dtype=np.float64)
+        if pose.shape != (N_JOINTS, 3):
+            raise InputFileError(
+                checkpoint, "", expected="22 joints with x, y, z", found=f"shape {pose.shape}", remedy="Delete it."
+            )
+        self._pose = pose
         if self.pose_only:
             self._pose[:, [0, 2]] -= self._pose[Joint.PELVIS, [0, 2]]
 
@@ -81,12 +86,3 @@ def mean_pose(train: SequenceTable) -> np.ndarray:
     if not frames:
         raise AdapterError(f"adapter 'static' needs training sequences, but {train.folder} has none in split 'train'.")
     return total / frames
-
-
-def _read_pose(path: Path) -> np.ndarray:
-    pose = np.asarray(read_json(path), dtype=np.float64)
-    if pose.shape != (N_JOINTS, 3):
-        raise InputFileError(
-            path, "", expected="22 joints with x, y, z", found=f"shape {pose.shape}", remedy="Delete it."
-        )
-    return pose

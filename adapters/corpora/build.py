@@ -172,6 +172,7 @@ def describe(
         for record in receipt.records:
             outcomes.update(record.outcomes)
     real = None if synthetic else manifest
+    statuses = Counter(record.status for receipt in receipts for record in receipt.records)
     return CorpusInfo(
         schema_version=CORPUS_SCHEMA_VERSION,
         protocol_version=protocol.version,
@@ -187,7 +188,17 @@ def describe(
             "limit": "all" if options.limit is None else str(options.limit),
             **described,
         },
-        counts=_counts(receipts, outcomes),
+        counts=CorpusCounts(
+            recordings_found=sum(statuses.values()),
+            recordings_read=statuses["read"],
+            recordings_failed=statuses["failed"],
+            recordings_skipped=statuses["skipped"],
+            annotations=sum(outcomes.values()),
+            clips=sum(receipt.clips for receipt in receipts),
+            captions=sum(receipt.captions for receipt in receipts),
+            approximate_clips=sum(receipt.approximate_clips for receipt in receipts),
+            frames=sum(receipt.frames for receipt in receipts),
+        ),
         outcomes={outcome: outcomes[outcome] for outcome in ANNOTATION_OUTCOMES},
         quarantine=tuple(
             QuarantinedRecording(recording_id=record.recording_id, status=record.status, message=record.message)
@@ -208,21 +219,6 @@ def _title(manifest: Manifest | None, *, synthetic: bool) -> str:
     if manifest is None:
         return "Invented people and what they do"
     return f"Invented recordings in the layout of {manifest.title}" if synthetic else manifest.title
-
-
-def _counts(receipts: Sequence[GroupReceipt], outcomes: Counter[str]) -> CorpusCounts:
-    statuses = Counter(record.status for receipt in receipts for record in receipt.records)
-    return CorpusCounts(
-        recordings_found=sum(statuses.values()),
-        recordings_read=statuses["read"],
-        recordings_failed=statuses["failed"],
-        recordings_skipped=statuses["skipped"],
-        annotations=sum(outcomes.values()),
-        clips=sum(receipt.clips for receipt in receipts),
-        captions=sum(receipt.captions for receipt in receipts),
-        approximate_clips=sum(receipt.approximate_clips for receipt in receipts),
-        frames=sum(receipt.frames for receipt in receipts),
-    )
 
 
 def _left_out(

@@ -14,7 +14,6 @@ from prbench.cli.commands import Answer, command, progress
 from prbench.errors import UsageError
 
 if TYPE_CHECKING:
-    from prbench.curation.job import FunnelRow
     from prbench.engine.choice import EngineChoice
     from prbench.engine.shards import ShardRecord
     from prbench.sequences.parts import BuildReport
@@ -107,16 +106,7 @@ def merge_corpus(shards: Sequence[tuple[Path, ShardRecord]], out: Path, *, repla
 def _corpus_answer(report: BuildReport) -> Answer:
     """Answer a command that has written a corpus."""
     builds.note_unread(report.records, reused=report.reused)
-    table = builds.built_table(report, _stages(report), corpus_recordings=report.records)
-    return Answer(
-        builds.BuildsReport(built=[table]),
-        lambda: _print_corpus(table),
-        builds.NOT_EVERYTHING if report.info.counts.recordings_failed else 0,
-    )
-
-
-def _stages(report: BuildReport) -> list[FunnelRow]:
-    """Count what is left from files to captions."""
+    # Count what is left from files to captions.
     from prbench.curation.job import FunnelRow
 
     counts = report.info.counts
@@ -133,7 +123,14 @@ def _stages(report: BuildReport) -> list[FunnelRow]:
             kept -= number
             stages.append(FunnelRow(f"without {outcome}", kept, number, _REASONS[outcome]))
     size = f"of {counts.clips} clips, {counts.frames} frames"
-    return [*stages, FunnelRow("captions", counts.captions, 0, size)]
+    table = builds.built_table(
+        report, [*stages, FunnelRow("captions", counts.captions, 0, size)], corpus_recordings=report.records
+    )
+    return Answer(
+        builds.BuildsReport(built=[table]),
+        lambda: _print_corpus(table),
+        builds.NOT_EVERYTHING if report.info.counts.recordings_failed else 0,
+    )
 
 
 def _print_corpus(table: builds.BuiltTable) -> None:

@@ -90,7 +90,10 @@ def generate(model: DartModel, batch: ConditionBatch, settings: DartSettings) ->
     Raises:
         AdapterError: for another frame rate than the model's, or an initial state that is not finite or has no heading.
     """
-    _require_frame_rate(batch, model)
+    if batch.fps != model.configuration.fps:
+        raise AdapterError(
+            f"adapter 'dart': expected {model.configuration.fps:g} frames per second, found {batch.fps:g}."
+        )
     _require_headings(batch)
     bodies = ModelBodies.of(batch, model.configuration)
     joints = np.zeros((len(batch), int(batch.n_frames.max()), N_JOINTS, 3), dtype=np.float32)
@@ -194,13 +197,6 @@ class _Part:
         rows = [pad(each.joints, (0, 0) * 3 + (0, len(self.batch) - len(each.joints))) for each in primitives]
         future = DART.to_y_up(torch.cat(rows, dim=1))
         return torch.cat((self.targets.initial_joints[:, None], future), dim=1)[:, : self.n_frames]
-
-
-def _require_frame_rate(batch: ConditionBatch, model: DartModel) -> None:
-    if batch.fps != model.configuration.fps:
-        raise AdapterError(
-            f"adapter 'dart': expected {model.configuration.fps:g} frames per second, found {batch.fps:g}."
-        )
 
 
 def _rows(batch: ConditionBatch, rows: Int[np.ndarray, " rows"]) -> ConditionBatch:

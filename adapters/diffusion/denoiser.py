@@ -151,19 +151,15 @@ def _split_heads(projected: Tensor, parts: int, heads: int) -> tuple[Tensor, ...
 
 def _attend(query: Tensor, key: Tensor, value: Tensor, visible: Tensor | None, dropout: float) -> Tensor:
     if query.device.type == "cpu" and query.dtype == torch.bfloat16:
-        attended = _attend_written_out(query, key, value, visible, dropout)
+        # Attend step by step: on CPUs the gradient of the fused bfloat16 kernel takes four times as long.
+        scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
+        if visible is not None:
+            scores = scores.masked_fill(~visible, -math.inf)
+        weights = functional.dropout(scores.softmax(dim=-1), dropout)
+        attended = weights.to(value.dtype) @ value
     else:
         attended = functional.scaled_dot_product_attention(query, key, value, attn_mask=visible, dropout_p=dropout)
     return attended.transpose(1, 2).flatten(2)
-
-
-def _attend_written_out(query: Tensor, key: Tensor, value: Tensor, visible: Tensor | None, dropout: float) -> Tensor:
-    """Attend step by step: on CPUs the gradient of the fused bfloat16 kernel takes four times as long."""
-    scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
-    if visible is not None:
-        scores = scores.masked_fill(~visible, -math.inf)
-    weights = functional.dropout(scores.softmax(dim=-1), dropout)
-    return weights.to(value.dtype) @ value
 
 
 def _reset(*layers: nn.Linear) -> None:

@@ -57,22 +57,18 @@ def stepped(
         fps: Frames per second.
         keeps_last: Keep the last frame, too.
     """
-    swings = _swings(wanted[..., ::2], stands, _in_the_air(wanted, fps), fps)
-    if keeps_last:
-        swings = _ending_as_wanted(swings, wanted[..., ::2], fps)
-    feet = [_way(wanted[:, foot], swings[foot], fps, keeps_last=keeps_last) for foot in (0, 1)]
-    return np.stack(feet, axis=1)
-
-
-def _in_the_air(wanted: np.ndarray, fps: float) -> list[float]:
-    """For each foot the share of a swing that it has behind it in the first frame; 0 if it stands."""
+    # For each foot the share of a swing that it has behind it in the first frame; 0 if it stands.
     shares = []
     for toe in np.moveaxis(wanted, 1, 0):
         step = toe[min(1, len(toe) - 1)] - toe[0]
         flies = toe[0, 1] > toe[:, 1].min() + _HIGH or np.hypot(step[0], step[2]) * fps > _QUICK
         share = _RISING if step[1] > 0 else _FALLING
         shares.append(share if flies else 0.0)
-    return shares
+    swings = _swings(wanted[..., ::2], stands, shares, fps)
+    if keeps_last:
+        swings = _ending_as_wanted(swings, wanted[..., ::2], fps)
+    feet = [_way(wanted[:, foot], swings[foot], fps, keeps_last=keeps_last) for foot in (0, 1)]
+    return np.stack(feet, axis=1)
 
 
 def _swings(
@@ -172,7 +168,12 @@ def _way(
         flies = slice(swing.start, swing.stop)
         share = (frames[flies] - swing.start) / (swing.stop - swing.start)
         if swing.behind:
-            way[flies] = _flight(wanted, swing, share, fps)
+            # The way of a toe that is in the air in the first frame.
+            way = wanted[: len(share)].copy()
+            way[:, ::2] += share[:, None] * (swing.target - wanted[min(swing.stop, len(wanted) - 1), ::2])
+            rise = LIFT * np.sin(np.pi * (swing.behind + (1 - swing.behind) * share))
+            way[:, 1] += (1 - _fading(np.arange(len(share)), fps)) * np.maximum(rise - way[:, 1], 0)
+            way[flies] = way
         else:
             way[flies, ::2] = swing.source + _eased(share)[:, None] * (swing.target - swing.source)
             way[flies, 1] += LIFT * np.sin(np.pi * share)
@@ -181,21 +182,6 @@ def _way(
         way[:, ::2] += _eased(frames / max(n - 1, 1))[:, None] * (wanted[-1, ::2] - wanted[0, ::2])
     if keeps_last:
         way[:, 1] += _fading(n - 1 - frames, fps, within=n - 1) * (wanted[-1, 1] - way[-1, 1])
-    return way
-
-
-def _flight(
-    wanted: Float[np.ndarray, "frames 3"], swing: _Swing, share: Float[np.ndarray, "flown"], fps: float
-) -> Float[np.ndarray, "flown 3"]:
-    """The way of a toe that is in the air in the first frame.
-
-    It goes on as the network says, so that the first step has the speed of the given pose; it is lifted where that is
-    too low, and ends where it stands afterwards.
-    """
-    way = wanted[: len(share)].copy()
-    way[:, ::2] += share[:, None] * (swing.target - wanted[min(swing.stop, len(wanted) - 1), ::2])
-    rise = LIFT * np.sin(np.pi * (swing.behind + (1 - swing.behind) * share))
-    way[:, 1] += (1 - _fading(np.arange(len(share)), fps)) * np.maximum(rise - way[:, 1], 0)
     return way
 
 

@@ -157,7 +157,12 @@ def with_bone_lengths(
     directions = bones / bones.norm(dim=-1, keepdim=True).clamp_min(_SHORTEST)
     # Positions are sums of bones along the way from the pelvis, which one product with the ancestry gives for all.
     offsets = directions * lengths[:, None, :, None]
-    moved = joints[..., :1, :] + _ancestry(joints) @ offsets
+    # 1 where a bone leads from the pelvis to a joint, else 0.
+    leads = torch.zeros(N_JOINTS, N_JOINTS - 1)
+    for joint in range(1, N_JOINTS):  # parents come before their children
+        leads[joint] = leads[PARENTS[joint]]
+        leads[joint, joint - 1] = 1.0
+    moved = joints[..., :1, :] + leads.to(joints) @ offsets
     sunk = joints[..., 1].amin(dim=-1) - moved[..., 1].amin(dim=-1)
     return moved + sunk[..., None, None] * moved.new_tensor((0.0, 1.0, 0.0))
 
@@ -167,15 +172,6 @@ def on_own_bones(motions: Motions, batch: ConditionBatch) -> Motions:
     lengths = bone_lengths(torch.as_tensor(batch.initial_joints, dtype=torch.float32))
     joints = with_bone_lengths(torch.as_tensor(motions.joints, dtype=torch.float32), lengths)
     return replace(motions, joints=joints.numpy())
-
-
-def _ancestry(joints: torch.Tensor) -> Float[torch.Tensor, "22 21"]:
-    """1 where a bone leads from the pelvis to a joint, else 0."""
-    leads = torch.zeros(N_JOINTS, N_JOINTS - 1)
-    for joint in range(1, N_JOINTS):  # parents come before their children
-        leads[joint] = leads[PARENTS[joint]]
-        leads[joint, joint - 1] = 1.0
-    return leads.to(joints)
 
 
 Precision = Literal["float32", "bfloat16"]

@@ -173,7 +173,17 @@ class GoalFrame:
         trunk = pelvis + _trunk_ancestry(features) @ (trunk * self._lengths_to(_TRUNK))
         roots = trunk[:, :, [_TRUNK.index(joint) for joint in _ROOTS]]
         upper = self._lengths_to(_MIDDLES)
-        middles, ends = _two_bones(roots, targets, poles, upper, self._lengths_to(_ENDS))
+        # Middle and end of limbs of two bones whose ends are at their targets, or as near as their bones reach.
+        lower = self._lengths_to(_ENDS)
+        way = targets - roots
+        distance = _length(way)[..., None]
+        along = way / distance
+        distance = distance.clamp_max(upper + lower).clamp_min((upper - lower).abs())
+        # Law of cosines: the foot of the middle joint on the line from root to end, and its distance from that line.
+        foot = (upper.square() - lower.square() + distance.square()) / (2 * distance).clamp_min(_SHORTEST)
+        height = (upper.square() - foot.square()).clamp_min(_BEND**2).sqrt()
+        aside = _unit(poles - (poles * along).sum(dim=-1, keepdim=True) * along)
+        middles, ends = roots + along * foot + aside * height, roots + along * distance
         toes = ends[:, :, : len(TOES)] + feet * self._lengths_to(TOES)
         order = (Joint.PELVIS, *_TRUNK, *_MIDDLES, *_ENDS, *TOES)
         together = torch.cat((pelvis, trunk, middles, ends, toes), dim=2)
@@ -366,29 +376,6 @@ def _turned_along(vectors: Tensor, source: Tensor, target: Tensor) -> Float[Tens
     once = torch.linalg.cross(axis, vectors)
     cos = (source * target).sum(dim=-1, keepdim=True)
     return vectors + once + torch.linalg.cross(axis, once) / (1 + cos).clamp_min(_SHORTEST)
-
-
-def _two_bones(
-    root: Tensor, target: Tensor, pole: Tensor, upper: Tensor, lower: Tensor
-) -> tuple[Float[Tensor, "batch frames limbs 3"], Float[Tensor, "batch frames limbs 3"]]:
-    """Middle and end of limbs of two bones whose ends are at their targets, or as near as their bones reach.
-
-    Args:
-        root: Hips and shoulders.
-        target: Where the ends are wanted.
-        pole: Unit direction of the upper bone; it decides about the way in which a limb bends.
-        upper: Length of the upper bone.
-        lower: Likewise.
-    """
-    way = target - root
-    distance = _length(way)[..., None]
-    along = way / distance
-    distance = distance.clamp_max(upper + lower).clamp_min((upper - lower).abs())
-    # Law of cosines: the foot of the middle joint on the line from root to end, and its distance from that line.
-    foot = (upper.square() - lower.square() + distance.square()) / (2 * distance).clamp_min(_SHORTEST)
-    height = (upper.square() - foot.square()).clamp_min(_BEND**2).sqrt()
-    aside = _unit(pole - (pole * along).sum(dim=-1, keepdim=True) * along)
-    return root + along * foot + aside * height, root + along * distance
 
 
 def _fade(seconds: Tensor) -> Tensor:

@@ -101,13 +101,9 @@ def _only_file(folder: Path) -> Path:
 
 def _files(folder: Path | None) -> dict[str, Path]:
     """Bundled weights by name; a method that was removed leaves none."""
-    folders = _folders() if folder is None else [folder]
+    # List the folders ``weights`` beside the code of the methods that come with prbench.
+    folders = sorted(Path(str(files("prbench_adapters"))).glob("*/weights")) if folder is None else [folder]
     return {path.name.removesuffix(_SUFFIX): path for one in folders for path in one.glob(f"*{_SUFFIX}")}
-
-
-def _folders() -> list[Path]:
-    """List the folders ``weights`` beside the code of the methods that come with prbench."""
-    return sorted(Path(str(files("prbench_adapters"))).glob("*/weights"))
 
 
 GOALS = {Condition.GOAL_LOCATION: "location", Condition.GOAL_POSE: "pose"}

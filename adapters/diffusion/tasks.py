@@ -274,7 +274,12 @@ class DiffusionTask:
         statistics, scaling = _scales(configuration, start, data)
         denoiser = network(configuration)
         if start is not None:
-            _continue_from(denoiser, start)
+            # Fill a denoiser with trained weights; the parts that only the new configuration has keep their own start.
+            old = start.configuration(DenoiserConfiguration)
+            trained = network(old)
+            start.load_into(trained, "denoiser")
+            # Layers of a new condition are missing in the file and keep their start at zero.
+            denoiser.load_state_dict(trained.state_dict(), strict=False)
         return DiffusionTraining(
             denoiser,
             statistics=statistics,
@@ -337,15 +342,6 @@ def _require_fitting_start(configuration: DenoiserConfiguration, start: Weights)
     start.require_same(configuration, apart_from=FREE_TO_CHANGE - fixed_by_goal)
 
 
-def _continue_from(denoiser: Denoiser | FrameDenoiser, start: Weights) -> None:
-    """Fill a denoiser with trained weights; the parts that only the new configuration has keep their own start."""
-    old = start.configuration(DenoiserConfiguration)
-    trained = network(old)
-    start.load_into(trained, "denoiser")
-    # Layers of a new condition are missing in the file and keep their start at zero.
-    denoiser.load_state_dict(trained.state_dict(), strict=False)
-
-
 def _require_one_skeleton(configuration: DenoiserConfiguration, data: TrainingData) -> None:
     """Prime-and-reach tables keep everybody's own bones; HumanML3D alone comes on one skeleton, and has no goals."""
     if not configuration.uniform_skeleton or configuration.goal == "none":
@@ -371,7 +367,20 @@ def _scales(
     if start is not None and (configuration.goal == "none" or start.part("condition")):
         return stored_statistics(start, configuration), stored_scaling(start, configuration)
     if configuration.features == "goal-frame":
-        return _goal_frame_scales(configuration, data)
+        # Scales of goal-frame features; no deviation is below 0.05.
+        features = []
+        conditions = []
+        for start in range(0, len(data.train), _TOGETHER):
+            batch = collate([data.train[index] for index in range(start, min(start + _TOGETHER, len(data.train)))])
+            raw = raw_condition_of_items(batch, cast(Goal, configuration.goal))
+            features.append(GoalFrame.of(raw).encode(batch.joints, batch.fps)[~batch.padding])
+            conditions.append(seen_condition(raw))
+        stacked = torch.cat(features)
+        std = stacked.std(dim=0)
+        std = std.clamp_min(_LEAST_FEATURE_STD)
+        seen = torch.cat(conditions)
+        scaling = ConditionScaling.of(configuration, seen.mean(dim=0), seen.std(dim=0).clamp_min(_LEAST_CONDITION_STD))
+        return (stacked.mean(dim=0), std), scaling
     if start is not None:
         features = stored_statistics(start, configuration)
     else:
@@ -380,22 +389,3 @@ def _scales(
     if own is None:
         return features, None
     return features, ConditionScaling.of(configuration, torch.as_tensor(own.mean), torch.as_tensor(own.std))
-
-
-def _goal_frame_scales(
-    configuration: DenoiserConfiguration, data: TrainingData
-) -> tuple[_Statistics, ConditionScaling]:
-    """Scales of goal-frame features; no deviation is below 0.05."""
-    features = []
-    conditions = []
-    for start in range(0, len(data.train), _TOGETHER):
-        batch = collate([data.train[index] for index in range(start, min(start + _TOGETHER, len(data.train)))])
-        raw = raw_condition_of_items(batch, cast(Goal, configuration.goal))
-        features.append(GoalFrame.of(raw).encode(batch.joints, batch.fps)[~batch.padding])
-        conditions.append(seen_condition(raw))
-    stacked = torch.cat(features)
-    std = stacked.std(dim=0)
-    std = std.clamp_min(_LEAST_FEATURE_STD)
-    seen = torch.cat(conditions)
-    scaling = ConditionScaling.of(configuration, seen.mean(dim=0), seen.std(dim=0).clamp_min(_LEAST_CONDITION_STD))
-    return (stacked.mean(dim=0), std), scaling

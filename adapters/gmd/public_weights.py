@@ -62,9 +62,31 @@ def read_space(mean: Path, std: Path, projection: Path) -> FeatureSpace:
     """
     means = _read(mean, (N_FEATURES,))
     deviations = _read(std, (N_FEATURES,))
-    _require_deviations(std, deviations)
+    remedy = "Give --statistics Mean_abs_3d.npy Std_abs_3d.npy, in this order."
+    least = int(deviations.argmin())
+    if deviations[least] <= 0:
+        found = f"{deviations[least]:g}"
+        raise InputFileError(std, f"column {least}", expected="a positive deviation", found=found, remedy=remedy)
+    # HumanML3D's own statistics, which are those of relative features, have the same shape.
+    if deviations[ROOT_XZ].max() < _LEAST_DEVIATION_OF_PLACES:
+        raise InputFileError(
+            std,
+            "columns 1 and 2",
+            expected="deviations of where the pelvis stands, some decimetres",
+            found=f"{deviations[ROOT_XZ].max():.3f} m, as of its steps from frame to frame",
+            remedy=f"These seem to be statistics of relative features. {remedy}",
+        )
     matrix = _read(projection, (N_FEATURES, N_FEATURES))
-    _require_projection(projection, matrix)
+    size = float((matrix.astype(np.float64) ** 2).sum()) / N_FEATURES
+    # The repository also holds the inverse, which is as square and as large.
+    if not 1 / _MOST_OFF < size < _MOST_OFF or np.linalg.matrix_rank(matrix.astype(np.float64)) < N_FEATURES:
+        raise InputFileError(
+            projection,
+            "",
+            expected="an emphasis projection that can be inverted, with a mean square of 1 a row",
+            found=f"{size:.3g}",
+            remedy="Give --projection rand_proj.npy; inv_rand_proj.npy is its inverse, which prbench computes itself.",
+        )
     return FeatureSpace.of(torch.from_numpy(means), torch.from_numpy(deviations), torch.from_numpy(matrix))
 
 
@@ -86,36 +108,6 @@ def _read(path: Path, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
     if array.dtype.kind != "f" or not np.isfinite(array).all():
         raise InputFileError(path, "", expected="finite numbers", found=f"{array.dtype} with NaN or infinity")
     return array.astype(np.float32)
-
-
-def _require_deviations(path: Path, deviations: Float[np.ndarray, " 263"]) -> None:
-    remedy = "Give --statistics Mean_abs_3d.npy Std_abs_3d.npy, in this order."
-    least = int(deviations.argmin())
-    if deviations[least] <= 0:
-        found = f"{deviations[least]:g}"
-        raise InputFileError(path, f"column {least}", expected="a positive deviation", found=found, remedy=remedy)
-    # HumanML3D's own statistics, which are those of relative features, have the same shape.
-    if deviations[ROOT_XZ].max() < _LEAST_DEVIATION_OF_PLACES:
-        raise InputFileError(
-            path,
-            "columns 1 and 2",
-            expected="deviations of where the pelvis stands, some decimetres",
-            found=f"{deviations[ROOT_XZ].max():.3f} m, as of its steps from frame to frame",
-            remedy=f"These seem to be statistics of relative features. {remedy}",
-        )
-
-
-def _require_projection(path: Path, matrix: Float[np.ndarray, "263 263"]) -> None:
-    size = float((matrix.astype(np.float64) ** 2).sum()) / N_FEATURES
-    # The repository also holds the inverse, which is as square and as large.
-    if not 1 / _MOST_OFF < size < _MOST_OFF or np.linalg.matrix_rank(matrix.astype(np.float64)) < N_FEATURES:
-        raise InputFileError(
-            path,
-            "",
-            expected="an emphasis projection that can be inverted, with a mean square of 1 a row",
-            found=f"{size:.3g}",
-            remedy="Give --projection rand_proj.npy; inv_rand_proj.npy is its inverse, which prbench computes itself.",
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,14 +169,10 @@ def read_checkpoint(path: Path) -> Checkpoint:
         if not isinstance(value, Tensor):
             found = f"a {type(value).__name__}"
             raise InputFileError(path, f"'{name}'", expected="a tensor", found=found, remedy=_saving_anew(path))
-        if _is_learnt(name):
+        # True where an entry of a checkpoint that is a network's own: no table of sinusoids, nothing of CLIP.
+        if _NOT_LEARNT.match(name) is None:
             tensors[name] = value
     return Checkpoint(path, copy, tensors)
-
-
-def _is_learnt(original: str) -> bool:
-    """Return True for an entry of a checkpoint that is a network's own: no table of sinusoids, nothing of CLIP."""
-    return _NOT_LEARNT.match(original) is None
 
 
 def _require_safe_torch() -> None:
@@ -316,7 +304,16 @@ def import_public(files: PublicFiles, out: Path) -> Imported:
     motion = read_checkpoint(files.motion)
     trajectory = read_checkpoint(files.trajectory)
     configuration = _configuration_of(motion, trajectory, emphasis_of(space))
-    networks = _networks_of(motion, trajectory, configuration)
+    # The parameters of both networks by our names, ``motion.…`` and ``trajectory.…``.
+    with torch.device("meta"):  # names and shapes alone
+        unets = (
+            TemporalUNet(N_FEATURES, configuration.motion_widths, configuration),
+            TemporalUNet(N_ROOT, configuration.trajectory_widths, configuration),
+        )
+    found = {}
+    for prefix, checkpoint, unet in zip(("motion", "trajectory"), (motion, trajectory), unets, strict=True):
+        found |= {f"{prefix}.{name}": tensor for name, tensor in parameters_of(checkpoint, unet).items()}
+    networks = found
     tensors = {f"networks.{name}": tensor for name, tensor in networks.items()}
     tensors |= {"statistics.mean": space.mean, "statistics.std": space.std, "projection": space.projection}
     metadata = weights_header(KIND, configuration, representation_entry(configuration.representation))
@@ -372,23 +369,6 @@ def widths_of(checkpoint: Checkpoint) -> tuple[int, ...]:
 
 def _of_level(level: int) -> str:
     return f"unet.downs.{level}.1.blocks.0.block1.0.bias"
-
-
-def _networks_of(motion: Checkpoint, trajectory: Checkpoint, configuration: GMDConfiguration) -> dict[str, Tensor]:
-    """The parameters of both networks by our names, ``motion.…`` and ``trajectory.…``.
-
-    Raises:
-        InputFileError: naming what a checkpoint lacks, has in another shape, or has beyond them.
-    """
-    with torch.device("meta"):  # names and shapes alone
-        unets = (
-            TemporalUNet(N_FEATURES, configuration.motion_widths, configuration),
-            TemporalUNet(N_ROOT, configuration.trajectory_widths, configuration),
-        )
-    found = {}
-    for prefix, checkpoint, unet in zip(("motion", "trajectory"), (motion, trajectory), unets, strict=True):
-        found |= {f"{prefix}.{name}": tensor for name, tensor in parameters_of(checkpoint, unet).items()}
-    return found
 
 
 def parameters_of(checkpoint: Checkpoint, unet: TemporalUNet) -> dict[str, Tensor]:

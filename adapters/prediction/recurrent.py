@@ -289,7 +289,14 @@ class DLow(nn.Module):
         predicted = self.cvae.decode(observed, scale * noise[:, None] + shift).flatten(2)
         # A scale of 0 would have no logarithm.
         kl = gaussian_kl(shift, scale.square().clamp_min(_SMALLEST_VARIANCE).log()).mean()
-        diversity = (-_squared_distances(predicted) / self.scale).exp().mean()
+        # Squared distance of every two futures of a window, m², without a difference of every two.
+        # Seen from their mean, products of futures are not much larger than the distances that they give.
+        centred = predicted - predicted.mean(dim=1, keepdim=True)
+        products = centred @ centred.transpose(1, 2)
+        squares = products.diagonal(dim1=1, dim2=2)
+        apart = squares[:, :, None] + squares[:, None] - 2.0 * products
+        first, second = torch.triu_indices(predicted.shape[1], predicted.shape[1], 1, device=predicted.device)
+        diversity = (-apart[:, first, second] / self.scale).exp().mean()
         best = (predicted - future.flatten(1)[:, None]).square().sum(dim=-1).amin(dim=1).mean()
         weights = self.configuration
         total = weights.kl * kl + weights.diversity * diversity + weights.best_of_k * best
@@ -301,14 +308,3 @@ class DLow(nn.Module):
         if not self.configuration.scale_by_size:
             return self.configuration.scale
         return self.configuration.scale * self.cvae.configuration.values / _VALUES_OF_HUMANEVA
-
-
-def _squared_distances(futures: Float[Tensor, "windows samples values"]) -> Float[Tensor, "windows pairs"]:
-    """Squared distance of every two futures of a window, m², without a difference of every two."""
-    # Seen from their mean, products of futures are not much larger than the distances that they give.
-    centred = futures - futures.mean(dim=1, keepdim=True)
-    products = centred @ centred.transpose(1, 2)
-    squares = products.diagonal(dim1=1, dim2=2)
-    apart = squares[:, :, None] + squares[:, None] - 2.0 * products
-    first, second = torch.triu_indices(futures.shape[1], futures.shape[1], 1, device=futures.device)
-    return apart[:, first, second]

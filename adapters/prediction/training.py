@@ -462,19 +462,11 @@ def dlow(request: Request) -> DLowTraining:
 def belfusion(request: Request) -> AutoencoderTraining | BeLFusionTraining:
     """BeLFusion's stages: its autoencoders, then the diffusion of behaviours, for which ``--init`` names them."""
     if request.stage == STAGES_OF_BELFUSION[0]:
-        return _autoencoders(request)
-    return _behaviour_diffusion(request)
-
-
-def _autoencoders(request: Request) -> AutoencoderTraining:
-    seen = request.seen
-    sizes = {"n_joints": seen.nodes, "observed": seen.observed, "predicted": seen.predicted}
-    network, phases = split_model_table({**request.model, **sizes}, BehaviourConfiguration, Phases)
-    record = AutoencodersRecord(windows=seen, network=network)
-    return AutoencoderTraining(record, record.build(), request.course, frozen_from=phases.frozen_from)
-
-
-def _behaviour_diffusion(request: Request) -> BeLFusionTraining:
+        seen = request.seen
+        sizes = {"n_joints": seen.nodes, "observed": seen.observed, "predicted": seen.predicted}
+        network, phases = split_model_table({**request.model, **sizes}, BehaviourConfiguration, Phases)
+        record = AutoencodersRecord(windows=seen, network=network)
+        return AutoencoderTraining(record, record.build(), request.course, frozen_from=phases.frozen_from)
     command = "prbench train --method belfusion --stage autoencoders --data WINDOWS… --out DIR"
     start = _required(request, AUTOENCODERS, "BeLFusion's trained autoencoders", command)
     old = start.configuration(AutoencodersRecord)

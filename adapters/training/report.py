@@ -260,7 +260,12 @@ class TrainingLog:
 
     def __init__(self, out: Path, *, resumed_at: int) -> None:
         self.out = out
-        self._writer = _summary_writer(out / "tensorboard", resumed_at)
+        folder = out / "tensorboard"
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ModuleNotFoundError as error:
+            raise MissingExtraError("tensorboard", "train", "the log of a training") from error
+        self._writer = SummaryWriter(str(folder), purge_step=resumed_at + 1 if resumed_at else None)
         self._drawn_at = time.monotonic()
 
     def add(self, row: Row, *, group: str) -> None:
@@ -337,14 +342,6 @@ def _plots(rows: list[Row], validations: list[Row]) -> dict[str, dict[str, _Curv
                     values.append(row[name])
     # The loss first, the others by name: rows of a checkpoint have their names in another order than new ones.
     return dict(sorted(plots.items(), key=lambda plot: (plot[0] != "loss", plot[0])))
-
-
-def _summary_writer(folder: Path, resumed_at: int) -> Any:
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("tensorboard", "train", "the log of a training") from error
-    return SummaryWriter(str(folder), purge_step=resumed_at + 1 if resumed_at else None)
 
 
 class Outputs:

@@ -237,7 +237,19 @@ def _run(
 ) -> TrainedNetwork | None:
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
         data = _data(request, task, configuration, engine)
-        record = _record(request, stage, configuration, data)
+        if isinstance(data, WindowsDataset):
+            records = window_records(data)
+        else:
+            records = table_records(data.tables, split=_split(request))
+        record = TrainingRecord(
+            method=request.method,
+            stage=stage,
+            configuration=configuration,
+            data=records,
+            initial_weights_sha256=read_weights(request.initial).digest if request.initial else None,
+            devices=request.devices * request.nodes,
+            refit=request.refit,
+        )
         require_same_training(request.out, record)
         module = _module(request, task, stage, configuration, data)
         validation = _validation(data, configuration, engine) if fabric.is_global_zero else None
@@ -313,27 +325,6 @@ def _folders(request: TrainRequest) -> tuple[Path, ...]:
 
 def _split(request: TrainRequest) -> str:
     return REFIT if request.refit else "train"
-
-
-def _record(
-    request: TrainRequest,
-    stage: str,
-    configuration: TrainingConfiguration,
-    data: SequenceDataset | WindowsDataset,
-) -> TrainingRecord:
-    if isinstance(data, WindowsDataset):
-        records = window_records(data)
-    else:
-        records = table_records(data.tables, split=_split(request))
-    return TrainingRecord(
-        method=request.method,
-        stage=stage,
-        configuration=configuration,
-        data=records,
-        initial_weights_sha256=read_weights(request.initial).digest if request.initial else None,
-        devices=request.devices * request.nodes,
-        refit=request.refit,
-    )
 
 
 def _module(

@@ -14,7 +14,6 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import safetensors.torch
 import torch
@@ -46,7 +45,8 @@ class WeightAverage:
 
     def __init__(self, module: nn.Module, decay: float, *, warmup: bool = True) -> None:
         self.decay, self.warmup = decay, warmup
-        self.parameters = _trained_parameters(module)
+        # The parameters that require gradients, by name.
+        self.parameters = {name: parameter for name, parameter in module.named_parameters() if parameter.requires_grad}
         self.averages = {name: parameter.detach().clone() for name, parameter in self.parameters.items()}
 
     @torch.no_grad()
@@ -73,11 +73,6 @@ class WeightAverage:
             held = parameter.detach().clone()
             parameter.copy_(self.averages[name])
             self.averages[name].copy_(held)
-
-
-def _trained_parameters(module: nn.Module) -> dict[str, nn.Parameter]:
-    """The parameters that require gradients, by name."""
-    return {name: parameter for name, parameter in module.named_parameters() if parameter.requires_grad}
 
 
 @dataclass
@@ -282,9 +277,16 @@ class Checkpoints:
                 remedy=f"Delete the folder {folder}; the one before it is used then.",
             ) from error
         described = read_json(folder / _STATE)
-        _restore_described(state, described, folder)
+        if not isinstance(described, dict) or "step" not in described:
+            raise TrainingError(f"{folder / _STATE}: expected the state of a training. Delete the folder {folder}.")
+        state.step = described["step"]
+        state.tally = Tally(**described["tally"])
+        state.rows, state.validations = described["rows"], described["validations"]
         # Up to version 0.5.0 the times stood in the state.
-        _restore_timing(state, read_json(folder / _TIMING) if (folder / _TIMING).is_file() else described)
+        timing = read_json(folder / _TIMING) if (folder / _TIMING).is_file() else described
+        state.seconds = timing["seconds"]
+        state.waited = timing["waited"]
+        state.timings = timing.get("timings", [])
         state.load_tensors(tensors)
         return True
 
@@ -307,17 +309,3 @@ def _described(state: TrainingState) -> dict[str, object]:
 def _timing(state: TrainingState) -> dict[str, object]:
     """Describe what differs between two trainings that are the same in all else."""
     return {"seconds": state.seconds, "waited": state.waited, "timings": state.timings}
-
-
-def _restore_described(state: TrainingState, described: object, folder: Path) -> None:
-    if not isinstance(described, dict) or "step" not in described:
-        raise TrainingError(f"{folder / _STATE}: expected the state of a training. Delete the folder {folder}.")
-    state.step = described["step"]
-    state.tally = Tally(**described["tally"])
-    state.rows, state.validations = described["rows"], described["validations"]
-
-
-def _restore_timing(state: TrainingState, timing: Any) -> None:
-    state.seconds = timing["seconds"]
-    state.waited = timing["waited"]
-    state.timings = timing.get("timings", [])

@@ -166,7 +166,21 @@ def read_rows(table: Table, split: str) -> Iterator[list[Row]]:
     """The rows of a split in the order of the table, some hundred at a time."""
     own = ("captions",) if isinstance(table, CorpusTable) else ("text", "goal_location")
     for chunk in table.chunks(split=split, columns=[*own, *_MOTION]):
-        yield _rows(chunk, corpus=isinstance(table, CorpusTable))
+        corpus = isinstance(table, CorpusTable)
+        joints = chunk.joints
+        offsets = chunk.offsets
+        before = chunk.poses("previous_joints")
+        after = chunk.poses("next_joints")
+        goals = np.full((len(chunk), 3), np.nan) if corpus else chunk.vectors("goal_location")
+        texts = _captions(chunk) if corpus else [(text,) for text in chunk.strings("text")]
+        yield [
+            Row(
+                name,
+                texts[i],
+                Motion(joints[offsets[i] : offsets[i + 1]], before[i], after[i], goals[i].astype(np.float32)),
+            )
+            for i, name in enumerate(chunk.sequence_ids)
+        ]
 
 
 REFIT = "train+validation"
@@ -201,23 +215,6 @@ def frame_rate(table: Table, split: str) -> float:
 def holds_mirrored(table: Table) -> bool:
     """Return True for a corpus that brings mirrored copies of its own."""
     return isinstance(table, CorpusTable) and bool(np.any(table.scalars(columns=["mirrored"])["mirrored"].to_numpy()))
-
-
-def _rows(chunk: SequenceChunk, *, corpus: bool) -> list[Row]:
-    joints = chunk.joints
-    offsets = chunk.offsets
-    before = chunk.poses("previous_joints")
-    after = chunk.poses("next_joints")
-    goals = np.full((len(chunk), 3), np.nan) if corpus else chunk.vectors("goal_location")
-    texts = _captions(chunk) if corpus else [(text,) for text in chunk.strings("text")]
-    return [
-        Row(
-            name,
-            texts[i],
-            Motion(joints[offsets[i] : offsets[i + 1]], before[i], after[i], goals[i].astype(np.float32)),
-        )
-        for i, name in enumerate(chunk.sequence_ids)
-    ]
 
 
 def _captions(chunk: SequenceChunk) -> list[tuple[str, ...]]:
@@ -372,24 +369,17 @@ def table_store(
     path = cache / f"{_key(table, split, encoding)}.arrow"
     found = _opened(path)
     if found is None:
-        found = _made_once(table, split, encoding, path, engine)
+        # Make the store and its notes, unless another process has made them while this one waited for it.
+        with in_turn(path), sole_writer(path.with_suffix(".json")):
+            found = _opened(path)
+            if found is None:
+                _make(table, split, encoding, path, engine)
+                found = _opened(path)
+        assert found is not None, "what was just made can be opened"
     notes, store = found
     if notes.files != _files(table):
         _require_unchanged(table)  # another copy of the same table is welcome
     return store, notes.left_out
-
-
-def _made_once(
-    table: Table, split: str, encoding: DataConfiguration, path: Path, engine: Engine
-) -> tuple[_Notes, FeatureStore]:
-    """Make the store and its notes, unless another process has made them while this one waited for it."""
-    with in_turn(path), sole_writer(path.with_suffix(".json")):
-        found = _opened(path)
-        if found is None:
-            _make(table, split, encoding, path, engine)
-            found = _opened(path)
-    assert found is not None, "what was just made can be opened"
-    return found
 
 
 class _Notes(msgspec.Struct, frozen=True):
@@ -442,7 +432,10 @@ def _require_unchanged(table: Table) -> None:
 def _make(table: Table, split: str, encoding: DataConfiguration, path: Path, engine: Engine) -> None:
     files = _files(table)
     _require_unchanged(table)
-    _remove_abandoned(path.parent)
+    # Delete what killed processes left half-written; other processes may be writing theirs right now.
+    for left in path.parent.glob(".*.partial.arrow") if path.parent.is_dir() else ():
+        if time.time() - left.stat().st_mtime > _ABANDONED_S:
+            left.unlink(missing_ok=True)
     left_out: list[LeftOut] = []
     kept = 0
     with atomic_path(path) as temporary, pyarrow.ipc.new_file(str(temporary), STORE) as writer:
@@ -513,10 +506,3 @@ def _features(row: Row, encoding: DataConfiguration) -> np.ndarray:
     check_joints(row.motion.joints, source=row.sequence_id, upright=False)
     check_headings(row.motion.joints, name=row.sequence_id)  # any of its frames may become the first
     return np.empty((0, N_FEATURES), dtype=np.float32)
-
-
-def _remove_abandoned(cache: Path) -> None:
-    """Delete what killed processes left half-written; other processes may be writing theirs right now."""
-    for left in cache.glob(".*.partial.arrow") if cache.is_dir() else ():
-        if time.time() - left.stat().st_mtime > _ABANDONED_S:
-            left.unlink(missing_ok=True)

@@ -238,7 +238,18 @@ def read_weights(path: Path, *, kind: str | None = None) -> Weights:
             of another kind.
     """
     content = _content(path)
-    metadata = _metadata(path, content)
+    # The header of a safetensors file: 8 bytes of length, then JSON.
+    if len(content) < 8:
+        raise _damaged(path, f"{len(content)} bytes")
+    (length,) = struct.unpack("<Q", content[:8])
+    if length > min(LARGEST_HEADER, len(content) - 8):
+        raise _damaged(path, "no header, or a truncated one")
+    try:
+        header = json.loads(content[8 : 8 + length])
+        metadata = header.get("__metadata__", {})
+    except (ValueError, AttributeError, RecursionError) as error:
+        raise _damaged(path, "a header that is not JSON") from error
+    metadata = metadata if isinstance(metadata, dict) else {}
     _require_entry(path, metadata, "format", _FORMAT)
     _require_entry(path, metadata, "format_version", FORMAT_VERSION)
     if kind is not None:
@@ -268,21 +279,6 @@ def _content(path: Path) -> bytes:
             " save its tensors with safetensors.",
         )
     return content
-
-
-def _metadata(path: Path, content: bytes) -> dict[str, str]:
-    """The header of a safetensors file: 8 bytes of length, then JSON."""
-    if len(content) < 8:
-        raise _damaged(path, f"{len(content)} bytes")
-    (length,) = struct.unpack("<Q", content[:8])
-    if length > min(LARGEST_HEADER, len(content) - 8):
-        raise _damaged(path, "no header, or a truncated one")
-    try:
-        header = json.loads(content[8 : 8 + length])
-        metadata = header.get("__metadata__", {})
-    except (ValueError, AttributeError, RecursionError) as error:
-        raise _damaged(path, "a header that is not JSON") from error
-    return metadata if isinstance(metadata, dict) else {}
 
 
 def _require_entry(path: Path, metadata: Mapping[str, str], key: str, expected: str) -> None:

@@ -63,7 +63,19 @@ class Recordings:
         """
         last = batch.goal_joints
         distance = (last[:, [Joint.LEFT_WRIST, Joint.RIGHT_WRIST]] - batch.goal_location[:, None]).norm(dim=-1)
-        joints, n_frames = _resampled(batch, fps)
+        # Joints at another rate, on a grid that ends on the last frame and begins before the first; and lengths.
+        whole = torch.cat((batch.previous_joints[:, None], batch.joints), dim=1)
+        last = batch.n_frames  # the number of the last frame in ``whole``
+        # The grid ends on the last frame, because that one reaches the goal; what is left over is cut off in front.
+        n_frames = torch.floor(last * (fps / batch.fps) + _ROUNDING).long() + 1
+        frames = torch.arange(int(n_frames.max()), device=whole.device)
+        place = last[:, None] - (n_frames[:, None] - 1 - frames) * (batch.fps / fps)
+        place = torch.minimum(place.clamp_min(0.0), last[:, None])
+        left = torch.minimum(torch.floor(place + _ROUNDING).long(), last[:, None])
+        right = torch.minimum(left + 1, last[:, None])
+        weight = (place - left).clamp(0.0, 1.0)[..., None, None].to(whole.dtype)
+        row = torch.arange(len(whole), device=whole.device)[:, None]
+        joints, n_frames = whole[row, left] * (1 - weight) + whole[row, right] * weight, n_frames
         mirrored = joints[:, :, list(MIRRORED_JOINTS)] * joints.new_tensor((-1.0, 1.0, 1.0))
         left = (distance[:, 0] < distance[:, 1])[:, None, None, None]
         has_goal = torch.isfinite(batch.goal_location).all(dim=-1)
@@ -153,22 +165,6 @@ def goal_frames(
     drawn = torch.rand(possible.shape, generator=generator).to(pelvis.device).masked_fill(~possible, -1.0).argmax(1)
     otherwise = torch.where(has_goal, last, places.frame)
     return torch.where(pretended, torch.where(possible.any(dim=1), drawn, otherwise), last)
-
-
-def _resampled(batch: MotionBatch, fps: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Joints at another rate, on a grid that ends on the last frame and begins before the first; and lengths."""
-    whole = torch.cat((batch.previous_joints[:, None], batch.joints), dim=1)
-    last = batch.n_frames  # the number of the last frame in ``whole``
-    # The grid ends on the last frame, because that one reaches the goal; what is left over is cut off in front.
-    n_frames = torch.floor(last * (fps / batch.fps) + _ROUNDING).long() + 1
-    frames = torch.arange(int(n_frames.max()), device=whole.device)
-    place = last[:, None] - (n_frames[:, None] - 1 - frames) * (batch.fps / fps)
-    place = torch.minimum(place.clamp_min(0.0), last[:, None])
-    left = torch.minimum(torch.floor(place + _ROUNDING).long(), last[:, None])
-    right = torch.minimum(left + 1, last[:, None])
-    weight = (place - left).clamp(0.0, 1.0)[..., None, None].to(whole.dtype)
-    row = torch.arange(len(whole), device=whole.device)[:, None]
-    return whole[row, left] * (1 - weight) + whole[row, right] * weight, n_frames
 
 
 _CENTIMETRES = 100.0
@@ -446,7 +442,18 @@ class WandrTask:
             start = read_weights(initial, kind=KIND)
             return WandrTraining(_continued(configuration, start), objective, origin_of(start))
         network = WandrNetwork(configuration)
-        _take_statistics(network, data)
+        # Standardise by the training split.
+        seen = []
+        deltas = []
+        for batch in _batches(data):
+            recordings = Recordings.of(batch, network.configuration.fps)
+            places = starts(recordings, 1)
+            seen.append(recordings.states(places).seen())
+            deltas.append(recordings.deltas(places))
+        if not sum(len(values) for values in deltas):
+            raise UsageError("the training split: expected motions of three frames or more, found none.")
+        _set(network.seen, torch.cat(seen), _LEAST_SEEN)
+        _set(network.delta, torch.cat(deltas), _LEAST_DELTA)
         return WandrTraining(network, objective)
 
 
@@ -457,25 +464,6 @@ def read_model_table(model: Mapping[str, Any]) -> tuple[WandrConfiguration, Obje
         UsageError: for an unknown key or a value of a wrong kind.
     """
     return split_model_table(model, WandrConfiguration, Objective)
-
-
-def _take_statistics(network: WandrNetwork, data: TrainingData) -> None:
-    """Standardise by the training split.
-
-    Raises:
-        UsageError: if no motion has three frames at the network's rate.
-    """
-    seen = []
-    deltas = []
-    for batch in _batches(data):
-        recordings = Recordings.of(batch, network.configuration.fps)
-        places = starts(recordings, 1)
-        seen.append(recordings.states(places).seen())
-        deltas.append(recordings.deltas(places))
-    if not sum(len(values) for values in deltas):
-        raise UsageError("the training split: expected motions of three frames or more, found none.")
-    _set(network.seen, torch.cat(seen), _LEAST_SEEN)
-    _set(network.delta, torch.cat(deltas), _LEAST_DELTA)
 
 
 def _batches(data: TrainingData) -> Iterator[MotionBatch]:

@@ -129,7 +129,25 @@ def main() -> None:
     staging = Staging(PRESET, SEED)
     acted: dict[str, Recording] = {}
     sources = [CachedSource(synthetic_source(staging, index), acted) for index in range(count)]
-    planned = _intended_looks(staging, count, acted)
+    # Map the id of each sequence of version 2 to the time at which its person means to look at the goal.
+    layout = layout_for(staging.preset)
+    looks = {}
+    for index in range(count):
+        performance = staging.perform(index)
+        offset = layout.clock_start(performance) - float(performance.times[0])
+        true = [
+            on_clock(replace(event, object_id=layout.object_id(event.object_id)), offset)
+            for event in layout.events(performance)
+        ]
+        recording = staging.sense(performance)
+        acted[recording.recording_id] = recording
+        curated = curate_recording(recording, load_manifest(staging.preset), load_protocol())
+        for match in match_events(true, curated.events):
+            if match.true is None or match.found is None or match.true.prime_planned is None:
+                continue
+            if match.found.sequence_id is not None:
+                looks[match.found.sequence_id] = match.true.prime_planned
+    planned = looks
     print(_line("variant", *ABOUT, *SHOWN))
     print(_line(*["---"] * (1 + len(ABOUT) + len(SHOWN))))
     first: dict[str, float] = {}
@@ -209,28 +227,6 @@ def _primes(table: SequenceTable) -> dict[str, float]:
     """Map the id of each test sequence to its prime time."""
     rows = table.scalars(split="test")
     return dict(zip(rows["sequence_id"].to_pylist(), rows["prime_time"].to_pylist(), strict=True))
-
-
-def _intended_looks(staging: Staging, count: int, acted: dict[str, Recording]) -> dict[str, float]:
-    """Map the id of each sequence of version 2 to the time at which its person means to look at the goal."""
-    layout = layout_for(staging.preset)
-    looks = {}
-    for index in range(count):
-        performance = staging.perform(index)
-        offset = layout.clock_start(performance) - float(performance.times[0])
-        true = [
-            on_clock(replace(event, object_id=layout.object_id(event.object_id)), offset)
-            for event in layout.events(performance)
-        ]
-        recording = staging.sense(performance)
-        acted[recording.recording_id] = recording
-        curated = curate_recording(recording, load_manifest(staging.preset), load_protocol())
-        for match in match_events(true, curated.events):
-            if match.true is None or match.found is None or match.true.prime_planned is None:
-                continue
-            if match.found.sequence_id is not None:
-                looks[match.found.sequence_id] = match.true.prime_planned
-    return looks
 
 
 if __name__ == "__main__":

@@ -75,7 +75,10 @@ def draw_chart(panels: Sequence[ChartPanel], path: Path, *, note: str = "", dpi:
     for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         if panel.ruled_at is not None:
             axes.axhline(panel.ruled_at, color="0.6", linewidth=0.9)
-        spread = _spread(panel)
+        # How far lines stand apart at one place, so that their intervals do not cover one another.
+        places = sorted({point.at for points in panel.lines.values() for point in points})
+        closest = min(np.diff(places), default=1.0)
+        spread = 0.35 * float(closest) / max(len(panel.lines), 1) * 0.5
         for label, points in panel.lines.items():
             number = labels.index(label)
             place = np.array([point.at for point in points]) + spread * (number - (len(labels) - 1) / 2)
@@ -110,10 +113,3 @@ def draw_chart(panels: Sequence[ChartPanel], path: Path, *, note: str = "", dpi:
     if note:
         figure.supxlabel(figure_text(note), fontsize=7, color="0.35", x=0.01, ha="left")
     write_figure(figure, path)
-
-
-def _spread(panel: ChartPanel) -> float:
-    """How far lines stand apart at one place, so that their intervals do not cover one another."""
-    places = sorted({point.at for points in panel.lines.values() for point in points})
-    closest = min(np.diff(places), default=1.0)
-    return 0.35 * float(closest) / max(len(panel.lines), 1) * 0.5

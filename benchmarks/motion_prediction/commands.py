@@ -94,7 +94,16 @@ def build_windows(
     if anchors and data is None:
         raise UsageError("--anchor: belongs to --data; windows of recordings slide.")
     if dry_run:
-        return _counted(dataset, root)
+        # Count a study's segments and windows.
+        from prbench_benchmarks.motion_prediction.windows import published_counts
+
+        if dataset is None or root is None:
+            raise UsageError("--dry-run: expected DATASET with --root DIR.")
+        counts = published_counts(dataset, root)
+        rows = [(split, *map(str, numbers)) for split, numbers in counts.items()]
+        title = f"{dataset}: what the study of prediction used"
+        header = ("split", "segments", "frames", "windows")
+        return Answer(WindowsReport(counted=counts), lambda: print_table(title, header, rows, numbers=(1, 2, 3)))
     if out is None:
         raise UsageError("--out DIR is needed: the folder of the windows. (--dry-run does without.)")
     if data is not None:
@@ -144,19 +153,6 @@ def windows_answer(info: WindowsInfo, folder: Path) -> Answer:
 
     failed = any(each.status == "failed" for each in info.quarantine)
     return Answer(WindowsReport(folder=folder, built=info), show, builds.NOT_EVERYTHING if failed else 0)
-
-
-def _counted(dataset: str | None, root: Path | None) -> Answer:
-    """Count a study's segments and windows."""
-    from prbench_benchmarks.motion_prediction.windows import published_counts
-
-    if dataset is None or root is None:
-        raise UsageError("--dry-run: expected DATASET with --root DIR.")
-    counts = published_counts(dataset, root)
-    rows = [(split, *map(str, numbers)) for split, numbers in counts.items()]
-    title = f"{dataset}: what the study of prediction used"
-    header = ("split", "segments", "frames", "windows")
-    return Answer(WindowsReport(counted=counts), lambda: print_table(title, header, rows, numbers=(1, 2, 3)))
 
 
 def merged_windows(shards: Sequence[tuple[Path, ShardRecord]], out: Path) -> Answer:

@@ -120,7 +120,14 @@ def synthetic_windows(folder: Path) -> AskedWindows:
         folder: Of this check alone.
     """
     if not _is_kept(folder):
-        train = _first_windows(_performed("train"), _TO_LEARN_FROM)
+        runs = _performed("train")
+        rules = load_prediction_protocol().windows
+        found: list[CutRun] = []
+        for _, run in runs:
+            found.append(CutRun(run, sliding_windows(run, np.zeros(len(run), dtype=bool), rules)))
+            if sum(len(each.windows) for each in found) >= _TO_LEARN_FROM:
+                break
+        train = found
         _keep(folder, _info(), _test_windows(), train)
     return _kept(folder)
 
@@ -144,7 +151,22 @@ def windows_of_table(data: Path, folder: Path) -> AskedWindows:
     ids = table.windows["window_id"].take(places).to_pylist()
     wanted = set(by_share(ids, table.runs["recording_id"].take(rows).to_pylist())[:WINDOWS])
     chosen = {name: int(place) for name, place in zip(ids, places, strict=True) if name in wanted}
-    _keep(folder, table.info, _cut_out(table, chosen), _training_runs(table))
+    # Each window as a run of its own, of which nothing else is known; goals and events are left out.
+    info = table.info
+    length = info.observed_frames + info.future_frames
+    places = np.array(sorted(chosen.values()))
+    names = {place: name for name, place in chosen.items()}
+    row_of = {int(place): int(table.windows["row"][int(place)].as_py()) for place in places}
+    runs = dict(table.iterate_runs(row_of.values()))
+    cut = []
+    for place in places.tolist():
+        run = runs[row_of[place]]
+        start = int(table.windows["start"][place].as_py())
+        n_scored = int(table.windows["n_scored"][place].as_py())
+        alone = _part(run, names[place], start, min(start + length, len(run)))
+        looking = int(alone.gaze_valid[: info.observed_frames].sum())
+        cut.append(CutRun(alone, (Window(0, looking, n_scored),)))
+    _keep(folder, table.info, cut, _training_runs(table))
     return _kept(folder)
 
 
@@ -185,25 +207,6 @@ def _blinded(run: Run, observed: int) -> Run:
     return replace(run, **changed)
 
 
-def _cut_out(table: WindowsTable, chosen: dict[str, int]) -> list[CutRun]:
-    """Each window as a run of its own, of which nothing else is known; goals and events are left out."""
-    info = table.info
-    length = info.observed_frames + info.future_frames
-    places = np.array(sorted(chosen.values()))
-    names = {place: name for name, place in chosen.items()}
-    row_of = {int(place): int(table.windows["row"][int(place)].as_py()) for place in places}
-    runs = dict(table.iterate_runs(row_of.values()))
-    cut = []
-    for place in places.tolist():
-        run = runs[row_of[place]]
-        start = int(table.windows["start"][place].as_py())
-        n_scored = int(table.windows["n_scored"][place].as_py())
-        alone = _part(run, names[place], start, min(start + length, len(run)))
-        looking = int(alone.gaze_valid[: info.observed_frames].sum())
-        cut.append(CutRun(alone, (Window(0, looking, n_scored),)))
-    return cut
-
-
 def _training_runs(table: WindowsTable) -> list[CutRun]:
     """Runs of the training split until there are enough windows; none where the table has no such split."""
     try:
@@ -239,16 +242,6 @@ def _test_windows() -> list[CutRun]:
         if len(cut) >= WINDOWS:
             return cut[:WINDOWS]
     raise AssertionError("synthetic people do not end")
-
-
-def _first_windows(runs: Iterator[tuple[Performance, Run]], number: int) -> list[CutRun]:
-    rules = load_prediction_protocol().windows
-    found: list[CutRun] = []
-    for _, run in runs:
-        found.append(CutRun(run, sliding_windows(run, np.zeros(len(run), dtype=bool), rules)))
-        if sum(len(each.windows) for each in found) >= number:
-            break
-    return found
 
 
 def _performed(split: str) -> Iterator[tuple[Performance, Run]]:

@@ -125,7 +125,34 @@ def draw_futures(windows: Sequence[ShownWindow], path: Path, *, dpi: int = 110) 
     )
     for (window, fan), (bodies, above, errors) in zip(rows, panels, strict=True):
         _draw_bodies(bodies, window, fan)
-        _draw_above(above, window, fan)
+        # Draw ways of the pelvis and the wrists from above.
+        pelvis = window.joint_set.index(window.joint_set.pelvis)[0]
+        wrists = window.joint_set.index(*window.joint_set.wrists)
+        for joints, colour in reversed(list(zip(fan.joints, _shades(fan), strict=True))):
+            above.plot(joints[:, pelvis, 0], joints[:, pelvis, 2], color=colour, linewidth=1.4)
+            above.plot(joints[-1, pelvis, 0], joints[-1, pelvis, 2], "s", color=colour, markersize=4)
+            above.plot(joints[-1, wrists, 0], joints[-1, wrists, 2], ".", color=colour, markersize=4)
+        for joints, colour, width in ((window.observed, OBSERVED_COLOUR, 3.0), (window.recorded, RECORDED_COLOUR, 1.1)):
+            above.plot(joints[:, pelvis, 0], joints[:, pelvis, 2], color=colour, linewidth=width)
+        end = window.recorded[-1]
+        above.plot(end[pelvis, 0], end[pelvis, 2], "s", color=RECORDED_COLOUR, markersize=4)
+        above.plot(end[wrists, 0], end[wrists, 2], ".", color=RECORDED_COLOUR, markersize=4)
+        shown = [window.observed[:, pelvis], window.recorded[:, pelvis], end[wrists]]
+        shown += [each.joints[:, :, pelvis].reshape(-1, 3) for each in window.fans]
+        if window.gaze_valid[-1]:
+            look = _look(window)
+            above.plot(look[:, 0], look[:, 2], color=GAZE_COLOUR, linewidth=1.4)
+            shown.append(look)
+        if window.goal is not None:
+            above.plot(window.goal[0], window.goal[2], "o", color=GOAL_COLOUR, markersize=8, alpha=0.8)
+            shown.append(window.goal[None])
+        x, z = square_limits(np.concatenate(shown)[:, [0, 2]], margin=_MARGIN)
+        # x grows to the left, as for somebody who looks down on a body that faces away from them.
+        above.set_xlim(*reversed(x))
+        above.set_ylim(*z)
+        above.set_aspect("equal")
+        above.set_title("from above, m; squares: pelvis, dots: wrists at the end", fontsize=7.5, loc="left")
+        above.tick_params(labelsize=6)
         _draw_errors(errors, window, fan)
         title = f"{window.window_id}\n{fan.label}: {len(fan.joints)} futures{f', {fan.score}' if fan.score else ''}"
         bodies.set_title(figure_text(title), fontsize=8.5, loc="left")
@@ -232,37 +259,6 @@ def _draw_look(axes: Axes, window: ShownWindow, pelvis: Float[np.ndarray, "3"], 
 def _look(window: ShownWindow) -> Float[np.ndarray, "2 3"]:
     head = window.last_pose[window.joint_set.index(window.joint_set.head)[0]]
     return np.stack([head, head + _LOOK * window.gaze[-1]])
-
-
-def _draw_above(axes: Axes, window: ShownWindow, fan: Fan) -> None:
-    """Draw ways of the pelvis and the wrists from above."""
-    pelvis = window.joint_set.index(window.joint_set.pelvis)[0]
-    wrists = window.joint_set.index(*window.joint_set.wrists)
-    for joints, colour in reversed(list(zip(fan.joints, _shades(fan), strict=True))):
-        axes.plot(joints[:, pelvis, 0], joints[:, pelvis, 2], color=colour, linewidth=1.4)
-        axes.plot(joints[-1, pelvis, 0], joints[-1, pelvis, 2], "s", color=colour, markersize=4)
-        axes.plot(joints[-1, wrists, 0], joints[-1, wrists, 2], ".", color=colour, markersize=4)
-    for joints, colour, width in ((window.observed, OBSERVED_COLOUR, 3.0), (window.recorded, RECORDED_COLOUR, 1.1)):
-        axes.plot(joints[:, pelvis, 0], joints[:, pelvis, 2], color=colour, linewidth=width)
-    end = window.recorded[-1]
-    axes.plot(end[pelvis, 0], end[pelvis, 2], "s", color=RECORDED_COLOUR, markersize=4)
-    axes.plot(end[wrists, 0], end[wrists, 2], ".", color=RECORDED_COLOUR, markersize=4)
-    shown = [window.observed[:, pelvis], window.recorded[:, pelvis], end[wrists]]
-    shown += [each.joints[:, :, pelvis].reshape(-1, 3) for each in window.fans]
-    if window.gaze_valid[-1]:
-        look = _look(window)
-        axes.plot(look[:, 0], look[:, 2], color=GAZE_COLOUR, linewidth=1.4)
-        shown.append(look)
-    if window.goal is not None:
-        axes.plot(window.goal[0], window.goal[2], "o", color=GOAL_COLOUR, markersize=8, alpha=0.8)
-        shown.append(window.goal[None])
-    x, z = square_limits(np.concatenate(shown)[:, [0, 2]], margin=_MARGIN)
-    # x grows to the left, as for somebody who looks down on a body that faces away from them.
-    axes.set_xlim(*reversed(x))
-    axes.set_ylim(*z)
-    axes.set_aspect("equal")
-    axes.set_title("from above, m; squares: pelvis, dots: wrists at the end", fontsize=7.5, loc="left")
-    axes.tick_params(labelsize=6)
 
 
 def _draw_errors(axes: Axes, window: ShownWindow, fan: Fan) -> None:

@@ -54,7 +54,7 @@ def prediction_metrics() -> tuple[MetricInfo, ...]:
     ]
     joints = dict.fromkeys(name for each in JOINT_SETS.values() for name in each.names)
     infos += [_info(f"joint/{name}", f"MPJPE, {name}", is_detail=True) for name in joints]
-    return tuple(_at(position, info) for position, info in enumerate(infos))
+    return tuple(replace(info, position=position) for position, info in enumerate(infos))
 
 
 def _info(
@@ -78,7 +78,3 @@ def _info(
         ranked=ranked,
         is_detail=is_detail,
     )
-
-
-def _at(position: int, info: MetricInfo) -> MetricInfo:
-    return replace(info, position=position)

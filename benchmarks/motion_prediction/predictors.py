@@ -16,7 +16,6 @@ from prbench.errors import UsageError
 from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch
 from prbench_benchmarks.motion_prediction.joint_sets import (
     JOINT_SETS,
-    JointSet,
     invert_each,
     rotations_alone,
     transform_each,
@@ -134,14 +133,12 @@ class NearestPast:
 
 def _own_frame(batch: ObservedBatch) -> tuple[Float[np.ndarray, "batch 4 4"], Float[np.ndarray, "batch values"]]:
     """``batch_from_own`` of each window, and its observed frames in the frame of its last pose, flattened."""
-    frames = _joint_set_of(batch).last_pose_frame(batch.observed_joints[:, -1])
+    frames = next(each for each in JOINT_SETS.values() if each.names == batch.joint_names).last_pose_frame(
+        batch.observed_joints[:, -1]
+    )
     own_from_batch = invert_each(frames)
     features = [transform_each(own_from_batch, batch.observed_joints).reshape(len(batch), -1)]
     if batch.gaze is not None:
         turned = transform_each(rotations_alone(own_from_batch), batch.gaze)
         features.append(turned.reshape(len(batch), -1))
     return frames, np.concatenate(features, axis=1)
-
-
-def _joint_set_of(batch: ObservedBatch) -> JointSet:
-    return next(each for each in JOINT_SETS.values() if each.names == batch.joint_names)

@@ -179,18 +179,14 @@ def add_scores(
 ) -> None:
     """Score the answer to one batch (:func:`score_batch`), and append its rows to the scores of others."""
     for rows, values in score_batch(batch, futures, truth, joints, rules, similar=similar, one_design=one_design):
-        scores.add(_names(truth, rows) | values)
-
-
-def _names(truth: Truth, rows: np.ndarray) -> dict[str, list[str]]:
-    named = {
-        "window_id": truth.window_ids,
-        "recording_id": truth.recording_ids,
-        "participant_id": truth.participant_ids,
-        "segment": truth.segments,
-        "anchor": truth.anchors,
-    }
-    return {name: [values[row] for row in rows] for name, values in named.items()}
+        named = {
+            "window_id": truth.window_ids,
+            "recording_id": truth.recording_ids,
+            "participant_id": truth.participant_ids,
+            "segment": truth.segments,
+            "anchor": truth.anchors,
+        }
+        scores.add({name: [values[row] for row in rows] for name, values in named.items()} | values)
 
 
 def score_batch(
@@ -223,7 +219,28 @@ def score_batch(
         actual = truth.joints[rows][:, :n_scored]
         last = batch.observed_joints[rows, -1]
         by_joint = metrics.joint_errors(predicted, actual)
-        values = _of_samples(np.sqrt((by_joint**2).sum(axis=-1)), predicted, batch.fps, rules, one_design=one_design)
+        # The study's metrics for every number of samples, at every horizon.
+        errors = np.sqrt((by_joint**2).sum(axis=-1))
+        samples = errors.shape[1]
+        found = metrics.displacements(errors)
+        values = {
+            "ade": found.ade,
+            "fde": found.fde,
+            "ade_mean": found.ade_mean,
+            "fde_mean": found.fde_mean,
+            "apd": metrics.diversity(predicted),
+        }
+        for n in (each for each in rules.samples if each == samples or (each < samples and not one_design)):
+            part = metrics.displacements(errors[:, :n])
+            values |= {f"ade@k{n}": part.ade, f"fde@k{n}": part.fde}
+        for seconds in rules.horizons:
+            frames = round(seconds * batch.fps)
+            # Anchored windows may end before a horizon: there it says nothing.
+            there = frames <= errors.shape[2]
+            part = metrics.displacements(errors[:, :, : min(frames, errors.shape[2])])
+            nothing = np.full(len(errors), np.nan)
+            values |= {f"ade@{seconds:g}s": part.ade if there else nothing}
+            values |= {f"fde@{seconds:g}s": part.fde if there else nothing}
         values |= _of_joints(by_joint, joints)
         values["first_frame_jump"] = metrics.first_frame_jump(predicted, last)
         values["bone_error_percent"] = metrics.bone_error(predicted, last, joints.bones)
@@ -231,38 +248,6 @@ def score_batch(
         if similar is not None:
             values |= _multimodal(predicted, truth, rows, similar)
         yield rows, values
-
-
-def _of_samples(
-    errors: Float[np.ndarray, "batch samples frames"],
-    predicted: np.ndarray,
-    fps: float,
-    rules: EvaluationRules,
-    *,
-    one_design: bool,
-) -> dict[str, np.ndarray]:
-    """The study's metrics for every number of samples, at every horizon."""
-    samples = errors.shape[1]
-    found = metrics.displacements(errors)
-    values = {
-        "ade": found.ade,
-        "fde": found.fde,
-        "ade_mean": found.ade_mean,
-        "fde_mean": found.fde_mean,
-        "apd": metrics.diversity(predicted),
-    }
-    for n in (each for each in rules.samples if each == samples or (each < samples and not one_design)):
-        part = metrics.displacements(errors[:, :n])
-        values |= {f"ade@k{n}": part.ade, f"fde@k{n}": part.fde}
-    for seconds in rules.horizons:
-        frames = round(seconds * fps)
-        # Anchored windows may end before a horizon: there it says nothing.
-        there = frames <= errors.shape[2]
-        part = metrics.displacements(errors[:, :, : min(frames, errors.shape[2])])
-        nothing = np.full(len(errors), np.nan)
-        values |= {f"ade@{seconds:g}s": part.ade if there else nothing}
-        values |= {f"fde@{seconds:g}s": part.fde if there else nothing}
-    return values
 
 
 def _of_joints(by_joint: Float[np.ndarray, "batch samples frames joints"], joints: JointSet) -> dict[str, np.ndarray]:

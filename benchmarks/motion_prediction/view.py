@@ -100,7 +100,20 @@ def view_futures(request: FuturesRequest, progress: Progress = lambda *_: None) 
     rows = len(places) * len(request.methods) * len(request.conditions)
     if not is_page and rows > MOST_ROWS:
         raise UsageError(f"{request.out}: expected at most {MOST_ROWS} rows in one picture, found {rows}.")
-    windows = _read_windows(table, places, fold, request)
+    # Windows that are shown are not learnt from, whoever names them.
+    train = np.setdiff1d(fold.train, places)
+    fans: list[list[Fan]] = [[] for _ in places]
+    chosen = itertools.product(request.methods, request.conditions)
+    for (method, condition), colour in zip(chosen, METHOD_COLOURS, strict=False):
+        row = TableRow(label=method, method=method, condition=condition, variant="", weights=method, tables=())
+        predictor = predictor_of(row, table, train, request.weights, device=request.device)
+        for number, fan in enumerate(_fans(table, predictor, condition, places, colour, request)):
+            fans[number].append(fan)
+    shown = []
+    for batch, truth in table.batches(_told_most(table), places, frame="room", size=len(places)):
+        for number in range(len(batch)):
+            shown.append(_window(table, batch, truth, number, tuple(fans[len(shown)]), request))
+    windows = shown
     if is_page:
         from prbench_benchmarks.motion_prediction.future_page import write_future_page
 
@@ -117,23 +130,6 @@ def _places(table: WindowsTable, fold: Fold, request: FuturesRequest) -> np.ndar
     known = table.windows["window_id"].to_pylist()
     wanted = [find_sequence_id(name, known, among=str(table.folder)) for name in request.window_ids]
     return np.sort([known.index(name) for name in wanted])
-
-
-def _read_windows(table: WindowsTable, places: np.ndarray, fold: Fold, request: FuturesRequest) -> list[ShownWindow]:
-    # Windows that are shown are not learnt from, whoever names them.
-    train = np.setdiff1d(fold.train, places)
-    fans: list[list[Fan]] = [[] for _ in places]
-    chosen = itertools.product(request.methods, request.conditions)
-    for (method, condition), colour in zip(chosen, METHOD_COLOURS, strict=False):
-        row = TableRow(label=method, method=method, condition=condition, variant="", weights=method, tables=())
-        predictor = predictor_of(row, table, train, request.weights, device=request.device)
-        for number, fan in enumerate(_fans(table, predictor, condition, places, colour, request)):
-            fans[number].append(fan)
-    shown = []
-    for batch, truth in table.batches(_told_most(table), places, frame="room", size=len(places)):
-        for number in range(len(batch)):
-            shown.append(_window(table, batch, truth, number, tuple(fans[len(shown)]), request))
-    return shown
 
 
 def _told_most(table: WindowsTable) -> Condition:

@@ -647,8 +647,54 @@ def _write_table(
 ) -> WindowsReport:
     """Write the table of all parts of a build."""
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
-    described = _described(dataset, manifest, load_prediction_protocol(), joint_set=joints)
-    info = _finished(described, finished, options)
+    # Provenance of a build as far as it is known before any recording was read.
+    protocol = load_prediction_protocol()
+    synthetic = dataset.startswith(SYNTHETIC_PREFIX)
+    rules = protocol.windows
+    described = WindowsInfo(
+        schema_version=SCHEMA_VERSION,
+        protocol_version=protocol.version,
+        protocol_digest=protocol.digest,
+        dataset=dataset,
+        title=f"Invented recordings in the layout of {manifest.title}" if synthetic else manifest.title,
+        synthetic=synthetic,
+        prbench_version=prbench.__version__,
+        manifest_digest=digest_of(manifest),
+        input_digest="",
+        options={},
+        outcomes={},
+        quarantine=(),
+        identity_digest="",
+        content_digest="",
+        licence="MIT (invented by prbench, no recorded person)" if synthetic else manifest.licence,
+        redistribution="yes" if synthetic else manifest.redistribution,
+        homepage="" if synthetic else manifest.homepage,
+        citation="" if synthetic else manifest.citation,
+        fps=rules.fps,
+        observed_frames=rules.observed_frames,
+        future_frames=rules.future_frames,
+        fewest_gaze_frames=rules.fewest_gaze_frames,
+        joint_set=joints,
+        has_gaze=False,
+        estimated_bodies=False,
+        participants=0,
+        recordings=0,
+        runs=0,
+        frames=0,
+    )
+    # Provenance with what reading brought up.
+    read = [text for each in finished if each.status == "read" for text in (each.recording_id, each.input_digest)]
+    info = msgspec.structs.replace(
+        described,
+        input_digest=text_digest(*read),
+        options=options,
+        estimated_bodies=any(is_estimated(source) for each in finished for source in each.pose_sources),
+        quarantine=tuple(
+            QuarantinedRecording(recording_id=each.recording_id, status=each.status, message=each.message)
+            for each in finished
+            if each.status != "read"
+        ),
+    )
     # Last of all: until here an earlier table stands as it was.
     info = write_windows(out, info, (run for each in finished for run in read_cut_runs(each.folder)))
     return WindowsReport(out, info, tuple(finished))
@@ -674,56 +720,3 @@ def published_counts(dataset: str, root: Path | str) -> dict[str, tuple[int, int
         split: (len(frames), sum(frames), sum(len(window_starts(each, rules)) for each in frames))
         for split, frames in lengths.items()
     }
-
-
-def _described(name: str, manifest: Manifest, protocol: PredictionProtocol, *, joint_set: str) -> WindowsInfo:
-    """Provenance of a build as far as it is known before any recording was read."""
-    synthetic = name.startswith(SYNTHETIC_PREFIX)
-    rules = protocol.windows
-    return WindowsInfo(
-        schema_version=SCHEMA_VERSION,
-        protocol_version=protocol.version,
-        protocol_digest=protocol.digest,
-        dataset=name,
-        title=f"Invented recordings in the layout of {manifest.title}" if synthetic else manifest.title,
-        synthetic=synthetic,
-        prbench_version=prbench.__version__,
-        manifest_digest=digest_of(manifest),
-        input_digest="",
-        options={},
-        outcomes={},
-        quarantine=(),
-        identity_digest="",
-        content_digest="",
-        licence="MIT (invented by prbench, no recorded person)" if synthetic else manifest.licence,
-        redistribution="yes" if synthetic else manifest.redistribution,
-        homepage="" if synthetic else manifest.homepage,
-        citation="" if synthetic else manifest.citation,
-        fps=rules.fps,
-        observed_frames=rules.observed_frames,
-        future_frames=rules.future_frames,
-        fewest_gaze_frames=rules.fewest_gaze_frames,
-        joint_set=joint_set,
-        has_gaze=False,
-        estimated_bodies=False,
-        participants=0,
-        recordings=0,
-        runs=0,
-        frames=0,
-    )
-
-
-def _finished(info: WindowsInfo, recordings: list[CutRecording], options: dict[str, str]) -> WindowsInfo:
-    """Provenance with what reading brought up."""
-    read = [text for each in recordings if each.status == "read" for text in (each.recording_id, each.input_digest)]
-    return msgspec.structs.replace(
-        info,
-        input_digest=text_digest(*read),
-        options=options,
-        estimated_bodies=any(is_estimated(source) for each in recordings for source in each.pose_sources),
-        quarantine=tuple(
-            QuarantinedRecording(recording_id=each.recording_id, status=each.status, message=each.message)
-            for each in recordings
-            if each.status != "read"
-        ),
-    )

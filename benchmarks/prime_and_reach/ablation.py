@@ -129,43 +129,39 @@ def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> Ablat
     runs = []
     for row in request.rows:
         try:
-            runs.append(_run_row(request, row, engine, say))
+            initial = None
+            if row.pretraining != "none":
+                prior = request.folder / row.prior_name
+                say(f"pre-training for '{row.variant}': {prior}")
+                data = (request.corpora[row.pretraining],) if row.pretraining in request.corpora else request.data
+                initial = _train(request, "mdm", "pretrain", data, prior, overrides(row.pretrained_model))
+            trained = request.folder / row.training_name
+            say(f"fine-tuning '{row.variant}': {trained}")
+            weights = _train(request, "pr", "finetune", request.data, trained, overrides(row.model), initial)
+            out = request.folder / _RUNS / row.run_name
+            say(f"running '{row.variant}': {out}")
+            run_method(
+                RunRequest(
+                    method="pr",
+                    condition=_CONDITION,
+                    data=request.data,
+                    weights=weights,
+                    options=request.options_of(row),
+                    limit=request.limit,
+                    seed=request.seed,
+                    device=request.device,
+                    threads=request.threads,
+                    out=out,
+                ),
+                engine=engine,
+            )
+            runs.append(out)
         except (StorageError, TrainingStopped):
             raise
         except Exception as error:  # one row, of days perhaps, must not cost the others
             failed[row.variant] = str(error) if isinstance(error, PrbenchError) else f"{type(error).__name__}: {error}"
             say(f"failed: {row.variant}: {failed[row.variant]}")
     return AblationReport(request.folder, tuple(dict.fromkeys(runs)), failed)
-
-
-def _run_row(request: AblationRequest, row: Ablation, engine: Engine, say: Say) -> Path:
-    initial = None
-    if row.pretraining != "none":
-        prior = request.folder / row.prior_name
-        say(f"pre-training for '{row.variant}': {prior}")
-        data = (request.corpora[row.pretraining],) if row.pretraining in request.corpora else request.data
-        initial = _train(request, "mdm", "pretrain", data, prior, overrides(row.pretrained_model))
-    trained = request.folder / row.training_name
-    say(f"fine-tuning '{row.variant}': {trained}")
-    weights = _train(request, "pr", "finetune", request.data, trained, overrides(row.model), initial)
-    out = request.folder / _RUNS / row.run_name
-    say(f"running '{row.variant}': {out}")
-    run_method(
-        RunRequest(
-            method="pr",
-            condition=_CONDITION,
-            data=request.data,
-            weights=weights,
-            options=request.options_of(row),
-            limit=request.limit,
-            seed=request.seed,
-            device=request.device,
-            threads=request.threads,
-            out=out,
-        ),
-        engine=engine,
-    )
-    return out
 
 
 def _train(

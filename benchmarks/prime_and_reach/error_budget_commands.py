@@ -30,7 +30,13 @@ def _print(report: ErrorBudgetReport) -> None:
     for budget in report.runs:
         _print_head(budget)
         _print_looking(budget)
-        _print_misses(budget)
+        rows = [("recorded people", *_miss_cells(budget.people_groups[0]))]
+        rows += [(_label(own), *_miss_cells(own)) for own in budget.method_groups]
+        _print_rows(
+            "Best frame of the window (medians), and the share that would stay on the goal, %",
+            ("miss °", "up °", "aside °", "at s", "stays", "if its height", "if its side"),
+            rows,
+        )
         _print_gains(budget)
         _print_reaching(budget)
         _print_bodies(budget)
@@ -61,16 +67,6 @@ def _print_looking(budget: RunBudget) -> None:
 def _looking_cells(own: Group, people: Group) -> tuple[str, ...]:
     causes = [_percent(own.looking[cause]) for cause in _LOOKING]
     return (str(own.sequences), _percent(people.primed), _percent(own.primed), *causes)
-
-
-def _print_misses(budget: RunBudget) -> None:
-    rows = [("recorded people", *_miss_cells(budget.people_groups[0]))]
-    rows += [(_label(own), *_miss_cells(own)) for own in budget.method_groups]
-    _print_rows(
-        "Best frame of the window (medians), and the share that would stay on the goal, %",
-        ("miss °", "up °", "aside °", "at s", "stays", "if its height", "if its side"),
-        rows,
-    )
 
 
 def _miss_cells(group: Group) -> tuple[str, ...]:

@@ -466,19 +466,7 @@ def study(ctx: click.Context, item: str, inputs: tuple[Path, ...], train: bool, 
         return _train(item, inputs, **{option: given[option] for option in taken})
     if not inputs:
         raise UsageError(f"{name}: name {row.inputs}..., which it is made from.")
-    _require_writable(name, given)
-    return row.make(item, inputs, **{option: given[option] for option in taken})
-
-
-study.help = (
-    "Make a table or figure of the study from your own tables and runs (docs/study.md).\n\n"
-    "DIR are built tables, for ablations the folder of one configuration, such as ablations/paper; RUN are run folders,"
-    f" or folders that hold some, such as that of `prbench run --method all`. ITEM is one of:\n\n{_HELP}"
-)
-
-
-def _require_writable(name: str, given: Mapping[str, Any]) -> None:
-    """Refuse files of unknown formats before anything is done."""
+    # Refuse files of unknown formats before anything is done.
     from prbench.viewing.figures import require_drawable
     from prbench_benchmarks.prime_and_reach.study.formats import require_format
 
@@ -489,3 +477,11 @@ def _require_writable(name: str, given: Mapping[str, Any]) -> None:
         if len(given["out"]) != 1:
             raise UsageError(f"{name}: --out FILE is needed, the picture: .png or .svg.")
         require_drawable(given["out"][0])
+    return row.make(item, inputs, **{option: given[option] for option in taken})
+
+
+study.help = (
+    "Make a table or figure of the study from your own tables and runs (docs/study.md).\n\n"
+    "DIR are built tables, for ablations the folder of one configuration, such as ablations/paper; RUN are run folders,"
+    f" or folders that hold some, such as that of `prbench run --method all`. ITEM is one of:\n\n{_HELP}"
+)

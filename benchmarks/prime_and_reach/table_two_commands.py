@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from prbench.engine.choice import EngineChoice
     from prbench.harness.request import ProgressCallback
-    from prbench_benchmarks.prime_and_reach.table_two import Cell, DatasetLayout, TableLayout, TableRequest
+    from prbench_benchmarks.prime_and_reach.table_two import Cell, DatasetLayout, TableLayout
     from prbench_benchmarks.prime_and_reach.table_two.plan import PlannedRow
 
 ALL = "all"
@@ -59,7 +59,36 @@ def run_table_two(given: Mapping[str, Any], *, minutes: int | None, choice: Engi
         reads=tuple(given["data"]),
         writes=(given["out"] or DEFAULT_PARENT / "table",),
     )
-    request = _table_request(given, tuple(given["data"]) or embedded_tables(engine), minutes)
+    # Turn the arguments into a request.
+    data = tuple(given["data"]) or embedded_tables(engine)
+    from prbench.contract import Condition
+    from prbench_benchmarks.prime_and_reach.table_two import TableRequest
+    from prbench_benchmarks.prime_and_reach.table_two.request import DEFAULT_MINUTES
+
+    for name, option in _SINGLE_RUN.items():
+        if given[name]:
+            raise UsageError(f"--{option}: belongs to a run of one method under one condition; leave it out.")
+    if given["split"] == PARTICIPANTS:
+        raise UsageError("--split participants: run --method all on a table of each fold (`prbench split-dataset`).")
+    request = TableRequest(
+        data=data,
+        method=None if given["method"] == ALL else given["method"],
+        condition=None if given["condition"] in (ALL, None) else Condition(given["condition"]),
+        weights=given["weights"],
+        options=dict(given["options"]),
+        split=given["split"],
+        limit=given["limit"],
+        minutes=minutes or DEFAULT_MINUTES,
+        seed=given["seed"],
+        samples=given["samples"] or 1,
+        batch_size=given["batch_size"],
+        device=given["device"],
+        threads=given["threads"],
+        protocol=given["protocol"],
+        shuffled_goal=given["control"] is not None,
+        more_controls=given["with_controls"],
+        out=given["out"],
+    )
     say = Say(
         notice=note,
         timing=lambda: progress("timing a first batch"),
@@ -81,42 +110,6 @@ def run_table_two(given: Mapping[str, Any], *, minutes: int | None, choice: Engi
         table=as_builtins(report.layout),
     )
     return Answer(answer, show, exit_code=1 if report.failed else 0)
-
-
-def _table_request(given: Mapping[str, Any], data: tuple[Path, ...], minutes: int | None) -> TableRequest:
-    """Turn the arguments into a request.
-
-    Raises:
-        UsageError: if one of them belongs to a single run.
-    """
-    from prbench.contract import Condition
-    from prbench_benchmarks.prime_and_reach.table_two import TableRequest
-    from prbench_benchmarks.prime_and_reach.table_two.request import DEFAULT_MINUTES
-
-    for name, option in _SINGLE_RUN.items():
-        if given[name]:
-            raise UsageError(f"--{option}: belongs to a run of one method under one condition; leave it out.")
-    if given["split"] == PARTICIPANTS:
-        raise UsageError("--split participants: run --method all on a table of each fold (`prbench split-dataset`).")
-    return TableRequest(
-        data=data,
-        method=None if given["method"] == ALL else given["method"],
-        condition=None if given["condition"] in (ALL, None) else Condition(given["condition"]),
-        weights=given["weights"],
-        options=dict(given["options"]),
-        split=given["split"],
-        limit=given["limit"],
-        minutes=minutes or DEFAULT_MINUTES,
-        seed=given["seed"],
-        samples=given["samples"] or 1,
-        batch_size=given["batch_size"],
-        device=given["device"],
-        threads=given["threads"],
-        protocol=given["protocol"],
-        shuffled_goal=given["control"] is not None,
-        more_controls=given["with_controls"],
-        out=given["out"],
-    )
 
 
 def _print_layout(layout: TableLayout) -> None:

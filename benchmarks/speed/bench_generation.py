@@ -479,7 +479,20 @@ Clock = Callable[[], float]
 
 def main() -> None:
     """One table a size and job."""
-    options = _options()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--reference", type=Path, action="append", default=[], metavar="DIR")
+    parser.add_argument("--threads", type=int, default=torch.get_num_threads())
+    parser.add_argument(
+        "--processor-time", action="store_true", help="of all threads; for one thread on a busy machine"
+    )
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
+    parser.add_argument("--jobs", nargs="+", default=["sampling", "optimisation", "training"])
+    parser.add_argument("--frames", type=int, default=150)
+    parser.add_argument("--batch", type=int, nargs="+", default=[1, 8], help="sequences at once")
+    parser.add_argument("--iterations", type=int, default=2)
+    parser.add_argument("--repeats", type=int, default=3)
+    options = parser.parse_args()
     torch.set_num_threads(options.threads)
     clock: Clock = time.process_time if options.processor_time else time.perf_counter
     checkouts = {checkout.name: checkout for checkout in map(Checkout, options.reference)}
@@ -576,23 +589,6 @@ def _require_equal_size(ours: int, theirs: torch.nn.Module) -> None:
 def _print(title: str, problem: Problem, parameters: int, rows: Sequence[Row]) -> None:
     together = f"{problem.batch} at once" if problem.batch > 1 else "one at a time"
     print_rows(f"{title}, {parameters / 1e6:.1f} M parameters, {together}", rows)
-
-
-def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--reference", type=Path, action="append", default=[], metavar="DIR")
-    parser.add_argument("--threads", type=int, default=torch.get_num_threads())
-    parser.add_argument(
-        "--processor-time", action="store_true", help="of all threads; for one thread on a busy machine"
-    )
-    parser.add_argument("--device", default="cpu")
-    parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES))
-    parser.add_argument("--jobs", nargs="+", default=["sampling", "optimisation", "training"])
-    parser.add_argument("--frames", type=int, default=150)
-    parser.add_argument("--batch", type=int, nargs="+", default=[1, 8], help="sequences at once")
-    parser.add_argument("--iterations", type=int, default=2)
-    parser.add_argument("--repeats", type=int, default=3)
-    return parser.parse_args()
 
 
 if __name__ == "__main__":

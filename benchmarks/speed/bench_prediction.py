@@ -40,7 +40,17 @@ TOLERANCE = 1e-3
 
 def main() -> None:
     """Compare values, then time encoding and whole predictions."""
-    options = _options()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--reference", type=Path, metavar="DIR")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument(
+        "--processor-time", action="store_true", help="of all threads; for one thread on a busy machine"
+    )
+    parser.add_argument("--windows", type=int, default=8, help="windows at once; its evaluation takes 32")
+    parser.add_argument("--samples", type=int, default=50)
+    parser.add_argument("--steps", type=int, default=100)
+    parser.add_argument("--repeats", type=int, default=1)
+    options = parser.parse_args()
     torch.set_num_threads(options.threads)
     torch.manual_seed(0)
     model = CoefficientDiffusion(preset("gazemodiff-code", n_joints=JOINTS, sampling_steps=options.steps)).eval()
@@ -128,7 +138,11 @@ class Reference:
             n_pre=shape.coefficients,
         )
         self.shape = shape
-        _fill(self.denoiser)
+        # Give layers that begin with zeros small weights, so that what is compared is no constant.
+        generator = torch.Generator().manual_seed(1)
+        for parameter in self.denoiser.parameters():
+            if not bool(parameter.any()):
+                parameter.data = 0.02 * torch.randn(parameter.shape, generator=generator)
         load_denoiser(model.denoiser, _arrays(self.denoiser))
         load_encoder(model.encoder, _arrays(self.encoder))
 
@@ -162,14 +176,6 @@ class Reference:
         return self.dct[: self.shape.coefficients] @ torch.cat([observed, last], dim=1).flatten(2)
 
 
-def _fill(network: torch.nn.Module) -> None:
-    """Give layers that begin with zeros small weights, so that what is compared is no constant."""
-    generator = torch.Generator().manual_seed(1)
-    for parameter in network.parameters():
-        if not bool(parameter.any()):
-            parameter.data = 0.02 * torch.randn(parameter.shape, generator=generator)
-
-
 def _arrays(network: torch.nn.Module) -> dict[str, np.ndarray]:
     return {f"w/{name}": tensor.numpy() for name, tensor in network.state_dict().items()}
 
@@ -195,20 +201,6 @@ def _imports(folder: Path) -> Iterator[None]:
         for name in sys.modules.keys() - before.keys():
             if name.split(".")[0] in ("models", "utils"):
                 del sys.modules[name]
-
-
-def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--reference", type=Path, metavar="DIR")
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument(
-        "--processor-time", action="store_true", help="of all threads; for one thread on a busy machine"
-    )
-    parser.add_argument("--windows", type=int, default=8, help="windows at once; its evaluation takes 32")
-    parser.add_argument("--samples", type=int, default=50)
-    parser.add_argument("--steps", type=int, default=100)
-    parser.add_argument("--repeats", type=int, default=1)
-    return parser.parse_args()
 
 
 if __name__ == "__main__":

@@ -89,13 +89,24 @@ def naive_metrics(
     """All six, by the metric's id; joints (n, 22, 3), goal (3,), canonical frame, metres, seconds."""
     distances = [[np.linalg.norm(p - r) for p, r in zip(*frames, strict=True)] for frames in zip(predicted, recorded)]
     reach = min(np.linalg.norm(frame[wrist] - goal) for frame in predicted for wrist in WRISTS)
+    steps = range(len(predicted) - 1)
+    half = round(constants.foot_window * fps) // 2
+    speed = [[fps * np.hypot(*(predicted[t + 1, toe] - predicted[t, toe])[[0, 2]]) for t in steps] for toe in TOES]
+    skating = 0
+    for t in steps:
+        for toe, own in zip(TOES, speed):
+            low = predicted[t, toe, 1] < constants.foot_height and predicted[t + 1, toe, 1] < constants.foot_height
+            average = sum(own[max(t - half, 0) : t + half + 1]) / (2 * half + 1)
+            if low and own[t] > constants.foot_speed and average > constants.foot_speed:
+                skating += 1
+                break
     return {
         "prime_success": _prime_success(predicted, goal, prime_time, head_tilt_deg, fps, constants),
         "reach_success": float(reach <= constants.reach_distance),
         "goal_mpjpe": float(np.mean(distances[-1])),
         "location_error": float(distances[-1][Joint.PELVIS] >= constants.location_error_distance),
         "mpjpe": float(np.mean(distances)),
-        "foot_skating": _foot_skating(predicted, fps, constants),
+        "foot_skating": (skating / len(steps)),
     }
 
 
@@ -117,21 +128,6 @@ def _prime_success(joints, goal, prime_time, head_tilt_deg, fps, constants) -> f
         if near_prime_time and slows_down and all(on_target[t : t + hold + 1]):
             return 1.0
     return 0.0
-
-
-def _foot_skating(joints, fps, constants) -> float:
-    steps = range(len(joints) - 1)
-    half = round(constants.foot_window * fps) // 2
-    speed = [[fps * np.hypot(*(joints[t + 1, toe] - joints[t, toe])[[0, 2]]) for t in steps] for toe in TOES]
-    skating = 0
-    for t in steps:
-        for toe, own in zip(TOES, speed):
-            low = joints[t, toe, 1] < constants.foot_height and joints[t + 1, toe, 1] < constants.foot_height
-            average = sum(own[max(t - half, 0) : t + half + 1]) / (2 * half + 1)
-            if low and own[t] > constants.foot_speed and average > constants.foot_speed:
-                skating += 1
-                break
-    return skating / len(steps)
 
 
 EVENTS = 19

@@ -182,7 +182,21 @@ def table_s8(paths: Sequence[Path], *, with_published: bool) -> StudyTable:
         values += [value for row in found.rows for value in _values(found, row)]
     if with_published:
         blocks.append(StudyBlock("Published: Prime and Reach, Table S8, Nymeria, another evaluator", _published()))
-        values += _published_values()
+        values += [
+            StudyValue(
+                dataset=number.dataset,
+                condition=number.condition,
+                method=number.method,
+                variant=number.variant,
+                metric=number.metric,
+                value=number.value,
+                sd=float(number.plus_minus) if number.plus_minus else None,
+                unit=_METRICS[number.metric][2],
+                origin=number.source,
+                note=number.note,
+            )
+            for number in load_published("S8")
+        ]
     return StudyTable(
         number="S8",
         title=published_table("S8").title,
@@ -239,21 +253,3 @@ def _published() -> tuple[tuple[str, ...], ...]:
         plus_minus = f" ± {number.plus_minus}" if number.plus_minus else ""
         rows.setdefault(number.variant, {})[number.metric] = f"{number.printed}{plus_minus}"
     return tuple((variant, *(cells.get(name, DASH) for name in _METRICS)) for variant, cells in rows.items())
-
-
-def _published_values() -> list[StudyValue]:
-    return [
-        StudyValue(
-            dataset=number.dataset,
-            condition=number.condition,
-            method=number.method,
-            variant=number.variant,
-            metric=number.metric,
-            value=number.value,
-            sd=float(number.plus_minus) if number.plus_minus else None,
-            unit=_METRICS[number.metric][2],
-            origin=number.source,
-            note=number.note,
-        )
-        for number in load_published("S8")
-    ]

@@ -128,14 +128,6 @@ def contrastive_losses(
     }
 
 
-def _positive_losses(
-    text: Float[torch.Tensor, "batch dimension"], motion: Float[torch.Tensor, "batch dimension"]
-) -> dict[str, torch.Tensor]:
-    """:func:`contrastive_losses` where there is no wrong pair."""
-    positive = pairwise_distance(text, motion).square().mean()
-    return {"loss": positive, "positive": positive, "negative": torch.zeros_like(positive)}
-
-
 def different_texts(texts: Sequence[str], shift: int) -> Bool[torch.Tensor, " batch"]:
     """Return True for each row whose text differs from that of the motion ``shift`` rows before."""
     return torch.tensor([text != texts[row - shift] for row, text in enumerate(texts)])
@@ -218,7 +210,9 @@ class EvaluatorTraining(TrainingModule):
         room = (batch.n_frames - self.objective.window).clamp_min(0)
         starts = (chances.to(room.device) * (room[:, None] + 1)).long().flatten()
         rows = torch.arange(len(features), device=room.device).repeat_interleave(self.objective.windows)
-        clips = _clips(features, rows, starts, self.objective.window)
+        # ``window`` frames from each start; beyond the end of the batch the last frame is repeated, to be masked.
+        frames = starts[:, None] + torch.arange(self.objective.window, device=starts.device)
+        clips = features[rows[:, None], frames.clamp_max(features.shape[1] - 1)]
         lengths = lengths[rows]
         snippets = self.movement(clips, lengths)
         return reconstruction_losses(self.objective, clips, self.decoder(snippets), snippets, lengths)
@@ -243,7 +237,9 @@ class EvaluatorTraining(TrainingModule):
         text = self.text(tokens.to(features.device), lengths)
         motion = self.motion(snippets, counts)
         if len(batch) < 2:  # what was left over of the validation split has nothing wrong to meet
-            return _positive_losses(text, motion)
+            # :func:`contrastive_losses` where there is no wrong pair.
+            positive = pairwise_distance(text, motion).square().mean()
+            return {"loss": positive, "positive": positive, "negative": torch.zeros_like(positive)}
         return contrastive_losses(
             text, motion, shift=shift, margin=self.objective.margin, counted=self._counted(batch, shift)
         )
@@ -285,17 +281,6 @@ class EvaluatorTraining(TrainingModule):
         if self.objective.equal_texts_are_negatives:
             return None
         return different_texts(batch.text, shift).to(batch.features.device)
-
-
-def _clips(
-    features: Float[torch.Tensor, "batch frames 259"],
-    rows: Int[torch.Tensor, " clips"],
-    starts: Int[torch.Tensor, " clips"],
-    window: int,
-) -> Float[torch.Tensor, "clips window 259"]:
-    """``window`` frames from each start; beyond the end of the batch the last frame is repeated, to be masked."""
-    frames = starts[:, None] + torch.arange(window, device=starts.device)
-    return features[rows[:, None], frames.clamp_max(features.shape[1] - 1)]
 
 
 def _require_snippets(counts: Int[torch.Tensor, " batch"], batch: MotionBatch) -> None:
@@ -368,6 +353,11 @@ class EvaluatorTask:
         tokens, words_digest = token_vectors(
             configuration.text, data.train.tables, words=objective.words, path=objective.text_path
         )
+        lines = [f"text vectors {configuration.text} (frozen)"]
+        if configuration.text == GLOVE:
+            lines = [f"word vectors and lists, sha256 {words_digest} (frozen)"]
+        if start is not None:
+            lines.append(f"movement encoder {start.path.name}, sha256 {start.digest} (frozen)")
         module = EvaluatorTraining(
             configuration,
             objective,
@@ -375,10 +365,14 @@ class EvaluatorTask:
             statistics=_statistics(start, data),
             tokens=tokens,
             words_digest=words_digest,
-            origin=_origin(configuration, words_digest, start),
+            origin=tuple(lines),
         )
         if start is not None:
-            _continue_from(module, start)
+            # Take over the trained movement encoder.
+            # Only the movement encoder is taken over, so only its fields have to agree.
+            irrelevant = frozenset(EvaluatorConfiguration.__struct_fields__) - _MOVEMENT_ENCODER
+            start.require_same(module.configuration, apart_from=irrelevant)
+            start.load_into(module.movement, "movement")
         return module
 
 
@@ -414,27 +408,6 @@ def _statistics(start: Weights | None, data: TrainingData) -> Statistics:
 def _stored_statistics(weights: Weights) -> Statistics:
     mean, std = (weights.require(f"statistics.{name}", (N_FEATURES,)).numpy() for name in ("mean", "std"))
     return Statistics(mean, std)
-
-
-def _continue_from(module: EvaluatorTraining, start: Weights) -> None:
-    """Take over the trained movement encoder.
-
-    Raises:
-        InputFileError: if it is one of another size or representation.
-    """
-    # Only the movement encoder is taken over, so only its fields have to agree.
-    irrelevant = frozenset(EvaluatorConfiguration.__struct_fields__) - _MOVEMENT_ENCODER
-    start.require_same(module.configuration, apart_from=irrelevant)
-    start.load_into(module.movement, "movement")
-
-
-def _origin(configuration: EvaluatorConfiguration, words_digest: str, start: Weights | None) -> tuple[str, ...]:
-    lines = [f"text vectors {configuration.text} (frozen)"]
-    if configuration.text == GLOVE:
-        lines = [f"word vectors and lists, sha256 {words_digest} (frozen)"]
-    if start is not None:
-        lines.append(f"movement encoder {start.path.name}, sha256 {start.digest} (frozen)")
-    return tuple(lines)
 
 
 @foreign_input()

@@ -202,10 +202,16 @@ def measure(
             )
     try:
         # What is not given is filled with numbers that no possible metric reads.
+        words = [hand] * size if hand is None or isinstance(hand, str) else list(hand)
+        if len(words) != size:
+            raise UsageError(f"hand: expected {size} of them, one a motion, found {len(words)}.")
+        for word in words:
+            if word not in _SIDES:
+                raise UsageError(f"hand: expected left, right or None, found '{word}'.")
         targets = ScoringTargets(
             goal_location=np.zeros((size, 3)) if goal is None else goal,
             prime_time=np.zeros(size) if primes is None else primes,
-            hand=_hands(hand, size),
+            hand=np.array([_SIDES[word] for word in words]),
             head_tilt_deg=np.zeros(size) if tilts is None else tilts,
             fps=np.ones(size) if rates is None else rates,
         )
@@ -315,18 +321,3 @@ def _one_each(name: str, value: Any, size: int, shape: tuple[int, ...] = ()) -> 
         expected = f"{shape} or {(size, *shape)}" if shape else f"one number or {size}, one a motion"
         raise UsageError(f"{name}: expected {expected}, found the shape {array.shape}.")
     return np.broadcast_to(array, (size, *shape)).copy()
-
-
-def _hands(hand: str | Sequence[str | None] | None, size: int) -> np.ndarray:
-    """Return the reaching hand of each motion as the metrics count it.
-
-    Raises:
-        UsageError: for another word than left and right, or another number of them.
-    """
-    words = [hand] * size if hand is None or isinstance(hand, str) else list(hand)
-    if len(words) != size:
-        raise UsageError(f"hand: expected {size} of them, one a motion, found {len(words)}.")
-    for word in words:
-        if word not in _SIDES:
-            raise UsageError(f"hand: expected left, right or None, found '{word}'.")
-    return np.array([_SIDES[word] for word in words])

@@ -202,6 +202,8 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_bench
         for table in run.record.tables:
             checked = (check or RunChecker().check)(run, table)
             files = run.dataset(table.dataset)
+            # Name and version of the user's own protocol that a run follows; empty for prbench's.
+            protocol = run.protocol
             row = LeaderboardRow(
                 folder.name,
                 run.record,
@@ -209,7 +211,7 @@ def collect_runs(paths: Iterable[Path], *, check: Check | None = None, any_bench
                 checked.summary,
                 checked.unverified,
                 sequences=checked.scored,
-                protocol=_own_protocol(run),
+                protocol=(protocol.label if protocol is not None and protocol.is_own else ""),
                 scores=files.scores,
                 cost=cost_of(files),
             )
@@ -255,16 +257,6 @@ def _why_unverified(merged: RunFolder, named: Sequence[tuple[LeaderboardRow, Run
         )
     reasons = [row.unverified for row, _ in found if row.unverified]
     return f"one of the runs that it was merged from is unverified: {reasons[0]}" if reasons else ""
-
-
-def _own_protocol(run: RunFolder) -> str:
-    """Name and version of the user's own protocol that a run follows; empty for prbench's.
-
-    Raises:
-        RunError: if the copy in its folder is not the protocol that it records.
-    """
-    protocol = run.protocol
-    return protocol.label if protocol is not None and protocol.is_own else ""
 
 
 def _false_name(record: RunRecord) -> str | None:

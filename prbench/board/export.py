@@ -317,43 +317,41 @@ def as_markdown(leaderboard: Leaderboard) -> str:
     several = len(found) > 1
     blocks = ["# Leaderboard" if several else f"# {next(iter(found), default_benchmark().title)} leaderboard"]
     for table in leaderboard.tables:
-        blocks += _dataset_blocks(table, shared_name=_repeats(table, leaderboard), with_benchmark=several)
+        key = (table.benchmark.name, table.dataset)
+        shared_name = sum((other.benchmark.name, other.dataset) == key for other in leaderboard.tables) > 1
+        metrics = table.benchmark.main_metrics
+        counts = f"{table.sequences} sequences, {table.recordings} recording{'' if table.recordings == 1 else 's'}"
+        if table.of:
+            counts += f" of {table.of} that every method here generated"
+        title = f"## {markdown(table.title)}, {markdown_code(table.dataset)}: {markdown(table.split)}, {counts}"
+        if several:
+            title += f", {table.benchmark.about.title.lower()}"
+        if table.protocol:
+            title += f", own protocol {markdown(table.protocol)}"
+        if table.earlier_version is not None:
+            title += f", protocol version {table.earlier_version}"
+        if shared_name:
+            # Two tables of one dataset differ in a digest at most, so their titles have to show digests.
+            protocol, identity, content, _, chosen = (part[:8] for part in table.key)
+            title += f" (protocol {protocol}, table {identity}/{content}, chosen {chosen})"
+        header = ["Condition", "Method", "Variant", *(_column(info) for info in metrics), *COST_TITLES, "Kind"]
+        rows = [
+            [
+                "control" if row.entry.record.method.kind == CONTROL else markdown(row.entry.record.condition),
+                _marked(row.entry.method, row.entry.summary.symbols),
+                _variant(row.variant, unverified=bool(row.entry.unverified)),
+                *(_cell(row, info) for info in metrics),
+                *row.entry.cost.cells,
+                markdown(row.entry.origin),
+            ]
+            for row in table.rows
+        ]
+        blocks += [title, _grid(header, rows, metrics), "\n".join(f"- {line}" for line in _legend(table))]
     for macro in leaderboard.macro:
         blocks += _macro_blocks(macro, with_benchmark=several)
     if leaderboard.notes:
         blocks += ["## Notes", "\n".join(f"- {markdown(note)}" for note in leaderboard.notes)]
     return "\n\n".join(blocks) + "\n"
-
-
-def _dataset_blocks(table: DatasetTable, *, shared_name: bool, with_benchmark: bool) -> list[str]:
-    metrics = table.benchmark.main_metrics
-    counts = f"{table.sequences} sequences, {table.recordings} recording{'' if table.recordings == 1 else 's'}"
-    if table.of:
-        counts += f" of {table.of} that every method here generated"
-    title = f"## {markdown(table.title)}, {markdown_code(table.dataset)}: {markdown(table.split)}, {counts}"
-    if with_benchmark:
-        title += f", {table.benchmark.about.title.lower()}"
-    if table.protocol:
-        title += f", own protocol {markdown(table.protocol)}"
-    if table.earlier_version is not None:
-        title += f", protocol version {table.earlier_version}"
-    if shared_name:
-        # Two tables of one dataset differ in a digest at most, so their titles have to show digests.
-        protocol, identity, content, _, chosen = (part[:8] for part in table.key)
-        title += f" (protocol {protocol}, table {identity}/{content}, chosen {chosen})"
-    header = ["Condition", "Method", "Variant", *(_column(info) for info in metrics), *COST_TITLES, "Kind"]
-    rows = [
-        [
-            "control" if row.entry.record.method.kind == CONTROL else markdown(row.entry.record.condition),
-            _marked(row.entry.method, row.entry.summary.symbols),
-            _variant(row.variant, unverified=bool(row.entry.unverified)),
-            *(_cell(row, info) for info in metrics),
-            *row.entry.cost.cells,
-            markdown(row.entry.origin),
-        ]
-        for row in table.rows
-    ]
-    return [title, _grid(header, rows, metrics), "\n".join(f"- {line}" for line in _legend(table))]
 
 
 def _variant(text: str, *, unverified: bool) -> str:
@@ -503,11 +501,6 @@ def _grid(header: Sequence[str], rows: Sequence[Sequence[str]], metrics: Sequenc
     numbers = {*map(_column, metrics), *COST_TITLES}
     rule = ["---:" if name in numbers else "---" for name in header]
     return "\n".join("| " + " | ".join(line) + " |" for line in [header, rule, *rows])
-
-
-def _repeats(table: DatasetTable, leaderboard: Leaderboard) -> bool:
-    key = (table.benchmark.name, table.dataset)
-    return sum((other.benchmark.name, other.dataset) == key for other in leaderboard.tables) > 1
 
 
 FORMATS: dict[str, Callable[[Leaderboard], str]] = {"md": as_markdown, "csv": _as_csv, "json": _as_json}

@@ -229,6 +229,7 @@ def _dataset_table(entries: list[LeaderboardRow], separate: Separate) -> Dataset
                 beaten_by[row][info.id] = frozenset(ranked[other] for other in losses[place])
                 if all(place in losses[other] for other in shown - {place}):
                     leads[row].add(info.id)
+    version = first.record.protocol_version
     return DatasetTable(
         dataset=first.summary.dataset,
         title=first.summary.title,
@@ -240,13 +241,8 @@ def _dataset_table(entries: list[LeaderboardRow], separate: Separate) -> Dataset
         key=_comparison_key(first),
         rows=tuple(TableRow(*row) for row in zip(ordered, variants, ranks, map(frozenset, leads), beaten_by)),
         protocol=first.protocol,
-        earlier_version=_earlier_version(first),
+        earlier_version=(None if first.protocol or version == first.benchmark.present_rules.version else version),
     )
-
-
-def _earlier_version(row: LeaderboardRow) -> int | None:
-    version = row.record.protocol_version
-    return None if row.protocol or version == row.benchmark.present_rules.version else version
 
 
 def _is_shown(entry: LeaderboardRow, info: MetricInfo) -> bool:

@@ -211,6 +211,9 @@ def verification(matches: Sequence[Match], *, recordings: int) -> Verification:
     unprimed = [(t, f) for t, f in pairs if f.stage in PRIMED_STAGES and t.prime_time is None]
     errors = [f.prime_time - t.prime_time for t, f in primed if f.prime_time is not None and t.prime_time is not None]
     late = [f.prime_time - t.prime_first for t, f in pairs if f.prime_time is not None and t.prime_first is not None]
+    # Count what curation made of events that happened while tracking was lost.
+    seen = [match.found for match in lost if match.found is not None]
+    reported = sum(event.outcome == "tracking_lost" for event in seen)
     return Verification(
         recordings=recordings,
         true_events=len(real),
@@ -230,8 +233,19 @@ def verification(matches: Sequence[Match], *, recordings: int) -> Verification:
         prime_first=Spread.of(late),
         hands=_hand_counts(matches),
         expected_sequences=sum(m.expected == _SEQUENCE for m in real),
-        missed_sequences=_missed(real),
-        lost=_lost_counts(lost),
+        missed_sequences=tuple(
+            Miss(
+                event_id=m.true.event_id,
+                action=m.true.action,
+                outcome=m.outcome,
+                stage="" if m.found is None else m.found.stage,
+                value=None if m.found is None else m.found.value,
+                threshold=None if m.found is None else m.found.threshold,
+            )
+            for m in real
+            if m.true is not None and m.expected == _SEQUENCE and m.outcome != _SEQUENCE
+        ),
+        lost={"found": len(seen) - reported, "reported": reported, "missed": len(lost) - len(seen)},
         confusion=dict(sorted(Counter(f"{m.expected} → {m.outcome}" for m in counted).items())),
     )
 
@@ -255,28 +269,6 @@ def _is_contradicted(event: Event) -> bool:
     # Hands that are about equally near contradict nothing: curation itself leaves those open.
     farther = left - right if event.hand == "left" else right - left
     return farther > LEAST_DIFFERENCE
-
-
-def _missed(real: Sequence[Match]) -> tuple[Miss, ...]:
-    return tuple(
-        Miss(
-            event_id=m.true.event_id,
-            action=m.true.action,
-            outcome=m.outcome,
-            stage="" if m.found is None else m.found.stage,
-            value=None if m.found is None else m.found.value,
-            threshold=None if m.found is None else m.found.threshold,
-        )
-        for m in real
-        if m.true is not None and m.expected == _SEQUENCE and m.outcome != _SEQUENCE
-    )
-
-
-def _lost_counts(lost: Sequence[Match]) -> dict[str, int]:
-    """Count what curation made of events that happened while tracking was lost."""
-    seen = [match.found for match in lost if match.found is not None]
-    reported = sum(event.outcome == "tracking_lost" for event in seen)
-    return {"found": len(seen) - reported, "reported": reported, "missed": len(lost) - len(seen)}
 
 
 def _share(part: int, whole: int, *, empty: float = 1.0) -> float:

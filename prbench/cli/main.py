@@ -122,36 +122,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else list(arguments)
     now = Session(from_shell=arguments is None)
     with clean_output():
-        return _execute(words, now)
-
-
-def _execute(words: list[str], now: Session) -> int:
-    started = time.monotonic()
-    try:
-        with program.make_context("prbench", words, obj=now) as context:
-            code = _present(program.invoke(context), now)
-    except click.exceptions.Exit as end:  # --help and --version
-        return end.exit_code
-    except click.exceptions.NoArgsIsHelpError as missing:
-        print(missing.format_message())
-        return UsageError.exit_code
-    except click.ClickException as error:
-        # What the parser refused, and where the options are explained.
-        context = getattr(error, "ctx", None)
-        where = f" `{context.command_path} --help` lists what there is." if context is not None else ""
-        code = _refuse(UsageError(f"{error.format_message()}{where}"), now, words)
-    except PrbenchError as error:
-        code = _refuse(error, now, words)
-    except (KeyboardInterrupt, click.Abort):
-        kept = "; finished parts are kept, the same command resumes" if now.resumes else ""
-        print(f"prbench: interrupted{kept}.", file=sys.stderr)
-        return 130
-    except BrokenPipeError:
-        sys.stderr.close()  # the reader of our output went away, as `| head` does
-        return 0
-    if now.verbose:
-        _tell_cost(time.monotonic() - started)
-    return code
+        started = time.monotonic()
+        try:
+            with program.make_context("prbench", words, obj=now) as context:
+                code = _present(program.invoke(context), now)
+        except click.exceptions.Exit as end:  # --help and --version
+            return end.exit_code
+        except click.exceptions.NoArgsIsHelpError as missing:
+            print(missing.format_message())
+            return UsageError.exit_code
+        except click.ClickException as error:
+            # What the parser refused, and where the options are explained.
+            context = getattr(error, "ctx", None)
+            where = f" `{context.command_path} --help` lists what there is." if context is not None else ""
+            code = _refuse(UsageError(f"{error.format_message()}{where}"), now, words)
+        except PrbenchError as error:
+            code = _refuse(error, now, words)
+        except (KeyboardInterrupt, click.Abort):
+            kept = "; finished parts are kept, the same command resumes" if now.resumes else ""
+            print(f"prbench: interrupted{kept}.", file=sys.stderr)
+            return 130
+        except BrokenPipeError:
+            sys.stderr.close()  # the reader of our output went away, as `| head` does
+            return 0
+        if now.verbose:
+            _tell_cost(time.monotonic() - started)
+        return code
 
 
 def _present(answer: Any, now: Session) -> int:

@@ -131,7 +131,23 @@ def synthesize(
             if not (no_verify or defects or layout in _CORPUS_LAYOUTS):
                 report.checks = _compare_with_truth(tree, layout, seed, workers)
     if gallery is not None:
-        _draw_gallery(gallery, layout=layout, seed=seed)
+        # Draw twelve sequences of all presets, or of the one that was named.
+        from prbench.synthetic.people import perform
+        from prbench.viewing.gallery import (
+            render_contact_sheet,
+            render_gallery,
+            render_strips,
+            sequences_of,
+            strips_of_activities,
+        )
+
+        if layout in _CORPUS_LAYOUTS:
+            render_strips(strips_of_activities(seed), gallery)
+        elif layout is None:
+            render_contact_sheet(gallery, seed=seed)
+        else:
+            performances = [perform(layout, seed=seed, index=index, n_events=6) for index in range(4)]
+            render_gallery(sequences_of(performances)[:_SCENES_OF_ONE_PRESET], gallery)
     return Answer(report, lambda: _print(report, layout))
 
 
@@ -204,26 +220,6 @@ def _write_table(
             progress=tell,
         )
     report.table = built_table(made, funnel_rows(made.info), recordings=made.records)
-
-
-def _draw_gallery(file: Path, *, layout: str | None, seed: int) -> None:
-    """Draw twelve sequences of all presets, or of the one that was named."""
-    from prbench.synthetic.people import perform
-    from prbench.viewing.gallery import (
-        render_contact_sheet,
-        render_gallery,
-        render_strips,
-        sequences_of,
-        strips_of_activities,
-    )
-
-    if layout in _CORPUS_LAYOUTS:
-        render_strips(strips_of_activities(seed), file)
-    elif layout is None:
-        render_contact_sheet(file, seed=seed)
-    else:
-        performances = [perform(layout, seed=seed, index=index, n_events=6) for index in range(4)]
-        render_gallery(sequences_of(performances)[:_SCENES_OF_ONE_PRESET], file)
 
 
 def _print(report: SynthesizeReport, layout: str | None) -> None:

@@ -135,7 +135,15 @@ def print_table(
     if widths is None:
         _print_stacked(output, header, shown)
     else:
-        _print_grid(output, header, shown, widths, numbers=numbers, spaced=spaced)
+        from rich import box
+        from rich.table import Table
+
+        table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=spaced)
+        for index, (name, width) in enumerate(zip(header, widths)):
+            table.add_column(name, justify="right" if index in numbers else "left", overflow="fold", width=width)
+        for row in shown:
+            table.add_row(*row)
+        output.print(table)
 
 
 _BETWEEN_COLUMNS = 3  # of Rich's table: a space on either side of a cell, and one for the line that is not drawn
@@ -163,26 +171,6 @@ def _column_widths(rows: Sequence[Sequence[str]], available: int, numbers: Colle
         widths[index] += extra
         to_share -= extra
     return widths
-
-
-def _print_grid(
-    output: Console,
-    header: Sequence[str],
-    rows: Iterable[Sequence[str]],
-    widths: Sequence[int],
-    *,
-    numbers: Collection[int],
-    spaced: bool,
-) -> None:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=spaced)
-    for index, (name, width) in enumerate(zip(header, widths)):
-        table.add_column(name, justify="right" if index in numbers else "left", overflow="fold", width=width)
-    for row in rows:
-        table.add_row(*row)
-    output.print(table)
 
 
 def _print_stacked(output: Console, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

@@ -221,7 +221,16 @@ def _settings(dataset: str, options: BuildOptions) -> dict[str, Any]:
 def _in_table_order(sources: SequenceOf[RecordingSource]) -> list[RecordingSource]:
     # With the slash, because sequence ids go on with one: the table comes out sorted by id.
     ordered = sorted(sources, key=lambda source: f"{source.recording_id}/")
-    _require_distinct(ordered)
+    if not ordered:
+        raise InputFileError("sources", "", expected="recordings to build from", found="none")
+    for one, other in itertools.pairwise(ordered):
+        if one.recording_id == other.recording_id or one.dataset != other.dataset:
+            raise InputFileError(
+                one.recording_id,
+                "",
+                expected="recordings of one dataset with different names",
+                found=f"{one.dataset}/{one.recording_id} and {other.dataset}/{other.recording_id}",
+            )
     return ordered
 
 
@@ -284,19 +293,6 @@ def _require_same_dataset(out: Path, dataset: str) -> None:
         return  # damaged or of another version: a build is the way to mend it
     if there != dataset:
         raise StorageError(f"{out}: holds a table of {there}, and {dataset} is built. Choose another folder for --out.")
-
-
-def _require_distinct(sources: SequenceOf[RecordingSource]) -> None:
-    if not sources:
-        raise InputFileError("sources", "", expected="recordings to build from", found="none")
-    for one, other in itertools.pairwise(sources):
-        if one.recording_id == other.recording_id or one.dataset != other.dataset:
-            raise InputFileError(
-                one.recording_id,
-                "",
-                expected="recordings of one dataset with different names",
-                found=f"{one.dataset}/{one.recording_id} and {other.dataset}/{other.recording_id}",
-            )
 
 
 def plan_build(dataset: str, root: Path | str, options: BuildOptions = NO_OPTIONS) -> BuildPlan:

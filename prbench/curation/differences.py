@@ -92,8 +92,8 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
     names = [table.info.dataset for table in tables]
     if names[0] != names[1]:
         raise UsageError(f"{first} holds {names[0]} and {second} holds {names[1]}; compare builds of one dataset.")
-    before, after = (_events(table) for table in tables)
-    recordings = [_recordings(table) for table in tables]
+    before, after = (table.events().to_pylist() for table in tables)
+    recordings = [{row["recording_id"]: row for row in table.recordings().to_pylist()} for table in tables]
     sequences = [_sequence_rows(table) for table in tables]
     changes: list[tuple[float, Change]] = []
     same_events = same_sequences = 0
@@ -115,14 +115,6 @@ def compare_builds(first: Path | str, second: Path | str) -> Difference:
         unchanged_events=same_events,
         unchanged_sequences=same_sequences,
     )
-
-
-def _events(table: SequenceTable) -> list[Event]:
-    return table.events().to_pylist()
-
-
-def _recordings(table: SequenceTable) -> dict[str, Row]:
-    return {row["recording_id"]: row for row in table.recordings().to_pylist()}
 
 
 def _pairs(before: list[Event], after: list[Event]) -> Iterator[tuple[Event | None, Event | None]]:
@@ -192,7 +184,18 @@ def _change(
         return _described("lost" if was else "gained", one, other, _decision(other if was else one))
     if (one["outcome"], one["stage"]) != (other["outcome"], other["stage"]):
         return _described("outcome", one, other, f"{_decision(one)} → {_decision(other)}")
-    shift = _shift(one, other)
+    # Say how far times and place of an event moved; empty if they did not.
+    parts = []
+    for name in ("event_time", "prime_time"):
+        if one[name] is not None and other[name] is not None and abs(other[name] - one[name]) > _SAME_TIME:
+            parts.append(f"{name.removesuffix('_time')} {other[name] - one[name]:+.3f} s")
+    if one["location"] is not None and other["location"] is not None:
+        distance = float(np.linalg.norm(np.subtract(other["location"], one["location"])))
+        if distance > _SAME_PLACE:
+            parts.append(f"place {distance:.3f} m")
+    if one["prime_kind"] != other["prime_kind"]:
+        parts.append(f"{one['prime_kind']} → {other['prime_kind']}")
+    shift = ", ".join(parts)
     if shift and was:
         return _described("moved", one, other, shift)
     columns = _differing_columns(one, other)
@@ -283,21 +286,6 @@ def _decision(event: Event) -> str:
         return event["stage"]
     threshold = "" if event["threshold"] is None else f" (threshold {event['threshold']:g})"
     return f"{event['stage']}: {event['value']:.3f}{threshold}"
-
-
-def _shift(one: Event, other: Event) -> str:
-    """Say how far times and place of an event moved; empty if they did not."""
-    parts = []
-    for name in ("event_time", "prime_time"):
-        if one[name] is not None and other[name] is not None and abs(other[name] - one[name]) > _SAME_TIME:
-            parts.append(f"{name.removesuffix('_time')} {other[name] - one[name]:+.3f} s")
-    if one["location"] is not None and other["location"] is not None:
-        distance = float(np.linalg.norm(np.subtract(other["location"], one["location"])))
-        if distance > _SAME_PLACE:
-            parts.append(f"place {distance:.3f} m")
-    if one["prime_kind"] != other["prime_kind"]:
-        parts.append(f"{one['prime_kind']} → {other['prime_kind']}")
-    return ", ".join(parts)
 
 
 def _settings(one: DatasetInfo, other: DatasetInfo) -> tuple[tuple[str, str, str], ...]:

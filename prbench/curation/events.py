@@ -75,7 +75,11 @@ def find_events(recording: Recording, rule: InHandRule | None) -> tuple[list[Pic
     else:
         events = [event for holding in find_holdings(recording, rule) for event in _events_of(recording, holding, rule)]
     events.sort(key=lambda event: (event.event_time, event.event_id))
-    return _without_repetitions(events)
+    # One event an id: a dataset that lists one event twice gets a remark, not two sequences.
+    unique = list({event.event_id: event for event in reversed(events)}.values())[::-1]
+    repeated = len(events) - len(unique)
+    remarks = (f"{repeated} events are listed twice, with equal object, action and time",) if repeated else ()
+    return unique, remarks
 
 
 def event_id(recording: Recording, object_id: str, action: Action, event_time: float) -> str:
@@ -182,11 +186,3 @@ def _put_without_place(recording: Recording, holding: Holding, time: float) -> P
         displacement=holding.displacement,
         rejected=Decision("no_location", "location"),
     )
-
-
-def _without_repetitions(events: list[PickPutEvent]) -> tuple[list[PickPutEvent], tuple[str, ...]]:
-    """One event an id: a dataset that lists one event twice gets a remark, not two sequences."""
-    unique = list({event.event_id: event for event in reversed(events)}.values())[::-1]
-    repeated = len(events) - len(unique)
-    remarks = (f"{repeated} events are listed twice, with equal object, action and time",) if repeated else ()
-    return unique, remarks

@@ -149,7 +149,7 @@ def find_departure(
         first_away=track.centre[inner + 1],
         centre=rest,
         position=np.median(track.position[quiet], axis=0),
-        rotation=_mean_rotation(track.rotation[quiet]),
+        rotation=Rotation.from_quat(track.rotation[quiet], scalar_first=True).mean().as_quat(scalar_first=True),
     )
 
 
@@ -173,10 +173,6 @@ def _quiet_part(track: Track, first: int, last: int) -> slice:
     stop = stop if stop > first else last + 1
     begin = int(np.searchsorted(track.times, track.times[stop - 1] - _LONGEST_REST))
     return slice(max(first, begin), stop)
-
-
-def _mean_rotation(quaternions: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "4"]:
-    return Rotation.from_quat(quaternions, scalar_first=True).mean().as_quat(scalar_first=True)
 
 
 def placed_in_gap(departure: Departure, hands: tuple[HandStream, ...], distance: float) -> Departure:
@@ -435,7 +431,12 @@ def _diameter(rows: Float[np.ndarray, "n k"], valid: Bool[np.ndarray, " n"]) -> 
 
 
 def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHandRule) -> list[Holding]:
-    samples = _samples(track, rule)
+    times, position, rotation = (column[track.valid] for column in (track.times, track.position, track.rotation))
+    middle = (track.box_min + track.box_max) / 2
+    centre = position + Rotation.from_quat(rotation, scalar_first=True).apply(middle)
+    samples = Track(
+        times, centre, position, rotation, windowed_speed(times, centre, window=rule.moving_window), rule.moving_window
+    )
     distances = [
         contact_distance(hand, track, rule, samples.times, samples.position, samples.rotation) for hand in hands
     ]
@@ -477,15 +478,6 @@ def _holdings_of(track: ObjectTrack, hands: tuple[HandStream, ...], rule: InHand
             )
         )
     return found
-
-
-def _samples(track: ObjectTrack, rule: InHandRule) -> Track:
-    times, position, rotation = (column[track.valid] for column in (track.times, track.position, track.rotation))
-    middle = (track.box_min + track.box_max) / 2
-    centre = position + Rotation.from_quat(rotation, scalar_first=True).apply(middle)
-    return Track(
-        times, centre, position, rotation, windowed_speed(times, centre, window=rule.moving_window), rule.moving_window
-    )
 
 
 def _displacement(centre: Float[np.ndarray, "n 3"], rest: Departure | None) -> float:

@@ -321,6 +321,15 @@ def describe(
     for receipt in receipts:
         outcomes.update(receipt.record.outcomes)
     statuses = Counter(receipt.record.status for receipt in receipts)
+    chosen = {
+        "recordings": options.recordings,
+        "limit": "all" if options.limit is None else str(options.limit),
+    }
+    if options.reader:
+        reader = reader_for(manifest.name, dict(options.reader))
+        chosen |= {f"reader.{name}": value for name, value in described_options(reader.options).items()}
+    if protocol.is_own:  # tables of prbench's own protocol keep their bytes
+        chosen[OPTION] = protocol.label
     return DatasetInfo(
         schema_version=SCHEMA_VERSION,
         protocol_version=protocol.version,
@@ -331,7 +340,7 @@ def describe(
         prbench_version=prbench.__version__,
         manifest_digest=digest_of(manifest),
         input_digest=text_digest(*(text for r in receipts for text in (r.record.recording_id, r.input_digest))),
-        options=_options(manifest, protocol, options) | dict(extra_options),
+        options=(chosen | options.curation.described(manifest, protocol)) | dict(extra_options),
         counts=msgspec.structs.replace(
             funnel_counts(statuses, outcomes),
             recordings_cut_short=sum(bool(receipt.record.shortfalls) for receipt in receipts),
@@ -374,19 +383,6 @@ def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> F
         **by_stage,
         sequences=outcomes.get("sequence", 0),
     )
-
-
-def _options(manifest: Manifest, protocol: BenchmarkProtocol, options: BuildOptions) -> dict[str, str]:
-    chosen = {
-        "recordings": options.recordings,
-        "limit": "all" if options.limit is None else str(options.limit),
-    }
-    if options.reader:
-        reader = reader_for(manifest.name, dict(options.reader))
-        chosen |= {f"reader.{name}": value for name, value in described_options(reader.options).items()}
-    if protocol.is_own:  # tables of prbench's own protocol keep their bytes
-        chosen[OPTION] = protocol.label
-    return chosen | options.curation.described(manifest, protocol)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from prbench.geometry.skeleton import Joint
 from prbench.geometry.timelines import nearest_index
 from prbench.readers import AnnotatedByHand, AnnotationLine, RecordingFiles, reader_for
 from prbench.readers.discover import usable_readers
-from prbench.recording import BodyStream, Recording
+from prbench.recording import Recording
 from prbench.recording.streams import Side
 from prbench.shown import csv_text
 
@@ -79,22 +79,16 @@ def propose_pick(recording: Recording, *, hint: float | None = None) -> Candidat
         if hint is None or abs(times[row] - hint) <= _NEAR_HINT
     ]
     if hint is not None:
-        return _with_hint(recording, body, hint, found, moved)
+        # The best stop near the hint, else the hint itself with the wrist that moved more.
+        best = max(found, key=lambda candidate: candidate.confidence, default=None)
+        if best is None:
+            side = int(np.argmax(moved))
+            row = int(nearest_index(body.times[body.valid], np.array([hint]))[0])
+            best = _judged(recording, body.times[body.valid], body.joints[body.valid], side, row, True)
+        confidence = 1 - (1 - best.confidence) * (1 - _HINT_SHARE)
+        apart = best.time - hint
+        return Candidate(best.time, best.hand, round(confidence, 2), f"hint {apart:+.2f} s away; {best.reason}")
     return max(found, key=lambda candidate: candidate.confidence, default=None)
-
-
-def _with_hint(
-    recording: Recording, body: BodyStream, hint: float, found: list[Candidate], moved: list[float]
-) -> Candidate:
-    """The best stop near the hint, else the hint itself with the wrist that moved more."""
-    best = max(found, key=lambda candidate: candidate.confidence, default=None)
-    if best is None:
-        side = int(np.argmax(moved))
-        row = int(nearest_index(body.times[body.valid], np.array([hint]))[0])
-        best = _judged(recording, body.times[body.valid], body.joints[body.valid], side, row, True)
-    confidence = 1 - (1 - best.confidence) * (1 - _HINT_SHARE)
-    apart = best.time - hint
-    return Candidate(best.time, best.hand, round(confidence, 2), f"hint {apart:+.2f} s away; {best.reason}")
 
 
 def _stops(times: Float[np.ndarray, " n"], joints: Float[np.ndarray, "n 22 3"], side: int) -> Int[np.ndarray, " k"]:

@@ -24,7 +24,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import BinaryIO, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import pyarrow as pa
@@ -153,27 +153,24 @@ def load_array(path: Path, *, largest: int = LARGEST_ARRAYS, remedy: str = "") -
         require_size(path, largest=largest)
         with open(path, "rb") as file:
             header = read_header(file, path, "", remedy=remedy)
-            _require_bytes(path, header, largest=largest, present=path.stat().st_size)
+            # Refuse an array that is larger than it may be, or than what stands in the file.
+            present = path.stat().st_size
+            form = f"(shape {header.shape} of {header.dtype})"
+            if header.nbytes > largest:
+                raise InputFileError(
+                    path, "", expected=f"at most {largest:,} bytes", found=f"{header.nbytes:,} declared {form}"
+                )
+            if header.nbytes > present - header.offset:
+                raise InputFileError(
+                    path,
+                    "",
+                    expected=f"{header.nbytes:,} bytes {form}",
+                    found=f"{max(present - header.offset, 0):,}",
+                    remedy="The file is cut off; write it again.",
+                )
             return header.shaped(_values(file, header))
     except FileNotFoundError as error:
         raise InputFileError(path, "", expected="this file", found="no such file", remedy=remedy) from error
-
-
-def _require_bytes(path: Path, header: ArrayHeader, *, largest: int, present: int) -> None:
-    """Refuse an array that is larger than it may be, or than what stands in the file."""
-    form = f"(shape {header.shape} of {header.dtype})"
-    if header.nbytes > largest:
-        raise InputFileError(
-            path, "", expected=f"at most {largest:,} bytes", found=f"{header.nbytes:,} declared {form}"
-        )
-    if header.nbytes > present - header.offset:
-        raise InputFileError(
-            path,
-            "",
-            expected=f"{header.nbytes:,} bytes {form}",
-            found=f"{max(present - header.offset, 0):,}",
-            remedy="The file is cut off; write it again.",
-        )
 
 
 def _values(stream: _ByteStream, header: ArrayHeader) -> np.ndarray:
@@ -348,7 +345,7 @@ class Archive:
             self._header(name, stream)
             while part := stream.read(_PIECE):
                 try:
-                    _write_piece(file, part)
+                    file.write(part)
                 except OSError as error:
                     raise StorageError(
                         f"{self.path}, '{name}': cannot be unpacked to {target} ({error.strerror}). Save it with"
@@ -403,10 +400,6 @@ _DAMAGED = (
     ValueError,  # of a table of contents that points before the start of the file
 )
 """Exceptions that zipfile raises for damaged archives."""
-
-
-def _write_piece(file: BinaryIO, part: bytes) -> None:
-    file.write(part)
 
 
 def open_parquet(path: Path, *, verify: bool = False) -> pq.ParquetFile:

@@ -15,7 +15,6 @@ import stat
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO
 
 from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
@@ -210,11 +209,8 @@ def _file_of(error: Exception) -> Path | None:
     named = error.filename if isinstance(error, OSError) else None
     if isinstance(named, str | bytes):
         return Path(os.fsdecode(named))
-    return _innermost_path(error.__traceback__)
-
-
-def _innermost_path(traceback: TracebackType | None) -> Path | None:
-    """The path that the innermost function of prbench knew when an error arose; None if none knew one."""
+    # The path that the innermost function of prbench knew when an error arose; None if none knew one.
+    traceback = error.__traceback__
     found = None
     while traceback is not None:
         frame = traceback.tb_frame

@@ -399,16 +399,12 @@ def _acquired(path: Path) -> FileLock | None:
             raise _HeldByAnotherError(path, _owner(file)) from error
         except (OSError, NotImplementedError):
             continue
-        _sign(file)
+        # Write down who holds a lock; a full disk costs the others this name, not us the work.
+        with contextlib.suppress(OSError), open(file, "r+b", buffering=0) as opened:
+            opened.seek(_OWNER_AT)
+            opened.write(f"{os.getpid()} {socket.gethostname()}\n".encode())
         return lock
     return None
-
-
-def _sign(file: Path) -> None:
-    """Write down who holds a lock; a full disk costs the others this name, not us the work."""
-    with contextlib.suppress(OSError), open(file, "r+b", buffering=0) as opened:
-        opened.seek(_OWNER_AT)
-        opened.write(f"{os.getpid()} {socket.gethostname()}\n".encode())
 
 
 def _owner(file: Path) -> str:

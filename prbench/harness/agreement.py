@@ -70,7 +70,11 @@ def agreement_with_people(
     people, goals = score_recorded(selection, protocol.metrics, wanted)
     # Numbers in the order of the names take the place of the names, which are sorted many times.
     recordings = np.unique(np.array(selection.recording_ids, dtype=object), return_inverse=True)[1]
-    sequences = _ranks_of_numbers(len(selection))
+    # The places of 0, 1, 2 … among themselves, sorted as texts: the order in which values are added up.
+    count = len(selection)
+    ranks = np.empty(count, dtype=np.int64)
+    ranks[sorted(range(count), key=str)] = np.arange(count)
+    sequences = ranks
     rates: list[RateAgreement] = []
     breakdown: list[BinRate] = []
     for info, rows in _rates(scores, selection):
@@ -90,13 +94,6 @@ def agreement_with_people(
         breakdown=tuple(breakdown),
         scene=_scene(selection, people),
     )
-
-
-def _ranks_of_numbers(count: int) -> Int[np.ndarray, " count"]:
-    """Return the places of 0, 1, 2 … among themselves, sorted as texts: the order in which values are added up."""
-    ranks = np.empty(count, dtype=np.int64)
-    ranks[sorted(range(count), key=str)] = np.arange(count)
-    return ranks
 
 
 def _scene(selection: Selection, people: Mapping[str, Float[np.ndarray, " n"]]) -> SceneOfPeople | None:

@@ -151,7 +151,10 @@ def p_values(spread: Spread) -> PerSet:
     if spread.recordings < FEWEST_FOR_TEST or spread.degrees < _FEWEST_DEGREES:
         return np.full(np.shape(spread.mean), np.nan)
     studentised = np.clip(spread.mean / np.maximum(spread.error, _TINY), -_CERTAIN, _CERTAIN)
-    symmetric = _with_skewness(studentised, _UNSEEN_SKEWNESS * spread.skewness)
+    # Hall's (1992) transformation: its result is nearly symmetric where the studentised mean is not.
+    skewness = _UNSEEN_SKEWNESS * spread.skewness
+    t = studentised
+    symmetric = t + skewness * t**2 / 3 + skewness**2 * t**3 / 27 + skewness / 6
     statistic = np.minimum(np.abs(studentised), np.abs(symmetric))
     both_tails = 2 * special.stdtr(test_degrees(spread), -statistic)
     return np.minimum(both_tails / _tail_share_of_test(spread.recordings), 1.0)
@@ -283,12 +286,6 @@ def _tail_share(recordings: int) -> float:
 def _tail_share_of_test(recordings: int) -> float:
     """The same for p-values, cubed: Holm's first step asks for tails far out, which few recordings show later still."""
     return _tail_share(recordings) ** 3
-
-
-def _with_skewness(studentised: PerSet, skewness: PerSet) -> PerSet:
-    """Hall's (1992) transformation: its result is nearly symmetric where the studentised mean is not."""
-    t = studentised
-    return t + skewness * t**2 / 3 + skewness**2 * t**3 / 27 + skewness / 6
 
 
 def _without_skewness(transformed: float, skewness: PerSet) -> PerSet:

@@ -90,9 +90,19 @@ class MotionsToGoal:
 
 def timing(motions: MotionsToGoal, constants: MetricConstants) -> Timing:
     """Find the moments that are compared."""
+    distance = motions.head_distance
+    hold = int(np.ceil(constants.prime_duration * motions.fps - 1e-9))
+    last = max(distance.shape[1] - hold, 1)
+    # The farthest of the frames that a stay is made of, for each frame in which it may begin.
+    stay = np.stack([distance[:, k : last + k] for k in range(min(hold + 1, distance.shape[1] - last + 1))]).max(axis=0)
+    on_goal = stay <= constants.prime_distance + constants.threshold_tolerance
+    pelvis = motions.joints[:, :, Joint.PELVIS]
+    steps = np.linalg.norm(np.diff(pelvis[..., [0, 2]], axis=1), axis=-1)
+    covered = np.cumsum(steps, axis=1)
     return Timing(
-        prime=_first_looks(motions, constants) / motions.fps,
-        half_way=_half_way(motions.joints[:, :, Joint.PELVIS]) / motions.fps,
+        prime=np.where(on_goal.any(axis=1), on_goal.argmax(axis=1), stay.argmin(axis=1)).astype(np.float64)
+        / motions.fps,
+        half_way=(1.0 + (covered >= covered[:, -1:] / 2 - _ROUNDING).argmax(axis=1)) / motions.fps,
         wrist_arrival=_arrivals(motions.reaching_wrist, constants.reach_distance) / motions.fps,
     )
 
@@ -145,22 +155,6 @@ def _stations(path: Float[np.ndarray, "frames 2"]) -> Float[np.ndarray, "station
         return np.repeat(path[:1], _STATIONS, axis=0)
     wanted = np.linspace(0.0, covered[-1], _STATIONS)
     return np.stack([np.interp(wanted, covered, path[:, axis]) for axis in (0, 1)], axis=-1)
-
-
-def _first_looks(motions: MotionsToGoal, constants: MetricConstants) -> Float[np.ndarray, " k"]:
-    distance = motions.head_distance
-    hold = int(np.ceil(constants.prime_duration * motions.fps - 1e-9))
-    last = max(distance.shape[1] - hold, 1)
-    # The farthest of the frames that a stay is made of, for each frame in which it may begin.
-    stay = np.stack([distance[:, k : last + k] for k in range(min(hold + 1, distance.shape[1] - last + 1))]).max(axis=0)
-    on_goal = stay <= constants.prime_distance + constants.threshold_tolerance
-    return np.where(on_goal.any(axis=1), on_goal.argmax(axis=1), stay.argmin(axis=1)).astype(np.float64)
-
-
-def _half_way(pelvis: Float[np.ndarray, "k frames 3"]) -> Float[np.ndarray, " k"]:
-    steps = np.linalg.norm(np.diff(pelvis[..., [0, 2]], axis=1), axis=-1)
-    covered = np.cumsum(steps, axis=1)
-    return 1.0 + (covered >= covered[:, -1:] / 2 - _ROUNDING).argmax(axis=1)
 
 
 def _arrivals(wrist: Float[np.ndarray, "k frames 3"], distance: float) -> Float[np.ndarray, " k"]:

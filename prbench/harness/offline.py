@@ -271,23 +271,20 @@ def _read_npz(path: Path) -> ConditionsFile:
         raise InputFileError(path, "", expected=f"the arrays {', '.join(names)}", found=found)
     arrays = {name: archive.read(name, largest=_LARGEST_ARRAY) for name in names}
     for name, values in arrays.items():
-        _require_form(path, name, values, rows=len(arrays["n_frames"]))
+        rows = len(arrays["n_frames"])
+        kind, shape = _FORMS[name]
+        right_kind = values.dtype.kind == "U" if kind == "U" else values.dtype == np.dtype(kind)
+        if not right_kind or values.shape != (rows, *shape):
+            raise InputFileError(
+                path,
+                f"'{name}'",
+                expected=f"shape {(rows, *shape)} of {'text' if kind == 'U' else np.dtype(kind)}",
+                found=f"{values.shape} of {values.dtype}",
+            )
     columns: dict[str, Any] = {
         name: tuple(values.tolist()) if values.dtype.kind == "U" else values for name, values in arrays.items()
     }
     return ConditionsFile(info=info, **columns)
-
-
-def _require_form(path: Path, name: str, values: np.ndarray, *, rows: int) -> None:
-    kind, shape = _FORMS[name]
-    right_kind = values.dtype.kind == "U" if kind == "U" else values.dtype == np.dtype(kind)
-    if not right_kind or values.shape != (rows, *shape):
-        raise InputFileError(
-            path,
-            f"'{name}'",
-            expected=f"shape {(rows, *shape)} of {'text' if kind == 'U' else np.dtype(kind)}",
-            found=f"{values.shape} of {values.dtype}",
-        )
 
 
 def _write_parquet(conditions: ConditionsFile, path: Path) -> None:

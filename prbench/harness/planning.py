@@ -149,7 +149,8 @@ def _of_split(table: SequenceTable, split: str) -> Selection:
         lengths.append(chunk.n_frames)
         rates |= set(np.unique(chunk.numbers("fps")).tolist())
     if not ids:
-        counts = _split_counts(table)
+        splits = table.scalars(columns=["split"])["split"].to_pylist()
+        counts = ", ".join(f"{name} {splits.count(name)}" for name in SPLITS)
         raise TableError(
             f"{table.folder}: expected sequences in split '{split}', found none ({counts})."
             " Build more recordings, or choose another split with --split."
@@ -246,8 +247,3 @@ def _parted(batches: list[pa.RecordBatch], rows: int) -> tuple[pa.RecordBatch, l
 
 def _joined(batches: list[pa.RecordBatch]) -> pa.RecordBatch:
     return pa.Table.from_batches(batches).combine_chunks().to_batches()[0]
-
-
-def _split_counts(table: SequenceTable) -> str:
-    splits = table.scalars(columns=["split"])["split"].to_pylist()
-    return ", ".join(f"{name} {splits.count(name)}" for name in SPLITS)

@@ -107,6 +107,7 @@ def _controlled(task: BatchTask) -> tuple[Answer, BatchCost]:
 
 
 def _cost(task: BatchTask, answer: Answer, seconds: float, warm_up: bool, peak_process_bytes: int) -> BatchCost:
+    cuda = _used_cuda()
     return BatchCost(
         batch=task.index,
         motions=len(answer.samples) * len(task.sequence_ids),
@@ -114,7 +115,7 @@ def _cost(task: BatchTask, answer: Answer, seconds: float, warm_up: bool, peak_p
         seconds=seconds,
         warm_up=warm_up,
         peak_process_bytes=peak_process_bytes,
-        peak_device_bytes=_device_peak(),
+        peak_device_bytes=(None if cuda is None else int(cuda.max_memory_allocated())),
         halvings=answer.halvings,
         network_passes=answer.network_passes,
     )
@@ -129,11 +130,6 @@ def _synchronised_time() -> float:
 def _reset_device_peak() -> None:
     if cuda := _used_cuda():
         cuda.reset_peak_memory_stats()
-
-
-def _device_peak() -> int | None:
-    cuda = _used_cuda()
-    return None if cuda is None else int(cuda.max_memory_allocated())
 
 
 def _used_cuda() -> Any:

@@ -215,13 +215,24 @@ def _scored(
         samples=len(samples),
         method=msgspec.structs.replace(record.method, gaze=predictions.has_gaze),
     )
+    recorded_motion = record.method.kind == run_record.CONTROL and record.method.name in RECORDED_MOTION
+    other_goals = None
+    if recorded_motion and record.control == SHUFFLED_GOAL:
+        order = derangement(selection, seed=record.seed)
+        other_goals = ConditionSource.read(selection).goal_location[order]
     return Scored.of(
         scored,
         table_record(chosen, selection, _NO_BATCHES),
         selection,
         predictions,
         samples=samples,
-        rules=_rules(request, record, selection, protocol),
+        rules=ScoringRules(
+            protocol.metrics,
+            recorded_motion=recorded_motion,
+            other_goals=other_goals,
+            run_of=record.method.name,
+            allow_length_mismatch=request.allow_length_mismatch,
+        ),
         protocol=protocol,
         work=work,
     )
@@ -244,21 +255,6 @@ def _selections(request: ScoreRequest, record: RunRecord, table: SequenceTable) 
     if record.sequences and request.limit is None:
         chosen = chosen.chosen(np.isin(chosen.sequence_ids, record.sequences))
     return chosen, supported(chosen, max_frames=record.method.max_frames, native_fps=record.method.native_fps)
-
-
-def _rules(request: ScoreRequest, record: RunRecord, selection: Selection, protocol: BenchmarkProtocol) -> ScoringRules:
-    recorded_motion = record.method.kind == run_record.CONTROL and record.method.name in RECORDED_MOTION
-    other_goals = None
-    if recorded_motion and record.control == SHUFFLED_GOAL:
-        order = derangement(selection, seed=record.seed)
-        other_goals = ConditionSource.read(selection).goal_location[order]
-    return ScoringRules(
-        protocol.metrics,
-        recorded_motion=recorded_motion,
-        other_goals=other_goals,
-        run_of=record.method.name,
-        allow_length_mismatch=request.allow_length_mismatch,
-    )
 
 
 def score_predictions(
@@ -293,72 +289,63 @@ def score_predictions(
     with nullcontext() if request.out is None else sole_writer(request.out):
         if run is not None:
             return score_run(run, tables, request, work)
-        return _score_submission(tables, request, given, work)
-
-
-def _score_submission(
-    tables: list[SequenceTable], request: ScoreRequest, given: GivenMotions | None, work: Work
-) -> tuple[ScoreReport, ...]:
-    """Score the motions of a file, or those in memory.
-
-    Raises:
-        UsageError: if the request contradicts its conditions file.
-        PredictionsError: see :func:`prbench.harness.score_predictions.score_predictions`.
-    """
-    name = request.name or _name_of(request.predictions)
-    protocol = protocol_for(request.protocol, (table.described_protocol for table in tables))
-    stated, numbering = _stated(tables, request)
-    chosen = [select(table, split=stated.split, limit=stated.limit) for table in tables]
-    selections = [_supported(each, stated) for each in chosen]
-    predictions = Predictions.open(request.predictions, numbering=numbering) if given is None else given.predictions
-    samples = _require_fit(predictions, selections, stated, request)
-    rules = ScoringRules(
-        protocol.metrics,
-        allow_length_mismatch=request.allow_length_mismatch,
-        id_seed=stated.seed,
-        native_fps=stated.native_fps,
-    )
-    digest = ""  # takes long, and nobody asks for it where nothing is written
-    if request.out is not None:
-        digest = predictions_digest(request.predictions) if given is None else given.digest
-    record = RunRecord(
-        schema_version=RUN_SCHEMA_VERSION,
-        prbench_version=prbench.__version__,
-        protocol_version=protocol.version,
-        protocol_digest=protocol.digest,
-        method=MethodRecord(
-            name=name,
-            kind=FILE,
-            package=request.predictions.name,
-            version=digest[:12],
-            weights=None,
-            weights_digest=None,
-            options={},
-            max_frames=stated.max_frames,
+        # Score the motions of a file, or those in memory.
+        name = request.name or _name_of(request.predictions)
+        protocol = protocol_for(request.protocol, (table.described_protocol for table in tables))
+        stated, numbering = _stated(tables, request)
+        chosen = [select(table, split=stated.split, limit=stated.limit) for table in tables]
+        selections = [_supported(each, stated) for each in chosen]
+        predictions = Predictions.open(request.predictions, numbering=numbering) if given is None else given.predictions
+        samples = _require_fit(predictions, selections, stated, request)
+        rules = ScoringRules(
+            protocol.metrics,
+            allow_length_mismatch=request.allow_length_mismatch,
+            id_seed=stated.seed,
             native_fps=stated.native_fps,
-            motionless=False,
-            gaze=predictions.has_gaze,
-        ),
-        condition=stated.condition.value if stated.condition else UNSTATED,
-        control=stated.control,
-        split=stated.split,
-        limit=stated.limit,
-        seed=stated.seed,
-        samples=len(samples),
-        device=_ELSEWHERE,
-        threads=0,
-        packages={},
-        tables=tuple(table_record(each, own, _NO_BATCHES) for each, own in zip(chosen, selections)),
-    )
-    scored = tuple(
-        Scored.of(record, table, selection, predictions, samples=samples, rules=rules, protocol=protocol, work=work)
-        for table, selection in zip(record.tables, selections)
-    )
-    folders: tuple[Path | None, ...] = (None,) * len(scored)
-    if request.out is not None:
-        folders = write_submission(request.out, record, scored, protocol)
-    origin = f"file {clean(request.predictions.name)}"
-    return tuple(ScoreReport(one.scores, one.summary, at, origin, one.agreement) for one, at in zip(scored, folders))
+        )
+        digest = ""  # takes long, and nobody asks for it where nothing is written
+        if request.out is not None:
+            digest = predictions_digest(request.predictions) if given is None else given.digest
+        record = RunRecord(
+            schema_version=RUN_SCHEMA_VERSION,
+            prbench_version=prbench.__version__,
+            protocol_version=protocol.version,
+            protocol_digest=protocol.digest,
+            method=MethodRecord(
+                name=name,
+                kind=FILE,
+                package=request.predictions.name,
+                version=digest[:12],
+                weights=None,
+                weights_digest=None,
+                options={},
+                max_frames=stated.max_frames,
+                native_fps=stated.native_fps,
+                motionless=False,
+                gaze=predictions.has_gaze,
+            ),
+            condition=stated.condition.value if stated.condition else UNSTATED,
+            control=stated.control,
+            split=stated.split,
+            limit=stated.limit,
+            seed=stated.seed,
+            samples=len(samples),
+            device=_ELSEWHERE,
+            threads=0,
+            packages={},
+            tables=tuple(table_record(each, own, _NO_BATCHES) for each, own in zip(chosen, selections)),
+        )
+        scored = tuple(
+            Scored.of(record, table, selection, predictions, samples=samples, rules=rules, protocol=protocol, work=work)
+            for table, selection in zip(record.tables, selections)
+        )
+        folders: tuple[Path | None, ...] = (None,) * len(scored)
+        if request.out is not None:
+            folders = write_submission(request.out, record, scored, protocol)
+        origin = f"file {clean(request.predictions.name)}"
+        return tuple(
+            ScoreReport(one.scores, one.summary, at, origin, one.agreement) for one, at in zip(scored, folders)
+        )
 
 
 def _stated(tables: list[SequenceTable], request: ScoreRequest) -> tuple[Stated, Numbering | None]:

@@ -217,7 +217,8 @@ def _score_part(part: _Part) -> pa.Table:
 def _score_together(part: _Part) -> pa.Table:
     chunk = SequenceChunk(part.recorded)
     recorded = MotionBatch(chunk.joints, chunk.offsets)
-    targets = _targets(chunk, part)
+    gaze = _recorded_gaze(chunk) if part.rules.recorded_motion else None
+    targets = targets_of(chunk, part.goals, gaze, part.scene)
     by_sample = []
     for sample in part.samples:
         rows = part.predictions.motions(part.names, sample)
@@ -229,16 +230,27 @@ def _score_together(part: _Part) -> pa.Table:
             rows = _at_table_rate(rows, recorded, part)
             predicted = MotionBatch(rows.values, rows.offsets)
         shown = targets if rows.gaze is None else replace(targets, gaze=_generated_gaze(rows.gaze))
-        values = _scored(predicted, recorded, shown, part.rules)
+        rules = part.rules
+        metrics = None
+        if rules.recorded_motion and rules.other_goals is not None:
+            metrics = frozenset(
+                info.id
+                for info in METRICS
+                if not info.compares_with_recorded and (shown.scene is not None or info.id not in SCENE_METRICS)
+            )
+        values = score(
+            predicted,
+            recorded,
+            shown,
+            rules.constants,
+            metrics=metrics,
+            allow_length_mismatch=rules.allow_length_mismatch,
+        )
+        values = list(values.values())
         if not part.rules.recorded_motion:
             values = [_with_copies_marked(value, predicted, recorded) for value in values]
         by_sample.append(values)
     return _long_form(part.dataset, chunk.sequence_ids, part.samples, by_sample)
-
-
-def _targets(chunk: SequenceChunk, part: _Part) -> ScoringTargets:
-    gaze = _recorded_gaze(chunk) if part.rules.recorded_motion else None
-    return targets_of(chunk, part.goals, gaze, part.scene)
 
 
 def _recorded_gaze(chunk: SequenceChunk) -> GazeRays:
@@ -268,27 +280,6 @@ def targets_of(
         gaze=gaze,
         scene=scene,
     )
-
-
-def _scored(
-    predicted: MotionBatch, recorded: MotionBatch, targets: ScoringTargets, rules: ScoringRules
-) -> list[MetricValues]:
-    metrics = None
-    if rules.recorded_motion and rules.other_goals is not None:
-        metrics = frozenset(
-            info.id
-            for info in METRICS
-            if not info.compares_with_recorded and (targets.scene is not None or info.id not in SCENE_METRICS)
-        )
-    values = score(
-        predicted,
-        recorded,
-        targets,
-        rules.constants,
-        metrics=metrics,
-        allow_length_mismatch=rules.allow_length_mismatch,
-    )
-    return list(values.values())
 
 
 def _with_copies_marked(values: MetricValues, predicted: MotionBatch, recorded: MotionBatch) -> MetricValues:

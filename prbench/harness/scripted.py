@@ -188,8 +188,14 @@ def scripted_joints(
     """The same motions as float64; canonical frame, metres. Frames beyond a sequence's own continue its end."""
     initial = start.initial_joints.astype(np.float64)
     goal = start.goal_location.astype(np.float64)
-    turned = _turned_progress(n_frames, fps)
-    reached = _reach_progress(n_frames, fps)
+    time = np.arange(int(n_frames.max())) / fps
+    # The turn ends at the arrival, so the ray is on the goal from 2.0 s on.
+    turned = minimum_jerk((time - (_ARRIVAL - _TURN_DURATION)) / _TURN_DURATION)
+    turned = np.broadcast_to(turned, (len(n_frames), len(time)))
+    time = np.arange(int(n_frames.max())) / fps
+    end = ((n_frames - 1) / fps)[:, None]
+    begin = np.clip(end - _SHORTEST_REACH, 0.0, _ARRIVAL)
+    reached = minimum_jerk((time - begin) / np.maximum(end - begin, 1 / fps))
 
     yaw = yaw_to_goal(initial, goal, start.head_tilt_deg)
     nod = nod_to_goal(about_pelvis(initial[:, None], yaw[:, None])[:, 0], goal, start.head_tilt_deg)
@@ -197,20 +203,6 @@ def scripted_joints(
     body = nodded(body, nod[:, None] * turned)
     body = body + reached[..., None, None] * glide(initial, goal)[:, None, None]
     return reaching(body, goal, reached)
-
-
-def _turned_progress(n_frames: np.ndarray, fps: float) -> np.ndarray:
-    time = np.arange(int(n_frames.max())) / fps
-    # The turn ends at the arrival, so the ray is on the goal from 2.0 s on.
-    turned = minimum_jerk((time - (_ARRIVAL - _TURN_DURATION)) / _TURN_DURATION)
-    return np.broadcast_to(turned, (len(n_frames), len(time)))
-
-
-def _reach_progress(n_frames: np.ndarray, fps: float) -> np.ndarray:
-    time = np.arange(int(n_frames.max())) / fps
-    end = ((n_frames - 1) / fps)[:, None]
-    begin = np.clip(end - _SHORTEST_REACH, 0.0, _ARRIVAL)
-    return minimum_jerk((time - begin) / np.maximum(end - begin, 1 / fps))
 
 
 _LATE_TURN = 0.5  # s; a brisk turn of the head and body

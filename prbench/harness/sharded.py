@@ -71,7 +71,14 @@ def run_shard(
             out = _folder(prepared, shard)
             held.enter_context(sole_writer(out))
             record = _shard_record(request, prepared, shard, tables_at)
-            _begin(out, record, prepared)
+            # Make the folder of the shard, or go on in it.
+            remove_leftovers(out / FILE_NAME)
+            require_replaceable(out, FILE_NAME, kind="shard")
+            begin_shard(out, record)
+            remove_half_written(out)
+            protocol = prepared.benchmark.copied_rules(prepared.rules)
+            if protocol is not None:
+                write_protocol(out, protocol)
             folder = RunFolder(out, prepared.record)
             mine = {record.plan[place] for place in shard.places(len(record.plan))}
             parts = [
@@ -82,7 +89,11 @@ def run_shard(
                 made = sum(generate_all(parts, folder, engine))
                 remove_half_written(out)  # by workers that were killed
             except Exception:
-                _discard_if_empty(out)
+                # Remove what is left of a shard whose first batch has failed.
+                left = {path.name for path in out.iterdir()} if out.is_dir() else {FILE_NAME, "more"}
+                if left == {FILE_NAME}:
+                    (out / FILE_NAME).unlink()
+                    out.rmdir()
                 raise
         except Exception:
             if request.isolate:
@@ -123,7 +134,26 @@ def merge_run_shards(
     """
     folder, shard = shards[0]
     record = msgspec.convert(shard.settings, RunRecord)
-    request = _request(folder, shard, record, data, out)
+    # The request of the whole run.
+    protocol = folder / PROTOCOL_FILE
+    request = RunRequest(
+        method=record.method.name,
+        data=tuple(data) or tuple(fetched(at) if is_url(at) else Path(at) for at in shard.places.get("data", ())),
+        benchmark=record.benchmark,
+        condition=record.condition,
+        split=record.split,
+        fold=shard.places.get("fold"),
+        limit=record.limit,
+        sequences=record.sequences,
+        seed=record.seed,
+        samples=record.samples,
+        batch_size=record.tables[0].batch_plan.batch_size,
+        device=record.device,
+        threads=record.threads,
+        control=record.control,
+        protocol=protocol if protocol.is_file() else None,
+        out=out,
+    )
     prepared = prepare_recorded(request, record, out)
     require_settings(
         folder,
@@ -181,48 +211,6 @@ def _folder(prepared: PreparedRun, shard: Shard) -> Path:
     if prepared.request.out is not None:
         return prepared.out
     return prepared.out.with_name(f"{prepared.out.name}-shard-{shard.number}-of-{shard.count}")
-
-
-def _begin(out: Path, record: ShardRecord, prepared: PreparedRun) -> None:
-    """Make the folder of the shard, or go on in it."""
-    remove_leftovers(out / FILE_NAME)
-    require_replaceable(out, FILE_NAME, kind="shard")
-    begin_shard(out, record)
-    remove_half_written(out)
-    protocol = prepared.benchmark.copied_rules(prepared.rules)
-    if protocol is not None:
-        write_protocol(out, protocol)
-
-
-def _discard_if_empty(out: Path) -> None:
-    """Remove what is left of a shard whose first batch has failed."""
-    left = {path.name for path in out.iterdir()} if out.is_dir() else {FILE_NAME, "more"}
-    if left == {FILE_NAME}:
-        (out / FILE_NAME).unlink()
-        out.rmdir()
-
-
-def _request(folder: Path, shard: ShardRecord, record: RunRecord, data: Sequence[Path], out: Path) -> RunRequest:
-    """Return the request of the whole run."""
-    protocol = folder / PROTOCOL_FILE
-    return RunRequest(
-        method=record.method.name,
-        data=tuple(data) or tuple(fetched(at) if is_url(at) else Path(at) for at in shard.places.get("data", ())),
-        benchmark=record.benchmark,
-        condition=record.condition,
-        split=record.split,
-        fold=shard.places.get("fold"),
-        limit=record.limit,
-        sequences=record.sequences,
-        seed=record.seed,
-        samples=record.samples,
-        batch_size=record.tables[0].batch_plan.batch_size,
-        device=record.device,
-        threads=record.threads,
-        control=record.control,
-        protocol=protocol if protocol.is_file() else None,
-        out=out,
-    )
 
 
 def _sources(shards: Sequence[tuple[Path, ShardRecord]], prepared: PreparedRun) -> dict[str, tuple[Path, ShardRecord]]:

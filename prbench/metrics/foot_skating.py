@@ -77,17 +77,13 @@ def toe_steps(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> ToeS
     # One difference over the whole array is fast; the steps from one sequence to the next are set to 0 below.
     speed *= fps_of_sequence[motion.sequence_of_row]
     speed[:, motion.last] = 0.0
-    return ToeSteps(speed, _averaged(speed, motion, fps_of_sequence, constants), _contact(motion, constants))
-
-
-def _averaged(speed: np.ndarray, motion: MotionBatch, fps: np.ndarray, constants: MetricConstants) -> np.ndarray:
-    windows = np.array([odd_window(constants.foot_window, rate) for rate in np.unique(fps)])
-    window_of_sequence = windows[np.searchsorted(np.unique(fps), fps)]
+    windows = np.array([odd_window(constants.foot_window, rate) for rate in np.unique(fps_of_sequence)])
+    window_of_sequence = windows[np.searchsorted(np.unique(fps_of_sequence), fps_of_sequence)]
     averaged = np.empty_like(speed)
     for window in np.unique(windows):
         rows = (window_of_sequence == window)[motion.sequence_of_row]
         averaged[:, rows] = moving_sum(speed, motion, int(window))[:, rows] / window
-    return averaged
+    return ToeSteps(speed, averaged, _contact(motion, constants))
 
 
 def _contact(motion: MotionBatch, constants: MetricConstants) -> np.ndarray:

@@ -58,7 +58,11 @@ def primed(
     frame = ranges(candidates.first, candidates.count)
     row = track.row_of_frame_0[sequence] + frame
     hold = candidates.hold[sequence]
-    chosen = _stays(on_target, row, hold)
+    # True where each row that is on target with the ``hold`` rows after it.
+    stays = on_target[row]
+    for k in range(1, _largest(hold) + 1):
+        stays &= on_target[row + np.minimum(k, hold)]
+    chosen = stays
     # Turning speed has no value in frame 0, so the mean of K speeds up to t needs t >= max(2, K).
     if variant == "onset":
         chosen &= (frame >= np.maximum(2, hold)) & ~on_target[row - 1]
@@ -89,14 +93,6 @@ def _latest(mask: Bool[np.ndarray, " rows"]) -> Int[np.ndarray, " rows"]:
     """Return for each row the last row up to it where the mask is True; -1 where there is none."""
     rows = np.where(mask, np.arange(len(mask)), -1)
     return np.maximum.accumulate(rows)
-
-
-def _stays(on_target: np.ndarray, row: np.ndarray, hold: np.ndarray) -> Bool[np.ndarray, " candidates"]:
-    """Return True for each row that is on target with the ``hold`` rows after it."""
-    stays = on_target[row]
-    for k in range(1, _largest(hold) + 1):
-        stays &= on_target[row + np.minimum(k, hold)]
-    return stays
 
 
 def _change_at_onset(speed: np.ndarray, row: np.ndarray, hold: np.ndarray) -> Float[np.ndarray, " candidates"]:

@@ -107,16 +107,12 @@ def _fetched_folder(store: Store, manifest: FolderManifest, tell: Tell) -> Path:
         fetch_files(store, manifest, lambda name: folder / name, tell)
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder.parent)  # used now
-        _forget_older(folder.parent)
+        # Delete copies of other states of a folder that nobody has used for some days.
+        for other in folder.parent.parent.iterdir():
+            is_state = len(other.name) == 16 and other.is_dir() and other != folder.parent
+            if is_state and time.time() - other.stat().st_mtime > _UNUSED_DAYS * 86_400:
+                remove_folder(other)
     return folder
-
-
-def _forget_older(used: Path) -> None:
-    """Delete copies of other states of a folder that nobody has used for some days."""
-    for other in used.parent.iterdir():
-        is_state = len(other.name) == 16 and other.is_dir() and other != used
-        if is_state and time.time() - other.stat().st_mtime > _UNUSED_DAYS * 86_400:
-            remove_folder(other)
 
 
 def _fetched_file(store: Store, tell: Tell) -> Path:
@@ -169,7 +165,20 @@ def fetched_native(text: str, dataset: str | None, *, tell: Tell = lambda _: Non
     if known is not None:
         return known
     store = Store(StoreUrl.parse(text))
-    patterns = _patterns(dataset)
+    # The files that readers ask for, each as patterns for the last parts of a path.
+    names = readable_datasets() if dataset is None else (dataset,)
+    found: set[tuple[str, ...]] = {(_MARK,)}
+    for name in names:
+        try:
+            manifest = load_manifest(name)
+        except PrbenchError:
+            if dataset is not None:
+                raise
+            continue  # a package's reader that cannot be used; the search for recordings says so
+        for file in (*manifest.required_files, *manifest.optional_files):
+            parts = [part.replace("P0X", "P*") for part in file.split("/") if part != ".."]
+            found.add(tuple(_without_names(part) for part in parts))
+    patterns = sorted(found)
     above = tuple(part for part in store.url.text.partition("://")[2].split("/") if part)
     listed = store.listing()
     if dataset is None and (not listed or any(each.name == "dataset.json" for each in listed)):
@@ -186,7 +195,11 @@ def fetched_native(text: str, dataset: str | None, *, tell: Tell = lambda _: Non
             remedy="`prbench datasets` says which files each dataset consists of.",
         )
     for each in wanted:
-        _require_plain(store, each)
+        path = PurePosixPath(each.name)
+        if path.is_absolute() or ".." in path.parts or path.as_posix() != each.name or clean(each.name) != each.name:
+            raise InputFileError(
+                str(store.url), each.name, expected="a path inside this folder", found="a path that may lead out of it"
+            )
     root = store.url.cache / f"native-{dataset or 'any'}" / store.url.name
     with in_turn(root, tell):
         _mirror(store, wanted, root, tell)
@@ -223,31 +236,6 @@ def _versions(kept: Path) -> dict[str, str]:
         return msgspec.json.decode(kept.read_bytes(), type=dict[str, str])
     except (OSError, msgspec.DecodeError):
         return {}
-
-
-def _require_plain(store: Store, found: StoredObject) -> None:
-    path = PurePosixPath(found.name)
-    if path.is_absolute() or ".." in path.parts or path.as_posix() != found.name or clean(found.name) != found.name:
-        raise InputFileError(
-            str(store.url), found.name, expected="a path inside this folder", found="a path that may lead out of it"
-        )
-
-
-def _patterns(dataset: str | None) -> list[tuple[str, ...]]:
-    """Return the files that readers ask for, each as patterns for the last parts of a path."""
-    names = readable_datasets() if dataset is None else (dataset,)
-    found: set[tuple[str, ...]] = {(_MARK,)}
-    for name in names:
-        try:
-            manifest = load_manifest(name)
-        except PrbenchError:
-            if dataset is not None:
-                raise
-            continue  # a package's reader that cannot be used; the search for recordings says so
-        for file in (*manifest.required_files, *manifest.optional_files):
-            parts = [part.replace("P0X", "P*") for part in file.split("/") if part != ".."]
-            found.add(tuple(_without_names(part) for part in parts))
-    return sorted(found)
 
 
 def _without_names(part: str) -> str:

@@ -225,7 +225,14 @@ class _OutputCopy:
     def uploading(self) -> Iterator[None]:
         """Upload finished files every few seconds while the block works."""
         stop = threading.Event()
-        pause = _pause()
+        given = os.environ.get(SECONDS_VARIABLE, "")
+        try:
+            seconds = float(given or _SECONDS)
+        except ValueError:
+            seconds = 0.0
+        if not 0 < seconds < 86_400:
+            raise UsageError(f"{SECONDS_VARIABLE}: expected seconds above 0, found '{given}'.")
+        pause = seconds
 
         def work() -> None:
             while not stop.wait(pause):
@@ -431,14 +438,3 @@ def _local_files(folder: Path, name: Callable[[Path], str]) -> dict[str, _Status
 def _status(path: Path) -> _Status:
     status = path.stat()
     return status.st_size, status.st_mtime_ns
-
-
-def _pause() -> float:
-    given = os.environ.get(SECONDS_VARIABLE, "")
-    try:
-        seconds = float(given or _SECONDS)
-    except ValueError:
-        seconds = 0.0
-    if not 0 < seconds < 86_400:
-        raise UsageError(f"{SECONDS_VARIABLE}: expected seconds above 0, found '{given}'.")
-    return seconds

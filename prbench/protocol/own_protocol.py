@@ -64,22 +64,6 @@ def read_protocol(path: Path) -> BenchmarkProtocol:
     except msgspec.ValidationError as error:
         key = str(error).partition("`$.")[2].rstrip("`")
         raise InputFileError(path, key, expected="a value of the key's type", found=str(error)) from error
-    _require_sense(path, protocol)
-    return protocol
-
-
-def _require_all_keys(path: Path, values: Mapping[str, Any]) -> None:
-    """Refuse a file with a key too many or too few: a default taken silently would not be one's own protocol."""
-    wanted = {"name", *(key for key, _ in _leaves(_default_values()))}
-    found = {key for key, _ in _leaves(values)}
-    for key in sorted(found - wanted):
-        hint = did_you_mean(key, wanted)
-        raise InputFileError(path, key, expected="a key of the protocol", found="an unknown one", remedy=hint.strip())
-    for key in sorted(wanted - found):
-        raise InputFileError(path, key, expected="every key of the protocol", found="no such key", remedy=_START)
-
-
-def _require_sense(path: Path, protocol: BenchmarkProtocol) -> None:
     if not _NAME.fullmatch(protocol.name) or protocol.name == PROTOCOL_NAME:
         raise InputFileError(
             path,
@@ -117,6 +101,18 @@ def _require_sense(path: Path, protocol: BenchmarkProtocol) -> None:
             expected=f"at most splits.test_from ({protocol.splits.test_from:g})",
             found=f"{protocol.splits.validation_below:g}",
         )
+    return protocol
+
+
+def _require_all_keys(path: Path, values: Mapping[str, Any]) -> None:
+    """Refuse a file with a key too many or too few: a default taken silently would not be one's own protocol."""
+    wanted = {"name", *(key for key, _ in _leaves(_default_values()))}
+    found = {key for key, _ in _leaves(values)}
+    for key in sorted(found - wanted):
+        hint = did_you_mean(key, wanted)
+        raise InputFileError(path, key, expected="a key of the protocol", found="an unknown one", remedy=hint.strip())
+    for key in sorted(wanted - found):
+        raise InputFileError(path, key, expected="every key of the protocol", found="no such key", remedy=_START)
 
 
 @cache

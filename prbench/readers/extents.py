@@ -168,29 +168,21 @@ def damage(file: InputFile) -> str:
     """Say in a few words what is wrong with an input file; empty if nothing seems to be."""
     try:
         with foreign_input(file.path):
-            return _damage(file)
+            require_size(file.path, largest=LARGEST_UNPACKED)
+            if file.path.stat().st_size == 0:
+                return "empty"
+            if file.member or zipfile.is_zipfile(file.path) or file.path.suffix in (".zip", ".npz"):
+                # The table of contents stands at the end of a zip file, so a cut one has none.
+                try:
+                    with zipfile.ZipFile(file.path) as archive:
+                        names = archive.namelist()
+                except zipfile.BadZipFile:
+                    return "cut off: an archive without table of contents"
+                return f"holds no '{file.member}'" if file.member and file.member not in names else ""
+            check = _CHECKS.get(file.path.suffix.lower())
+            return "" if check is None else check(file.path)
     except InputFileError as error:
         return f"cannot be read ({error.found})"
-
-
-def _damage(file: InputFile) -> str:
-    require_size(file.path, largest=LARGEST_UNPACKED)
-    if file.path.stat().st_size == 0:
-        return "empty"
-    if file.member or zipfile.is_zipfile(file.path) or file.path.suffix in (".zip", ".npz"):
-        return _damaged_archive(file)
-    check = _CHECKS.get(file.path.suffix.lower())
-    return "" if check is None else check(file.path)
-
-
-def _damaged_archive(file: InputFile) -> str:
-    """The table of contents stands at the end of a zip file, so a cut one has none."""
-    try:
-        with zipfile.ZipFile(file.path) as archive:
-            names = archive.namelist()
-    except zipfile.BadZipFile:
-        return "cut off: an archive without table of contents"
-    return f"holds no '{file.member}'" if file.member and file.member not in names else ""
 
 
 def _damaged_csv(path: Path) -> str:

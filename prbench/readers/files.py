@@ -468,24 +468,20 @@ def _parse(path: Source, types: Mapping[str, pa.DataType], *, use_threads: bool)
     with opened(path) as file:
         stream = RememberingTail(file)
         batches = pyarrow.csv.open_csv(stream, read_options=read, convert_options=convert)
-        return _watched(path, batches), stream.tail
-
-
-def _watched(path: Source, batches: pyarrow.csv.CSVStreamingReader) -> pa.Table:
-    """The table of a long file, refused as soon as it is larger than any table: cells may be longer than their text."""
-    kept = []
-    size = 0
-    for batch in batches:
-        kept.append(batch)
-        size += batch.nbytes
-        if size > LARGEST_TABLE:
-            raise InputFileError(
-                shown(path),
-                "",
-                expected=f"columns of at most {LARGEST_TABLE:,} bytes",
-                found=f"more in the first {sum(map(len, kept)):,} rows",
-            )
-    return pa.Table.from_batches(kept, batches.schema)
+        # The table of a long file, refused as soon as it is larger than any table: cells may be longer than their text.
+        kept = []
+        size = 0
+        for batch in batches:
+            kept.append(batch)
+            size += batch.nbytes
+            if size > LARGEST_TABLE:
+                raise InputFileError(
+                    shown(path),
+                    "",
+                    expected=f"columns of at most {LARGEST_TABLE:,} bytes",
+                    found=f"more in the first {sum(map(len, kept)):,} rows",
+                )
+        return pa.Table.from_batches(kept, batches.schema), stream.tail
 
 
 def _parse_naming_row(path: Source, types: Mapping[str, pa.DataType]) -> tuple[pa.Table, bytes | None]:

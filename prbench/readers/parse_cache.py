@@ -73,11 +73,7 @@ def limit_bytes() -> int:
 
 def _entry(source: Source) -> Path:
     member = source.member if isinstance(source, ZippedFile) else ""
-    return _folder() / f"{text_digest(str(_file(source).resolve()), member)[:32]}.arrow"
-
-
-def _folder() -> Path:
-    return cache_folder() / "parsed"
+    return (cache_folder() / "parsed") / f"{text_digest(str(_file(source).resolve()), member)[:32]}.arrow"
 
 
 def _file(source: Source) -> Path:

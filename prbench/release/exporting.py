@@ -28,7 +28,6 @@ from prbench.release.layout import (
     pack_arrays,
 )
 from prbench.release.report import ExportedTable, ExportReleaseReport
-from prbench.sequences import Sequence as Record
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import NOTICE_FILE, notice, require_may_pass_on
 from prbench.sequences.sequence import sequences_in
@@ -96,53 +95,45 @@ def _written(table: SequenceTable, folder: Path, frame: Frame) -> Iterator[tuple
     rows = (sequence for chunk in table.chunks(rows=64) for sequence in sequences_in(chunk.batch))
     for index, sequence in enumerate(rows):
         key = f"{index:010d}"
-        _write_arrays(sequence, folder, key, frame)
+        # Write motions, gazes (NaN where invalid), and the further arrays (always canonical).
+        joints = sequence.joints
+        # The layout has no column of validity, so NaN has to say it.
+        directions = np.where(sequence.gaze_valid[:, None], sequence.gaze_direction, np.float32(np.nan))
+        if frame == "world":
+            # Directions turn with the frame and do not move with it.
+            turn = sequence.world_from_canonical.copy()
+            turn[:3, 3] = 0.0
+            # In float64 and rounded once at the end: far from the origin float32 is coarse.
+            joints = transform_points(sequence.world_from_canonical, joints.astype(np.float64))
+            directions = transform_points(turn, directions.astype(np.float64))
+        for name, values in ((MOTIONS, joints), (GAZES, directions)):
+            single = np.ascontiguousarray(values, dtype=np.float32)
+            np.save(folder / name / f"{key}.npy", single, allow_pickle=False)
+        further = {name: getattr(sequence, name) for name in FURTHER_ARRAYS}
+        present = {name: values for name, values in further.items() if values is not None}
+        (folder / FURTHER / f"{key}.npz").write_bytes(pack_arrays(present))
         event_id = event_of.get(sequence.sequence_id) or sequence.sequence_id.rsplit("/", 1)[0]
         block = block_of(sequence, event_id=event_id, motion_frame=frame, goal_frame=goal_frame)
-        yield key, _entry(sequence, frame) | {"prbench": block}
-
-
-def _write_arrays(sequence: Record, folder: Path, key: str, frame: Frame) -> None:
-    """Write motions, gazes (NaN where invalid), and the further arrays (always canonical)."""
-    joints = sequence.joints
-    # The layout has no column of validity, so NaN has to say it.
-    directions = np.where(sequence.gaze_valid[:, None], sequence.gaze_direction, np.float32(np.nan))
-    if frame == "world":
-        # Directions turn with the frame and do not move with it.
-        turn = sequence.world_from_canonical.copy()
-        turn[:3, 3] = 0.0
-        # In float64 and rounded once at the end: far from the origin float32 is coarse.
-        joints = transform_points(sequence.world_from_canonical, joints.astype(np.float64))
-        directions = transform_points(turn, directions.astype(np.float64))
-    for name, values in ((MOTIONS, joints), (GAZES, directions)):
-        single = np.ascontiguousarray(values, dtype=np.float32)
-        np.save(folder / name / f"{key}.npy", single, allow_pickle=False)
-    further = {name: getattr(sequence, name) for name in FURTHER_ARRAYS}
-    present = {name: values for name, values in further.items() if values is not None}
-    (folder / FURTHER / f"{key}.npz").write_bytes(pack_arrays(present))
-
-
-def _entry(sequence: Record, frame: Frame) -> dict[str, Any]:
-    """Return the layout's fields, and those beside them that other tools may read."""
-    written_from_canonical = sequence.world_from_canonical if frame == "world" else np.eye(4)
-    fields = {
-        "goal_location": transform_points(written_from_canonical, sequence.goal_location).tolist(),
-        "text_prompt": sequence.text,
-        "subset": sequence.split,
-        "primed_frame": sequence.prime_frame,
-        "action": sequence.action,
-        "fps": sequence.fps,
-        "source": sequence.recording_id,
-        "event_frame": sequence.n_frames - 1,
-        "units": "m",
-        "up": "y",
-    }
-    if sequence.hand:
-        fields["hand"] = sequence.hand
-    if frame == "world" or (sequence.world_from_canonical == np.eye(4)).all():
-        # World-aligned: in a frame that is turned it would be no box.
-        fields["object_box"] = [sequence.goal_box_world_min.tolist(), sequence.goal_box_world_max.tolist()]
-    return fields
+        # The layout's fields, and those beside them that other tools may read.
+        written_from_canonical = sequence.world_from_canonical if frame == "world" else np.eye(4)
+        fields = {
+            "goal_location": transform_points(written_from_canonical, sequence.goal_location).tolist(),
+            "text_prompt": sequence.text,
+            "subset": sequence.split,
+            "primed_frame": sequence.prime_frame,
+            "action": sequence.action,
+            "fps": sequence.fps,
+            "source": sequence.recording_id,
+            "event_frame": sequence.n_frames - 1,
+            "units": "m",
+            "up": "y",
+        }
+        if sequence.hand:
+            fields["hand"] = sequence.hand
+        if frame == "world" or (sequence.world_from_canonical == np.eye(4)).all():
+            # World-aligned: in a frame that is turned it would be no box.
+            fields["object_box"] = [sequence.goal_box_world_min.tolist(), sequence.goal_box_world_max.tolist()]
+        yield key, fields | {"prbench": block}
 
 
 def _record(table: SequenceTable, permitted: Collection[str], frame: Frame) -> dict[str, Any]:

@@ -280,7 +280,33 @@ def _import_dataset(
         if one.sequence_id == other.sequence_id:
             raise InputFileError(TARGETS, one.sequence_id, expected="one entry", found="two with this sequence_id")
     progress(dataset, f"writing {len(found.sequences)} sequences")
-    records = _recordings(found)
+    # Source recordings where the release names them, else one unknown recording for each split.
+    sequences_of: dict[str, list[ReleasedSequence]] = defaultdict(list)
+    for one in found.sequences:
+        sequences_of[one.recording_id].append(one)
+    records = []
+    for name, rows in sorted(sequences_of.items()):
+        splits = Counter(row.subset for row in rows)
+        if len(splits) > 1:
+            message = "its sequences stand in more than one split"
+        elif name == f"unknown-{rows[0].subset}":
+            message = "the release does not say which recording a sequence comes from"
+        else:
+            message = ""
+        record = Recording(
+            recording_id=name,
+            participant_id=rows[0].participant_id,
+            # A recording has one split in our tables: the commoner one, where a release mixes them.
+            split=splits.most_common(1)[0][0],
+            split_group=rows[0].split_group,
+            duration=sum((row.n_frames - 1) / found.fps for row in rows),
+            outcomes={"sequence": len(rows)},
+            status="read",
+            message=message,
+        )
+        records.append(record)
+    for key, reason in sorted(found.left_out.items()):
+        records.append(Recording(f"sequence {key}", "unknown", "", "", 0.0, {}, "failed", reason))
     events: list[Event] = []
 
     def event_rows() -> Iterator[pa.RecordBatch]:  # asked for after all sequences were written
@@ -324,40 +350,6 @@ def _sequences(found: ReleasedDataset, manifest: Manifest, events: list[Event]) 
         ]
         events += [event for _, event in rows]
         yield sequence_batch(sequence for sequence, _ in rows)
-
-
-def _recordings(found: ReleasedDataset) -> list[Recording]:
-    """Return source recordings where the release names them, else one unknown recording for each split.
-
-    Each sequence that was left out is a failed recording of its own, with the reason.
-    """
-    sequences_of: dict[str, list[ReleasedSequence]] = defaultdict(list)
-    for one in found.sequences:
-        sequences_of[one.recording_id].append(one)
-    records = []
-    for name, rows in sorted(sequences_of.items()):
-        splits = Counter(row.subset for row in rows)
-        if len(splits) > 1:
-            message = "its sequences stand in more than one split"
-        elif name == f"unknown-{rows[0].subset}":
-            message = "the release does not say which recording a sequence comes from"
-        else:
-            message = ""
-        record = Recording(
-            recording_id=name,
-            participant_id=rows[0].participant_id,
-            # A recording has one split in our tables: the commoner one, where a release mixes them.
-            split=splits.most_common(1)[0][0],
-            split_group=rows[0].split_group,
-            duration=sum((row.n_frames - 1) / found.fps for row in rows),
-            outcomes={"sequence": len(rows)},
-            status="read",
-            message=message,
-        )
-        records.append(record)
-    for key, reason in sorted(found.left_out.items()):
-        records.append(Recording(f"sequence {key}", "unknown", "", "", 0.0, {}, "failed", reason))
-    return records
 
 
 def _round_trip(exported: Mapping[str, Any], info: DatasetInfo) -> Inference:

@@ -173,9 +173,46 @@ def read_release(
         more = f" (and {len(left_out) - 1} more sequences)" if len(left_out) > 1 else ""
         raise InputFileError(folder, f"sequence {key}", expected="a complete sequence", found=reason + more)
     _judge_unit(found)
-    _judge_frames(found)
+    # Tell the frames of motions and goals, and what frame 0 is.
+    blocks = [each.block for each in found.sequences if each.block is not None]
+    # An entry without a block was written or changed by somebody else; then measurements count.
+    if len(blocks) == len(found.sequences):
+        evidence = "stated by the prbench block of every entry"
+        frames = sorted({block["motion_frame"] for block in blocks})
+        found.infer("motion_frame", " and ".join(frames), "certain", evidence)
+        if all(block["goal_frame"] != UNKNOWN for block in blocks):
+            found.infer("goal_frame", AS_THE_MOTIONS, "certain", evidence)
+        else:
+            found.infer("goal_frame", UNKNOWN, "unknown", evidence)
+    else:
+        share = float(np.mean([each.is_canonical for each in found.sequences]))
+        evidence = f"frame 0 stands over the origin, faces +z, lowest joint at 0 in {share:.1%} of the sequences"
+        frame = {1.0: "canonical", 0.0: "world (canonicalised here)"}.get(share, "canonical and world")
+        found.infer("motion_frame", frame, "certain", evidence)
+        limit = load_known().goal_to_wrist
+        distance = float(np.median([each.goal_to_wrist for each in found.sequences]))
+        evidence = f"median distance of goal and nearer wrist in the last frame: {distance:.2f} m"
+        if distance < limit:
+            found.infer("goal_frame", AS_THE_MOTIONS, "likely", evidence)
+        else:
+            found.infer("goal_frame", UNKNOWN, "unknown", f"{evidence}; not below {limit:g} m")
+    if found.first_frame_is_previous:
+        found.infer("frame_0", "the frame before the sequence", "certain", "given by --first-frame previous")
+    else:
+        found.infer("frame_0", "the first frame of the sequence", "assumed", "nothing tells otherwise")
     _judge_gaze(found)
-    _warn(found)
+    # Warn of counts that differ from the study's, as those of a later release may, and of files that were not used.
+    # Counts of the study say nothing about synthetic people.
+    known = None if found.dataset.startswith(SYNTHETIC_PREFIX) else load_known().datasets.get(found.dataset)
+    found.warnings += [
+        f"{row.split}: {row.found} sequences, the study has {row.study}."
+        for row in count_splits((each.subset for each in found.sequences), known)
+        if row.study is not None and row.found != row.study
+    ]
+    unused = found.files.unused_names
+    if unused:
+        shown = ", ".join(unused[:5]) + (", …" if len(unused) > 5 else "")
+        found.warnings.append(f"{len(unused)} files are no arrays of sequences: {shown}.")
     return found
 
 
@@ -409,36 +446,6 @@ def _judge_unit(found: ReleasedDataset) -> None:
     found.infer("units", "metres", "certain" if is_stated else "likely", evidence)
 
 
-def _judge_frames(found: ReleasedDataset) -> None:
-    """Tell the frames of motions and goals, and what frame 0 is."""
-    blocks = [each.block for each in found.sequences if each.block is not None]
-    # An entry without a block was written or changed by somebody else; then measurements count.
-    if len(blocks) == len(found.sequences):
-        evidence = "stated by the prbench block of every entry"
-        frames = sorted({block["motion_frame"] for block in blocks})
-        found.infer("motion_frame", " and ".join(frames), "certain", evidence)
-        if all(block["goal_frame"] != UNKNOWN for block in blocks):
-            found.infer("goal_frame", AS_THE_MOTIONS, "certain", evidence)
-        else:
-            found.infer("goal_frame", UNKNOWN, "unknown", evidence)
-    else:
-        share = float(np.mean([each.is_canonical for each in found.sequences]))
-        evidence = f"frame 0 stands over the origin, faces +z, lowest joint at 0 in {share:.1%} of the sequences"
-        frame = {1.0: "canonical", 0.0: "world (canonicalised here)"}.get(share, "canonical and world")
-        found.infer("motion_frame", frame, "certain", evidence)
-        limit = load_known().goal_to_wrist
-        distance = float(np.median([each.goal_to_wrist for each in found.sequences]))
-        evidence = f"median distance of goal and nearer wrist in the last frame: {distance:.2f} m"
-        if distance < limit:
-            found.infer("goal_frame", AS_THE_MOTIONS, "likely", evidence)
-        else:
-            found.infer("goal_frame", UNKNOWN, "unknown", f"{evidence}; not below {limit:g} m")
-    if found.first_frame_is_previous:
-        found.infer("frame_0", "the frame before the sequence", "certain", "given by --first-frame previous")
-    else:
-        found.infer("frame_0", "the first frame of the sequence", "assumed", "nothing tells otherwise")
-
-
 def _judge_gaze(found: ReleasedDataset) -> None:
     """Count how often the gaze passes the goal at the primed frame, which checks frames and rate together."""
     rules = load_known()
@@ -456,21 +463,6 @@ def _judge_gaze(found: ReleasedDataset) -> None:
             f"The gaze meets the goal at the primed frame in {share:.0%} of the sequences only (expected: a clear"
             " majority). Frame, base of the primed frames, or rate is probably wrong; primed frames count from 0."
         )
-
-
-def _warn(found: ReleasedDataset) -> None:
-    """Warn of counts that differ from the study's, as those of a later release may, and of files that were not used."""
-    # Counts of the study say nothing about synthetic people.
-    known = None if found.dataset.startswith(SYNTHETIC_PREFIX) else load_known().datasets.get(found.dataset)
-    found.warnings += [
-        f"{row.split}: {row.found} sequences, the study has {row.study}."
-        for row in count_splits((each.subset for each in found.sequences), known)
-        if row.study is not None and row.found != row.study
-    ]
-    unused = found.files.unused_names
-    if unused:
-        shown = ", ".join(unused[:5]) + (", …" if len(unused) > 5 else "")
-        found.warnings.append(f"{len(unused)} files are no arrays of sequences: {shown}.")
 
 
 def clean_gaze(gaze: np.ndarray | None, n_frames: int) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:

@@ -73,15 +73,6 @@ def check_joints(
     Raises:
         InputFileError: naming the source and, where one is to blame, frame and joint.
     """
-    _check_shape(joints, source, min_frames)
-    check_finite(joints, source)
-    _check_unit(joints, source)
-    if upright:
-        _check_up_axis(joints, source)
-    _check_bones(joints, source)
-
-
-def _check_shape(joints: np.ndarray, source: Path | str, min_frames: int) -> None:
     if joints.ndim != 3 or joints.shape[1:] != (N_JOINTS, 3):
         raise InputFileError(
             source,
@@ -97,6 +88,31 @@ def _check_shape(joints: np.ndarray, source: Path | str, min_frames: int) -> Non
             expected=f"{min_frames} frames or more",
             found=str(len(joints)),
             remedy="A row of features holds the step to the next frame; give next_joints with a single frame.",
+        )
+    check_finite(joints, source)
+    extent = float(np.median((joints.max(axis=1) - joints.min(axis=1)).max(axis=-1)))
+    if extent > _TALLEST_BODY:
+        raise InputFileError(
+            source,
+            "",
+            expected="a body in metres",
+            found=f"one whose extent is {extent:,.0f} in the median frame",
+            remedy="This looks like millimetres: divide by 1,000.",
+        )
+    if upright:
+        _check_up_axis(joints, source)
+    lengths = np.linalg.norm(joints[:, 1:] - joints[:, PARENTS[1:]], axis=-1)
+    bad = np.argwhere(lengths < _SHORTEST_BONE)
+    if bad.size:
+        frame, bone = bad[0]
+        child = Joint(bone + 1)
+        parent = Joint(PARENTS[bone + 1])
+        raise InputFileError(
+            source,
+            f"frame {frame}, {child.name.lower()}",
+            expected=f"a distance from {parent.name.lower()}, so that the bone has a direction",
+            found=f"{lengths[frame, bone]:.1e} m",
+            remedy="Leave the motion out, or repair this joint.",
         )
 
 
@@ -118,18 +134,6 @@ def check_finite(joints: np.ndarray, source: Path | str) -> None:
         )
 
 
-def _check_unit(joints: np.ndarray, source: Path | str) -> None:
-    extent = float(np.median((joints.max(axis=1) - joints.min(axis=1)).max(axis=-1)))
-    if extent > _TALLEST_BODY:
-        raise InputFileError(
-            source,
-            "",
-            expected="a body in metres",
-            found=f"one whose extent is {extent:,.0f} in the median frame",
-            remedy="This looks like millimetres: divide by 1,000.",
-        )
-
-
 def _check_up_axis(joints: np.ndarray, source: Path | str) -> None:
     ankles = (joints[:, Joint.LEFT_ANKLE] + joints[:, Joint.RIGHT_ANKLE]) / 2
     body = np.median(joints[:, Joint.HEAD] - ankles, axis=0)
@@ -144,22 +148,6 @@ def _check_up_axis(joints: np.ndarray, source: Path | str) -> None:
             found=f"a median ankle-to-head vector {lean:.0f} degrees away from it, nearest to {axis}",
             remedy="Turn the axes (prbench.geometry.skeleton.y_up for Z up),"
             " or say upright=False if people lie or crawl.",
-        )
-
-
-def _check_bones(joints: np.ndarray, source: Path | str) -> None:
-    lengths = np.linalg.norm(joints[:, 1:] - joints[:, PARENTS[1:]], axis=-1)
-    bad = np.argwhere(lengths < _SHORTEST_BONE)
-    if bad.size:
-        frame, bone = bad[0]
-        child = Joint(bone + 1)
-        parent = Joint(PARENTS[bone + 1])
-        raise InputFileError(
-            source,
-            f"frame {frame}, {child.name.lower()}",
-            expected=f"a distance from {parent.name.lower()}, so that the bone has a direction",
-            found=f"{lengths[frame, bone]:.1e} m",
-            remedy="Leave the motion out, or repair this joint.",
         )
 
 
@@ -313,27 +301,21 @@ def _headings(motion: np.ndarray, mode: Mode) -> tuple[np.ndarray, np.ndarray, n
     :func:`prbench.geometry.skeleton.facing_yaw`, and frame 0 is not turned at all.
     """
     if mode == "reference":
-        return _reference_headings(_forward(motion.astype(np.float32)))
+        # Headings through quaternions (w, y) of positive w and in single precision, to the rounding of the original.
+        forward = _forward(motion.astype(np.float32))
+        x, z = forward.T
+        w = np.sqrt(x**2 + z**2) + z
+        y = -x
+        length = np.sqrt(w**2 + y**2)
+        y[length == 0], length[length == 0] = 1.0, 1.0  # exactly opposite: half a turn
+        w = w / length
+        y = y / length
+        w[0], y[0] = 1.0, 0.0
+        return w**2 - y**2, 2 * w * y, np.arcsin(np.clip(y[1:] * w[:-1] - w[1:] * y[:-1], -1, 1))
     x, z = _forward(motion).T
     x[0], z[0] = 0.0, 1.0
     turns = np.diff(0.5 * np.arctan2(-x, z))
     return z, -x, turns - np.pi * np.round(turns / np.pi)
-
-
-def _reference_headings(forward: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Headings through quaternions (w, y) of positive w and in single precision, to the rounding of the original.
-
-    Opposite to +Z w comes close to 0: there the original's rounding is larger than the tolerance of a comparison.
-    """
-    x, z = forward.T
-    w = np.sqrt(x**2 + z**2) + z
-    y = -x
-    length = np.sqrt(w**2 + y**2)
-    y[length == 0], length[length == 0] = 1.0, 1.0  # exactly opposite: half a turn
-    w = w / length
-    y = y / length
-    w[0], y[0] = 1.0, 0.0
-    return w**2 - y**2, 2 * w * y, np.arcsin(np.clip(y[1:] * w[:-1] - w[1:] * y[:-1], -1, 1))
 
 
 def _forward(motion: np.ndarray) -> np.ndarray:
@@ -421,7 +403,14 @@ def decode_rotations(
     """
     rows = features.astype(np.float64)
     pelvis, world_from_heading = _root(rows)
-    relative = _matrices(rows[..., JOINT_ROTATIONS].reshape(*rows.shape[:-1], N_JOINTS - 1, 6))
+    # Rotation matrices (..., 3, 3) from their first two columns (..., 6).
+    columns = rows[..., JOINT_ROTATIONS].reshape(*rows.shape[:-1], N_JOINTS - 1, 6)
+    first = columns[..., :3]
+    second = columns[..., 3:]
+    first = first / np.maximum(np.linalg.norm(first, axis=-1, keepdims=True), 1e-12)
+    second = second - (first * second).sum(axis=-1, keepdims=True) * first
+    second = second / np.maximum(np.linalg.norm(second, axis=-1, keepdims=True), 1e-12)
+    relative = np.stack([first, second, np.cross(first, second)], axis=-1)
     rotations = [np.swapaxes(world_from_heading, -1, -2)]
     joints = [pelvis]
     for joint in range(1, N_JOINTS):
@@ -432,7 +421,11 @@ def decode_rotations(
 
 def _root(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pelvis (..., N, 3) and the rotation (..., N, 3, 3) from each heading to the world."""
-    half_yaw = _sum_before(rows[..., ROOT_YAW_VELOCITY])[..., 0]  # the sum of half turns is half the yaw
+    # Sum over all earlier rows: 0 in row 0.
+    values = rows[..., ROOT_YAW_VELOCITY]
+    total = np.zeros_like(values)
+    np.cumsum(values[..., :-1, :], axis=-2, out=total[..., 1:, :])
+    half_yaw = total[..., 0]
     world_from_heading = yaw_matrices(np.cos(2 * half_yaw), -np.sin(2 * half_yaw))
 
     steps = np.zeros((*rows.shape[:-1], 3))
@@ -440,23 +433,6 @@ def _root(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     pelvis = np.cumsum((world_from_heading @ steps[..., None])[..., 0], axis=-2)
     pelvis[..., 1] = rows[..., ROOT_HEIGHT][..., 0]
     return pelvis, world_from_heading
-
-
-def _sum_before(values: np.ndarray) -> np.ndarray:
-    """Sum over all earlier rows: 0 in row 0."""
-    total = np.zeros_like(values)
-    np.cumsum(values[..., :-1, :], axis=-2, out=total[..., 1:, :])
-    return total
-
-
-def _matrices(columns: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) from their first two columns (..., 6)."""
-    first = columns[..., :3]
-    second = columns[..., 3:]
-    first = first / np.maximum(np.linalg.norm(first, axis=-1, keepdims=True), 1e-12)
-    second = second - (first * second).sum(axis=-1, keepdims=True) * first
-    second = second / np.maximum(np.linalg.norm(second, axis=-1, keepdims=True), 1e-12)
-    return np.stack([first, second, np.cross(first, second)], axis=-1)
 
 
 _LEG = (Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE)  # ends of the two bones that decide the scale: right thigh and shin

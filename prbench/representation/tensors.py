@@ -133,23 +133,19 @@ def _headings(joints: torch.Tensor, mode: Mode) -> tuple[torch.Tensor, torch.Ten
     z = torch.where((x == 0) & (z == 0), 1.0, z)  # no heading: not turned
 
     if mode == "reference":
-        return _reference_headings(x, z)
+        # Headings through quaternions (w, y) of positive w, which rounds as the original does opposite to +Z.
+        w = (x.square() + z.square()).sqrt() + z
+        y = -x
+        opposite = (w == 0) & (y == 0)
+        w, y = _unit(torch.stack((w, torch.where(opposite, 1.0, y))), dim=0)
+        w = pad(w[:, 1:], (1, 0), value=1.0)
+        y = pad(y[:, 1:], (1, 0))
+        turn = torch.asin((y[:, 1:] * w[:, :-1] - w[:, 1:] * y[:, :-1]).clamp(-1.0, 1.0))
+        return w.square() - y.square(), 2 * w * y, turn
     half = pad(0.5 * torch.atan2(-x, z)[:, 1:], (1, 0))
     turn = half.diff(dim=1)
     turn = turn - torch.pi * (turn / torch.pi).round().detach()
     return pad(z[:, 1:], (1, 0), value=1.0), pad(-x[:, 1:], (1, 0)), turn
-
-
-def _reference_headings(x: torch.Tensor, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Headings through quaternions (w, y) of positive w, which rounds as the original does opposite to +Z."""
-    w = (x.square() + z.square()).sqrt() + z
-    y = -x
-    opposite = (w == 0) & (y == 0)
-    w, y = _unit(torch.stack((w, torch.where(opposite, 1.0, y))), dim=0)
-    w = pad(w[:, 1:], (1, 0), value=1.0)
-    y = pad(y[:, 1:], (1, 0))
-    turn = torch.asin((y[:, 1:] * w[:, :-1] - w[:, 1:] * y[:, :-1]).clamp(-1.0, 1.0))
-    return w.square() - y.square(), 2 * w * y, turn
 
 
 def _rotations(joints: torch.Tensor, cos: torch.Tensor, sin: torch.Tensor) -> torch.Tensor:

@@ -421,8 +421,17 @@ def table_statistics(table: SequenceTable) -> TableStatistics:
     goals = [np.zeros((0, 3))]  # a dataset may hold events alone
     with _Angles() as angles:
         for chunk in table.chunks(columns=_COLUMNS):
-            goals.append(_goal_from_start(chunk))
-            angles.add(_gaze_shift(chunk))
+            goals.append(chunk.vectors("goal_location") - chunk.joints[chunk.offsets[:-1], Joint.PELVIS])
+            # Time from the prime, and angle between gaze and goal in degrees, of every frame with valid gaze.
+            row = np.repeat(np.arange(len(chunk)), chunk.n_frames)
+            frame = np.arange(len(row)) - chunk.offsets[row]
+            time = frame / chunk.numbers("fps")[row] - chunk.numbers("preroll")[row]
+            towards = chunk.vectors("goal_location")[row] - chunk.frames("gaze_origin")
+            length = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
+            cosine = np.einsum("nk,nk->n", towards, chunk.frames("gaze_direction")) / length
+            angle = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
+            # Invalid samples hold a filler direction that must not enter the quartiles.
+            angles.add(np.column_stack([time, angle])[chunk.frames("gaze_valid")])
         quartiles = angles.quartiles()
     goal = np.concatenate(goals)
     horizontal = np.hypot(goal[:, 0], goal[:, 2])
@@ -444,23 +453,6 @@ def table_statistics(table: SequenceTable) -> TableStatistics:
 
 def _people(scalars: pa.Table, split: str) -> set[str]:
     return set(scalars.filter(pc.field("split") == split)["participant_id"].to_pylist())
-
-
-def _goal_from_start(chunk: SequenceChunk) -> Float[np.ndarray, "b 3"]:
-    return chunk.vectors("goal_location") - chunk.joints[chunk.offsets[:-1], Joint.PELVIS]
-
-
-def _gaze_shift(chunk: SequenceChunk) -> Float[np.ndarray, "m 2"]:
-    """Time from the prime, and angle between gaze and goal in degrees, of every frame with valid gaze."""
-    row = np.repeat(np.arange(len(chunk)), chunk.n_frames)
-    frame = np.arange(len(row)) - chunk.offsets[row]
-    time = frame / chunk.numbers("fps")[row] - chunk.numbers("preroll")[row]
-    towards = chunk.vectors("goal_location")[row] - chunk.frames("gaze_origin")
-    length = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
-    cosine = np.einsum("nk,nk->n", towards, chunk.frames("gaze_direction")) / length
-    angle = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
-    # Invalid samples hold a filler direction that must not enter the quartiles.
-    return np.column_stack([time, angle])[chunk.frames("gaze_valid")]
 
 
 def _bin_times() -> Float[np.ndarray, " bins"]:

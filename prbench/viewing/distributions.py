@@ -16,7 +16,6 @@ from prbench.viewing.figures import new_figure, require_drawable, write_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 _BINS = 30
@@ -41,10 +40,6 @@ def draw_table_one(statistics: Sequence[TableStatistics], path: Path, *, dpi: in
         StorageError: if the file cannot be written.
     """
     require_drawable(path)
-    write_figure(_figure(statistics, dpi), path)
-
-
-def _figure(statistics: Sequence[TableStatistics], dpi: int) -> Figure:
     figure = new_figure(12.0, 6.6, dpi=dpi, layout="constrained")
     panels = figure.subplots(2, 3).ravel()
     # The published band belongs to one dataset; behind several it would be read as that of all.
@@ -63,7 +58,7 @@ def _figure(statistics: Sequence[TableStatistics], dpi: int) -> Figure:
             [], [], color=colour, linewidth=4, label=figure_text(f"{each.dataset}, {each.sequences} sequences")
         )
     panels[0].legend(fontsize=7, frameon=False)
-    return figure
+    write_figure(figure, path)
 
 
 def _histogram(
@@ -78,7 +73,9 @@ def _histogram(
     if published is not None:
         synthetic = statistics[0].dataset.startswith(SYNTHETIC_PREFIX)
         whose = "published mean of real people" if synthetic else "published mean"
-        _draw_band(axes, published, label=f"{whose}, sd shaded")
+        label = f"{whose}, sd shaded"
+        axes.axvspan(published.mean - published.sd, published.mean + published.sd, color="0.92")
+        axes.axvline(published.mean, color="0.4", linewidth=1.0, label=label)
         axes.legend(fontsize=7, edgecolor="none")
     for colour, each in zip(_COLOURS, values, strict=False):
         axes.hist(each, bins=edges.tolist(), density=True, color=colour, alpha=0.7 if len(values) == 1 else 0.4)
@@ -86,11 +83,6 @@ def _histogram(
     _dress(axes, title)
     axes.set_yticks([])
     axes.set_ylim(top=_HEADROOM * axes.get_ylim()[1])
-
-
-def _draw_band(axes: Axes, published: Spread, label: str | None = None) -> None:
-    axes.axvspan(published.mean - published.sd, published.mean + published.sd, color="0.92")
-    axes.axvline(published.mean, color="0.4", linewidth=1.0, label=label)
 
 
 def _gaze_shift(axes: Axes, statistics: Sequence[TableStatistics]) -> None:

@@ -81,11 +81,7 @@ def draw_pareto(methods: Sequence[ScoredMethod], axes: ParetoAxes, path: Path, *
     if all(each.cost is None for each in methods):
         raise UsageError("nothing to draw: none of the methods has a measured cost (controls and files have none).")
     figure = new_figure(7.2, 4.6, dpi=dpi, layout="constrained")
-    _draw(figure.subplots(), methods, axes)
-    write_figure(figure, path)
-
-
-def _draw(panel: Axes, methods: Sequence[ScoredMethod], axes: ParetoAxes) -> None:
+    panel = figure.subplots()
     front = pareto_front(methods, higher_is_better=axes.higher_is_better)
     measured = _with_cost(methods)
     for cost, each in measured:
@@ -113,6 +109,7 @@ def _draw(panel: Axes, methods: Sequence[ScoredMethod], axes: ParetoAxes) -> Non
     panel.set_ylabel(axes.score)
     panel.set_title(figure_text(axes.title), fontsize=9)
     panel.grid(visible=True, alpha=0.25)
+    write_figure(figure, path)
 
 
 def _draw_levels(panel: Axes, controls: Sequence[ScoredMethod]) -> None:

@@ -115,14 +115,10 @@ def read_joints(path: Path) -> Float[np.ndarray, "frames 22 3"]:
         raise InputFileError(
             path, f"frame {bad[0]}", expected="finite positions", found="NaN", remedy="Leave the motion out."
         )
-    _require_metres(path, joints)
-    return joints
-
-
-def _require_metres(path: Path, joints: np.ndarray) -> None:
     trunk = float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=-1)))
     if trunk > _LONGEST_TRUNK:
         found = f"{trunk:.0f} from pelvis to head"
         raise InputFileError(path, "", expected="metres", found=found, remedy="Divide by 1,000.")
     if trunk < _SHORTEST_TRUNK:
         raise InputFileError(path, "", expected="a body", found=f"{trunk:.4f} m from pelvis to head")
+    return joints

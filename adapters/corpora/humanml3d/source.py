@@ -251,7 +251,26 @@ class HumanML3DCorpus:
             raise UsageError("--root DIR is needed: the folder HumanML3D with new_joints, texts and train.txt.")
         root = root.expanduser().resolve()
         limits = self._limits(options)
-        motions = _motion_files(root)
+        # Every motion by name.
+        joints = _by_stem(root / layout.JOINTS_FOLDER, ".npy")
+        features = _by_stem(root / layout.FEATURES_FOLDER, ".npy")
+        texts = _by_stem(root / layout.TEXTS_FOLDER, ".txt")
+        if not joints:
+            found = f"{len(features)} files of features" if features else "no motions at all"
+            raise InputFileError(
+                root, f"{layout.JOINTS_FOLDER}/", expected="joint files of HumanML3D", found=found, remedy=_MAKE_JOINTS
+            )
+        if not texts:
+            packed = (root / layout.TEXTS_ARCHIVE).is_file()
+            raise InputFileError(
+                root,
+                f"{layout.TEXTS_FOLDER}/",
+                expected="text files of HumanML3D",
+                found=f"{layout.TEXTS_ARCHIVE}, not unpacked" if packed else "none",
+                remedy="Unpack texts.zip of the dataset's repository here.",
+            )
+        names = joints.keys() | features.keys() | texts.keys()
+        motions = {name: MotionFiles(name, joints.get(name), features.get(name), texts.get(name)) for name in names}
         splits = _splits(root)
         dataset = f"{SYNTHETIC_PREFIX}humanml3d" if read_synthetic_tree(root) else "humanml3d"
         sources = []
@@ -272,33 +291,6 @@ class HumanML3DCorpus:
         if abs(options.rate - layout.RATE) > 1e-9:
             raise UsageError(f"HumanML3D has 20 frames a second; --fps {options.rate:g} cannot be made from them.")
         return ClipLimits.of(options, self.manifest.thresholds)
-
-
-def _motion_files(root: Path) -> dict[str, MotionFiles]:
-    """Every motion by name.
-
-    Raises:
-        InputFileError: if there are neither joints nor texts to build from.
-    """
-    joints = _by_stem(root / layout.JOINTS_FOLDER, ".npy")
-    features = _by_stem(root / layout.FEATURES_FOLDER, ".npy")
-    texts = _by_stem(root / layout.TEXTS_FOLDER, ".txt")
-    if not joints:
-        found = f"{len(features)} files of features" if features else "no motions at all"
-        raise InputFileError(
-            root, f"{layout.JOINTS_FOLDER}/", expected="joint files of HumanML3D", found=found, remedy=_MAKE_JOINTS
-        )
-    if not texts:
-        packed = (root / layout.TEXTS_ARCHIVE).is_file()
-        raise InputFileError(
-            root,
-            f"{layout.TEXTS_FOLDER}/",
-            expected="text files of HumanML3D",
-            found=f"{layout.TEXTS_ARCHIVE}, not unpacked" if packed else "none",
-            remedy="Unpack texts.zip of the dataset's repository here.",
-        )
-    names = joints.keys() | features.keys() | texts.keys()
-    return {name: MotionFiles(name, joints.get(name), features.get(name), texts.get(name)) for name in names}
 
 
 def _by_stem(folder: Path, suffix: str) -> Mapping[str, Path]:

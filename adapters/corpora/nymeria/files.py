@@ -147,7 +147,15 @@ def read_narrations(path: Path, kind: str) -> tuple[Narration, ...]:
         texts = tuple((name, row[column].strip()) for name, column in answers)
         times = (_seconds(path, number, row[start]), _seconds(path, number, row[end]))
         narrations.append(Narration(kind, *times, texts, "" if annotator is None else row[annotator].strip()))
-    _require_seconds(path, narrations)
+    durations = [row.end - row.start for row in narrations]
+    if durations and min(durations) > _LONGEST_DURATION:
+        raise InputFileError(
+            path,
+            "start_time, end_time",
+            expected="seconds",
+            found=f"{min(durations):,.0f} or more from start to end in every row",
+            remedy="These look like milliseconds; divide both columns by 1,000.",
+        )
     return tuple(narrations)
 
 
@@ -188,15 +196,3 @@ def _seconds(path: Path, number: int, cell: str) -> float:
             path, f"row {number}", expected="a time in seconds", found=f"'{cell}'", remedy="Download the file again."
         )
     return value
-
-
-def _require_seconds(path: Path, narrations: list[Narration]) -> None:
-    durations = [row.end - row.start for row in narrations]
-    if durations and min(durations) > _LONGEST_DURATION:
-        raise InputFileError(
-            path,
-            "start_time, end_time",
-            expected="seconds",
-            found=f"{min(durations):,.0f} or more from start to end in every row",
-            remedy="These look like milliseconds; divide both columns by 1,000.",
-        )

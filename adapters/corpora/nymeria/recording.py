@@ -32,7 +32,7 @@ from prbench_adapters.corpora.nymeria.clock import ClockOffset, offset_by_correl
 from prbench_adapters.corpora.nymeria.files import OFFSET, SUIT, TRAJECTORY
 from prbench_adapters.corpora.nymeria.format import SUIT_FILE, SUIT_RATE
 from prbench_adapters.corpora.nymeria.source import CORPUS, NymeriaSource
-from prbench_adapters.corpora.nymeria.suit import BodyMotion, CleanSuit, clean_suit, read_suit
+from prbench_adapters.corpora.nymeria.suit import CleanSuit, clean_suit, read_suit
 from prbench_adapters.corpora.sources import CorpusOptions
 from prbench_benchmarks.motion_prediction.joint_sets import SMPL22
 from prbench_benchmarks.motion_prediction.protocol import PredictionProtocol
@@ -160,7 +160,19 @@ class SuitRecording:
         path = self.source.found.require(SUIT, f"body/{SUIT_FILE}")
         clean = clean_suit(read_suit(path), manifest.thresholds, path=path)
         motion = self.source.body(clean)
-        body = _body_stream(motion)
+        # All pieces on one time line; what lies between them is a gap.
+        pieces = sorted(motion.pieces, key=lambda piece: piece.start)
+        times = np.concatenate([piece.start + np.arange(len(piece.joints)) / piece.rate for piece in pieces])
+        if (np.diff(times) <= 0).any():
+            raise InputFileError(
+                SUIT_FILE,
+                "timestamps_us",
+                expected="pieces of motion one after the other",
+                found="two that overlap in time",
+                remedy="Leave the recording out.",
+            )
+        joints = np.concatenate([piece.joints for piece in pieces]).astype(np.float64)
+        body = BodyStream(times, joints, np.ones(len(times), dtype=bool))
         gaze, message = self._gaze(clean)
         nowhere = PoseStream(body.times[:1], body.joints[:1, Joint.HEAD], np.array([[1.0, 0, 0, 0]]), np.zeros(1, bool))
         identity = self.source.identity
@@ -213,26 +225,6 @@ class SuitRecording:
         path = self.source.found.path(OFFSET)
         known = None if path is None else offset_from_file(path, self.source.found.recording_id)
         return (known, "") if known is not None else offset_by_correlation(clean, time_us, rotation, thresholds)
-
-
-def _body_stream(motion: BodyMotion) -> BodyStream:
-    """All pieces on one time line; what lies between them is a gap.
-
-    Raises:
-        InputFileError: if pieces overlap in time.
-    """
-    pieces = sorted(motion.pieces, key=lambda piece: piece.start)
-    times = np.concatenate([piece.start + np.arange(len(piece.joints)) / piece.rate for piece in pieces])
-    if (np.diff(times) <= 0).any():
-        raise InputFileError(
-            SUIT_FILE,
-            "timestamps_us",
-            expected="pieces of motion one after the other",
-            found="two that overlap in time",
-            remedy="Leave the recording out.",
-        )
-    joints = np.concatenate([piece.joints for piece in pieces]).astype(np.float64)
-    return BodyStream(times, joints, np.ones(len(times), dtype=bool))
 
 
 def _no_gaze() -> GazeStream:

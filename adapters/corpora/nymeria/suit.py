@@ -65,7 +65,11 @@ def read_suit(path: Path) -> Suit:
         InputFileError: if the file is no archive of plain arrays, a key is missing, a shape does not fit the others,
             or the rate is not 240 Hz.
     """
-    arrays = _load(path)
+    archive = Archive(path, remedy=_DOWNLOAD)
+    archive.require(_NEEDED)
+    arrays: dict[str, np.ndarray] = {}
+    for key in (*_NEEDED, *_OPTIONAL):  # one after the other: the large ones halve before the next is unpacked
+        arrays |= {name: _small(array) if name in _LARGE else array for name, array in archive.load([key]).items()}
     time = np.asarray(arrays["timestamps_us"]).ravel()
     n = len(time)
     if n < 2:
@@ -85,15 +89,6 @@ def read_suit(path: Path) -> Suit:
         rotation=_vectors(path, arrays, "segment_qWXYZ", n, 4),
         tpose=None if tpose is None or tpose.size != N_SEGMENTS * 3 else tpose.reshape(N_SEGMENTS, 3).astype(float),
     )
-
-
-def _load(path: Path) -> dict[str, np.ndarray]:
-    archive = Archive(path, remedy=_DOWNLOAD)
-    archive.require(_NEEDED)
-    arrays: dict[str, np.ndarray] = {}
-    for key in (*_NEEDED, *_OPTIONAL):  # one after the other: the large ones halve before the next is unpacked
-        arrays |= {name: _small(array) if name in _LARGE else array for name, array in archive.load([key]).items()}
-    return arrays
 
 
 def _small(values: np.ndarray) -> np.ndarray:
@@ -140,8 +135,18 @@ def clean_suit(suit: Suit, thresholds: Mapping[str, float], *, path: Path | str)
     )
     filled = int(missing.sum())
     finite = np.asarray(np.isfinite(suit.position).all(axis=(1, 2)))
-    jumps = _jumps(suit, thresholds["clock_tolerance"])
-    pieces = _pieces(suit, finite, jumps, thresholds["shortest_piece"])
+    # Steps of the clock that are not 1/240 s.
+    jumps = np.abs(np.diff(suit.time_us) - 1e6 / SUIT_RATE) > thresholds["clock_tolerance"] * 1e6
+    # Stretches between jumps and missing frames, in file order, that are long enough.
+    shortest = thresholds["shortest_piece"]
+    joined = ~jumps & finite[1:] & finite[:-1]
+    borders = np.flatnonzero(np.concatenate([[True], ~joined, [True]]))
+    pieces = [
+        Piece(int(first), int(stop), float(suit.time_us[first]) / 1e6)
+        for first, stop in itertools.pairwise(borders)
+        if finite[first]
+    ]
+    pieces = tuple(piece for piece in pieces if piece.duration >= shortest)
     if not pieces:
         raise InputFileError(
             path,
@@ -170,23 +175,6 @@ def _filled(rotation: np.ndarray, missing: np.ndarray) -> Float[np.ndarray, "n 4
     source = np.maximum.accumulate(np.where(missing, -1, np.arange(len(rotation))))
     filled = np.where(source[:, None] < 0, [1.0, 0.0, 0.0, 0.0], rotation[np.maximum(source, 0)].astype(np.float64))
     return filled / np.linalg.norm(filled, axis=-1, keepdims=True)
-
-
-def _jumps(suit: Suit, tolerance: float) -> Bool[np.ndarray, " steps"]:
-    """Steps of the clock that are not 1/240 s."""
-    return np.abs(np.diff(suit.time_us) - 1e6 / SUIT_RATE) > tolerance * 1e6
-
-
-def _pieces(suit: Suit, finite: np.ndarray, jumps: np.ndarray, shortest: float) -> tuple[Piece, ...]:
-    """Stretches between jumps and missing frames, in file order, that are long enough."""
-    joined = ~jumps & finite[1:] & finite[:-1]
-    borders = np.flatnonzero(np.concatenate([[True], ~joined, [True]]))
-    pieces = [
-        Piece(int(first), int(stop), float(suit.time_us[first]) / 1e6)
-        for first, stop in itertools.pairwise(borders)
-        if finite[first]
-    ]
-    return tuple(piece for piece in pieces if piece.duration >= shortest)
 
 
 def _require_upright(suit: Suit, pieces: tuple[Piece, ...], path: Path | str) -> None:
@@ -342,7 +330,9 @@ def read_smpl_fit(path: Path, model: Path, *, tolerance: float, shortest: float)
     Raises:
         InputFileError: if either file lacks an array, or shapes do not fit.
     """
-    fit = _arrays(path)
+    archive = Archive(path)
+    archive.require(_FIT_KEYS)
+    fit = archive.load(_FIT_KEYS)
     n = len(fit["transl"])
     shapes = {"body_pose": (n, 69), "global_orient": (n, 3), "transl": (n, 3), "timestamps": (n,)}
     for key, shape in shapes.items():
@@ -367,12 +357,6 @@ def read_smpl_fit(path: Path, model: Path, *, tolerance: float, shortest: float)
     if not pieces:
         raise InputFileError(path, "timestamps", expected=f"at least {shortest:g} s of steady 240 Hz", found="none")
     return pieces
-
-
-def _arrays(path: Path) -> dict[str, np.ndarray]:
-    archive = Archive(path)
-    archive.require(_FIT_KEYS)
-    return archive.load(_FIT_KEYS)
 
 
 def smpl_motion(pieces: tuple[MotionPiece, ...], pose_source: str, head_tilt_deg: float) -> BodyMotion:

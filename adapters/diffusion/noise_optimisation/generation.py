@@ -205,21 +205,12 @@ def optimise_noise(
             settings,
         )
         parts.append((rows, part))
-    return _together(parts, noise, n_frames, settings.iterations)
-
-
-def _together(
-    parts: list[tuple[np.ndarray, OptimisedMotions]],
-    noise: torch.Tensor,
-    n_frames: torch.Tensor,
-    most_iterations: int,
-) -> OptimisedMotions:
     batch, frames = noise.shape[:2]
     joints = noise.new_zeros((batch, frames, 22, 3))
     found = noise.clone()
     initial, goal, jerk = (noise.new_zeros(batch) for _ in range(3))
     passes, iterations = (torch.zeros(batch, dtype=torch.int64) for _ in range(2))
-    history = History.empty(most_iterations, batch)
+    history = History.empty(settings.iterations, batch)
     for rows, part in parts:
         own = part.joints.shape[1]
         joints[rows, :own], found[rows, :own] = part.joints, part.noise

@@ -126,7 +126,12 @@ def run_tables(request: TablesRequest, progress: Progress = lambda *_: None) -> 
             scores[row.name] = found
         progress(len(rows), len(rows), "tables")
         layout = lay_out(table.info, len(table.joints.names), _SPLITS[split], request.samples, scores, missing)
-        values = values_of_conditions(_by_condition(rows, scores))
+        # Scores of each method that stands in the tables under several conditions; parts removed are no condition.
+        found: dict[str, dict[Condition, Scores]] = {}
+        for row in rows:
+            if row.name in scores and not row.is_ablation and row.method not in references():
+                found.setdefault(row.method, {})[row.condition] = scores[row.name]
+        values = values_of_conditions({method: each for method, each in found.items() if len(each) > 1})
         write_text(request.out / MARKDOWN, as_markdown(layout, values))
         write_json(request.out / JSON, as_builtins(layout, values))
         charts = []
@@ -143,15 +148,6 @@ def _note(layout: PredictionLayout) -> str:
         f"{layout.dataset}: {layout.n_windows} windows of {layout.n_recordings} recordings, {layout.split}. Bars: 95 %"
         f" intervals over recordings.{estimated}"
     )
-
-
-def _by_condition(rows: tuple[TableRow, ...], scores: Mapping[str, Scores]) -> dict[str, dict[Condition, Scores]]:
-    """Scores of each method that stands in the tables under several conditions; parts removed are no condition."""
-    found: dict[str, dict[Condition, Scores]] = {}
-    for row in rows:
-        if row.name in scores and not row.is_ablation and row.method not in references():
-            found.setdefault(row.method, {})[row.condition] = scores[row.name]
-    return {method: each for method, each in found.items() if len(each) > 1}
 
 
 def _of_runs(whole: list[Fold], table: WindowsTable, scores: Mapping[str, Scores]) -> list[Fold]:

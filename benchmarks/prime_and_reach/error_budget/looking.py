@@ -150,6 +150,11 @@ def _look_of(
     at = best - first
     up = angles.ray_elevation[at] - angles.goal_elevation[at]
     aside = angles.ray_azimuth[at] - angles.goal_azimuth[at]
+    # Frames of the longest run on the goal that has a frame from ``first`` to ``last``.
+    edges = np.diff(np.concatenate(([0], on.astype(np.int8), [0])))
+    starts = np.flatnonzero(edges == 1)
+    ends = np.flatnonzero(edges == -1)
+    touching = (starts <= last) & (ends > first)
     return (
         PRIMED if success else _cause(on, stays, first, last, float(angle.min())),
         float(angle.min()),
@@ -157,7 +162,7 @@ def _look_of(
         float(aside * np.cos(np.deg2rad(angles.goal_elevation[at]))),
         best / fps - prime,
         float(stays[0] / fps - prime) if stays.size else np.nan,
-        _longest(on, first, last) / fps,
+        int((ends - starts)[touching].max(initial=0)) / fps,
         float(angles.ray_elevation[at]),
         float(angles.goal_elevation[at]),
         float(angles.ray_azimuth[at]),
@@ -187,15 +192,6 @@ def _stays(on: np.ndarray, hold: int) -> np.ndarray:
     if len(on) > hold:
         stays[: len(on) - hold] = np.lib.stride_tricks.sliding_window_view(on, hold + 1).all(axis=1)
     return stays
-
-
-def _longest(on: np.ndarray, first: int, last: int) -> int:
-    """Frames of the longest run on the goal that has a frame from ``first`` to ``last``."""
-    edges = np.diff(np.concatenate(([0], on.astype(np.int8), [0])))
-    starts = np.flatnonzero(edges == 1)
-    ends = np.flatnonzero(edges == -1)
-    touching = (starts <= last) & (ends > first)
-    return int((ends - starts)[touching].max(initial=0))
 
 
 def _angles(track: RayTrack, rows: slice) -> _Angles:

@@ -19,7 +19,6 @@ from prbench.harness.scoring import COLUMNS, targets_of
 from prbench.metrics import MotionBatch, ScoringTargets
 from prbench.protocol.manifests import MetricConstants, load_protocol
 from prbench.sequences import SequenceTable
-from prbench.sequences.sequence import SequenceChunk
 from prbench_benchmarks.prime_and_reach.error_budget.bodies import PHASES, diagnose_bodies
 from prbench_benchmarks.prime_and_reach.error_budget.looking import PRIMED, diagnose_looking
 from prbench_benchmarks.prime_and_reach.error_budget.reaching import REACHED, diagnose_reaching
@@ -63,7 +62,13 @@ def _of_table(run: RunFolder, table: SequenceTable, constants: MetricConstants, 
     selection = scored_sequences(run, table)
     for _, chunk in selection.windows([*COLUMNS, "prime_gap", "recording_id", "next_joints"]):
         targets = targets_of(chunk, chunk.vectors("goal_location"), None)
-        place = _place_columns(table.info.dataset, chunk, targets)
+        place = {
+            "dataset": [table.info.dataset] * len(chunk),
+            "sequence_id": chunk.sequence_ids,
+            "recording_id": chunk.strings("recording_id"),
+            **goal_places(targets.goal_location),
+            "prime gap": chunk.numbers("prime_gap"),
+        }
         for sample in range(run.record.samples):
             rows = predictions.motions(tuple(chunk.sequence_ids), sample)
             motion = MotionBatch(rows.values, rows.offsets)
@@ -73,16 +78,6 @@ def _of_table(run: RunFolder, table: SequenceTable, constants: MetricConstants, 
             yield _diagnosed(recorded, targets, constants, {"who": PEOPLE, "sample": 0}, place)
             decoded = MotionBatch(recorded_through_features(chunk), chunk.offsets)
             yield _diagnosed(decoded, targets, constants, {"who": FEATURES, "sample": 0}, place)
-
-
-def _place_columns(dataset: str, chunk: SequenceChunk, targets: ScoringTargets) -> dict[str, Any]:
-    return {
-        "dataset": [dataset] * len(chunk),
-        "sequence_id": chunk.sequence_ids,
-        "recording_id": chunk.strings("recording_id"),
-        **goal_places(targets.goal_location),
-        "prime gap": chunk.numbers("prime_gap"),
-    }
 
 
 def _diagnosed(

@@ -19,7 +19,7 @@ from scipy.stats import binomtest
 from prbench.board.collect import LeaderboardRow
 from prbench.board.tables import Leaderboard, TableRow, hides
 from prbench.harness.run_folder.record import BUILT_IN
-from prbench.metrics import METRICS, MetricInfo, exported_unit, printed_unit
+from prbench.metrics import METRICS, exported_unit, printed_unit
 from prbench.protocol.published import (
     DATASETS,
     PublishedNumber,
@@ -98,7 +98,7 @@ def published_variant(entry: LeaderboardRow, table: str = "2") -> tuple[str, str
         for row in load_table_two().rows
         if row.method == entry.method and row.condition.value == entry.record.condition
     ]
-    used = _stem(entry.record.method.weights)
+    used = (entry.record.method.weights or "").removesuffix(".safetensors")
     for row in rows:
         variant = load_table_two().weights[row.weights].variant
         needs_none = load_table_two().weights[row.weights].state == "none"
@@ -168,7 +168,20 @@ def _difference(row: TableRow, number: PublishedNumber, said: str) -> Iterable[D
     measured = info.scale * metric.mean
     bounds = (None, None)
     if metric.low is not None and metric.high is not None:
-        bounds = _bounds(info, number.value, theirs, measured, info.scale * metric.low, info.scale * metric.high)
+        # Bound the difference: squares of both distances to the bounds add up (MOVER, Zou and Donner 2008).
+        published = number.value
+        low = info.scale * metric.low
+        high = info.scale * metric.high
+        difference = measured - published
+        below, above = published, published
+        if info.unit == "rate":
+            hits = round(published / 100 * theirs)
+            wilson = binomtest(hits, theirs).proportion_ci(method="wilson")
+            below, above = min(published, 100 * wilson.low), max(published, 100 * wilson.high)
+        bounds = (
+            difference - hypot(measured - low, above - published),
+            difference + hypot(high - measured, published - below),
+        )
     yield Difference(
         table=number.table,
         dataset=number.dataset,
@@ -192,26 +205,6 @@ def _difference(row: TableRow, number: PublishedNumber, said: str) -> Iterable[D
     )
 
 
-def _bounds(
-    info: MetricInfo, published: float, sequences: int, measured: float, low: float, high: float
-) -> tuple[float, float]:
-    """Bound the difference: squares of both distances to the bounds add up (MOVER, Zou and Donner 2008).
-
-    A published rate gets Wilson's interval as if its sequences were independent, which is the least that it can be off.
-    A published length has no printed spread, so that only the measured number's interval counts.
-    """
-    difference = measured - published
-    below, above = published, published
-    if info.unit == "rate":
-        hits = round(published / 100 * sequences)
-        wilson = binomtest(hits, sequences).proportion_ci(method="wilson")
-        below, above = min(published, 100 * wilson.low), max(published, 100 * wilson.high)
-    return (
-        difference - hypot(measured - low, above - published),
-        difference + hypot(high - measured, published - below),
-    )
-
-
 def _remarks(entry: LeaderboardRow, number: PublishedNumber, said: str, theirs: int) -> Iterable[str]:
     if said:
         yield said
@@ -227,10 +220,6 @@ def _remarks(entry: LeaderboardRow, number: PublishedNumber, said: str, theirs: 
         yield f"unverified: {entry.unverified}"
     if number.note.startswith("inconsistent"):
         yield f"the published cell is odd: {number.note}"
-
-
-def _stem(weights: str | None) -> str:
-    return (weights or "").removesuffix(".safetensors")
 
 
 # Leaderboards with published numbers beside them: the same text as without, and a part of its own behind it.
@@ -250,8 +239,46 @@ def add_published(text: str, leaderboard: Leaderboard, format: str) -> str:
         content = json.loads(text) | as_json(found, reasons)
         return json.dumps(content, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
     if format == "csv":
-        return text + _as_csv(text, leaderboard, found)
-    return text + _as_markdown(leaderboard, found, reasons)
+        columns = next(csv.reader(io.StringIO(text)))
+        out = io.StringIO()
+        writer = csv.DictWriter(out, columns, restval="", extrasaction="ignore", lineterminator="\n")
+        for dataset in _shown_tables(leaderboard):
+            for number in (each for each in load_published("2") if each.dataset == dataset):
+                writer.writerow(_csv_published(number))
+        for one in found:
+            writer.writerow(
+                {
+                    "table": "difference",
+                    "dataset": one.dataset,
+                    "condition": one.condition,
+                    "method": one.method,
+                    "variant": csv_text(one.variant),
+                    "metric": one.metric,
+                    "value": f"{one.difference:.6f}",
+                    "unit": one.unit,
+                    "low": "" if one.low is None else f"{one.low:.6f}",
+                    "high": "" if one.high is None else f"{one.high:.6f}",
+                    "sequences": str(one.sequences),
+                    "verified": "verified" if one.verified else "unverified",
+                    "note": csv_text("; ".join(("assumptions: " + ", ".join(one.assumptions), *one.remarks))),
+                    "kind": f"measured - published ({one.published_variant})",
+                }
+            )
+        return text + out.getvalue()
+    blocks = ["## Published numbers"]
+    shown = _shown_tables(leaderboard)
+    if not shown:
+        blocks.append("None is shown: no table of real recordings that the study has is among the runs.")
+    for dataset in shown:
+        blocks += [f"### {dataset}: published in Prime and Reach, Table 2, not measured here", _published_grid(dataset)]
+        here = [one for one in found if one.dataset == dataset]
+        if here:
+            blocks += [f"### {dataset}: measured minus published", _difference_grid(here)]
+    if shown:
+        blocks.append("\n".join(f"- {markdown(line)}" for line in _explained(found)))
+    if reasons:
+        blocks += ["No published number stands beside:", "\n".join(f"- {markdown(line)}" for line in reasons)]
+    return text + ("\n" + "\n\n".join(blocks) + "\n")
 
 
 def why_none(leaderboard: Leaderboard) -> tuple[str, ...]:
@@ -283,35 +310,6 @@ def _shown_tables(leaderboard: Leaderboard) -> list[str]:
     ]
 
 
-def _as_csv(text: str, leaderboard: Leaderboard, found: Sequence[Difference]) -> str:
-    columns = next(csv.reader(io.StringIO(text)))
-    out = io.StringIO()
-    writer = csv.DictWriter(out, columns, restval="", extrasaction="ignore", lineterminator="\n")
-    for dataset in _shown_tables(leaderboard):
-        for number in (each for each in load_published("2") if each.dataset == dataset):
-            writer.writerow(_csv_published(number))
-    for one in found:
-        writer.writerow(
-            {
-                "table": "difference",
-                "dataset": one.dataset,
-                "condition": one.condition,
-                "method": one.method,
-                "variant": csv_text(one.variant),
-                "metric": one.metric,
-                "value": f"{one.difference:.6f}",
-                "unit": one.unit,
-                "low": "" if one.low is None else f"{one.low:.6f}",
-                "high": "" if one.high is None else f"{one.high:.6f}",
-                "sequences": str(one.sequences),
-                "verified": "verified" if one.verified else "unverified",
-                "note": csv_text("; ".join(("assumptions: " + ", ".join(one.assumptions), *one.remarks))),
-                "kind": f"measured - published ({one.published_variant})",
-            }
-        )
-    return out.getvalue()
-
-
 def _csv_published(number: PublishedNumber) -> dict[str, str]:
     info = _INFOS[number.metric]
     direction = "" if info.higher_is_better is None else str(info.higher_is_better).lower()
@@ -329,23 +327,6 @@ def _csv_published(number: PublishedNumber) -> dict[str, str]:
         "note": csv_text(number.note),
         "kind": number.source,
     }
-
-
-def _as_markdown(leaderboard: Leaderboard, found: Sequence[Difference], reasons: Sequence[str]) -> str:
-    blocks = ["## Published numbers"]
-    shown = _shown_tables(leaderboard)
-    if not shown:
-        blocks.append("None is shown: no table of real recordings that the study has is among the runs.")
-    for dataset in shown:
-        blocks += [f"### {dataset}: published in Prime and Reach, Table 2, not measured here", _published_grid(dataset)]
-        here = [one for one in found if one.dataset == dataset]
-        if here:
-            blocks += [f"### {dataset}: measured minus published", _difference_grid(here)]
-    if shown:
-        blocks.append("\n".join(f"- {markdown(line)}" for line in _explained(found)))
-    if reasons:
-        blocks += ["No published number stands beside:", "\n".join(f"- {markdown(line)}" for line in reasons)]
-    return "\n" + "\n\n".join(blocks) + "\n"
 
 
 def _published_grid(dataset: str) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from prbench.errors import UsageError
-from prbench.metrics import MAIN_METRICS, MetricInfo, printed_unit
+from prbench.metrics import MAIN_METRICS, printed_unit
 from prbench_benchmarks.prime_and_reach.study.breakdown import GroupScore
 from prbench_benchmarks.prime_and_reach.study.charts import MOST_RUNS, Bar, BarPanel, CurvePanel, draw_bars, draw_sweeps
 from prbench_benchmarks.prime_and_reach.study.genuine import GenuineRun
@@ -34,7 +34,8 @@ def draw_breakdown(scores: Sequence[GroupScore], by: str, path: Path) -> None:
     for info in MAIN_METRICS:
         bars = tuple(_bar(one) for one in scores if one.info.id == info.id)
         if bars:
-            panels.append(BarPanel(_metric_title(info), bars))
+            unit = printed_unit(info.unit).strip()
+            panels.append(BarPanel(f"{info.title}{info.arrow}{f' ({unit})' if unit else ''}", bars))
     draw_bars(
         panels,
         path,
@@ -85,11 +86,6 @@ def _bar(one: GroupScore) -> Bar:
         high=None if estimate.high is None else scale * estimate.high,
         count=f"{estimate.n_sequences} of {estimate.n_recordings} rec.",
     )
-
-
-def _metric_title(info: MetricInfo) -> str:
-    unit = printed_unit(info.unit).strip()
-    return f"{info.title}{info.arrow}{f' ({unit})' if unit else ''}"
 
 
 def _warnings(runs: Sequence[GenuineRun]) -> list[str]:

@@ -90,17 +90,13 @@ def as_markdown(tables: Sequence[StudyTable]) -> str:
         for block in table.blocks:
             if block.title:
                 parts.append(f"**{markdown(block.title)}**")
-            parts.append(_markdown_grid(table, block.rows))
+            rule = ["---"] * table.text_columns + ["---:"] * (len(table.header) - table.text_columns)
+            lines = [[markdown(cell) for cell in table.header], rule]
+            lines += [[markdown(cell) for cell in row] for row in block.rows]
+            parts.append("\n".join("| " + " | ".join(line) + " |" for line in lines))
         if table.notes:
             parts.append("\n".join(f"- {markdown(note)}" for note in table.notes))
     return "\n\n".join(parts) + "\n"
-
-
-def _markdown_grid(table: StudyTable, rows: Sequence[Sequence[str]]) -> str:
-    rule = ["---"] * table.text_columns + ["---:"] * (len(table.header) - table.text_columns)
-    lines = [[markdown(cell) for cell in table.header], rule]
-    lines += [[markdown(cell) for cell in row] for row in rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 FORMATS: dict[str, Callable[[Sequence[StudyTable]], str]] = {".csv": as_csv, ".tex": as_latex, ".md": as_markdown}

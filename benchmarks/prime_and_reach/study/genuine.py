@@ -53,7 +53,8 @@ def genuine_runs(paths: Sequence[Path], data: Sequence[Path], engine: Engine) ->
     for run in runs[1:]:
         if run.record.protocol_digest != runs[0].record.protocol_digest:
             raise RunError(f"{run.path} and {runs[0].path} follow different protocols. Draw them one by one.")
-    labels = _labels(runs)
+    plain = [f"{clean(run.record.method.name)}, {clean(run.record.condition)}" for run in runs]
+    labels = list(_unique(plain, [clean(run.path.name) for run in runs]))
     found = []
     for table in tables_of_runs(runs, data):
         for run, label in zip(runs, labels, strict=True):
@@ -69,11 +70,6 @@ def _checked(run: RunFolder, record: TableRecord, table: SequenceTable, engine: 
     if unverified:
         raise RunError(f"{run.path}: cannot be drawn, because {unverified}.")
     return table
-
-
-def _labels(runs: Sequence[RunFolder]) -> list[str]:
-    plain = [f"{clean(run.record.method.name)}, {clean(run.record.condition)}" for run in runs]
-    return list(_unique(plain, [clean(run.path.name) for run in runs]))
 
 
 def _unique(labels: Sequence[str], names: Sequence[str]) -> Iterator[str]:

@@ -60,7 +60,16 @@ def draw_examples(scenes: Sequence[Scene], path: Path, *, title: str, columns: i
     figure = new_figure(5.6 * wide, 3.0 * rows + 0.6, dpi=dpi, layout="constrained")
     axes = figure.subplots(rows, wide, squeeze=False).ravel()
     for scene, place in zip(scenes, axes):
-        _draw_example(place, scene)
+        motion = scene.motions[0]
+        chosen = np.unique(np.append(np.linspace(0, scene.n_frames - 1, _POSES).round(), moments(scene)[1])).astype(int)
+        for frame in chosen:
+            share = frame / max(scene.n_frames - 1, 1)
+            _draw_pose(place, scene, motion.joints[frame], colour=str(0.78 - 0.73 * share), alpha=1.0)
+        prime = moments(scene)[1]
+        _draw_gaze(place, scene, prime)
+        _draw_goal(place, scene)
+        _frame_panel(place, _drawn(scene, motion, chosen.tolist()))
+        place.set_title(figure_text(f"{scene.dataset}: {scene.title}"), fontsize=8, loc="left")
     for place in axes[len(scenes) :]:
         place.set_axis_off()
     figure.suptitle(figure_text(title), fontsize=10, x=0.01, ha="left")
@@ -126,19 +135,6 @@ def moments(scene: Scene) -> tuple[int, int, int]:
     """Return the first frame, the frame of the prime, and that of the reach, which is the last one."""
     last = scene.n_frames - 1
     return 0, min(round(scene.prime_time * scene.fps), last), last
-
-
-def _draw_example(axes: Axes, scene: Scene) -> None:
-    motion = scene.motions[0]
-    chosen = np.unique(np.append(np.linspace(0, scene.n_frames - 1, _POSES).round(), moments(scene)[1])).astype(int)
-    for frame in chosen:
-        share = frame / max(scene.n_frames - 1, 1)
-        _draw_pose(axes, scene, motion.joints[frame], colour=str(0.78 - 0.73 * share), alpha=1.0)
-    prime = moments(scene)[1]
-    _draw_gaze(axes, scene, prime)
-    _draw_goal(axes, scene)
-    _frame_panel(axes, _drawn(scene, motion, chosen.tolist()))
-    axes.set_title(figure_text(f"{scene.dataset}: {scene.title}"), fontsize=8, loc="left")
 
 
 def _drawn(scene: Scene, motion: ShownMotion, frames: Sequence[int]) -> Float[np.ndarray, "n 2"]:

@@ -73,7 +73,11 @@ def sweep(run: GenuineRun, *, variant: Variant, engine: Engine) -> Sweep:
     settings = load_study_settings().figure_s3
     count = round(settings.largest_distance / settings.distance_step)
     distances = tuple(round(k * settings.distance_step, 6) for k in range(count + 1))
-    selection = _selection(run)
+    # The sequences of a run that have motions.
+    record = run.run.record
+    chosen = select(run.table, split=record.split, limit=record.limit)
+    scored = set(read_scores(run.run.dataset(run.record.dataset).scores)["sequence_id"].to_pylist())
+    selection = chosen.chosen(np.array([name in scored for name in chosen.sequence_ids]))
     constants = run.protocol.metrics
     sums = np.zeros((len(settings.windows), len(distances)))
     motions = 0
@@ -126,14 +130,6 @@ def _value(one: Sweep, i: int, j: int) -> StudyValue:
         sequences=one.sequences,
         origin=SYNTHETIC if one.run.record.synthetic else MEASURED,
     )
-
-
-def _selection(run: GenuineRun) -> Selection:
-    """The sequences of a run that have motions."""
-    record = run.run.record
-    chosen = select(run.table, split=record.split, limit=record.limit)
-    scored = set(read_scores(run.run.dataset(run.record.dataset).scores)["sequence_id"].to_pylist())
-    return chosen.chosen(np.array([name in scored for name in chosen.sequence_ids]))
 
 
 def _work(

@@ -221,6 +221,8 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, part: DatasetTab
     for planned, line in lines:
         under[CONTROL if planned.is_control else planned.condition.value].append(line)
     titles = {block.condition.value: block.title for block in load_table_two().blocks} | {CONTROL: _CONTROLS_TITLE}
+    # Recordings of the chosen sequences, or of the common ones among them.
+    pairs = zip(chosen.sequence_ids, chosen.recording_ids)
     return DatasetLayout(
         dataset=info.dataset,
         title=info.title,
@@ -228,7 +230,7 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, part: DatasetTab
         redistribution=info.redistribution,
         sequences=len(chosen) if common is None else len(common),
         chosen=len(chosen),
-        recordings=len(_recordings(chosen, common)),
+        recordings=len({recording for name, recording in pairs if common is None or name in common}),
         blocks=tuple(
             BlockLayout(title, name, tuple(under[name]), *_orders(under[name], folders, info.dataset, common))
             for name, title in titles.items()
@@ -241,12 +243,6 @@ def _dataset(outcomes: Sequence[RowOutcome], chosen: Selection, part: DatasetTab
             if line.name in rows and rows[line.name].entry.summary.edge_arrivals
         ),
     )
-
-
-def _recordings(chosen: Selection, common: frozenset[str] | None) -> set[str]:
-    """Recordings of the chosen sequences, or of the common ones among them."""
-    pairs = zip(chosen.sequence_ids, chosen.recording_ids)
-    return {recording for name, recording in pairs if common is None or name in common}
 
 
 def _line(outcome: RowOutcome, row: TableRow | None) -> Line:

@@ -98,7 +98,17 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
         say.notice(_shown_limit(plan, tables, sizes))
         batch_size = request.batch_size or even_batch_size(plan.limit, sizes)
         runs = {row.name: row.limited(plan.limit, batch_size) for row in _most_expensive_first(planned, plan)}
-        outcomes = _outcomes(planned, runs, engine, say)
+        # Generate all rows, then finish each; what is wrong with one is put down and said.
+        with say.generating() as counting:
+            made = generate_side_by_side(runs, engine, counting=counting)
+        if made.broken is not None:
+            say.notice(f"{made.broken} Going on row by row.")
+        outcomes = tuple(
+            RowOutcome(row, "skipped", row.skipped)
+            if row.skipped is not None
+            else _outcome(row, runs[row.name], made.failed.get(row.name), engine, say)
+            for row in planned
+        )
         # A table that could not fit must not claim that it is what fitted.
         minutes = plan.minutes if plan.fits else None
         layout = lay_out(outcomes, tables=tables, split=request.split, limit=plan.limit, minutes=minutes)
@@ -118,22 +128,6 @@ def _most_expensive_first(planned: list[PlannedRow], plan: TablePlan) -> list[Pl
         return 0.0 if cost is None else cost.seconds_per_frame
 
     return sorted((row for row in planned if row.skipped is None), key=seconds, reverse=True)
-
-
-def _outcomes(
-    planned: list[PlannedRow], runs: dict[str, RunRequest], engine: Engine, say: Say
-) -> tuple[RowOutcome, ...]:
-    """Generate all rows, then finish each; what is wrong with one is put down and said."""
-    with say.generating() as counting:
-        made = generate_side_by_side(runs, engine, counting=counting)
-    if made.broken is not None:
-        say.notice(f"{made.broken} Going on row by row.")
-    return tuple(
-        RowOutcome(row, "skipped", row.skipped)
-        if row.skipped is not None
-        else _outcome(row, runs[row.name], made.failed.get(row.name), engine, say)
-        for row in planned
-    )
 
 
 def _outcome(planned: PlannedRow, run: RunRequest, failed: str | None, engine: Engine, say: Say) -> RowOutcome:

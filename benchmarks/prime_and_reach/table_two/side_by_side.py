@@ -10,7 +10,6 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from prbench.engine import Engine, is_out_of_memory
 from prbench.errors import PrbenchError, StorageError
@@ -84,7 +83,10 @@ def generate_side_by_side(
         forget_loaded_methods()
     # An empty run folder would look like a run that can be resumed.
     for name in failed:
-        _discard_if_empty(requests[name].out)
+        # A failed first batch leaves nothing behind.
+        out = requests[name].out
+        if out is not None and (out / RECORD).is_file():
+            RunFolder.open(out).discard_if_empty()
     return SideBySide(failed, frozenset(requests) - frozenset(begun), broken)
 
 
@@ -112,12 +114,6 @@ def _tasks(
             raise
         except Exception as error:
             failed.setdefault(name, why(error))
-
-
-def _discard_if_empty(out: Path | None) -> None:
-    """A failed first batch leaves nothing behind."""
-    if out is not None and (out / RECORD).is_file():
-        RunFolder.open(out).discard_if_empty()
 
 
 def _try(named: _NamedTask) -> _Tried:

@@ -49,49 +49,45 @@ def _sequences(split: str) -> Iterator[Sequence]:
             continue
         performance = perform(_PRESET, seed=_SEED, index=index, rate=_RATE, provocations={})
         for clip in true_clips(performance)[:_CLIPS_OF_ONE]:
-            yield _sequence(performance, clip, split)
-
-
-def _sequence(performance: Performance, clip: TrueClip, split: str) -> Sequence:
-    event = clip.event
-    assert event.prime_time is not None  # clips are made of primed events only
-    name = name_of_recording(_PRESET, _SEED, performance.index)
-    protocol = load_protocol()
-    return Sequence(
-        sequence_id=f"{DATASET}/{name}/{event.object_id}/{event.action}/{event.event_time:.6f}",
-        dataset=DATASET,
-        recording_id=name,
-        participant_id=performance.person.participant_id,
-        split=split,
-        split_group=name,
-        action=event.action,
-        object_id=event.object_id,
-        object_name=event.object_name,
-        text=getattr(protocol.text, event.action),
-        hand=event.hand,
-        fps=FPS,
-        n_frames=len(clip.joints),
-        start_time=clip.start,
-        prime_time=event.prime_time,
-        event_time=event.event_time,
-        prime_frame=round(PREROLL * FPS),
-        prime_gap=event.event_time - event.prime_time,
-        preroll=clip.prime_after,
-        prime_kind=event.prime_kind or "hit",
-        prime_time_uncertainty=1 / performance.rate,
-        goal_box_world_min=event.box_min,
-        goal_box_world_max=event.box_max,
-        body_movement=clip.body_movement,
-        hand_movement=clip.hand_movement,
-        pose_source="invented",
-        head_tilt_deg=clip.neck_tilt_deg,
-        previous_source="recorded",
-        next_source="recorded",
-        head_position=None,
-        head_rotation=None,
-        gaze_valid=np.ones(len(clip.joints), dtype=bool),
-        **_in_canonical_frame(performance, clip),
-    )
+            event = clip.event
+            assert event.prime_time is not None  # clips are made of primed events only
+            name = name_of_recording(_PRESET, _SEED, performance.index)
+            protocol = load_protocol()
+            yield Sequence(
+                sequence_id=f"{DATASET}/{name}/{event.object_id}/{event.action}/{event.event_time:.6f}",
+                dataset=DATASET,
+                recording_id=name,
+                participant_id=performance.person.participant_id,
+                split=split,
+                split_group=name,
+                action=event.action,
+                object_id=event.object_id,
+                object_name=event.object_name,
+                text=getattr(protocol.text, event.action),
+                hand=event.hand,
+                fps=FPS,
+                n_frames=len(clip.joints),
+                start_time=clip.start,
+                prime_time=event.prime_time,
+                event_time=event.event_time,
+                prime_frame=round(PREROLL * FPS),
+                prime_gap=event.event_time - event.prime_time,
+                preroll=clip.prime_after,
+                prime_kind=event.prime_kind or "hit",
+                prime_time_uncertainty=1 / performance.rate,
+                goal_box_world_min=event.box_min,
+                goal_box_world_max=event.box_max,
+                body_movement=clip.body_movement,
+                hand_movement=clip.hand_movement,
+                pose_source="invented",
+                head_tilt_deg=clip.neck_tilt_deg,
+                previous_source="recorded",
+                next_source="recorded",
+                head_position=None,
+                head_rotation=None,
+                gaze_valid=np.ones(len(clip.joints), dtype=bool),
+                **_in_canonical_frame(performance, clip),
+            )
 
 
 def _in_canonical_frame(performance: Performance, clip: TrueClip) -> dict[str, Any]:

@@ -87,7 +87,19 @@ def run_ordered() -> None:
     order = json.loads(sys.stdin.readline())
     tell = _teller()
     request = CheckRequest.of_json(order["request"])
-    subject = _subject(request, Path(order["folder"]))
+    folder = Path(order["folder"])
+    spec = method_spec(
+        request.method,
+        weights=request.weights,
+        options=request.options,
+        device=request.device,
+        threads=request.threads,
+        isolate=request.isolate,
+        timeout=request.time_limit if request.isolate or is_program(request.method) else None,
+        hidden=() if request.data is None else (request.data,),
+        group=load_benchmark(request.benchmark).methods,
+    )
+    subject = judge_of(request.benchmark).subject(spec, request, folder)
     subject.asking = lambda text: tell(event="asking", text=text)
     subject.starting = lambda text: tell(event="starting", text=text)
     known = {name: Outcome(value) for name, value in order["known"].items()}
@@ -110,21 +122,6 @@ def _teller() -> Tell:
         events.flush()
 
     return tell
-
-
-def _subject(wanted: CheckRequest, folder: Path) -> MethodSubject:
-    spec = method_spec(
-        wanted.method,
-        weights=wanted.weights,
-        options=wanted.options,
-        device=wanted.device,
-        threads=wanted.threads,
-        isolate=wanted.isolate,
-        timeout=wanted.time_limit if wanted.isolate or is_program(wanted.method) else None,
-        hidden=() if wanted.data is None else (wanted.data,),
-        group=load_benchmark(wanted.benchmark).methods,
-    )
-    return judge_of(wanted.benchmark).subject(spec, wanted, folder)
 
 
 _MODULE = "prbench.checking.conformance"
@@ -333,20 +330,7 @@ def check(request: CheckRequest, announce: _Announce | None = None) -> Report:
         UsageError: if the method is a control, or a program is not there.
     """
     started = time.perf_counter()
-    spec = _possible(request)
-    with working_folder() as folder:
-        session = _Session(
-            request, _limits(request, spec), Path(folder), announce or (lambda _name, _place, _total: None)
-        )
-        session.run([one for one in session.checks if not one.fresh])
-        session.run([one for one in session.checks if one.fresh])
-    places = {one.name: place for place, one in enumerate(session.checks)}
-    findings = sorted(session.findings, key=lambda finding: places[finding.check])
-    return Report(request.method, tuple(findings), time.perf_counter() - started)
-
-
-def _possible(request: CheckRequest) -> MethodSpec:
-    """Raise the user's mistakes before any process is started."""
+    # Raise the user's mistakes before any process is started.
     judge = judge_of(request.benchmark)
     if request.method in METHOD_CONTROLS:
         raise UsageError(f"'{request.method}' is a control of the harness itself; there is no method to check.")
@@ -359,7 +343,15 @@ def _possible(request: CheckRequest) -> MethodSpec:
     )
     if request.data is not None:
         judge.require_table(request.data)
-    return spec
+    with working_folder() as folder:
+        session = _Session(
+            request, _limits(request, spec), Path(folder), announce or (lambda _name, _place, _total: None)
+        )
+        session.run([one for one in session.checks if not one.fresh])
+        session.run([one for one in session.checks if one.fresh])
+    places = {one.name: place for place, one in enumerate(session.checks)}
+    findings = sorted(session.findings, key=lambda finding: places[finding.check])
+    return Report(request.method, tuple(findings), time.perf_counter() - started)
 
 
 def _limits(request: CheckRequest, spec: MethodSpec) -> _TimeLimits:

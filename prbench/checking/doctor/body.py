@@ -34,7 +34,11 @@ _SCALED = 0.10  # deviation from the scale of the initial pose's bones
 def examine_body(motion_set: MotionSet) -> Finding:
     """Require joints in different places on average, and bones that keep their lengths."""
     shape = _shape(motion_set)
-    softness = _softness(motion_set)
+    # The mean relative change of the distances that change least, as many as there are joints.
+    distances = Distances.of(motion_set.motions)
+    upper = np.triu_indices(len(distances.median), 1)
+    relative = distances.spread[upper] / np.maximum(distances.median[upper], 1e-9)
+    softness = float(np.sort(relative)[: len(distances.median)].mean())
     if shape >= _SHAPELESS or (softness < _FLABBY and shape > 1.0):
         return no_finding(motion_set)
     evidence = (
@@ -75,18 +79,13 @@ def _shape(motion_set: MotionSet) -> float:
     return float((apart / np.maximum(varied, 1e-9)).max())
 
 
-def _softness(motion_set: MotionSet) -> float:
-    """Return the mean relative change of the distances that change least, as many as there are joints."""
-    distances = Distances.of(motion_set.motions)
-    upper = np.triu_indices(len(distances.median), 1)
-    relative = distances.spread[upper] / np.maximum(distances.median[upper], 1e-9)
-    return float(np.sort(relative)[: len(distances.median)].mean())
-
-
 def examine_finite(motion_set: MotionSet) -> Finding:
     """Find NaN, infinity and poses whose joints all lie in one point."""
     broken = [np.asarray(~np.isfinite(motion).all(axis=(1, 2))) for motion in motion_set.motions]
-    empty = _empty(motion_set, broken)
+    extents = [np.ptp(np.nan_to_num(motion), axis=1).max(axis=-1) for motion in motion_set.motions]
+    usual = np.concatenate([extent[~bad] for extent, bad in zip(extents, broken, strict=True)])
+    largest = float(usual.max()) if usual.size else 0.0
+    empty = [(extent <= _POINT * largest) & ~bad for extent, bad in zip(extents, broken, strict=True)]
     diagnoses = []
     if any(bad.any() for bad in broken):
         cause = "a division by zero, a square root of a negative number, or padding"
@@ -108,13 +107,6 @@ def examine_finite(motion_set: MotionSet) -> Finding:
     if any(len(mended.motions[place]) != len(motion_set.motions[row]) for place, row in enumerate(rows)):
         mended = mended.without_lengths()
     return Finding(tuple(diagnoses), mended, unreadable=not rows)
-
-
-def _empty(motion_set: MotionSet, broken: list[np.ndarray]) -> list[np.ndarray]:
-    extents = [np.ptp(np.nan_to_num(motion), axis=1).max(axis=-1) for motion in motion_set.motions]
-    usual = np.concatenate([extent[~bad] for extent, bad in zip(extents, broken, strict=True)])
-    largest = float(usual.max()) if usual.size else 0.0
-    return [(extent <= _POINT * largest) & ~bad for extent, bad in zip(extents, broken, strict=True)]
 
 
 def _counted(motion_set: MotionSet, bad: list[np.ndarray], what: str) -> str:

@@ -97,7 +97,9 @@ def _from_folder(path: Path) -> Iterator[NamedMotion]:
 def _from_file(path: Path) -> Iterator[NamedMotion]:
     suffix = path.suffix.lower()
     if suffix == ".npy":
-        yield from _unbatched(path.stem, _npy(path))
+        with open_regular(path) as stream:
+            header = read_header(stream, path, "")
+        yield from _unbatched(path.stem, _numbers(map_array(path, header), path, ""))
     elif suffix == ".npz":
         yield from _npz(path)
     elif suffix in (".parquet", ".pq"):
@@ -105,12 +107,6 @@ def _from_file(path: Path) -> Iterator[NamedMotion]:
     else:
         remedy = "Save the joints with np.save: pickles (.pkl, .pt, .pth) are never opened, they can run programs."
         raise InputFileError(path, "", expected=_FORMS, found=f"a file named *{suffix}", remedy=remedy)
-
-
-def _npy(path: Path) -> np.ndarray:
-    with open_regular(path) as stream:
-        header = read_header(stream, path, "")
-    return _numbers(map_array(path, header), path, "")
 
 
 def _numbers(values: np.ndarray, path: Path, where: str) -> np.ndarray:
@@ -125,13 +121,9 @@ def _unbatched(name: str, values: np.ndarray) -> Iterator[NamedMotion]:
         yield NamedMotion(name, 0, values)
         return
     for row, motion in enumerate(values):
-        yield NamedMotion(f"{name}[{row}]", 0, _without_padding(motion))
-
-
-def _without_padding(motion: np.ndarray) -> np.ndarray:
-    flat = np.nan_to_num(motion.reshape(len(motion), -1))
-    written = np.flatnonzero(np.any(flat != 0, axis=1))
-    return motion[: written[-1] + 1] if written.size else motion
+        flat = np.nan_to_num(motion.reshape(len(motion), -1))
+        written = np.flatnonzero(np.any(flat != 0, axis=1))
+        yield NamedMotion(f"{name}[{row}]", 0, (motion[: written[-1] + 1] if written.size else motion))
 
 
 def _npz(path: Path) -> Iterator[NamedMotion]:
@@ -380,7 +372,12 @@ def _known(motions: tuple[NamedMotion, ...], request: DoctorRequest) -> _Known |
     conditions = None if request.conditions is None else _from_conditions(motions, request.conditions)
     table = _from_table(motions, request.data, seed=request.seed) if request.data else None
     if conditions is not None and table is not None:
-        return _joined(table, conditions)
+        # Join both: lengths and rates are those of the conditions, and the table adds the recorded motion.
+        expected = tuple(
+            replace(mine, recorded=theirs.recorded if mine.n_frames == theirs.n_frames else None)
+            for mine, theirs in zip(conditions.expected, table.expected, strict=True)
+        )
+        return _Known(expected, conditions.matched, conditions.fps)
     return conditions or table
 
 
@@ -469,12 +466,3 @@ def _matched(motions: Sequence[NamedMotion], found: dict[str, Expected], what: s
         )
     rates = {each.fps for each in expected if each.fps is not None}
     return _Known(expected, matched, rates.pop() if len(rates) == 1 else None)
-
-
-def _joined(table: _Known, conditions: _Known) -> _Known:
-    """Join both: lengths and rates are those of the conditions, and the table adds the recorded motion."""
-    expected = tuple(
-        replace(mine, recorded=theirs.recorded if mine.n_frames == theirs.n_frames else None)
-        for mine, theirs in zip(conditions.expected, table.expected, strict=True)
-    )
-    return _Known(expected, conditions.matched, conditions.fps)

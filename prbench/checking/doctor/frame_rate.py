@@ -84,7 +84,14 @@ def _repeats(motion_set: MotionSet) -> Finding:
     found: dict[int, np.ndarray] = {}
     for row, motion in enumerate(motion_set.motions):
         steps = _Steps.of(motion)
-        inside = _short_holds(steps)
+        # Find still steps in short runs that begin and end in movement.
+        still = steps.still
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], still.astype(int), [0]))))
+        chosen = np.zeros_like(still)
+        for start, stop in edges.reshape(-1, 2):
+            if start > 0 and stop < len(still) and stop - start < _SHORTEST_HOLD * 3:
+                chosen[start:stop] = True
+        inside = chosen
         moving = (~steps.still).sum()
         if steps.usual > 0 and inside.sum() >= 3 and inside.sum() >= 0.03 * moving:
             found[row] = inside
@@ -109,17 +116,6 @@ def _repeats(motion_set: MotionSet) -> Finding:
         _filled_in(motion, found[row]) if row in found else motion for row, motion in enumerate(motion_set.motions)
     ]
     return Finding((Diagnosis("clock", True, evidence, cause, AT_RATE),), motion_set.with_motions(undone))
-
-
-def _short_holds(steps: _Steps) -> np.ndarray:
-    """Find still steps in short runs that begin and end in movement."""
-    still = steps.still
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], still.astype(int), [0]))))
-    chosen = np.zeros_like(still)
-    for start, stop in edges.reshape(-1, 2):
-        if start > 0 and stop < len(still) and stop - start < _SHORTEST_HOLD * 3:
-            chosen[start:stop] = True
-    return chosen
 
 
 def _filled_in(motion: np.ndarray, repeated: np.ndarray) -> np.ndarray:
@@ -153,18 +149,7 @@ def _holds(motion_set: MotionSet) -> Finding:
 
 def _hold(motion_set: MotionSet, *, at_end: bool, text: str, cause: str, remedy: str) -> tuple[Diagnosis, ...]:
     """Diagnose one end; certain if most of the motions that are held there move at full speed next to it."""
-    held = _held(motion_set, at_end=at_end)
-    if len(held) * 3 < len(motion_set):
-        return ()
-    abrupt = sum(speed > _FULL_SPEED for _, speed in held.values())
-    frames = int(np.median([count for count, _ in held.values()])) + (not at_end)
-    speed = float(np.median([speed for _, speed in held.values()]))
-    evidence = text.format(frames=frames, motions=motion_set.in_words(len(held)), abrupt=abrupt, speed=speed)
-    return (Diagnosis("clock", abrupt * 2 > len(held), evidence, cause, remedy),)
-
-
-def _held(motion_set: MotionSet, *, at_end: bool) -> dict[int, tuple[int, float]]:
-    """Map the row of each motion held at one end to the held frames and the speed next to them (m/s)."""
+    # Map the row of each motion held at one end to the held frames and the speed next to them (m/s).
     held = {}
     for row, motion in enumerate(motion_set.motions):
         steps = _Steps.of(motion[::-1] if at_end else motion)
@@ -174,7 +159,13 @@ def _held(motion_set: MotionSet, *, at_end: bool) -> dict[int, tuple[int, float]
         first = steps.sizes[moving[0] :][:4]
         sudden = len(first) > 1 and first[0] * _FRESH_START > np.median(first[1:])
         held[row] = int(moving[0]), float(first[0] * motion_set.fps) if sudden else 0.0
-    return held
+    if len(held) * 3 < len(motion_set):
+        return ()
+    abrupt = sum(speed > _FULL_SPEED for _, speed in held.values())
+    frames = int(np.median([count for count, _ in held.values()])) + (not at_end)
+    speed = float(np.median([speed for _, speed in held.values()]))
+    evidence = text.format(frames=frames, motions=motion_set.in_words(len(held)), abrupt=abrupt, speed=speed)
+    return (Diagnosis("clock", abrupt * 2 > len(held), evidence, cause, remedy),)
 
 
 def _without_holds(motion: np.ndarray) -> np.ndarray:
@@ -225,8 +216,14 @@ def _common_rhythm(steps: Sequence[_Steps], fps: float) -> _Rhythm | None:
 def _rhythm(steps: _Steps, period: int, fps: float) -> _Rhythm | None:
     if len(steps.sizes) < 4 * period + 2 or steps.usual == 0:
         return None
-    out, fast = _standing_out(steps, fps)
-    if 2 * fast.sum() < _moving(steps, fps):
+    # How much each inner step exceeds its two neighbours (log), and where all three are fast and straight.
+    logs = np.log(np.maximum(steps.sizes, 1e-9))
+    out = logs[1:-1] - (logs[:-2] + logs[2:]) / 2
+    slow = max(0.5 * steps.usual, _SLOW / fps)
+    triples = np.lib.stride_tricks.sliding_window_view(steps.sizes, 3)
+    out, fast = out, (triples.mean(axis=1) > slow) & (np.minimum(steps.straight[1:], steps.straight[:-1]) > _STRAIGHT)
+    # Count the steps that are fast, in one direction or to and fro.
+    if 2 * fast.sum() < int((steps.sizes > max(0.5 * steps.usual, _SLOW / fps)).sum()):
         return None  # jitter, not movement
     place = (np.arange(len(out)) % period)[fast]
     counts = np.bincount(place, minlength=period)
@@ -239,20 +236,6 @@ def _rhythm(steps: _Steps, period: int, fps: float) -> _Rhythm | None:
     # Adjusted for the number of places: with long periods any noise explains something.
     adjusted = 1 - (1 - explained / max(total, 1e-9)) * len(values) / max(len(values) - period, 1)
     return _Rhythm(period, adjusted, float(means.max()), 1)
-
-
-def _standing_out(steps: _Steps, fps: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return how much each inner step exceeds its two neighbours (log), and where all three are fast and straight."""
-    logs = np.log(np.maximum(steps.sizes, 1e-9))
-    out = logs[1:-1] - (logs[:-2] + logs[2:]) / 2
-    slow = max(0.5 * steps.usual, _SLOW / fps)
-    triples = np.lib.stride_tricks.sliding_window_view(steps.sizes, 3)
-    return out, (triples.mean(axis=1) > slow) & (np.minimum(steps.straight[1:], steps.straight[:-1]) > _STRAIGHT)
-
-
-def _moving(steps: _Steps, fps: float) -> int:
-    """Count the steps that are fast, in one direction or to and fro."""
-    return int((steps.sizes > max(0.5 * steps.usual, _SLOW / fps)).sum())
 
 
 def _leaps(steps: _Steps, fps: float) -> int:
@@ -344,17 +327,7 @@ def _matched(motion: np.ndarray, recorded: np.ndarray) -> _Match:
         # Steps along a row cost their distances: with the cumulative sum the best start is a running minimum.
         walked = np.cumsum(apart[row])
         total[row + 1, 1:] = walked + np.minimum.accumulate(reachable - walked + apart[row])
-    places = _traced(total)
-    same = min(len(motion), len(recorded))
-    before = float(apart[np.arange(same), np.arange(same)].mean())
-    left = float(apart[np.arange(len(motion)), places.round().astype(int)].mean())
-    speed = np.linalg.norm(np.gradient(recorded, axis=0), axis=-1).mean(axis=-1)
-    moves = speed[places.round().astype(int)] > 0.5 * np.median(speed)
-    return _Match(places, left, before, moves)
-
-
-def _traced(total: np.ndarray) -> np.ndarray:
-    """Return the mean recorded frame of each frame along the cheapest path."""
+    # The mean recorded frame of each frame along the cheapest path.
     row = len(total) - 1
     column = int(total[-1, 1:].argmin()) + 1
     ways: list[list[int]] = [[] for _ in range(row)]
@@ -366,7 +339,13 @@ def _traced(total: np.ndarray) -> np.ndarray:
             (row, column - 1): total[row, column - 1],
         }
         row, column = min(options, key=lambda key: options[key])
-    return np.array([np.mean(way) if way else 0.0 for way in ways])
+    places = np.array([np.mean(way) if way else 0.0 for way in ways])
+    same = min(len(motion), len(recorded))
+    before = float(apart[np.arange(same), np.arange(same)].mean())
+    left = float(apart[np.arange(len(motion)), places.round().astype(int)].mean())
+    speed = np.linalg.norm(np.gradient(recorded, axis=0), axis=-1).mean(axis=-1)
+    moves = speed[places.round().astype(int)] > 0.5 * np.median(speed)
+    return _Match(places, left, before, moves)
 
 
 def _line(match: _Match) -> tuple[float, float, float]:
@@ -436,7 +415,13 @@ def examine_length(motion_set: MotionSet) -> Finding:
         kind = "frame-rate"
         cause = f"motions have {rate:g} frames a second, {motion_set.fps:g} were asked for"
         remedy = AT_RATE
-        undone = _stretched(motion_set, known)
+        motions = list(motion_set.motions)
+        for row in known:
+            n_frames = motion_set.expected[row].n_frames
+            if n_frames is not None and len(motions[row]) > 1:
+                frames = np.arange(len(motions[row]))
+                motions[row] = on_straight_lines(motions[row], frames, np.linspace(0, frames[-1], n_frames))
+        undone = motion_set.with_motions(motions)
     elif len(set(found.tolist())) == 1 and len(set(asked.tolist())) > 1:
         cause = f"every motion has {found[0]} frames: a fixed window of the model, or padding that was not cut off"
     else:
@@ -455,16 +440,6 @@ def _rate(exact: float) -> float | None:
     """Round a measured rate to the nearest common rate, or return None if none is within 2.5 %."""
     nearest = min(_RATES, key=lambda rate: abs(np.log(rate / exact)))
     return nearest if abs(np.log(nearest / exact)) < _NEAR else None
-
-
-def _stretched(motion_set: MotionSet, known: list[int]) -> MotionSet:
-    motions = list(motion_set.motions)
-    for row in known:
-        n_frames = motion_set.expected[row].n_frames
-        if n_frames is not None and len(motions[row]) > 1:
-            frames = np.arange(len(motions[row]))
-            motions[row] = on_straight_lines(motions[row], frames, np.linspace(0, frames[-1], n_frames))
-    return motion_set.with_motions(motions)
 
 
 def examine_frame_rate(motion_set: MotionSet) -> Finding:
@@ -523,7 +498,16 @@ def _tempo_of_limbs(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
     first, and only steps that then last equally long count, as those of a walking person do at any rate.
     """
     if Tremor.of(motion_set.motions) is not None:
-        return _tempo_beneath_tremor(motion_set)
+        swings = _swings([smoothed(motion) for motion in motion_set.motions])
+        if len(swings) < _ENOUGH_BENEATH_TREMOR:
+            return ()
+        spread = float(np.subtract(*np.percentile(np.log(swings), [75, 25])))
+        if spread > _EQUALLY_LONG:
+            return ()
+        # Widths of convolved Gaussians add in squares, so the smoothing can be subtracted again.
+        widened = 2 * np.sqrt(-2 * np.log(_EDGE)) * SMOOTHED_OVER  # width at the edge of the Gaussian that smoothed
+        durations = np.sqrt(np.maximum(swings**2 - widened**2, 1.0))
+        return _judged(durations, motion_set.fps, "steps", _SWING_RANGE)
     swings = _swings(motion_set.motions)
     if len(swings) >= _ENOUGH_MOVEMENTS:
         return _judged(swings, motion_set.fps, "steps", _SWING_RANGE)
@@ -533,19 +517,6 @@ def _tempo_of_limbs(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
     return (
         _judged(reaches, motion_set.fps, "hands' movements", _REACH_RANGE) if len(reaches) >= _ENOUGH_MOVEMENTS else ()
     )
-
-
-def _tempo_beneath_tremor(motion_set: MotionSet) -> tuple[Diagnosis, ...]:
-    swings = _swings([smoothed(motion) for motion in motion_set.motions])
-    if len(swings) < _ENOUGH_BENEATH_TREMOR:
-        return ()
-    spread = float(np.subtract(*np.percentile(np.log(swings), [75, 25])))
-    if spread > _EQUALLY_LONG:
-        return ()
-    # Widths of convolved Gaussians add in squares, so the smoothing can be subtracted again.
-    widened = 2 * np.sqrt(-2 * np.log(_EDGE)) * SMOOTHED_OVER  # width at the edge of the Gaussian that smoothed
-    durations = np.sqrt(np.maximum(swings**2 - widened**2, 1.0))
-    return _judged(durations, motion_set.fps, "steps", _SWING_RANGE)
 
 
 def _swings(motions: Sequence[np.ndarray]) -> np.ndarray:

@@ -67,7 +67,30 @@ def examine_joint_order(motion_set: MotionSet) -> Finding:
     distances = Distances.of(motion_set.motions)
     n_joints = len(distances.median)
     if n_joints != N_JOINTS:
-        return _another_skeleton(motion_set, distances)
+        # Diagnose another number of joints: try the skeletons that prbench has maps for, then those that it only knows.
+        n_joints = len(distances.median)
+        evidence = f"{n_joints} joints a frame instead of 22"
+        fitting = {name: each for name, each in JOINT_MAPS.items() if len(each.source_joints) == n_joints}
+        mapped = {name: motion_set.changed(each.to_22) for name, each in fitting.items()}
+        misfits = {name: _badness(Distances.of(each.motions), range(N_JOINTS)) for name, each in mapped.items()}
+        best = min(misfits, key=lambda name: misfits[name], default=None)
+        if best is not None and misfits[best] < _FITS:
+            evidence += f"; as '{best}', bones miss people's lengths by {misfits[best]:.0%}"
+            remedy = f"Convert them: prbench.representation.converters.named_skeletons('{best}').to_22(joints)."
+            if best.startswith("smpl"):
+                remedy += " That is joints[:, :22]."
+            found = Diagnosis("joint-order", True, evidence, f"the joints are those of the skeleton '{best}'", remedy)
+            return Finding((found,), mapped[best])
+        known = {each: fit(distances, each.places()).misfit for each in OTHER_ORDERS if len(each.joints) == n_joints}
+        order = min(known, key=lambda each: known[each], default=None)
+        if order is not None and known[order] < 2 * _FITS:
+            evidence += f"; as {order.name}, bones miss people's lengths by {known[order]:.0%}"
+            found = Diagnosis("joint-order", True, evidence, f"the skeleton is that of {order.name}", order.remedy)
+            return Finding((found,), motion_set, unreadable=True)
+        remedy = "Write a map of its joints (prbench.representation.converters.JointMap) to prbench.geometry.skeleton."
+        return Finding(
+            (Diagnosis("joint-order", True, evidence, "a skeleton of its own", remedy),), motion_set, unreadable=True
+        )
     own = fit(distances, _OWN.places())
     if own.misfit < _IMPOSSIBLE:
         return _exchanged_pairs(motion_set, distances)
@@ -105,33 +128,6 @@ def _reordered(motion_set: MotionSet, index: Sequence[int], before: float, after
     remedy = f"Put them into HumanML3D's order: joints[:, {list(index)}] (names: prbench.geometry.skeleton.Joint)."
     found = Diagnosis("joint-order", True, evidence, cause, remedy)
     return Finding((found,), motion_set.changed(lambda motion: motion[:, list(index)]))
-
-
-def _another_skeleton(motion_set: MotionSet, distances: Distances) -> Finding:
-    """Diagnose another number of joints: try the skeletons that prbench has maps for, then those that it only knows."""
-    n_joints = len(distances.median)
-    evidence = f"{n_joints} joints a frame instead of 22"
-    fitting = {name: each for name, each in JOINT_MAPS.items() if len(each.source_joints) == n_joints}
-    mapped = {name: motion_set.changed(each.to_22) for name, each in fitting.items()}
-    misfits = {name: _badness(Distances.of(each.motions), range(N_JOINTS)) for name, each in mapped.items()}
-    best = min(misfits, key=lambda name: misfits[name], default=None)
-    if best is not None and misfits[best] < _FITS:
-        evidence += f"; as '{best}', bones miss people's lengths by {misfits[best]:.0%}"
-        remedy = f"Convert them: prbench.representation.converters.named_skeletons('{best}').to_22(joints)."
-        if best.startswith("smpl"):
-            remedy += " That is joints[:, :22]."
-        found = Diagnosis("joint-order", True, evidence, f"the joints are those of the skeleton '{best}'", remedy)
-        return Finding((found,), mapped[best])
-    known = {each: fit(distances, each.places()).misfit for each in OTHER_ORDERS if len(each.joints) == n_joints}
-    order = min(known, key=lambda each: known[each], default=None)
-    if order is not None and known[order] < 2 * _FITS:
-        evidence += f"; as {order.name}, bones miss people's lengths by {known[order]:.0%}"
-        found = Diagnosis("joint-order", True, evidence, f"the skeleton is that of {order.name}", order.remedy)
-        return Finding((found,), motion_set, unreadable=True)
-    remedy = "Write a map of its joints (prbench.representation.converters.JointMap) to prbench.geometry.skeleton."
-    return Finding(
-        (Diagnosis("joint-order", True, evidence, "a skeleton of its own", remedy),), motion_set, unreadable=True
-    )
 
 
 def _exchanged_pairs(motion_set: MotionSet, distances: Distances) -> Finding:
@@ -206,7 +202,9 @@ def _recovered_order(distances: Distances) -> list[int] | None:
         cost = _cost(distances, distances.median.max() / _SIZES[start % len(_SIZES)])
         index, value = _descended(_guess(distances, _LOOSENESS * (start / _STARTS), generator), cost)
         if value < lowest + 0.06:  # near enough that exchanging whole limbs may help
-            index, value = _sides_exchanged(index, cost)
+            # The best of an order's relatives, improved as far as exchanging single joints goes.
+            relatives = _relatives(index)
+            index, value = _descended(relatives[int(cost(relatives).argmin())], cost)
         confirmed += abs(value - lowest) < 1e-9
         if value < lowest - 1e-9:
             best = index
@@ -271,12 +269,6 @@ def _descended(order: np.ndarray, cost: Callable[[np.ndarray], np.ndarray]) -> t
             return order, value
         order = neighbours[best]
         value = float(values[best])
-
-
-def _sides_exchanged(order: np.ndarray, cost: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
-    """Return the best of an order's relatives, improved as far as exchanging single joints goes."""
-    relatives = _relatives(order)
-    return _descended(relatives[int(cost(relatives).argmin())], cost)
 
 
 def _relatives(order: np.ndarray) -> np.ndarray:
@@ -362,7 +354,20 @@ def _is_mirrored(motion_set: MotionSet) -> tuple[bool | None, str]:
         if judged is not None:
             mirrored, one, other = judged
             return mirrored, f"the {source} is {one:.2f} m away in a mirror, {other:.2f} m with names exchanged"
-    return _by_bones(motion_set)
+    # Decide by the bones: SMPL's bodies are not quite symmetric, their right hip is longer than the left one.
+    # Logarithms: ratios of left to right do not depend on the size of the body.
+    lengths = np.log(np.maximum(bone_lengths(motion_set.poses()).mean(axis=0), 1e-6))
+    people = np.log(np.linalg.norm(REST_OFFSETS[1:], axis=1))
+    one = [joint - 1 for joint, mirrored in enumerate(MIRRORED_JOINTS) if joint < mirrored]
+    other = [MIRRORED_JOINTS[joint + 1] - 1 for joint in one]
+    here = lengths[one] - lengths[other]
+    there = people[one] - people[other]
+    if np.abs(here).mean() < _ASYMMETRIC:
+        return None, ""
+    alike = float(np.corrcoef(here, there)[0, 1])
+    if abs(alike) < _ALIKE_SIDES:
+        return None, ""
+    return alike > 0, f"left and right bones differ as SMPL's do{'' if alike > 0 else ', the other way round'}"
 
 
 def _by_initial_pose(motion_set: MotionSet) -> tuple[bool, float, float] | None:
@@ -407,20 +412,3 @@ def _apart(poses: np.ndarray, others: np.ndarray) -> float:
     """Return the median distance of joints relative to their pelvises, metres."""
     difference = (poses - poses[:, :1]) - (others - others[:, :1])
     return float(np.median(np.linalg.norm(difference, axis=-1)))
-
-
-def _by_bones(motion_set: MotionSet) -> tuple[bool | None, str]:
-    """Decide by the bones: SMPL's bodies are not quite symmetric, their right hip is longer than the left one."""
-    # Logarithms: ratios of left to right do not depend on the size of the body.
-    lengths = np.log(np.maximum(bone_lengths(motion_set.poses()).mean(axis=0), 1e-6))
-    people = np.log(np.linalg.norm(REST_OFFSETS[1:], axis=1))
-    one = [joint - 1 for joint, mirrored in enumerate(MIRRORED_JOINTS) if joint < mirrored]
-    other = [MIRRORED_JOINTS[joint + 1] - 1 for joint in one]
-    here = lengths[one] - lengths[other]
-    there = people[one] - people[other]
-    if np.abs(here).mean() < _ASYMMETRIC:
-        return None, ""
-    alike = float(np.corrcoef(here, there)[0, 1])
-    if abs(alike) < _ALIKE_SIDES:
-        return None, ""
-    return alike > 0, f"left and right bones differ as SMPL's do{'' if alike > 0 else ', the other way round'}"

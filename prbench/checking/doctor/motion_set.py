@@ -346,17 +346,11 @@ def _depth_first_orders() -> tuple[Order, ...]:
                 if (first, trunk_first, arms_before_head) == ("right", False, False):
                     continue  # the chain order of HumanML3D
                 name = f"depth-first order, as in BVH files ({start} first, {first} side first, {top})"
-                orders.append(
-                    _depth_first(name, first, second, trunk_first=trunk_first, arms_before_head=arms_before_head)
-                )
+                legs = _side(first, _LEG) + _side(second, _LEG)
+                arms = _side(first, _ARM) + _side(second, _ARM)
+                upper = _TRUNK + (arms + _TOP if arms_before_head else _TOP + arms)
+                orders.append(Order(name, ("pelvis", *(upper + legs if trunk_first else legs + upper))))
     return tuple(orders)
-
-
-def _depth_first(name: str, first: str, second: str, *, trunk_first: bool, arms_before_head: bool) -> Order:
-    legs = _side(first, _LEG) + _side(second, _LEG)
-    arms = _side(first, _ARM) + _side(second, _ARM)
-    upper = _TRUNK + (arms + _TOP if arms_before_head else _TOP + arms)
-    return Order(name, ("pelvis", *(upper + legs if trunk_first else legs + upper)))
 
 
 def _side(side: str, parts: tuple[str, ...]) -> tuple[str, ...]:

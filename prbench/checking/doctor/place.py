@@ -370,7 +370,12 @@ def examine_position(motion_set: MotionSet) -> Finding:
     """Compare where the pelvis begins with the initial pose, or with the origin."""
     if motion_set.pinned:
         return no_finding(motion_set)
-    off = motion_set.first_poses()[:, Joint.PELVIS][:, _GROUND] - _wanted_places(motion_set)
+    off = motion_set.first_poses()[:, Joint.PELVIS][:, _GROUND] - np.array(
+        [
+            np.zeros(2) if known.initial_joints is None else known.initial_joints[Joint.PELVIS][_GROUND]
+            for known in motion_set.expected
+        ]
+    )
     distance = np.linalg.norm(off, axis=1)
     typical = float(np.median(distance))
     if typical < _NEAR:
@@ -388,15 +393,6 @@ def examine_position(motion_set: MotionSet) -> Finding:
     shifts = [np.array([x, 0.0, z]) for x, z in off]
     undone = [motion - shift for motion, shift in zip(motion_set.motions, shifts, strict=True)]
     return Finding((Diagnosis("position", certain, evidence, cause, remedy),), motion_set.with_motions(undone))
-
-
-def _wanted_places(motion_set: MotionSet) -> np.ndarray:
-    return np.array(
-        [
-            np.zeros(2) if known.initial_joints is None else known.initial_joints[Joint.PELVIS][_GROUND]
-            for known in motion_set.expected
-        ]
-    )
 
 
 def examine_first_frame(motion_set: MotionSet) -> Finding:

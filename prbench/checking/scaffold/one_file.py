@@ -249,7 +249,19 @@ def _module(name: str) -> _Module:
             if module.statements:  # the text below a constant belongs to it; the module's own is left away
                 module.statements[-1].last = node.end_lineno or node.lineno
         else:
-            module.statements.append(_statement(node, lines))
+            first = min([node.lineno, *(one.lineno for one in getattr(node, "decorator_list", []))])
+            while first > 1 and lines[first - 2].startswith("#"):
+                first -= 1
+            names = [one for one in ast.walk(node) if isinstance(one, ast.Name)]
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                defines = {node.name}
+            elif isinstance(node, ast.Assign | ast.AnnAssign):
+                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+                defines = {one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)}
+            else:
+                defines = set()
+            used = frozenset(one.id for one in names) - defines
+            module.statements.append(_Statement(first, node.end_lineno or node.lineno, frozenset(defines), used))
     return module
 
 
@@ -263,19 +275,3 @@ def _take_import(module: _Module, node: ast.Import | ast.ImportFrom) -> None:
             module.inside[name] = (node.module, alias.name)
         else:
             module.outside[name] = f"from {node.module} import {alias.name}{as_name}"
-
-
-def _statement(node: ast.stmt, lines: list[str]) -> _Statement:
-    first = min([node.lineno, *(one.lineno for one in getattr(node, "decorator_list", []))])
-    while first > 1 and lines[first - 2].startswith("#"):
-        first -= 1
-    names = [one for one in ast.walk(node) if isinstance(one, ast.Name)]
-    if isinstance(node, ast.FunctionDef | ast.ClassDef):
-        defines = {node.name}
-    elif isinstance(node, ast.Assign | ast.AnnAssign):
-        targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-        defines = {one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)}
-    else:
-        defines = set()
-    used = frozenset(one.id for one in names) - defines
-    return _Statement(first, node.end_lineno or node.lineno, frozenset(defines), used)

@@ -230,7 +230,15 @@ def run_program(
         except subprocess.TimeoutExpired:
             how = "ran out of time"
         finally:
-            _end(process)
+            # End the program and what it started; nothing to do where it has ended and has no children.
+            # Also after a good end: a child that still runs would hold the GPU.
+            _signal(process, signal.SIGTERM)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_GRACE)
+            # The group may outlive its leader, and only POSIX has groups.
+            if process.poll() is None or os.name == "posix":
+                _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))
+            process.wait()
     if not how:
         return ""
     # The last lines that can be printed, whatever else the log holds.
@@ -242,18 +250,6 @@ def run_program(
     kept = [line for line in lines if line][-_TAIL_LINES:]
     said = f" ('{' / '.join(kept)}')" if kept else ""
     return f"{how}{said}; its log is {log}"
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End the program and what it started; nothing to do where it has ended and has no children."""
-    # Also after a good end: a child that still runs would hold the GPU.
-    _signal(process, signal.SIGTERM)
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(_GRACE)
-    # The group may outlive its leader, and only POSIX has groups.
-    if process.poll() is None or os.name == "posix":
-        _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))
-    process.wait()
 
 
 def _signal(process: subprocess.Popen[bytes], number: int) -> None:

@@ -76,7 +76,23 @@ def prepare(inputs: EgoalloInputs, folder: Path) -> Prepared:
     # A trajectory is written anew only where it has to change: turned to Z up, or without poses that are no poses.
     # Everything else keeps the bytes of the dataset.
     if inputs.turned is not None or trajectory.left_out:
-        _write_trajectory(place, trajectory)
+        # Write ``closed_loop_trajectory.csv`` (docs/specification/aria-mps.md#closed-loop-trajectory).
+        n = len(trajectory.time_us)
+        rotation = dict(zip(mps.ROTATION_COLUMNS, trajectory.rotation.T, strict=True))
+        # Ours are scalar first; the columns of the file are qx, qy, qz, qw.
+        scalar_last = (*mps.ROTATION_COLUMNS[1:], mps.ROTATION_COLUMNS[0])
+        columns = {
+            mps.GRAPH_COLUMN: np.full(n, trajectory.graph_uids[0]),
+            mps.TIME_COLUMN: trajectory.time_us,
+            "utc_timestamp_ns": np.full(n, -1),
+            **dict(zip(mps.POSITION_COLUMNS, trajectory.position.T, strict=True)),
+            **{name: rotation[name] for name in scalar_last},
+            **dict.fromkeys(_UNUSED, np.zeros(n)),
+            **dict(zip(mps.GRAVITY_COLUMNS, np.tile(-_GRAVITY * trajectory.up, (n, 1)).T, strict=True)),
+            mps.QUALITY_COLUMN: trajectory.quality,
+        }
+        with atomic_path(place) as temporary, open(temporary, "wb") as file:
+            _write_csv(file, pa.table(columns))
     else:
         _bring(inputs.trajectory, place)
     points = folder / mps.SLAM_FOLDER / POINT_FILES[0]
@@ -88,7 +104,22 @@ def prepare(inputs: EgoalloInputs, folder: Path) -> Prepared:
         _bring(inputs.wrists, folder / mps.HAND_FOLDER / mps.WRISTS_FILE)
     if inputs.vrs is not None:
         _bring(inputs.vrs, folder / inputs.vrs.name)
-    return Prepared(folder, place, _frames(inputs, trajectory), inputs.wrists is not None)
+    # Frames of an output for the whole recording: EgoAllo's own sampling, less the first pose.
+    n = len(trajectory.time_us)
+    seconds = float(trajectory.time_us[-1] - trajectory.time_us[0]) / 1e6
+    # As EgoAllo's own script does it, rounding included: it takes every int(rate / 30)-th pose, and its outputs have
+    # one frame less than it takes poses.
+    step = int(n / seconds // _FPS) if seconds > 0 else 0
+    frames = math.ceil(n / step) - 1 if step else 0
+    if frames < 1:
+        raise InputFileError(
+            inputs.found.folder,
+            "trajectory",
+            expected=f"a trajectory of more than {_FPS:.0f} poses a second and of at least two output frames",
+            found=f"{n} poses in {seconds:.3f} s",
+            remedy="EgoAllo takes every int(rate / 30)-th pose and would take none.",
+        )
+    return Prepared(folder, place, frames, inputs.wrists is not None)
 
 
 def source_trajectory(inputs: EgoalloInputs) -> AriaTrajectory:
@@ -109,53 +140,6 @@ def head_poses(inputs: EgoalloInputs, trajectory: AriaTrajectory) -> PoseStream:
     valid = np.ones(len(trajectory.time_us), dtype=bool)
     device = PoseStream(trajectory.time_us / 1e6, trajectory.position, trajectory.rotation, valid)
     return part_poses(device, mps.device_from_cpf(size))
-
-
-def _write_trajectory(path: Path, trajectory: AriaTrajectory) -> None:
-    """Write ``closed_loop_trajectory.csv`` (docs/specification/aria-mps.md#closed-loop-trajectory).
-
-    Raises:
-        StorageError: if the disk is full or the folder cannot be written.
-    """
-    n = len(trajectory.time_us)
-    rotation = dict(zip(mps.ROTATION_COLUMNS, trajectory.rotation.T, strict=True))
-    # Ours are scalar first; the columns of the file are qx, qy, qz, qw.
-    scalar_last = (*mps.ROTATION_COLUMNS[1:], mps.ROTATION_COLUMNS[0])
-    columns = {
-        mps.GRAPH_COLUMN: np.full(n, trajectory.graph_uids[0]),
-        mps.TIME_COLUMN: trajectory.time_us,
-        "utc_timestamp_ns": np.full(n, -1),
-        **dict(zip(mps.POSITION_COLUMNS, trajectory.position.T, strict=True)),
-        **{name: rotation[name] for name in scalar_last},
-        **dict.fromkeys(_UNUSED, np.zeros(n)),
-        **dict(zip(mps.GRAVITY_COLUMNS, np.tile(-_GRAVITY * trajectory.up, (n, 1)).T, strict=True)),
-        mps.QUALITY_COLUMN: trajectory.quality,
-    }
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        _write_csv(file, pa.table(columns))
-
-
-def _frames(inputs: EgoalloInputs, trajectory: AriaTrajectory) -> int:
-    """Frames of an output for the whole recording: EgoAllo's own sampling, less the first pose.
-
-    Raises:
-        InputFileError: if its rule would take no pose at all, or fewer than two.
-    """
-    n = len(trajectory.time_us)
-    seconds = float(trajectory.time_us[-1] - trajectory.time_us[0]) / 1e6
-    # As EgoAllo's own script does it, rounding included: it takes every int(rate / 30)-th pose, and its outputs have
-    # one frame less than it takes poses.
-    step = int(n / seconds // _FPS) if seconds > 0 else 0
-    frames = math.ceil(n / step) - 1 if step else 0
-    if frames < 1:
-        raise InputFileError(
-            inputs.found.folder,
-            "trajectory",
-            expected=f"a trajectory of more than {_FPS:.0f} poses a second and of at least two output frames",
-            found=f"{n} poses in {seconds:.3f} s",
-            remedy="EgoAllo takes every int(rate / 30)-th pose and would take none.",
-        )
-    return frames
 
 
 def _bring(source: Source, place: Path) -> None:

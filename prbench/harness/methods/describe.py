@@ -20,7 +20,6 @@ import time
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
 from typing import IO, Any
@@ -125,7 +124,10 @@ def describe_adapter(
         report = Path(folder) / "report.jsonl"
         child = _Child.start(method, benchmark, report)
         status = child.wait(time_limit, stop or threading.Event())
-        said = _said(report)
+        # Everything that the process put down before it ended, later lines over earlier ones.
+        said: dict = {}
+        for line in report.read_text(encoding="utf-8").splitlines() if report.is_file() else []:
+            said |= json.loads(line)
     if said.get("error"):
         return Description(method, import_seconds=said.get("import_seconds"), error=_line(said["error"]))
     if "conditions" in said:
@@ -135,14 +137,6 @@ def describe_adapter(
         del declared["stage"]
         return Description(method, printed=child.printed, **declared)
     return Description(method, printed=child.printed, error=_line(_ending(said, status, time_limit, child.tail)))
-
-
-def _said(report: Path) -> dict:
-    """Return everything that the process put down before it ended, later lines over earlier ones."""
-    said: dict = {}
-    for line in report.read_text(encoding="utf-8").splitlines() if report.is_file() else []:
-        said |= json.loads(line)
-    return said
 
 
 def _ending(said: dict, status: int | None, time_limit: float, tail: str) -> str:
@@ -255,20 +249,16 @@ def main(name: str, benchmark: str, report: Path) -> None:
 def declarations(adapter: Any, group: MethodGroup) -> dict:
     """Return the declarations of a method as plain values."""
     declared = Declared.by(adapter, origin="it", conditions=group.conditions)
+    weights_for = getattr(adapter, "weights_for", None)
+    paths = [weights_for(condition) for condition in sorted(declared.conditions)] if weights_for is not None else []
     return {
         "conditions": sorted(condition.value for condition in declared.conditions),
         "fitted": hasattr(adapter, "fit"),
         "max_frames": declared.max_frames,
         "native_fps": declared.native_fps,
         "motionless": declared.motionless,
-        "weights": _weights(adapter, declared.conditions),
+        "weights": sorted({Path(path).name for path in paths if path is not None}),
     }
-
-
-def _weights(adapter: Any, conditions: frozenset[StrEnum]) -> list[str]:
-    weights_for = getattr(adapter, "weights_for", None)
-    paths = [weights_for(condition) for condition in sorted(conditions)] if weights_for is not None else []
-    return sorted({Path(path).name for path in paths if path is not None})
 
 
 def _origin(method: InstalledEntry) -> str:

@@ -301,22 +301,6 @@ def load_task(name: str) -> Any:
         AdapterError: if there is none of this name (with those that there are), two packages offer it, or it cannot be
             imported.
     """
-    point = _find(name)
-    origin = f"training task '{name}' ({point.value})"
-    try:
-        task = point.load()()
-    except PrbenchError:
-        raise
-    except (Exception, SystemExit) as error:
-        cause = f"{type(error).__name__}: {error}".rstrip(".")
-        raise AdapterError(f"{origin}: cannot be loaded: {cause}. Repair or reinstall the package.") from error
-    missing = [part for part in ("name", "configurations", "build") if not hasattr(task, part)]
-    if missing:
-        raise AdapterError(f"{origin}: expected name, configurations and build(), found no {', '.join(missing)}.")
-    return task
-
-
-def _find(name: str) -> EntryPoint:
     found = [point for point in entry_points_of(ENTRY_POINT_GROUP) if point.name == name]
     if not found:
         found = [_beside(point) for point in _methods() if point.name == name and _defines_a_task(point)]
@@ -331,7 +315,19 @@ def _find(name: str) -> EntryPoint:
                 f" The method '{name}' is not trained by this command; if it learns, `prbench run` fits it by itself."
             )
         raise AdapterError(f"nothing to train is called '{name}'.{hint} There are: {', '.join(known) or 'none'}.")
-    return found[0]
+    point = found[0]
+    origin = f"training task '{name}' ({point.value})"
+    try:
+        task = point.load()()
+    except PrbenchError:
+        raise
+    except (Exception, SystemExit) as error:
+        cause = f"{type(error).__name__}: {error}".rstrip(".")
+        raise AdapterError(f"{origin}: cannot be loaded: {cause}. Repair or reinstall the package.") from error
+    missing = [part for part in ("name", "configurations", "build") if not hasattr(task, part)]
+    if missing:
+        raise AdapterError(f"{origin}: expected name, configurations and build(), found no {', '.join(missing)}.")
+    return task
 
 
 def _methods() -> Iterator[EntryPoint]:

@@ -218,7 +218,7 @@ def isolated_environment(environment: Mapping[str, str]) -> dict[str, str]:
         if name.upper() in _ALLOWED or name.upper().startswith(_ALLOWED_BEGINNINGS)
     }
     for variable, folder in _MODEL_CACHES.items():
-        default = _cache_home(environment) / folder
+        default = Path(environment.get("XDG_CACHE_HOME") or Path.home() / ".cache") / folder
         if variable not in kept and default.is_dir():
             kept[variable] = str(default)
     return kept
@@ -262,10 +262,6 @@ def executable_folders(program: Path) -> tuple[Path, ...]:
         if folder.name in ("bin", "condabin", "Scripts", "shims") and not _is_personal(folder.parent):
             found.append(folder.parent)
     return tuple(dict.fromkeys(found))
-
-
-def _cache_home(environment: Mapping[str, str]) -> Path:
-    return Path(environment.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
 def _virtual_environment_home(program: Path) -> Iterator[Path]:
@@ -383,12 +379,8 @@ def _behind_fence(program: Program, shown: Iterable[Shown], hidden: tuple[Path, 
     if fence.program is None:
         return replace(program, fence=fence.kind)
     before = bubblewrap_words(fence.program, shown=list(shown), hidden=hidden, directory=program.directory)
-    environment = _inside(dict(program.environment))
+    # Add the variables behind bubblewrap: an empty home, an empty temporary folder, no network to ask for models.
+    environment = {**dict(program.environment), "HOME": HOME, "TMPDIR": "/tmp", "HF_HUB_OFFLINE": "1"}
     return replace(
         program, words=before + program.words, environment=tuple(sorted(environment.items())), fence=BUBBLEWRAP
     )
-
-
-def _inside(environment: Mapping[str, str]) -> dict[str, str]:
-    """Add the variables behind bubblewrap: an empty home, an empty temporary folder, no network to ask for models."""
-    return {**environment, "HOME": HOME, "TMPDIR": "/tmp", "HF_HUB_OFFLINE": "1"}

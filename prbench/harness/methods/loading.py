@@ -443,7 +443,23 @@ def method_spec(
         group=group,
     )
     if is_program(method):
-        return _program_spec(spec, isolate)
+        users = users_environment()
+        environment = isolated_environment(users) if isolate else own_environment(users)
+        found = program_of(
+            spec.name, environment=environment, weights=spec.weights, timeout=spec.timeout, hidden=spec.hidden
+        )
+        program = found.program
+        isolation = None
+        if isolate:
+            program, isolation = _isolated_program(found, spec)
+        return replace(
+            spec,
+            name=program.name,
+            program=program,
+            package=found.package,
+            expected_name=found.expected_name,
+            isolation=isolation,
+        )
     known = METHOD_CONTROLS if group is MOTIONS else ()
     installed = find_adapter(method, also_known=known, entry_points=group.entry_points)
     if isolate and is_python_method(method):
@@ -505,26 +521,6 @@ def _worker(spec: MethodSpec, installed: InstalledEntry, fit: Fit | None) -> Pro
         fit=fit,
         timeout=spec.timeout,
         benchmark=benchmark_of_group(spec.group.entry_points).name,
-    )
-
-
-def _program_spec(spec: MethodSpec, isolate: bool) -> MethodSpec:
-    users = users_environment()
-    environment = isolated_environment(users) if isolate else own_environment(users)
-    found = program_of(
-        spec.name, environment=environment, weights=spec.weights, timeout=spec.timeout, hidden=spec.hidden
-    )
-    program = found.program
-    isolation = None
-    if isolate:
-        program, isolation = _isolated_program(found, spec)
-    return replace(
-        spec,
-        name=program.name,
-        program=program,
-        package=found.package,
-        expected_name=found.expected_name,
-        isolation=isolation,
     )
 
 

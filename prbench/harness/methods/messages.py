@@ -48,7 +48,36 @@ class ReceivedMotions:
         rows = _record_batch(payload)
         wanted = ("opaque_id", "joints", *(GAZE_COLUMNS if gaze else ()))
         ids = tuple(_texts(_column(rows, "opaque_id", wanted)))
-        joints, offsets = _frames(_column(rows, "joints", wanted), ids)
+        # All frames (total, 22, 3) and the offsets of the rows.
+        column = _column(rows, "joints", wanted)
+        if not _is_list(column.type):
+            raise ValueError(f"expected 'joints' as list<float32>, found {column.type}")
+        offsets, values = _unwrapped(column)
+        shape: tuple[int, ...] = ()
+        while _is_list(values.type):
+            inner, within = _unwrapped(values)
+            lengths = np.unique(np.diff(inner))
+            if len(lengths) > 1 or values.null_count:
+                raise ValueError(f"expected {_NUMBERS} numbers in every frame of 'joints', found {_some(lengths)}")
+            # The size of a level that no frame shows, since there are none.
+            shape += (int(lengths[0]) if len(lengths) else (3 if shape else _NUMBERS),)
+            values = within
+        if values.type not in (pa.float32(), pa.float64()):
+            raise ValueError(f"expected 'joints' as list<float32>, found {column.type}")
+        if values.null_count:
+            raise ValueError("expected 'joints' without nulls, found some among its numbers")
+        if shape not in _SHAPES:
+            raise ValueError(f"expected {_NUMBERS} numbers a frame in 'joints', found frames of shape {shape}")
+        if not shape:
+            lengths = np.diff(offsets)
+            broken = np.flatnonzero(lengths % _NUMBERS)
+            if broken.size:
+                row = int(broken[0])
+                raise ValueError(
+                    f"expected a multiple of {_NUMBERS} numbers for sequence {ids[row][:64]}, found {lengths[row]:,}"
+                )
+            offsets = offsets // _NUMBERS
+        joints, offsets = values.to_numpy().reshape(-1, N_JOINTS, 3), offsets
         rays = tuple(_points(_column(rows, name, wanted), name, ids, offsets) for name in wanted[2:])
         return cls(ids, joints, offsets, rays)
 
@@ -172,30 +201,6 @@ def _texts(column: pa.Array) -> list[str]:
     return column.to_pylist()
 
 
-def _frames(column: pa.Array, ids: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Return all frames (total, 22, 3) and the offsets of the rows."""
-    if not _is_list(column.type):
-        raise ValueError(f"expected 'joints' as list<float32>, found {column.type}")
-    offsets, values = _unwrapped(column)
-    shape: tuple[int, ...] = ()
-    while _is_list(values.type):
-        inner, within = _unwrapped(values)
-        lengths = np.unique(np.diff(inner))
-        if len(lengths) > 1 or values.null_count:
-            raise ValueError(f"expected {_NUMBERS} numbers in every frame of 'joints', found {_some(lengths)}")
-        shape += (int(lengths[0]) if len(lengths) else _wanted(shape),)
-        values = within
-    if values.type not in (pa.float32(), pa.float64()):
-        raise ValueError(f"expected 'joints' as list<float32>, found {column.type}")
-    if values.null_count:
-        raise ValueError("expected 'joints' without nulls, found some among its numbers")
-    if shape not in _SHAPES:
-        raise ValueError(f"expected {_NUMBERS} numbers a frame in 'joints', found frames of shape {shape}")
-    if not shape:
-        offsets = _whole_frames(offsets, ids)
-    return values.to_numpy().reshape(-1, N_JOINTS, 3), offsets
-
-
 def _is_list(type_: pa.DataType) -> bool:
     return pa.types.is_list(type_) or pa.types.is_large_list(type_) or pa.types.is_fixed_size_list(type_)
 
@@ -206,22 +211,6 @@ def _unwrapped(column: pa.Array) -> tuple[np.ndarray, pa.Array]:
         return np.arange(len(column) + 1) * column.type.list_size, column.flatten()
     offsets = column.offsets.to_numpy().astype(np.int64)
     return offsets - offsets[0], column.values.slice(int(offsets[0]), int(offsets[-1] - offsets[0]))
-
-
-def _wanted(shape: tuple[int, ...]) -> int:
-    """Return the size of a level that no frame shows, since there are none."""
-    return 3 if shape else _NUMBERS
-
-
-def _whole_frames(offsets: np.ndarray, ids: Sequence[str]) -> np.ndarray:
-    lengths = np.diff(offsets)
-    broken = np.flatnonzero(lengths % _NUMBERS)
-    if broken.size:
-        row = int(broken[0])
-        raise ValueError(
-            f"expected a multiple of {_NUMBERS} numbers for sequence {ids[row][:64]}, found {lengths[row]:,}"
-        )
-    return offsets // _NUMBERS
 
 
 def _require_same_ids(asked: Sequence[str], found: Sequence[str]) -> None:

@@ -136,7 +136,9 @@ def wrong_unit(poses: Float[np.ndarray, "poses joints 3"]) -> WrongUnit | None:
 
     Axes and the order of joints do not matter.
     """
-    size = _body_size(poses)
+    # The median over poses of the largest distance between two joints, in the unit of the poses.
+    apart = np.linalg.norm(poses[:, :, None] - poses[:, None], axis=-1)
+    size = float(np.median(apart.max(axis=(1, 2))))
     if size < _NO_BODY or _SMALLEST <= size <= _LARGEST:
         return None
     evidence = f"the joints of a pose lie up to {size:.4g} apart (median); those of people 0.65 to 2.35 m"
@@ -151,12 +153,6 @@ def wrong_unit(poses: Float[np.ndarray, "poses joints 3"]) -> WrongUnit | None:
         cause = "positions were divided by a height or a standard deviation, or are in a unit of their own"
         remedy = f"Undo the scaling before the motions are handed over; a factor near {factor:.3g} gives people's size."
     return WrongUnit(evidence, cause, remedy, factor)
-
-
-def _body_size(poses: Float[np.ndarray, "poses joints 3"]) -> float:
-    """Return the median over poses of the largest distance between two joints, in the unit of the poses."""
-    apart = np.linalg.norm(poses[:, :, None] - poses[:, None], axis=-1)
-    return float(np.median(apart.max(axis=(1, 2))))
 
 
 def impossible_frames(
@@ -431,7 +427,13 @@ def well_formed(
         )
     with np.errstate(over="ignore"):
         joints = joints[:, :longest].astype(np.float32)
-    _require_possible(joints, batch, method, ids, farthest)
+    # Refuse coordinates that are not finite or far beyond any room; what the padding holds does not matter.
+    valid = np.arange(joints.shape[1]) < batch.n_frames[:, None]
+    rows = np.flatnonzero((impossible_frames(joints, farthest) & valid).any(axis=1))
+    if rows.size:
+        row = int(rows[0])
+        problem = coordinate_problem(joints[row, : batch.n_frames[row]], farthest)
+        raise AdapterError(f"method '{method}', sequence {ids[row]}, {problem}")
     gaze = None if motions.gaze is None else _well_formed_gaze(motions.gaze, joints, batch, method, ids)
     return Motions(joints, batch.n_frames, motions.cost, gaze)
 
@@ -520,18 +522,6 @@ def told(error: BaseException) -> str:
     """Describe an exception with the file and line that raised it, for whoever has to repair the method."""
     raised_at = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {error} ({raised_at.filename}, line {raised_at.lineno})".replace(":  (", " (")
-
-
-def _require_possible(
-    joints: np.ndarray, batch: ConditionBatch, method: str, ids: Sequence[str], farthest: float
-) -> None:
-    """Refuse coordinates that are not finite or far beyond any room; what the padding holds does not matter."""
-    valid = np.arange(joints.shape[1]) < batch.n_frames[:, None]
-    rows = np.flatnonzero((impossible_frames(joints, farthest) & valid).any(axis=1))
-    if rows.size:
-        row = int(rows[0])
-        problem = coordinate_problem(joints[row, : batch.n_frames[row]], farthest)
-        raise AdapterError(f"method '{method}', sequence {ids[row]}, {problem}")
 
 
 def _joined(first: Motions, second: Motions) -> Motions:

@@ -206,7 +206,12 @@ def read_description(path: Path) -> MethodDescription:
         ) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise InputFileError(path, "", expected="a TOML file", found=str(error)) from error
-    _require_known(path, content)
+    _refuse_unknown(path, "", content, list(_TABLES), kind="table")
+    for name, table in _TABLES.items():
+        keys = content.get(name)
+        if isinstance(keys, dict):
+            known = [field.encode_name for field in msgspec.structs.fields(table)]
+            _refuse_unknown(path, f"{name}.", keys, known, kind="key")
     try:
         description = msgspec.convert(content, MethodDescription)
     except msgspec.ValidationError as error:
@@ -215,40 +220,7 @@ def read_description(path: Path) -> MethodDescription:
         raise InputFileError(
             path, where, expected="what docs/environments.md describes", found=reason[:1].lower() + reason[1:]
         ) from error
-    _require_consistent(path, description.environment)
-    _require_own_name(path, description.method.name)
-    return description
-
-
-def _require_own_name(path: Path, name: str | None) -> None:
-    if name is not None and (problem := name_problem(name)):
-        raise InputFileError(
-            path, "method.name", expected="a name of the method's own", found=name, remedy=f"{problem}."
-        )
-
-
-def _require_known(path: Path, content: dict[str, object]) -> None:
-    _refuse_unknown(path, "", content, list(_TABLES), kind="table")
-    for name, table in _TABLES.items():
-        keys = content.get(name)
-        if isinstance(keys, dict):
-            known = [field.encode_name for field in msgspec.structs.fields(table)]
-            _refuse_unknown(path, f"{name}.", keys, known, kind="key")
-
-
-def _refuse_unknown(path: Path, prefix: str, found: dict[str, object], known: list[str], *, kind: str) -> None:
-    for name in found:
-        if name not in known:
-            raise InputFileError(
-                path,
-                f"{prefix}{name}",
-                expected=f"one of {', '.join(known)}",
-                found=f"an unknown {kind}",
-                remedy=did_you_mean(name, known).strip(),
-            )
-
-
-def _require_consistent(path: Path, environment: EnvironmentTable) -> None:
+    environment = description.environment
     named = [name.replace("_", "-") for name in _PLACES if getattr(environment, name) is not None]
     if len(named) > 1:
         raise InputFileError(
@@ -268,6 +240,27 @@ def _require_consistent(path: Path, environment: EnvironmentTable) -> None:
             found=own[0],
             remedy="Programs never get variables that begin with PRBENCH_.",
         )
+    _require_own_name(path, description.method.name)
+    return description
+
+
+def _require_own_name(path: Path, name: str | None) -> None:
+    if name is not None and (problem := name_problem(name)):
+        raise InputFileError(
+            path, "method.name", expected="a name of the method's own", found=name, remedy=f"{problem}."
+        )
+
+
+def _refuse_unknown(path: Path, prefix: str, found: dict[str, object], known: list[str], *, kind: str) -> None:
+    for name in found:
+        if name not in known:
+            raise InputFileError(
+                path,
+                f"{prefix}{name}",
+                expected=f"one of {', '.join(known)}",
+                found=f"an unknown {kind}",
+                remedy=did_you_mean(name, known).strip(),
+            )
 
 
 _INTERPRETERS = {".py": "python", ".js": "node", ".mjs": "node", ".cjs": "node", ".jl": "julia", ".r": "Rscript"}
@@ -287,7 +280,7 @@ def find_executable(word: str, *, directory: Path, path: str, where: str) -> str
     Raises:
         UsageError: if there is no such program, with what may have been meant.
     """
-    if _is_path(word):
+    if "/" in word or (os.name == "nt" and "\\" in word) or word.startswith("~"):
         file = directory / Path(word).expanduser()
         return str(_require_executable(file, word, where))
     found = shutil.which(word, path=path)
@@ -357,21 +350,50 @@ def inside_environment(
     """
     start = replace(start, environment={**start.environment, **table.variables})
     if table.virtual_environment is not None:
-        return _in_virtual_environment(start, table.virtual_environment, file)
+        folder = below(file, table.virtual_environment)
+        programs = folder / _BIN
+        if shutil.which("python", path=str(programs)) is None:
+            raise InputFileError(
+                file,
+                "environment.virtual-environment",
+                expected=f"a virtual environment at {folder}",
+                found=f"no python in {programs}",
+                remedy=f"Make it: python -m venv {folder}",
+            )
+        path = os.pathsep.join([str(programs), start.environment.get("PATH", os.defpath)])
+        environment = {**start.environment, "PATH": path, "VIRTUAL_ENV": str(folder)}
+        # It would send the environment's own interpreter to another library.
+        environment.pop("PYTHONHOME", None)
+        found = replace(start, environment=environment, readable=(*start.readable, folder)).found()
+        return replace(found, place=f"virtual environment {folder.name}")
     if table.conda is not None:
         return _in_conda(start, table.conda, file)
     if table.container is not None:
-        return _in_container(start, table, file, weights, hidden)
+        engine, program = _engine(start.environment, table.engine, file)
+        mounts = [(start.directory, _METHOD_FOLDER), *(_volume(text, file) for text in table.volumes)]
+        if weights is not None and weights.exists():
+            mounts.append((weights.absolute(), str(weights.absolute())))
+        words = [program, "run", "--rm", "--init", "-i", "--network", "none", "--workdir", _METHOD_FOLDER]
+        for source, target in mounts:
+            words += ["--volume", f"{source}:{target}:ro"]
+        for masked in _masked(mounts, hidden):
+            words += ["--tmpfs", masked]
+        # Nobody's program needs to be root; podman without root maps the user by itself.
+        asked = table.user
+        if asked is None and engine == "docker" and hasattr(os, "getuid"):
+            asked = f"{os.getuid()}:{os.getgid()}"
+        words += [] if asked is None else ["--user", asked]
+        if table.gpus:
+            words += ["--gpus", "all"] if engine == "docker" else ["--device", "nvidia.com/gpu=all"]
+        for name, value in sorted(table.variables.items()):
+            words += ["--env", f"{name}={value}"]
+        return replace(start, words=(*words, str(table.container), *start.words), place=f"{engine} {table.container}")
     return start.found()
 
 
 def below(file: Path, path: str) -> Path:
     """Resolve a path of a description: absolute, in the user's home, or relative to the file's folder."""
     return Path(os.path.normpath(file.absolute().parent / Path(path).expanduser()))
-
-
-def _is_path(word: str) -> bool:
-    return "/" in word or (os.name == "nt" and "\\" in word) or word.startswith("~")
 
 
 def _require_executable(file: Path, word: str, where: str) -> Path:
@@ -399,25 +421,6 @@ def _names_in(path: str) -> Iterator[str]:
     for folder in dict.fromkeys(path.split(os.pathsep)):
         if folder and Path(folder).is_dir():
             yield from (file.name for file in Path(folder).iterdir())
-
-
-def _in_virtual_environment(start: Surroundings, named: str, file: Path) -> Surroundings:
-    folder = below(file, named)
-    programs = folder / _BIN
-    if shutil.which("python", path=str(programs)) is None:
-        raise InputFileError(
-            file,
-            "environment.virtual-environment",
-            expected=f"a virtual environment at {folder}",
-            found=f"no python in {programs}",
-            remedy=f"Make it: python -m venv {folder}",
-        )
-    path = os.pathsep.join([str(programs), start.environment.get("PATH", os.defpath)])
-    environment = {**start.environment, "PATH": path, "VIRTUAL_ENV": str(folder)}
-    # It would send the environment's own interpreter to another library.
-    environment.pop("PYTHONHOME", None)
-    found = replace(start, environment=environment, readable=(*start.readable, folder)).found()
-    return replace(found, place=f"virtual environment {folder.name}")
 
 
 def _in_conda(start: Surroundings, named: str, file: Path) -> Surroundings:
@@ -449,26 +452,6 @@ def _in_conda(start: Surroundings, named: str, file: Path) -> Surroundings:
     )
 
 
-def _in_container(
-    start: Surroundings, table: EnvironmentTable, file: Path, weights: Path | None, hidden: tuple[Path, ...]
-) -> Surroundings:
-    engine, program = _engine(start.environment, table.engine, file)
-    mounts = [(start.directory, _METHOD_FOLDER), *(_volume(text, file) for text in table.volumes)]
-    if weights is not None and weights.exists():
-        mounts.append((weights.absolute(), str(weights.absolute())))
-    words = [program, "run", "--rm", "--init", "-i", "--network", "none", "--workdir", _METHOD_FOLDER]
-    for source, target in mounts:
-        words += ["--volume", f"{source}:{target}:ro"]
-    for masked in _masked(mounts, hidden):
-        words += ["--tmpfs", masked]
-    words += _user(engine, table.user)
-    if table.gpus:
-        words += ["--gpus", "all"] if engine == "docker" else ["--device", "nvidia.com/gpu=all"]
-    for name, value in sorted(table.variables.items()):
-        words += ["--env", f"{name}={value}"]
-    return replace(start, words=(*words, str(table.container), *start.words), place=f"{engine} {table.container}")
-
-
 def _engine(environment: Mapping[str, str], asked: str | None, file: Path) -> tuple[str, str]:
     """Return name and path of the program that runs containers."""
     names = (asked,) if asked else ("podman", "docker")
@@ -495,13 +478,6 @@ def _volume(text: str, file: Path) -> tuple[Path, str]:
             file, "environment.volumes", expected=f"the file or folder {folder}", found="nothing there"
         )
     return folder, target or str(folder)
-
-
-def _user(engine: str, asked: str | None) -> list[str]:
-    """Nobody's program needs to be root; podman without root maps the user by itself."""
-    if asked is None and engine == "docker" and hasattr(os, "getuid"):
-        asked = f"{os.getuid()}:{os.getgid()}"
-    return [] if asked is None else ["--user", asked]
 
 
 def _masked(mounts: list[tuple[Path, str]], hidden: tuple[Path, ...]) -> list[str]:

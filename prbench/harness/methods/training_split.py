@@ -102,7 +102,11 @@ def temporary_training_copy(table: SequenceTable) -> tempfile.TemporaryDirectory
     Raises:
         StorageError: if it cannot be written.
     """
-    _remove_orphans()
+    # Remove the copies of processes that were killed.
+    for left in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
+        owner = left.name.removeprefix(_PREFIX).partition("-")[0]
+        if owner.isdecimal() and not psutil.pid_exists(int(owner)):
+            shutil.rmtree(left, ignore_errors=True)
     folder = tempfile.TemporaryDirectory(prefix=f"{_PREFIX}{os.getpid()}-", ignore_cleanup_errors=True)
     try:
         write_training_copy(table, Path(folder.name))
@@ -141,11 +145,3 @@ def _of_training(split: str | None) -> str:
     if split not in (None, _SPLIT):
         raise AdapterError(f"a method may learn from split '{_SPLIT}' only; it asked for '{split}'.")
     return _SPLIT
-
-
-def _remove_orphans() -> None:
-    """Remove the copies of processes that were killed."""
-    for left in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
-        owner = left.name.removeprefix(_PREFIX).partition("-")[0]
-        if owner.isdecimal() and not psutil.pid_exists(int(owner)):
-            shutil.rmtree(left, ignore_errors=True)

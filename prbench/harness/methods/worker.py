@@ -38,7 +38,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--train", type=Path, help="copy of the training rows to fit the method to")
     parser.add_argument("--fit", type=Path, help="folder of the fit")
     asked = parser.parse_args(arguments)
-    requests, answers = _take_streams()
+    # Keep stdin and stdout for the protocol; whatever else reads finds nothing, and prints appear on stderr.
+    requests = os.fdopen(os.dup(0), "rb")
+    answers = os.fdopen(os.dup(1), "wb")
+    # A method that reads stdin would take bytes of the protocol.
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
+    os.dup2(2, 1)
+    sys.stdout = sys.stderr
     hello = read_message(requests)
     if hello is None:
         return 0
@@ -57,19 +65,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     write_message(answers, introduction)
     _serve(asked.name, adapter, settings["threads"], requests, answers, group)
     return 0
-
-
-def _take_streams() -> tuple[BinaryIO, BinaryIO]:
-    """Keep stdin and stdout for the protocol; whatever else reads finds nothing, and prints appear on stderr."""
-    requests = os.fdopen(os.dup(0), "rb")
-    answers = os.fdopen(os.dup(1), "wb")
-    # A method that reads stdin would take bytes of the protocol.
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nothing, 0)
-    os.close(nothing)
-    os.dup2(2, 1)
-    sys.stdout = sys.stderr
-    return requests, answers
 
 
 def _introduction(name: str, adapter: Any, given: Path | None, group: MethodGroup) -> Header:

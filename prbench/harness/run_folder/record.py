@@ -207,7 +207,15 @@ class RunRecord(msgspec.Struct, frozen=True, kw_only=True):
             missing=f"{folder}: expected a run folder (with {FILE_NAME}), found no such file in it.",
             remedy="Choose another folder for --out.",
         )
-        return _with_todays_kind(record)
+        # A record of prbench 0.5 or older, which told neither own methods from foreign ones nor called a file a file.
+        method = record.method
+        if method.kind == "adapter":
+            kind = BUILT_IN if method.package == "prbench" else PACKAGE
+        elif method.kind == "offline":
+            kind = FILE
+        else:
+            return record
+        return msgspec.structs.replace(record, method=msgspec.structs.replace(method, kind=kind))
 
     def require_same_inputs(self, other: RunRecord) -> None:
         """Refuse to repeat a run with other tables, sequences, weights or settings; versions may differ.
@@ -268,18 +276,6 @@ def read_record(path: Path, kind: type[Record], *, missing: str, remedy: str) ->
         raise RunError(missing) from error
     except (msgspec.ValidationError, msgspec.DecodeError) as error:
         raise RunError(f"{path}: not a valid {path.name}: {error}. {remedy}") from error
-
-
-def _with_todays_kind(record: RunRecord) -> RunRecord:
-    """A record of prbench 0.5 or older, which told neither own methods from foreign ones nor called a file a file."""
-    method = record.method
-    if method.kind == "adapter":
-        kind = BUILT_IN if method.package == "prbench" else PACKAGE
-    elif method.kind == "offline":
-        kind = FILE
-    else:
-        return record
-    return msgspec.structs.replace(record, method=msgspec.structs.replace(method, kind=kind))
 
 
 def _shown(value: object) -> str:

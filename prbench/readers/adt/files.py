@@ -35,7 +35,6 @@ from prbench.readers.aria_mps.format import (
     PERSONALIZED_GAZE_FILES,
     SUMMARY_FILE,
     TIME_COLUMN,
-    AriaTrajectory,
     GazeAngles,
 )
 from prbench.readers.aria_mps.trajectory import read_trajectory
@@ -290,7 +289,16 @@ def read_objects(
         InputFileError: for a missing or damaged file, a pose that is no pose, or a clock that runs backwards.
     """
     instances = read_instances(instances_path)
-    boxes = _read_boxes(boxes_path)
+    # Lower and upper corner of each object's box in its own frame, metres.
+    table = read_columns(boxes_path, {adt.OBJECT_ID: int, **dict.fromkeys((*adt.BOX_MIN, *adt.BOX_MAX), float)})
+    lower = column_vectors(table, adt.BOX_MIN)
+    upper = column_vectors(table, adt.BOX_MAX)
+    bad = ~(np.isfinite(lower) & np.isfinite(upper) & (lower <= upper)).all(axis=1)
+    if bad.any():
+        row = int(np.argmax(bad))
+        found = f"{lower[row].tolist()} … {upper[row].tolist()}"
+        raise InputFileError(boxes_path, f"line {row + 2}", expected="a lower and an upper corner", found=found)
+    boxes = dict(zip(table[adt.OBJECT_ID].to_pylist(), zip(lower, upper, strict=True), strict=True))
     known = {key for key, instance in instances.items() if instance.instance_type != "human"}
     poses = read_poses_by_body(
         poses_path,
@@ -330,23 +338,6 @@ def read_instances(path: Path) -> dict[int, Instance]:
         InputFileError: if the file is missing, damaged or lacks a key.
     """
     return {instance.instance_id: instance for instance in decode_json(path, _INSTANCES).values()}
-
-
-def _read_boxes(path: Path) -> dict[int, tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]]:
-    """Lower and upper corner of each object's box in its own frame, metres.
-
-    Raises:
-        InputFileError: if the file or a column is missing, or a corner is no number.
-    """
-    table = read_columns(path, {adt.OBJECT_ID: int, **dict.fromkeys((*adt.BOX_MIN, *adt.BOX_MAX), float)})
-    lower = column_vectors(table, adt.BOX_MIN)
-    upper = column_vectors(table, adt.BOX_MAX)
-    bad = ~(np.isfinite(lower) & np.isfinite(upper) & (lower <= upper)).all(axis=1)
-    if bad.any():
-        row = int(np.argmax(bad))
-        found = f"{lower[row].tolist()} … {upper[row].tolist()}"
-        raise InputFileError(path, f"line {row + 2}", expected="a lower and an upper corner", found=found)
-    return dict(zip(table[adt.OBJECT_ID].to_pylist(), zip(lower, upper, strict=True), strict=True))
 
 
 class _Association(msgspec.Struct):
@@ -455,7 +446,16 @@ def read_readings(found: RecordingFiles, options: AdtOptions = _DEFAULTS) -> adt
         found.require(OBJECTS, adt.OBJECTS_FILE),
     )
     calibration, calibration_remarks = _read_calibration(found)
-    trajectory = _read_trajectory(found)
+    path = found.require(TRAJECTORY, adt.TRAJECTORY_FILE)
+    trajectory = read_trajectory(path)
+    if np.linalg.norm(trajectory.up - np.array(adt.UP)) > 1e-3:
+        raise InputFileError(
+            path,
+            "gravity columns",
+            expected="gravity along -Y (ADT scenes are Y up)",
+            found=f"up = {(np.round(trajectory.up, 3) + 0.0).tolist()}",
+            remedy="This looks like a native MPS trajectory; use the recording's own aria_trajectory.csv.",
+        )
     size = None if calibration is None else calibration.size
     return adt.AdtReadings(
         recording_id=found.recording_id,
@@ -507,20 +507,6 @@ def _read_calibration(found: RecordingFiles) -> tuple[OnlineCalibration | None, 
     except InputFileError as error:
         return None, (f"the online calibration is not used: {error}",)
     return read_first_calibration(path), remarks
-
-
-def _read_trajectory(found: RecordingFiles) -> AriaTrajectory:
-    path = found.require(TRAJECTORY, adt.TRAJECTORY_FILE)
-    trajectory = read_trajectory(path)
-    if np.linalg.norm(trajectory.up - np.array(adt.UP)) > 1e-3:
-        raise InputFileError(
-            path,
-            "gravity columns",
-            expected="gravity along -Y (ADT scenes are Y up)",
-            found=f"up = {(np.round(trajectory.up, 3) + 0.0).tolist()}",
-            remedy="This looks like a native MPS trajectory; use the recording's own aria_trajectory.csv.",
-        )
-    return trajectory
 
 
 def read_gaze(path: Path) -> GazeAngles:

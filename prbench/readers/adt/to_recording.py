@@ -63,7 +63,15 @@ def recording_from_adt(
         StreamsDoNotOverlap: if glasses, gaze, objects and the wearer's body share no instant.
         InputFileError: if there is no pose of the glasses at all.
     """
-    device = _device_poses(readings)
+    if len(readings.glasses.time_us) == 0:
+        raise InputFileError(
+            readings.recording_id,
+            "",
+            expected="poses of the glasses",
+            found="none",
+            remedy="Copy or download the recording again.",
+        )
+    device = glasses_stream(readings.glasses)
     span = float(device.times[0]), float(device.times[-1])
     head, camera = head_and_camera(device, readings.glasses_size or ASSUMED_SIZE, readings.device_from_rgb)
     gaze = gaze_in_world(
@@ -82,7 +90,17 @@ def recording_from_adt(
     tracks = [object_track(entry, start=span[0]) for entry in readings.objects]
     rooms = {track.object_id for track in tracks if _encloses_scene(track, gaze)}
     # The suit in either case: an estimated body was held against the glasses when it was read.
-    _check_overlap(readings, span, gaze, suit, tracks)
+    tolerance = adt.SAME_INSTANT
+    ranges = {"glasses": (span[0] - tolerance, span[1] + tolerance)}
+    ranges |= stream_ranges({"gaze": gaze.times, "body": None if suit is None else suit.times})
+    moving = [
+        track for track, entry in zip(tracks, readings.objects, strict=True) if entry.time_ns[0] != adt.STATIC_TIME
+    ]
+    if moving:
+        starts = [track.times[0] for track in moving]
+        ends = [track.times[-1] for track in moving]
+        ranges["objects"] = float(min(starts)), float(max(ends))
+    require_overlap(ranges, recording=readings.recording_id)
     return Recording(
         dataset=dataset,
         recording_id=readings.recording_id,
@@ -167,18 +185,6 @@ def _encloses_scene(track: ObjectTrack, gaze: GazeStream) -> bool:
     return bool(((local >= track.box_min) & (local <= track.box_max)).all(axis=1).any())
 
 
-def _device_poses(readings: adt.AdtReadings) -> PoseStream:
-    if len(readings.glasses.time_us) == 0:
-        raise InputFileError(
-            readings.recording_id,
-            "",
-            expected="poses of the glasses",
-            found="none",
-            remedy="Copy or download the recording again.",
-        )
-    return glasses_stream(readings.glasses)
-
-
 def glasses_stream(poses: adt.GlassesPoses) -> PoseStream:
     """Poses of the device in the scene; quality 0 is invalid."""
     rotation = poses.rotation / np.linalg.norm(poses.rotation, axis=1, keepdims=True)
@@ -191,26 +197,6 @@ def _within(times: Float[np.ndarray, " n"], span: tuple[float, float]) -> Bool[n
 
 def _measured(points: np.ndarray) -> Bool[np.ndarray, " n"]:
     return np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
-
-
-def _check_overlap(
-    readings: adt.AdtReadings,
-    span: tuple[float, float],
-    gaze: GazeStream,
-    body: BodyStream | None,
-    tracks: list[ObjectTrack],
-) -> None:
-    tolerance = adt.SAME_INSTANT
-    ranges = {"glasses": (span[0] - tolerance, span[1] + tolerance)}
-    ranges |= stream_ranges({"gaze": gaze.times, "body": None if body is None else body.times})
-    moving = [
-        track for track, entry in zip(tracks, readings.objects, strict=True) if entry.time_ns[0] != adt.STATIC_TIME
-    ]
-    if moving:
-        starts = [track.times[0] for track in moving]
-        ends = [track.times[-1] for track in moving]
-        ranges["objects"] = float(min(starts)), float(max(ends))
-    require_overlap(ranges, recording=readings.recording_id)
 
 
 def _remarks(

@@ -242,7 +242,8 @@ def read_mps(found: RecordingFiles, *, thin: bool = True) -> mps.MpsReadings:
     gaze = read_gaze_angles(source_of(gaze_file))
     poses = source_of(trajectory_file)
     trajectory = read_near(poses, NearGaze(gaze.time_us)) if thin else read_trajectory(poses)
-    calibration = _read_calibration(found)
+    file = _file(found, mps.CALIBRATION)
+    calibration = None if file is None else read_first_calibration(source_of(file))
     wrists, hand_remarks = _read_wrists(found)
     return mps.MpsReadings(
         trajectory=trajectory,
@@ -326,11 +327,6 @@ def read_gaze_angles(path: Source) -> mps.GazeAngles:
         yaw_range,
         pair(mps.PITCH_RANGE),
     )
-
-
-def _read_calibration(found: RecordingFiles) -> OnlineCalibration | None:
-    file = _file(found, mps.CALIBRATION)
-    return None if file is None else read_first_calibration(source_of(file))
 
 
 def read_first_calibration(path: Source) -> OnlineCalibration:

@@ -317,38 +317,18 @@ def search_rows(
         InputFileError: if the file or a column is missing, the last line is cut, or an archive is damaged.
     """
     try:
-        start = _read_start(source)
+        # Header and first line (see :func:`prbench.readers.files.opened` for what it raises).
+        with opened(source) as file:
+            start = _TextStart(file.readline(_LONGEST_LINE), file.readline(_LONGEST_LINE))
+        if QUOTE in start.header + start.first_line or len(start.first_line) == _LONGEST_LINE:
+            raise NotSearchable("quoted or very long lines")
     except FileNotFoundError as error:
         raise missing_file(source) from error
     except UnicodeDecodeError as error:
         raise NotSearchable("no text") from error
     require_column_names(source, start.names, columns)
-    text = _found_text(source, start, start.names.index(time_column), wanted, block)
-    require_whole_last_line(shown(source), columns, start.names, tail=text[-RememberingTail.LENGTH :])
-    table = pyarrow.csv.read_csv(
-        pa.BufferReader(start.header + text),
-        read_options=pyarrow.csv.ReadOptions(use_threads=False),  # workers share the cores among them
-        convert_options=pyarrow.csv.ConvertOptions(column_types=arrow_types(columns), include_columns=list(columns)),
-    )
-    require_integers(source, table, columns)
-    return table
-
-
-def _read_start(source: Source) -> _TextStart:
-    """Header and first line (see :func:`prbench.readers.files.opened` for what it raises).
-
-    Raises:
-        NotSearchable: if these are no plain short lines.
-    """
-    with opened(source) as file:
-        start = _TextStart(file.readline(_LONGEST_LINE), file.readline(_LONGEST_LINE))
-    if QUOTE in start.header + start.first_line or len(start.first_line) == _LONGEST_LINE:
-        raise NotSearchable("quoted or very long lines")
-    return start
-
-
-def _found_text(source: Source, start: _TextStart, column: int, wanted: NearGaze, block: int) -> bytes:
-    """The lines around the wanted times, one after the other, with their line breaks."""
+    # The lines around the wanted times, one after the other, with their line breaks.
+    column = start.names.index(time_column)
     first_us = after_us = None
     pieces = []
     last_line = b""
@@ -367,7 +347,15 @@ def _found_text(source: Source, start: _TextStart, column: int, wanted: NearGaze
         last_line = lines.copied(Lines(only_last, only_last))
     if after_us is not None and not last_is_taken and wanted.beyond(after_us):
         pieces.append(last_line)
-    return b"".join(pieces)
+    text = b"".join(pieces)
+    require_whole_last_line(shown(source), columns, start.names, tail=text[-RememberingTail.LENGTH :])
+    table = pyarrow.csv.read_csv(
+        pa.BufferReader(start.header + text),
+        read_options=pyarrow.csv.ReadOptions(use_threads=False),  # workers share the cores among them
+        convert_options=pyarrow.csv.ConvertOptions(column_types=arrow_types(columns), include_columns=list(columns)),
+    )
+    require_integers(source, table, columns)
+    return table
 
 
 def _line_blocks(source: Source, first: int, size: int = _BLOCK) -> Iterator[Block]:

@@ -57,7 +57,15 @@ def mps_streams(
         seconds_before_device: Recording time = device time - this.
         least_confidence: A wrist is valid where its confidence is above this.
     """
-    device = _device_poses(readings.trajectory, world_from_source, seconds_before_device)
+    trajectory = readings.trajectory
+    turn = Rotation.from_matrix(world_from_source[:3, :3])
+    rotation = turn * Rotation.from_quat(trajectory.rotation, scalar_first=True)
+    device = PoseStream(
+        trajectory.time_us / 1e6 - seconds_before_device,
+        trajectory.position @ world_from_source[:3, :3].T + world_from_source[:3, 3],
+        rotation.as_quat(scalar_first=True),
+        trajectory.quality >= mps.LEAST_QUALITY,
+    )
     head, camera = head_and_camera(device, readings.glasses_size or ASSUMED_SIZE, readings.device_from_rgb)
     gaze = gaze_in_world(
         head,
@@ -69,21 +77,17 @@ def mps_streams(
     wrists = (
         () if readings.wrists is None else _wrists(readings.wrists, device, seconds_before_device, least_confidence)
     )
-    messages = (*readings.messages, *_remarks(readings, gaze), *_gap_remarks(device, gaze))
+    # Tell the user where the glasses were not tracked.
+    remarks = []
+    steps = np.diff(device.times)
+    gaps = steps[steps > mps.LONGEST_POSE_STEP + 1e-6]
+    if gaps.size:
+        remarks.append(f"gaps in the poses of the glasses, not bridged: {gaps.size}, the longest {gaps.max():.2f} s")
+    outside = (gaze.times < device.times[0] - SAME_INSTANT) | (gaze.times > device.times[-1] + SAME_INSTANT)
+    if outside.any():
+        remarks.append(f"{int(outside.sum())} of {len(outside)} gaze rows lie outside the tracked time and are invalid")
+    messages = (*readings.messages, *_remarks(readings, gaze), *tuple(remarks))
     return MpsStreams(device, head, camera, gaze, wrists, messages)
-
-
-def _device_poses(
-    trajectory: mps.AriaTrajectory, world_from_source: Float[np.ndarray, "4 4"], seconds_before_device: float
-) -> PoseStream:
-    turn = Rotation.from_matrix(world_from_source[:3, :3])
-    rotation = turn * Rotation.from_quat(trajectory.rotation, scalar_first=True)
-    return PoseStream(
-        trajectory.time_us / 1e6 - seconds_before_device,
-        trajectory.position @ world_from_source[:3, :3].T + world_from_source[:3, 3],
-        rotation.as_quat(scalar_first=True),
-        trajectory.quality >= mps.LEAST_QUALITY,
-    )
 
 
 def head_and_camera(
@@ -184,16 +188,3 @@ def size_remark(size: mps.GlassesSize | None, assumed: mps.GlassesSize) -> list[
     if size is not None:
         return []
     return [f"size of the glasses unknown, {assumed} assumed: gaze origins may be off by 2.4 mm"]
-
-
-def _gap_remarks(device: PoseStream, gaze: GazeStream) -> tuple[str, ...]:
-    """Tell the user where the glasses were not tracked."""
-    remarks = []
-    steps = np.diff(device.times)
-    gaps = steps[steps > mps.LONGEST_POSE_STEP + 1e-6]
-    if gaps.size:
-        remarks.append(f"gaps in the poses of the glasses, not bridged: {gaps.size}, the longest {gaps.max():.2f} s")
-    outside = (gaze.times < device.times[0] - SAME_INSTANT) | (gaze.times > device.times[-1] + SAME_INSTANT)
-    if outside.any():
-        remarks.append(f"{int(outside.sum())} of {len(outside)} gaze rows lie outside the tracked time and are invalid")
-    return tuple(remarks)

@@ -82,7 +82,15 @@ def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
         InputFileError: if there is none, or a pose is no pose.
     """
     rotation = column_vectors(table, mps.ROTATION_COLUMNS)
-    graphs, kept = _one_world(table)
+    # World frames of a trajectory, most frequent first, and the rows of the first.
+    encoded = table[mps.GRAPH_COLUMN].combine_chunks().dictionary_encode()
+    names = encoded.dictionary.to_pylist()
+    codes = encoded.indices.to_numpy(zero_copy_only=False)
+    counts = {name: int((codes == code).sum()) for code, name in enumerate(names) if name != mps.UNDEFINED_GRAPH}
+    # sorted() is stable: of two equally frequent worlds the one that comes first in the file.
+    ranked = tuple(sorted(counts, key=lambda name: -counts[name]))
+    kept = codes == names.index(ranked[0]) if ranked else np.zeros(len(codes), dtype=bool)
+    graphs, kept = ranked, kept
     require_poses(source, column_vectors(table, mps.POSITION_COLUMNS), rotation, used=kept)
     if not kept.any():
         raise InputFileError(
@@ -103,18 +111,6 @@ def _trajectory_of(source: Source, table: pa.Table) -> mps.AriaTrajectory:
         graph_uids=graphs,
         left_out=int((~kept).sum()),
     )
-
-
-def _one_world(table: pa.Table) -> tuple[tuple[str, ...], np.ndarray]:
-    """World frames of a trajectory, most frequent first, and the rows of the first."""
-    encoded = table[mps.GRAPH_COLUMN].combine_chunks().dictionary_encode()
-    names = encoded.dictionary.to_pylist()
-    codes = encoded.indices.to_numpy(zero_copy_only=False)
-    counts = {name: int((codes == code).sum()) for code, name in enumerate(names) if name != mps.UNDEFINED_GRAPH}
-    # sorted() is stable: of two equally frequent worlds the one that comes first in the file.
-    ranked = tuple(sorted(counts, key=lambda name: -counts[name]))
-    kept = codes == names.index(ranked[0]) if ranked else np.zeros(len(codes), dtype=bool)
-    return ranked, kept
 
 
 def _read_whole(source: Source) -> pa.Table:

@@ -83,7 +83,8 @@ def read_window(path: Path, model: Path | None) -> tuple[ego.BodyWindow, Float[n
                 remedy=HOW_TO_GET,
             )
         joints = window_joints(output, read_smplh_rest(model)).joints
-        _keep(kept, joints, wanted)
+        with contextlib.suppress(StorageError), sole_file(kept) as temporary:  # a full cache costs time, not the build
+            np.savez(temporary, version=_VERSION, model=wanted, joints=joints)
     return ego.BodyWindow(path.name, output.time_ns, joints, samples, guidance), head
 
 
@@ -184,11 +185,6 @@ def _kept_joints(kept: Path, wanted: str | None, *, frames: int) -> np.ndarray |
     return joints if fits and wanted in (None, model) else None
 
 
-def _keep(kept: Path, joints: np.ndarray, model: str) -> None:
-    with contextlib.suppress(StorageError), sole_file(kept) as temporary:  # a full cache costs time, not the build
-        np.savez(temporary, version=_VERSION, model=model, joints=joints)
-
-
 _MARGIN = 1.0  # seconds
 _REMEDY = "Move it to the recording it was made from, or delete it and run `prbench poses egoallo` again."
 
@@ -231,7 +227,10 @@ def _require_belongs(
     """
     times = time_ns / 1e9
     whole = cpf
-    cpf = _around(cpf, times)
+    # The part of a trajectory that can matter for some times: a recording has hundreds of outputs to compare.
+    first, last = np.searchsorted(cpf.times, [times[0] - _MARGIN, times[-1] + _MARGIN])
+    rows = slice(max(int(first) - 1, 0), int(last) + 1)
+    cpf = PoseStream(cpf.times[rows], cpf.position[rows], cpf.rotation[rows], cpf.valid[rows])
     posed = covered(cpf.times, cpf.valid, times, max_gap=LONGEST_POSE_STEP)
     during = (times >= whole.times[0]) & (times <= whole.times[-1])
     if during.any() and not posed.any():
@@ -255,13 +254,6 @@ def _require_belongs(
             found=f"a median distance of {distance * 100:.1f} cm: the output belongs to another recording or world",
             remedy=_REMEDY,
         )
-
-
-def _around(cpf: PoseStream, times: Float[np.ndarray, " t"]) -> PoseStream:
-    """The part of a trajectory that can matter for some times: a recording has hundreds of outputs to compare."""
-    first, last = np.searchsorted(cpf.times, [times[0] - _MARGIN, times[-1] + _MARGIN])
-    rows = slice(max(int(first) - 1, 0), int(last) + 1)
-    return PoseStream(cpf.times[rows], cpf.position[rows], cpf.rotation[rows], cpf.valid[rows])
 
 
 def read_bodies(found: RecordingFiles, *, cpf: PoseStream) -> ego.EgoAlloBody | None:

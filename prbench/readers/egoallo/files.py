@@ -14,7 +14,6 @@ from pathlib import Path, PurePosixPath
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Int
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
@@ -265,7 +264,14 @@ def parse_output(path: Path, content: bytes) -> ego.EgoAlloOutput | ego.BodyWind
     """:func:`read_output` of bytes that are at hand; ``path`` is for the messages."""
     archive = Archive(path, content, remedy=f"The file may be truncated. {_AGAIN}")
     arrays = archive.load((ego.TIMES, ego.JOINTS, *_SHAPES))  # what else it holds is not even unpacked
-    time_ns = _times(path, arrays)
+    times = _present(path, arrays, ego.TIMES)
+    if times.ndim != 1 or not np.issubdtype(times.dtype, np.integer):
+        found = f"{times.dtype} {times.shape}"
+        raise InputFileError(path, ego.TIMES, expected="integers (T,), nanoseconds", found=found, remedy=_AGAIN)
+    if len(times) == 0:
+        raise InputFileError(path, ego.TIMES, expected="at least one frame", found="T = 0", remedy=_AGAIN)
+    require_increasing(path, times, unit="ns", place=f"{ego.TIMES}, frame", first=0, remedy=_AGAIN)
+    time_ns = times.astype(np.int64)
     if ego.JOINTS in arrays and ego.WORLD_FROM_ROOT not in arrays:
         joints = _require(path, arrays, ego.JOINTS, (len(time_ns), 22, 3))
         return ego.BodyWindow(path.name, time_ns, joints)  # of another pipeline: joints instead of rotations
@@ -279,7 +285,18 @@ def parse_output(path: Path, content: bytes) -> ego.EgoAlloOutput | ego.BodyWind
         shape = tuple(size if isinstance(size, int) else sizes.get(size, -1) for size in form)
         checked[key] = _require(path, arrays, key, shape)
         if key in _QUATERNIONS:
-            _require_rotations(path, key, checked[key][..., _QUATERNIONS[key]])
+            quaternions = checked[key][..., _QUATERNIONS[key]]
+            error = np.abs(np.linalg.norm(quaternions.astype(np.float64), axis=-1) - 1)
+            worst = np.unravel_index(int(np.argmax(error)), error.shape)
+            if error[worst] > ego.QUATERNION_TOLERANCE:
+                length = float(np.linalg.norm(quaternions[worst].astype(np.float64)))
+                raise InputFileError(
+                    path,
+                    f"{key}{[int(index) for index in worst]}",
+                    expected="a quaternion of length 1",
+                    found=f"length {length:.4f}",
+                    remedy=_AGAIN,
+                )
     return ego.EgoAlloOutput(
         name=path.name,
         time_ns=time_ns,
@@ -288,17 +305,6 @@ def parse_output(path: Path, content: bytes) -> ego.EgoAlloOutput | ego.BodyWind
         body_quats=checked[ego.BODY_QUATS],
         betas=checked[ego.BETAS],
     )
-
-
-def _times(path: Path, arrays: Mapping[str, np.ndarray]) -> Int[np.ndarray, " t"]:
-    times = _present(path, arrays, ego.TIMES)
-    if times.ndim != 1 or not np.issubdtype(times.dtype, np.integer):
-        found = f"{times.dtype} {times.shape}"
-        raise InputFileError(path, ego.TIMES, expected="integers (T,), nanoseconds", found=found, remedy=_AGAIN)
-    if len(times) == 0:
-        raise InputFileError(path, ego.TIMES, expected="at least one frame", found="T = 0", remedy=_AGAIN)
-    require_increasing(path, times, unit="ns", place=f"{ego.TIMES}, frame", first=0, remedy=_AGAIN)
-    return times.astype(np.int64)
 
 
 def _present(path: Path, arrays: Mapping[str, np.ndarray], key: str) -> np.ndarray:
@@ -330,17 +336,3 @@ def _require(path: Path, arrays: Mapping[str, np.ndarray], key: str, shape: tupl
             remedy=_AGAIN,
         )
     return array if array.dtype == np.float64 else array.astype(np.float32)
-
-
-def _require_rotations(path: Path, key: str, quaternions: np.ndarray) -> None:
-    error = np.abs(np.linalg.norm(quaternions.astype(np.float64), axis=-1) - 1)
-    worst = np.unravel_index(int(np.argmax(error)), error.shape)
-    if error[worst] > ego.QUATERNION_TOLERANCE:
-        length = float(np.linalg.norm(quaternions[worst].astype(np.float64)))
-        raise InputFileError(
-            path,
-            f"{key}{[int(index) for index in worst]}",
-            expected="a quaternion of length 1",
-            found=f"length {length:.4f}",
-            remedy=_AGAIN,
-        )

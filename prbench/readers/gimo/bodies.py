@@ -76,7 +76,14 @@ def read_smplx_model(path: Path) -> SmplxModel:
         InputFileError: if the file is missing, no npz, lacks an array, or the arrays do not fit together.
     """
     path = path.expanduser()
-    arrays = _arrays(path, (_TEMPLATE, _FACES, _REGRESSOR))
+    names = (_TEMPLATE, _FACES, _REGRESSOR)
+    if not path.exists():
+        raise missing_file(path)
+    archive = Archive(
+        path, remedy=f"Take SMPLX_NEUTRAL.npz of {SMPLX_PAGE}; a .pkl, or arrays of Python objects, are not read."
+    )
+    archive.require(names)
+    arrays = archive.load(names)
     template = arrays[_TEMPLATE]
     faces = arrays[_FACES].astype(np.int64)
     regressor = arrays[_REGRESSOR]
@@ -94,16 +101,6 @@ def read_smplx_model(path: Path) -> SmplxModel:
     return SmplxModel(template.astype(np.float64), faces, regressor[:N_JOINTS], jaw)
 
 
-def _arrays(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    if not path.exists():
-        raise missing_file(path)
-    archive = Archive(
-        path, remedy=f"Take SMPLX_NEUTRAL.npz of {SMPLX_PAGE}; a .pkl, or arrays of Python objects, are not read."
-    )
-    archive.require(names)
-    return archive.load(names)
-
-
 def read_pose_decoder(path: Path) -> PoseDecoder:
     """Read the decoder of a VPoser v1 snapshot (``snapshots/TR00_E096.pt``), weights only.
 
@@ -111,7 +108,28 @@ def read_pose_decoder(path: Path) -> PoseDecoder:
         InputFileError: if the file is missing, no file of weights, or those of another network.
     """
     path = path.expanduser()
-    state = _state(path)
+    import torch
+
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise missing_file(path) from error
+    except Exception as error:  # torch raises whatever a damaged archive makes it stumble over
+        raise InputFileError(
+            path,
+            "",
+            expected="a file of weights",
+            found=str(error).splitlines()[0][:200],
+            remedy=f"Take snapshots/TR00_E096.pt of VPoser v1: {VPOSER_PAGE}.",
+        ) from error
+    # Snapshots of a whole training hold the weights one level deeper.
+    for wrapper in ("state_dict", "model_state_dict"):
+        state = state[wrapper] if isinstance(state, Mapping) and wrapper in state else state
+    if not isinstance(state, Mapping):
+        raise InputFileError(path, "", expected="named weights", found=type(state).__name__)
+    state = {
+        str(name).rpartition("bodyprior_")[1] + str(name).rpartition("bodyprior_")[2]: state[name] for name in state
+    }
     weights = []
     biases = []
     for layer in _LAYERS:
@@ -133,31 +151,6 @@ def read_pose_decoder(path: Path) -> PoseDecoder:
             remedy=f"GIMO was fitted with VPoser v1: {VPOSER_PAGE}.",
         )
     return PoseDecoder((weights[0], weights[1], weights[2]), (biases[0], biases[1], biases[2]))
-
-
-def _state(path: Path) -> Mapping[str, Any]:
-    import torch
-
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError as error:
-        raise missing_file(path) from error
-    except Exception as error:  # torch raises whatever a damaged archive makes it stumble over
-        raise InputFileError(
-            path,
-            "",
-            expected="a file of weights",
-            found=str(error).splitlines()[0][:200],
-            remedy=f"Take snapshots/TR00_E096.pt of VPoser v1: {VPOSER_PAGE}.",
-        ) from error
-    # Snapshots of a whole training hold the weights one level deeper.
-    for wrapper in ("state_dict", "model_state_dict"):
-        state = state[wrapper] if isinstance(state, Mapping) and wrapper in state else state
-    if not isinstance(state, Mapping):
-        raise InputFileError(path, "", expected="named weights", found=type(state).__name__)
-    return {
-        str(name).rpartition("bodyprior_")[1] + str(name).rpartition("bodyprior_")[2]: state[name] for name in state
-    }
 
 
 def _tensor(path: Path, state: Mapping[str, Any], name: str) -> np.ndarray:
@@ -275,7 +268,42 @@ def joints_from_meshes(
     jaw = np.empty((len(frames), 3))
     for row, frame in enumerate(frames):
         vertices, faces = read_obj(files[frame])
-        canonical = _canonical_vertices(files[frame], vertices, faces, model, largest_spread=largest_spread)
+        # Vertices in the order of the model.
+        path = files[frame]
+        for what, found, wanted in (
+            ("vertices", len(vertices), len(model.template)),
+            ("faces", len(faces), len(model.faces)),
+        ):
+            if found != wanted:
+                raise InputFileError(
+                    path,
+                    "",
+                    expected=f"{wanted} {what}, as the model has them",
+                    found=str(found),
+                    remedy="This is no mesh of this body model.",
+                )
+        if faces.min(initial=0) < 0 or faces.max(initial=0) >= len(vertices):
+            raise InputFileError(
+                path, "faces", expected=f"vertices from 1 to {len(vertices)}", found=f"{faces.max() + 1}"
+            )
+        # Both list the same faces in the same order, so that a corner tells its vertex of the model.
+        corners = vertices[faces.ravel()]
+        canonical = np.full_like(model.template, np.nan)
+        canonical[model.faces.ravel()] = corners
+        unhit = int(np.isnan(canonical).any(axis=1).sum())
+        if unhit:
+            raise InputFileError(
+                path, "faces", expected="every vertex of the model in a face", found=f"{unhit} in none"
+            )
+        spread = float(np.abs(canonical[model.faces.ravel()] - corners).max(initial=0.0))
+        if spread > largest_spread:
+            raise InputFileError(
+                path,
+                "faces",
+                expected="faces in the order of the model",
+                found=f"vertices on which faces disagree by {spread * 1000:.1f} mm",
+                remedy="Use the fitted parameters instead (option vposer_model).",
+            )
         _require_edges(files[frame], canonical, model, largest_edge_error)
         joints[row] = model.regressor @ canonical
         if model.jaw_regressor is not None:
@@ -283,52 +311,6 @@ def joints_from_meshes(
     return gimo.LocalJoints(
         np.array(frames, dtype=np.int64), joints, "mesh", jaw if model.jaw_regressor is not None else None
     )
-
-
-def _canonical_vertices(
-    path: Path,
-    vertices: Float[np.ndarray, "v 3"],
-    faces: Int[np.ndarray, "f 3"],
-    model: SmplxModel,
-    *,
-    largest_spread: float,
-) -> Float[np.ndarray, "v 3"]:
-    """Vertices in the order of the model.
-
-    Raises:
-        InputFileError: see :func:`joints_from_meshes`.
-    """
-    for what, found, wanted in (
-        ("vertices", len(vertices), len(model.template)),
-        ("faces", len(faces), len(model.faces)),
-    ):
-        if found != wanted:
-            raise InputFileError(
-                path,
-                "",
-                expected=f"{wanted} {what}, as the model has them",
-                found=str(found),
-                remedy="This is no mesh of this body model.",
-            )
-    if faces.min(initial=0) < 0 or faces.max(initial=0) >= len(vertices):
-        raise InputFileError(path, "faces", expected=f"vertices from 1 to {len(vertices)}", found=f"{faces.max() + 1}")
-    # Both list the same faces in the same order, so that a corner tells its vertex of the model.
-    corners = vertices[faces.ravel()]
-    canonical = np.full_like(model.template, np.nan)
-    canonical[model.faces.ravel()] = corners
-    unhit = int(np.isnan(canonical).any(axis=1).sum())
-    if unhit:
-        raise InputFileError(path, "faces", expected="every vertex of the model in a face", found=f"{unhit} in none")
-    spread = float(np.abs(canonical[model.faces.ravel()] - corners).max(initial=0.0))
-    if spread > largest_spread:
-        raise InputFileError(
-            path,
-            "faces",
-            expected="faces in the order of the model",
-            found=f"vertices on which faces disagree by {spread * 1000:.1f} mm",
-            remedy="Use the fitted parameters instead (option vposer_model).",
-        )
-    return canonical
 
 
 def read_obj(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:

@@ -272,7 +272,29 @@ def place_skeleton(
         InputFileError: if joints have unknown names, legs no human length, the file is shorter than the track, or no
             start brings the two tracks together.
     """
-    joints = _body_joints(motion, name)
+    # The 22 joints in metres.
+    matched = match_names([joint.name for joint in motion.joints])
+    missing = [Joint(index).name.lower() for index, column in enumerate(matched.columns) if column < 0]
+    if missing:
+        raise InputFileError(
+            name,
+            "HIERARCHY",
+            expected=f"joints for {', '.join(missing)} (best naming: {matched.convention})",
+            found=f"unmatched names: {', '.join(matched.unmatched) or 'none'}",
+            remedy="Rename the joints in the file.",
+        )
+    joints = joint_positions(motion)[:, list(matched.columns)]
+    thigh = np.linalg.norm(joints[0, Joint.LEFT_KNEE] - joints[0, Joint.LEFT_HIP])
+    leg = float(thigh + np.linalg.norm(joints[0, Joint.LEFT_ANKLE] - joints[0, Joint.LEFT_KNEE]))
+    unit = next((unit for unit in _UNITS if _LEG[0] <= leg * unit <= _LEG[1]), None)
+    if unit is None:
+        raise InputFileError(
+            name,
+            "HIERARCHY",
+            expected=f"legs of {_LEG[0]} to {_LEG[1]} m, in metres, centimetres or millimetres",
+            found=f"{leg:.3f}",
+        )
+    joints = joints * unit
     times = np.arange(len(joints)) * motion.frame_time
     latest = times[-1] - (seconds[-1] - seconds[0])
     if latest < -motion.frame_time / 2:
@@ -299,36 +321,6 @@ def place_skeleton(
     laid = laid + (pelvis - laid[:, Joint.PELVIS])[:, None]
     far = float(np.linalg.norm(pelvis - pelvis[0], axis=1).max())
     return PlacedSkeleton(laid, start, error, far >= _STANDS_STILL)
-
-
-def _body_joints(motion: BvhMotion, name: str) -> Float[np.ndarray, "n 22 3"]:
-    """The 22 joints in metres.
-
-    Raises:
-        InputFileError: naming the joints that are missing, and those of the file that were not understood.
-    """
-    matched = match_names([joint.name for joint in motion.joints])
-    missing = [Joint(index).name.lower() for index, column in enumerate(matched.columns) if column < 0]
-    if missing:
-        raise InputFileError(
-            name,
-            "HIERARCHY",
-            expected=f"joints for {', '.join(missing)} (best naming: {matched.convention})",
-            found=f"unmatched names: {', '.join(matched.unmatched) or 'none'}",
-            remedy="Rename the joints in the file.",
-        )
-    joints = joint_positions(motion)[:, list(matched.columns)]
-    thigh = np.linalg.norm(joints[0, Joint.LEFT_KNEE] - joints[0, Joint.LEFT_HIP])
-    leg = float(thigh + np.linalg.norm(joints[0, Joint.LEFT_ANKLE] - joints[0, Joint.LEFT_KNEE]))
-    unit = next((unit for unit in _UNITS if _LEG[0] <= leg * unit <= _LEG[1]), None)
-    if unit is None:
-        raise InputFileError(
-            name,
-            "HIERARCHY",
-            expected=f"legs of {_LEG[0]} to {_LEG[1]} m, in metres, centimetres or millimetres",
-            found=f"{leg:.3f}",
-        )
-    return joints * unit
 
 
 def _best_start(

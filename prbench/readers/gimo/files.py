@@ -280,15 +280,11 @@ def row_of(found: RecordingFiles) -> tuple[Row, tuple[Row, ...]]:
     """
     path = found.require(TABLE, gimo.TABLE_FILE)
     rows = read_segments(path)
-    row = next((row for row in rows if found.recording_id in _names(row)), None)
+    # Ids under which a row can be known: its own, and in synthetic trees the name of its sequence.
+    row = next((row for row in rows if found.recording_id in (row.segment.name, row.segment.sequence)), None)
     if row is None:
         raise InputFileError(path, "", expected=f"the segment {found.recording_id}", found="a table without it")
     return row, rows
-
-
-def _names(row: Row) -> tuple[str, str]:
-    """Ids under which a row can be known: its own, and in synthetic trees the name of its sequence."""
-    return row.segment.name, row.segment.sequence
 
 
 def frames_of(found: RecordingFiles, role: str) -> dict[int, Path]:
@@ -317,7 +313,14 @@ def read_readings(found: RecordingFiles, manifest: Manifest, options: GimoOption
         InputFileError: for a missing or damaged file, and where no way to the joints is open, saying what each needs.
     """
     row, rows = row_of(found)
-    _require_folder(found, row)
+    if not found.folder.is_dir():
+        raise InputFileError(
+            found.folder,
+            "",
+            expected=f"the folder of {row.segment.scene}/{row.segment.sequence}",
+            found="no such folder",
+            remedy="Unpack or download this sequence.",
+        )
     events_path = found.path(EVENTS)
     known = events_of(row, () if events_path is None else read_events(events_path), hints=options.hints)
     gaze, gaze_remarks = read_gaze(frames_of(found, CONE), frames_of(found, CENTRE))
@@ -335,17 +338,6 @@ def read_readings(found: RecordingFiles, manifest: Manifest, options: GimoOption
         meshes=_meshes(found) if options.meshes else (),
         messages=(*row.remarks, *_overlaps(row, rows), *known.remarks, *_unnumbered(found), *gaze_remarks),
     )
-
-
-def _require_folder(found: RecordingFiles, row: Row) -> None:
-    if not found.folder.is_dir():
-        raise InputFileError(
-            found.folder,
-            "",
-            expected=f"the folder of {row.segment.scene}/{row.segment.sequence}",
-            found="no such folder",
-            remedy="Unpack or download this sequence.",
-        )
 
 
 def _body(found: RecordingFiles, manifest: Manifest, options: GimoOptions) -> gimo.LocalJoints | gimo.LocalSkeleton:

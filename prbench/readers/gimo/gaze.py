@@ -92,7 +92,15 @@ def read_vertices(path: Path) -> Float[np.ndarray, "v 3"]:
     if not {"x", "y", "z"} <= set(names):
         raise InputFileError(path, "header", expected="vertex properties x, y, z", found=", ".join(names) or "none")
     if header.form == "ascii":
-        return _ascii_vertices(path, content[header.size :], header, names)
+        body = content[header.size :]
+        lines = body.splitlines()[: header.n_vertices]
+        try:
+            rows = np.array([[float(word) for word in line.split()[: len(names)]] for line in lines])
+        except ValueError as error:
+            raise InputFileError(path, "vertices", expected="numbers", found=str(error)) from error
+        if rows.shape != (header.n_vertices, len(names)):
+            raise _cut(path, header)
+        return rows[:, [names.index(axis) for axis in "xyz"]]
     order = _ORDERS[header.form]
     kind = np.dtype([(name, order + code) for name, code in header.properties])
     if len(content) - header.size < header.n_vertices * kind.itemsize:
@@ -143,17 +151,6 @@ def _count(path: Path, word: str) -> int:
     if not word.isdecimal() or len(word) > _MOST_DIGITS:
         raise InputFileError(path, "header", expected="a number of vertices", found=f"'{word}'")
     return int(word)
-
-
-def _ascii_vertices(path: Path, body: bytes, header: _PlyHeader, names: list[str]) -> Float[np.ndarray, "v 3"]:
-    lines = body.splitlines()[: header.n_vertices]
-    try:
-        rows = np.array([[float(word) for word in line.split()[: len(names)]] for line in lines])
-    except ValueError as error:
-        raise InputFileError(path, "vertices", expected="numbers", found=str(error)) from error
-    if rows.shape != (header.n_vertices, len(names)):
-        raise _cut(path, header)
-    return rows[:, [names.index(axis) for axis in "xyz"]]
 
 
 def _cut(path: Path, header: _PlyHeader) -> InputFileError:
@@ -223,7 +220,30 @@ def read_hololens(stream: Path, video: Path, transform: Path) -> gimo.HoloLens:
     Raises:
         InputFileError: if a file is missing, or its rows have another width, no numbers, or a clock that stands still.
     """
-    ticks, rows = _read_stream(stream)
+    # Ticks, and the columns that are needed, each in its place; the hands stay unread (zeros).
+    wanted = [*range(_HEAD, _HEAD + 16), *range(_GAZE_VALID, _WIDTH)]
+    names = [str(column) for column in range(_WIDTH)]
+    types = {names[column]: pa.float64() for column in wanted} | {names[_TICK]: pa.int64()}
+    with must_exist(stream):
+        require_size(stream)
+    try:
+        table = pyarrow.csv.read_csv(
+            stream,
+            read_options=pyarrow.csv.ReadOptions(column_names=names),
+            convert_options=pyarrow.csv.ConvertOptions(include_columns=list(types), column_types=types),
+        )
+    except pa.ArrowInvalid as error:
+        raise InputFileError(
+            stream,
+            "",
+            expected=f"rows of {_WIDTH} numbers without header, the first a whole one",
+            found=str(error).splitlines()[0],
+            remedy="The file is cut, or of another recorder.",
+        ) from error
+    rows = np.zeros((len(table), _WIDTH))
+    for column in wanted:
+        rows[:, column] = table[names[column]].to_numpy()
+    ticks, rows = table[names[_TICK]].to_numpy(), rows
     require_increasing(stream, ticks, unit="ticks", first=1)
     video_ticks, frames = _read_video(video)
     require_increasing(video, video_ticks, unit="ticks")
@@ -237,33 +257,6 @@ def read_hololens(stream: Path, video: Path, transform: Path) -> gimo.HoloLens:
         camera=frames[:, _VIDEO_POSE : _VIDEO_POSE + 16].reshape(-1, 4, 4),
         transform=read_matrix(transform),
     )
-
-
-def _read_stream(path: Path) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 861"]]:
-    """Ticks, and the columns that are needed, each in its place; the hands stay unread (zeros)."""
-    wanted = [*range(_HEAD, _HEAD + 16), *range(_GAZE_VALID, _WIDTH)]
-    names = [str(column) for column in range(_WIDTH)]
-    types = {names[column]: pa.float64() for column in wanted} | {names[_TICK]: pa.int64()}
-    with must_exist(path):
-        require_size(path)
-    try:
-        table = pyarrow.csv.read_csv(
-            path,
-            read_options=pyarrow.csv.ReadOptions(column_names=names),
-            convert_options=pyarrow.csv.ConvertOptions(include_columns=list(types), column_types=types),
-        )
-    except pa.ArrowInvalid as error:
-        raise InputFileError(
-            path,
-            "",
-            expected=f"rows of {_WIDTH} numbers without header, the first a whole one",
-            found=str(error).splitlines()[0],
-            remedy="The file is cut, or of another recorder.",
-        ) from error
-    rows = np.zeros((len(table), _WIDTH))
-    for column in wanted:
-        rows[:, column] = table[names[column]].to_numpy()
-    return table[names[_TICK]].to_numpy(), rows
 
 
 def _read_video(path: Path) -> tuple[Int[np.ndarray, " f"], Float[np.ndarray, "f 18"]]:

@@ -336,7 +336,26 @@ def load_tensors(path: Path) -> dict[str, np.ndarray]:
 def _loaded(content: bytes, names: Mapping[str, Name]) -> Any:
     """Decode some bytes: a plain pickle, or either form of ``torch.save``."""
     if content.startswith(_ZIP_START):
-        return _loaded_from_zip(content, names)
+        # Read the newer form: an archive of a pickle and one uncompressed file a storage.
+        try:
+            with zipfile.ZipFile(io.BytesIO(content)) as archive:
+                # Maps names, without the folder that all lie in, to contents; as nothing is compressed, these fit the
+                # archive.
+                most = len(content)
+                entries = archive.infolist()
+                compressed = any(entry.compress_type != zipfile.ZIP_STORED for entry in entries)
+                if compressed or sum(entry.file_size for entry in entries) > most:
+                    raise PickleRefused("compressed files in the archive", foreign=True)
+                files = {entry.filename.partition("/")[2]: archive.read(entry) for entry in entries}
+        except (zipfile.BadZipFile, ValueError, RuntimeError, EOFError, OSError, struct.error) as error:
+            raise PickleRefused(f"a damaged archive: {error}") from error
+        if "data.pkl" not in files or files.get("byteorder", b"little") != b"little":
+            raise PickleRefused("an archive of another kind")
+        storages = _Storages()
+        loaded, _ = run_pickle(files["data.pkl"], names, persistent=storages)
+        for key, storage in storages.by_key.items():
+            storage.take(files.get(f"data/{key}", b""), 0)
+        return loaded
     loaded, position = run_pickle(content, names)
     if loaded != _MAGIC_NUMBER:
         return loaded
@@ -354,31 +373,6 @@ def _loaded(content: bytes, names: Mapping[str, Name]) -> Any:
     for key in keys:
         position = storages.by_key[key].take_counted(content, position)
     return loaded
-
-
-def _loaded_from_zip(content: bytes, names: Mapping[str, Name]) -> Any:
-    """Read the newer form: an archive of a pickle and one uncompressed file a storage."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            files = _stored_files(archive, len(content))
-    except (zipfile.BadZipFile, ValueError, RuntimeError, EOFError, OSError, struct.error) as error:
-        raise PickleRefused(f"a damaged archive: {error}") from error
-    if "data.pkl" not in files or files.get("byteorder", b"little") != b"little":
-        raise PickleRefused("an archive of another kind")
-    storages = _Storages()
-    loaded, _ = run_pickle(files["data.pkl"], names, persistent=storages)
-    for key, storage in storages.by_key.items():
-        storage.take(files.get(f"data/{key}", b""), 0)
-    return loaded
-
-
-def _stored_files(archive: zipfile.ZipFile, most: int) -> dict[str, bytes]:
-    """Maps names, without the folder that all lie in, to contents; as nothing is compressed, these fit the archive."""
-    entries = archive.infolist()
-    compressed = any(entry.compress_type != zipfile.ZIP_STORED for entry in entries)
-    if compressed or sum(entry.file_size for entry in entries) > most:
-        raise PickleRefused("compressed files in the archive", foreign=True)
-    return {entry.filename.partition("/")[2]: archive.read(entry) for entry in entries}
 
 
 class _Storages:

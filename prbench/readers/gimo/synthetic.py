@@ -118,6 +118,15 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         matrix[:3, 3] *= scale
     transform = gimo.SceneTransform(scale, scene_from_body, room_from_scene)
     body_from_room = invert_rigid(transform.room_from_body())
+    times = _frame_seconds(sensing.performance, segment)
+    head = sensing.head(times)
+    gaze = sensing.gaze(times)
+    gaze /= np.linalg.norm(gaze, axis=1, keepdims=True)
+    angles = measured_gaze(sensing, head, gaze, bias=_GAZE_BIAS, jitter=_GAZE_JITTER)
+    directions = head.apply(gaze_directions_cpf(angles[:, 0], angles[:, 1]))
+    points = looked_at(sensing.performance, sensing.eye(times), directions)
+    lost = sensing.generator("gaze-losses").random(len(times)) < _GAZE_LOSS * sensing.strength("gaze_losses")
+    scan_from_room = np.linalg.inv(transform.room_from_scan())
     return gimo.GimoReadings(
         recording_id=performance.recording_id,
         segment=segment,
@@ -125,7 +134,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         body=gimo.LocalSkeleton(
             _sense_skeleton(sensing, body_from_room), _sense_poses(sensing, segment, body_from_room)
         ),
-        gaze=_sense_gaze(sensing, segment, transform),
+        gaze=gimo.GazePoints(segment.frames[~lost], transform_points(scan_from_room, points)[~lost]),
         events=tuple(gimo.EventFrame(event_frame(performance, event), event.hand) for event in picks(performance)),
     )
 
@@ -249,19 +258,6 @@ def _sense_skeleton(sensing: Sensing, body_from_room: Float[np.ndarray, "4 4"]) 
         x, y, z = np.round(own * _CENTIMETRES, _DECIMALS).tolist()
         joints.append(BvhJoint(SKELETON_NAMES[joint], DEPTH_FIRST.index(parent), (x, y, z), _EULER))
     return BvhMotion(tuple(joints), 1.0 / _SKELETON_RATE, np.round(values, _DECIMALS))
-
-
-def _sense_gaze(sensing: Sensing, segment: gimo.Segment, transform: gimo.SceneTransform) -> gimo.GazePoints:
-    times = _frame_seconds(sensing.performance, segment)
-    head = sensing.head(times)
-    gaze = sensing.gaze(times)
-    gaze /= np.linalg.norm(gaze, axis=1, keepdims=True)
-    angles = measured_gaze(sensing, head, gaze, bias=_GAZE_BIAS, jitter=_GAZE_JITTER)
-    directions = head.apply(gaze_directions_cpf(angles[:, 0], angles[:, 1]))
-    points = looked_at(sensing.performance, sensing.eye(times), directions)
-    lost = sensing.generator("gaze-losses").random(len(times)) < _GAZE_LOSS * sensing.strength("gaze_losses")
-    scan_from_room = np.linalg.inv(transform.room_from_scan())
-    return gimo.GazePoints(segment.frames[~lost], transform_points(scan_from_room, points)[~lost])
 
 
 _UNUSED_KEYS = {"lhand": 45, "rhand": 45, "beta": 10, "expression": 10, "jaw_pose": 3}

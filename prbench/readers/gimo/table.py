@@ -52,7 +52,20 @@ def read_segments(path: Path) -> tuple[Row, ...]:
             before it starts, another value of ``training`` than 0, 1 or 2, or one segment listed twice with
             different splits or transformations.
     """
-    header, lines = _read(path)
+    lines = list(read_lines(path))
+    if not lines:
+        raise InputFileError(path, "", expected="a header and segments", found="nothing")
+    header = lines[0][1]
+    missing = [name for name in gimo.TABLE_COLUMNS if name not in header]
+    if missing:
+        raise InputFileError(
+            path,
+            "header",
+            expected=f"a column '{missing[0]}'",
+            found=f"the columns {', '.join(cell or '(unnamed)' for cell in header)}",
+            remedy="This is another file, or another version of the table.",
+        )
+    header, lines = header, lines[1:]
     rows: dict[tuple[str, str, int, int], Row] = {}
     for line, cells in lines:
         segment = _segment(path, line, header, cells)
@@ -104,23 +117,6 @@ def read_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
         raise missing_file(path) from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputFileError(path, "", expected="text with comma-separated values", found=str(error)) from error
-
-
-def _read(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    lines = list(read_lines(path))
-    if not lines:
-        raise InputFileError(path, "", expected="a header and segments", found="nothing")
-    header = lines[0][1]
-    missing = [name for name in gimo.TABLE_COLUMNS if name not in header]
-    if missing:
-        raise InputFileError(
-            path,
-            "header",
-            expected=f"a column '{missing[0]}'",
-            found=f"the columns {', '.join(cell or '(unnamed)' for cell in header)}",
-            remedy="This is another file, or another version of the table.",
-        )
-    return header, lines[1:]
 
 
 def _segment(path: Path, line: int, header: list[str], cells: list[str]) -> gimo.Segment:

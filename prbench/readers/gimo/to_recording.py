@@ -18,7 +18,7 @@ from prbench.geometry.timelines import covered, interpolate
 from prbench.protocol.manifests import Manifest
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import place_skeleton
-from prbench.readers.gimo.gaze import GlassesStreams, glasses_streams
+from prbench.readers.gimo.gaze import glasses_streams
 from prbench.recording.streams import (
     SIDES,
     AnnotatedEvent,
@@ -68,7 +68,22 @@ def recording_from_gimo(
         readings, head, limit=manifest.thresholds["largest_head_distance"], required=gaze_origin == "hololens"
     )
     events, event_remarks = _events(readings, body, manifest, target)
-    gaze, gaze_remarks = _gaze(readings, body, glasses, manifest, gaze_origin)
+    # Rays from the head (or the eyes) to the points on the scan; short gaps between points interpolated.
+    points, seen = _gaze_points(readings, manifest.thresholds["longest_gaze_gap"])
+    origin = body.joints[:, Joint.HEAD]
+    posed = body.valid
+    if gaze_origin == "hololens" and glasses.eye is not None:
+        origin = glasses.eye.position
+        posed = glasses.eye.valid
+    apart = np.where(seen[:, None], points - origin, 0.0)
+    distance = np.linalg.norm(apart, axis=1)
+    valid = seen & posed & (distance > _SHORTEST_LOOK)
+    # Some unit vector stands where nothing was measured; the mask says so.
+    direction = np.where(valid[:, None], apart / np.where(valid, distance, 1.0)[:, None], [0.0, 0.0, 1.0])
+    measured = len(readings.gaze.frames)
+    total = len(body.times)
+    remarks = [f"gaze on {measured} of {total} frames, {int(seen.sum()) - measured} interpolated"]
+    gaze, gaze_remarks = GazeStream(body.times, origin, direction, valid), remarks
     source = manifest.other_bodies.get(route, manifest.body)
     return Recording(
         dataset=dataset,
@@ -151,31 +166,6 @@ def filled(
     valid = covered(known, np.ones(len(known), dtype=bool), asked, max_gap=longest + 1.0)
     values = interpolate(known, joints, asked)
     return hold_neighbours(values, valid), valid
-
-
-def _gaze(
-    readings: gimo.GimoReadings,
-    body: BodyStream,
-    glasses: GlassesStreams,
-    manifest: Manifest,
-    gaze_origin: GazeOrigin,
-) -> tuple[GazeStream, list[str]]:
-    """Rays from the head (or the eyes) to the points on the scan; short gaps between points interpolated."""
-    points, seen = _gaze_points(readings, manifest.thresholds["longest_gaze_gap"])
-    origin = body.joints[:, Joint.HEAD]
-    posed = body.valid
-    if gaze_origin == "hololens" and glasses.eye is not None:
-        origin = glasses.eye.position
-        posed = glasses.eye.valid
-    apart = np.where(seen[:, None], points - origin, 0.0)
-    distance = np.linalg.norm(apart, axis=1)
-    valid = seen & posed & (distance > _SHORTEST_LOOK)
-    # Some unit vector stands where nothing was measured; the mask says so.
-    direction = np.where(valid[:, None], apart / np.where(valid, distance, 1.0)[:, None], [0.0, 0.0, 1.0])
-    measured = len(readings.gaze.frames)
-    total = len(body.times)
-    remarks = [f"gaze on {measured} of {total} frames, {int(seen.sum()) - measured} interpolated"]
-    return GazeStream(body.times, origin, direction, valid), remarks
 
 
 def _gaze_points(

@@ -101,7 +101,11 @@ def read_tracks(associations: Path, masks: Path, video: str) -> tuple[tuple[hd_e
     ]
     # Names decide between equal times, so that the order of the file leaves no trace.
     tracks.sort(key=lambda track: (track.start, track.end, track.object_id, track.track_id))
-    return tuple(tracks), _remarks(objects, known, masks)
+    named = [mask for association in objects.values() for track in association.tracks for mask in track.masks]
+    missing = sum(mask not in known for mask in named)
+    return tuple(tracks), (
+        (f"{missing} of {len(named)} masks of the tracks are not in {masks.name}",) if missing else ()
+    )
 
 
 def _entry(path: Path, video: str) -> msgspec.Raw | None:
@@ -155,14 +159,6 @@ def _seconds(value: float, path: Path, video: str, track: str) -> float:
     if not np.isfinite(value):
         raise InputFileError(path, f"{video}, track {track}", expected="times in seconds", found=str(value))
     return value
-
-
-def _remarks(
-    associations: dict[str, _Association], known: dict[str, hd_epic.ObjectMask], masks: Path
-) -> tuple[str, ...]:
-    named = [mask for association in associations.values() for track in association.tracks for mask in track.masks]
-    missing = sum(mask not in known for mask in named)
-    return (f"{missing} of {len(named)} masks of the tracks are not in {masks.name}",) if missing else ()
 
 
 def read_priming(path: Path, video: str) -> tuple[hd_epic.PublishedSide, ...]:

@@ -82,42 +82,19 @@ def find_recordings(root: Path | str, options: HdEpicOptions) -> tuple[Recording
         InputFileError: if there is none, saying what was looked for and what was found.
     """
     root = existing_folder(root, "the folder of HD-EPIC")
-    copy = _copy_at(root, options)
-    dataset = f"{SYNTHETIC_PREFIX}hd-epic" if read_synthetic_tree(root) is not None else "hd-epic"
-    videos = _videos(copy)
-    if not videos:
-        raise InputFileError(
-            root,
-            "",
-            expected=f"videos of HD-EPIC: {hd_epic.DATA_FOLDER}/{hd_epic.VIDEOS_FOLDER}/P0X/*{hd_epic.TIME_SUFFIX},"
-            f" {hd_epic.MPS_FOLDER}/P0X/{hd_epic.GAZE_FOLDER}/mps_*_vrs.zip, or the intermediate data",
-            found=names_in(root),
-            remedy=f"Give the folder that holds {hd_epic.DATA_FOLDER} and {hd_epic.ANNOTATIONS_FOLDER}.",
-        )
-    return tuple(_recording(copy, dataset, videos[name], name, options) for name in sorted(videos))
-
-
-def _copy_at(root: Path, options: HdEpicOptions) -> Copy:
     data = root / hd_epic.DATA_FOLDER
     if not data.is_dir() and root.name != hd_epic.INTERMEDIATE_FOLDER:
         data = root
     around = dict.fromkeys((root, data, data.parent))
     given = options.annotations
-    return Copy(
+    copy = Copy(
         root,
         data,
         given.expanduser() if given is not None else _first_folder(around, f"{hd_epic.ANNOTATIONS_FOLDER}*"),
         root if root.name == hd_epic.INTERMEDIATE_FOLDER else _first_folder(around, hd_epic.INTERMEDIATE_FOLDER),
     )
-
-
-def _first_folder(places: Iterable[Path], pattern: str) -> Path | None:
-    found = (path for place in places if place.is_dir() for path in sorted(place.glob(pattern)) if path.is_dir())
-    return next(found, None)
-
-
-def _videos(copy: Copy) -> dict[str, str]:
-    """Participant's folder of every video, by the video's name."""
+    dataset = f"{SYNTHETIC_PREFIX}hd-epic" if read_synthetic_tree(root) is not None else "hd-epic"
+    # Participant's folder of every video, by the video's name.
     videos: dict[str, str] = {}
     folder = copy.data / hd_epic.VIDEOS_FOLDER
     slam_and_gaze = copy.data / hd_epic.MPS_FOLDER
@@ -138,7 +115,21 @@ def _videos(copy: Copy) -> dict[str, str]:
     if copy.intermediate is not None:
         found = copy.intermediate.glob(f"*/*/{hd_epic.FRAMES_FILE}")
         videos |= {path.parent.name: path.parent.parent.name for path in found if path.parent.name not in videos}
-    return videos
+    if not videos:
+        raise InputFileError(
+            root,
+            "",
+            expected=f"videos of HD-EPIC: {hd_epic.DATA_FOLDER}/{hd_epic.VIDEOS_FOLDER}/P0X/*{hd_epic.TIME_SUFFIX},"
+            f" {hd_epic.MPS_FOLDER}/P0X/{hd_epic.GAZE_FOLDER}/mps_*_vrs.zip, or the intermediate data",
+            found=names_in(root),
+            remedy=f"Give the folder that holds {hd_epic.DATA_FOLDER} and {hd_epic.ANNOTATIONS_FOLDER}.",
+        )
+    return tuple(_recording(copy, dataset, videos[name], name, options) for name in sorted(videos))
+
+
+def _first_folder(places: Iterable[Path], pattern: str) -> Path | None:
+    found = (path for place in places if place.is_dir() for path in sorted(place.glob(pattern)) if path.is_dir())
+    return next(found, None)
 
 
 def _mapped(path: Path) -> list[tuple[str, str]]:

@@ -63,6 +63,8 @@ def recording_from_hd_epic(
     ranges = {"video": readings.clock.span} | stream_ranges(times)
     require_overlap(ranges, recording=readings.video)
     events, remarks = annotated_events(readings, streams, body, thresholds, boxes=boxes)
+    gaze = streams.gaze
+    inside = (gaze.times >= readings.clock.span[0]) & (gaze.times <= readings.clock.span[1] + 1 / hd_epic.FPS)
     return Recording(
         dataset=dataset,
         recording_id=readings.video,
@@ -70,7 +72,7 @@ def recording_from_hd_epic(
         pose_source="none" if body is None else manifest.body.pose_source,
         head_tilt_deg=manifest.body.head_tilt_deg,
         span=ranges["glasses"],
-        gaze=_during(streams.gaze, readings.clock.span),
+        gaze=dataclasses.replace(gaze, valid=gaze.valid & inside),
         camera=streams.camera,
         head=streams.head,
         body=body,
@@ -126,7 +128,27 @@ def _frame_streams(
     lost = int((~np.isfinite(frames.world_from_device).all(axis=(1, 2))).sum())
     if lost:
         remarks.append(f"{lost} of {len(frames.tracking_ns)} video frames have no pose of the glasses")
-    gaze = _frame_gaze(frames, device, head, thresholds.stale_gaze_s, world_from_source)
+    # One ray a distinct gaze time, which several frames repeat.
+    looking = np.flatnonzero((frames.gaze_ns >= 0) & (frames.slam_ns >= 0) & _finite(frames))
+    away = np.abs(frames.gaze_ns - frames.slam_ns)[looking]
+    # lexsort sorts by its last key first: by gaze time, and within one time by nearness.
+    nearest_first = looking[np.lexsort((away, frames.gaze_ns[looking]))]
+    gaze_ns, first = np.unique(frames.gaze_ns[nearest_first], return_index=True)
+    rows = nearest_first[first]
+    times = gaze_ns / 1e9
+    turn = Rotation.from_matrix(world_from_source[:3, :3])
+    of_frame = turn * Rotation.from_matrix(frames.world_from_device[rows][:, :, :3])
+    direction = of_frame.inv().apply(turn.apply(frames.gaze_direction[rows]))
+    at_gaze = Rotation.from_quat(slerp(device.times, device.rotation, times), scalar_first=True)
+    fresh = np.abs(gaze_ns - frames.tracking_ns[rows]) <= thresholds.stale_gaze_s * 1e9
+    posed = covered(device.times, device.valid, times, max_gap=LONGEST_POSE_STEP)
+    direction = at_gaze.apply(direction)
+    gaze = GazeStream(
+        times,
+        interpolate(head.times, head.position, times),
+        direction / np.linalg.norm(direction, axis=1, keepdims=True),
+        fresh & posed,
+    )
     return MpsStreams(device, head, camera, gaze, (), tuple(remarks))
 
 
@@ -148,48 +170,9 @@ def _frame_poses(frames: hd_epic.FrameReadings, world_from_source: Float[np.ndar
     )
 
 
-def _frame_gaze(
-    frames: hd_epic.FrameReadings,
-    device: PoseStream,
-    head: PoseStream,
-    stale: float,
-    world_from_source: Float[np.ndarray, "4 4"],
-) -> GazeStream:
-    """One ray a distinct gaze time, which several frames repeat.
-
-    The files turn a gaze into the world with the pose of each frame. Of the frames that repeat it the one nearest in
-    time counts; its direction is taken back into the device frame, and out again with the pose at the gaze's own time.
-    """
-    looking = np.flatnonzero((frames.gaze_ns >= 0) & (frames.slam_ns >= 0) & _finite(frames))
-    away = np.abs(frames.gaze_ns - frames.slam_ns)[looking]
-    # lexsort sorts by its last key first: by gaze time, and within one time by nearness.
-    nearest_first = looking[np.lexsort((away, frames.gaze_ns[looking]))]
-    gaze_ns, first = np.unique(frames.gaze_ns[nearest_first], return_index=True)
-    rows = nearest_first[first]
-    times = gaze_ns / 1e9
-    turn = Rotation.from_matrix(world_from_source[:3, :3])
-    of_frame = turn * Rotation.from_matrix(frames.world_from_device[rows][:, :, :3])
-    direction = of_frame.inv().apply(turn.apply(frames.gaze_direction[rows]))
-    at_gaze = Rotation.from_quat(slerp(device.times, device.rotation, times), scalar_first=True)
-    fresh = np.abs(gaze_ns - frames.tracking_ns[rows]) <= stale * 1e9
-    posed = covered(device.times, device.valid, times, max_gap=LONGEST_POSE_STEP)
-    direction = at_gaze.apply(direction)
-    return GazeStream(
-        times,
-        interpolate(head.times, head.position, times),
-        direction / np.linalg.norm(direction, axis=1, keepdims=True),
-        fresh & posed,
-    )
-
-
 def _finite(frames: hd_epic.FrameReadings) -> np.ndarray:
     length = np.linalg.norm(frames.gaze_direction, axis=1)
     return np.isfinite(length) & (length > 0) & np.isfinite(frames.world_from_device).all(axis=(1, 2))
-
-
-def _during(gaze: GazeStream, span: tuple[float, float]) -> GazeStream:
-    inside = (gaze.times >= span[0]) & (gaze.times <= span[1] + 1 / hd_epic.FPS)
-    return dataclasses.replace(gaze, valid=gaze.valid & inside)
 
 
 BoxKind = Literal["point", "cube"]

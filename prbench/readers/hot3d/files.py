@@ -312,7 +312,19 @@ def read_glb(path: Path) -> ObjectMesh:
 
     try:
         require_size(path)
-        _require_plausible_counts(path)
+        # Refuse arrays that declare more entries than the file has bytes, before the parser makes room for them.
+        content = path.read_bytes()
+        length = int.from_bytes(content[12:16], "little")
+        description = msgspec.json.decode(content[20 : 20 + length], type=_Description)
+        largest = max((accessor.count for accessor in description.accessors), default=0)
+        if largest > len(content):
+            raise InputFileError(
+                path,
+                "accessors",
+                expected=f"at most {len(content):,} entries, one a byte of the file",
+                found=f"{largest:,}",
+                remedy="Download the object library again.",
+            )
         with open(path, "rb") as file:
             # Whatever a broken file makes the parser stumble over, the user needs its name.
             scene = trimesh.load_scene(file, file_type="glb", process=False, skip_materials=True)
@@ -333,25 +345,6 @@ def read_glb(path: Path) -> ObjectMesh:
     if len(vertices) == 0 or len(mesh.faces) == 0 or not np.isfinite(vertices).all():
         raise InputFileError(path, "", expected="triangles with finite corners", found=f"{len(mesh.faces)} triangles")
     return ObjectMesh(vertices, np.asarray(mesh.faces, dtype=np.int64))
-
-
-def _require_plausible_counts(path: Path) -> None:
-    """Refuse arrays that declare more entries than the file has bytes, before the parser makes room for them.
-
-    Accessors without values in the file are zeros, so that a few bytes could declare any number of corners.
-    """
-    content = path.read_bytes()
-    length = int.from_bytes(content[12:16], "little")
-    description = msgspec.json.decode(content[20 : 20 + length], type=_Description)
-    largest = max((accessor.count for accessor in description.accessors), default=0)
-    if largest > len(content):
-        raise InputFileError(
-            path,
-            "accessors",
-            expected=f"at most {len(content):,} entries, one a byte of the file",
-            found=f"{largest:,}",
-            remedy="Download the object library again.",
-        )
 
 
 def read_headset(path: Path) -> hot3d.PoseRows:
@@ -378,12 +371,21 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
         InputFileError: for a missing or damaged file, or a world that is not Z up.
         RecordingUnusable: for a recording of Quest 3, or without ground truth.
     """
-    participant_id = _read_identity(found)
+    # The participant, if the recording can be used.
+    path = found.require(METADATA, hot3d.METADATA_FILE)
+    metadata = decode_json(path, METADATA_DECODER)
+    found.require_usable(why_unusable(metadata))
+    participant_id = metadata.participant_id
     objects, remarks = read_objects(found)
     headset = read_headset(found.require(HEADSET, hot3d.HEADSET_FILE))
     hands, hand_remarks = read_umetrack(found.require(UMETRACK, hot3d.UMETRACK_FILE))
     profile = found.path(PROFILE)
-    masks = _read_masks(found)
+    # Those masks that curation honours and the recording has.
+    masks: dict[hot3d.MaskName, hot3d.MaskRows] = {}
+    for name in hot3d.MASK_NAMES:
+        path = found.path(f"{MASK_PREFIX}{name}")
+        if path is not None:
+            masks[name] = read_mask(path)
     mps = read_mps(found, thin=False)
     _require_z_up(found, mps.trajectory.up)
     body = read_bodies(found, cpf=mps_streams(mps, world_from_source=np.eye(4)).head)
@@ -399,28 +401,6 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
         body=body,
         messages=(*remarks, *hand_remarks, *(() if body is not None else (NO_OUTPUTS,))),
     )
-
-
-def _read_identity(found: RecordingFiles) -> str:
-    """The participant, if the recording can be used."""
-    path = found.require(METADATA, hot3d.METADATA_FILE)
-    metadata = decode_json(path, METADATA_DECODER)
-    found.require_usable(why_unusable(metadata))
-    return metadata.participant_id
-
-
-def _read_masks(found: RecordingFiles) -> dict[hot3d.MaskName, hot3d.MaskRows]:
-    """Those masks that curation honours and the recording has.
-
-    Raises:
-        InputFileError: for a damaged file.
-    """
-    masks: dict[hot3d.MaskName, hot3d.MaskRows] = {}
-    for name in hot3d.MASK_NAMES:
-        path = found.path(f"{MASK_PREFIX}{name}")
-        if path is not None:
-            masks[name] = read_mask(path)
-    return masks
 
 
 def read_mask(path: Path) -> hot3d.MaskRows:

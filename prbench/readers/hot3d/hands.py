@@ -211,7 +211,14 @@ def read_profile(path: Path) -> hot3d.HandModel:
         InputFileError: if the file is missing or damaged, an array has another shape, or weights do not sum to 1.
     """
     model = decode_json(path, _PROFILE).hand_model
-    _require_weights(path, model.dense_bone_weights)
+    for row, weights in enumerate(model.dense_bone_weights):
+        if len(weights) != N_BONES or not abs(sum(weights) - 1) <= 1e-3:
+            raise InputFileError(
+                path,
+                f"dense_bone_weights, row {row}",
+                expected=f"{N_BONES} numbers that sum to 1",
+                found=f"{len(weights)} that sum to {sum(weights):g}",
+            )
     weights = np.array(model.dense_bone_weights, dtype=np.float64).reshape(-1, N_BONES)
     shapes = {
         "dense_bone_weights": ((len(weights),), (max(len(model.mesh_vertices), 1),)),
@@ -222,31 +229,7 @@ def read_profile(path: Path) -> hot3d.HandModel:
     for name, (found, expected) in shapes.items():
         if found != expected:
             raise InputFileError(path, name, expected=f"the shape {expected}", found=f"{found}")
-    _require_places(path, model)
-    return hot3d.HandModel(
-        vertices=np.array(model.mesh_vertices) * METRES_A_UNIT,
-        weights=weights,
-        joint_positions=np.array(model.joint_rest_positions) * METRES_A_UNIT,
-        joint_axes=np.array(model.joint_rotation_axes),
-        landmarks=np.array(model.landmark_rest_positions) * METRES_A_UNIT,
-        landmark_weights=_dense(model.landmark_rest_bone_indices, model.landmark_rest_bone_weights),
-        triangles=np.array(model.mesh_triangles, dtype=np.int64).reshape(-1, 3),
-    )
-
-
-def _require_weights(path: Path, rows: list[list[float]]) -> None:
-    for row, weights in enumerate(rows):
-        if len(weights) != N_BONES or not abs(sum(weights) - 1) <= 1e-3:
-            raise InputFileError(
-                path,
-                f"dense_bone_weights, row {row}",
-                expected=f"{N_BONES} numbers that sum to 1",
-                found=f"{len(weights)} that sum to {sum(weights):g}",
-            )
-
-
-def _require_places(path: Path, model: _Model) -> None:
-    """Refuse points far from any hand, and indices of bones or vertices that there are not."""
+    # Refuse points far from any hand, and indices of bones or vertices that there are not.
     for name in ("mesh_vertices", "joint_rest_positions", "joint_rotation_axes", "landmark_rest_positions"):
         if not (np.abs(np.array(getattr(model, name))) * METRES_A_UNIT <= _FARTHEST).all():
             raise InputFileError(path, name, expected=f"points within {_FARTHEST:g} m of the wrist", found="others")
@@ -265,6 +248,15 @@ def _require_places(path: Path, model: _Model) -> None:
             expected=f"{N_LANDMARKS} of them and as many weights",
             found=f"{landmarks[0]} and {landmarks[1]}",
         )
+    return hot3d.HandModel(
+        vertices=np.array(model.mesh_vertices) * METRES_A_UNIT,
+        weights=weights,
+        joint_positions=np.array(model.joint_rest_positions) * METRES_A_UNIT,
+        joint_axes=np.array(model.joint_rotation_axes),
+        landmarks=np.array(model.landmark_rest_positions) * METRES_A_UNIT,
+        landmark_weights=_dense(model.landmark_rest_bone_indices, model.landmark_rest_bone_weights),
+        triangles=np.array(model.mesh_triangles, dtype=np.int64).reshape(-1, 3),
+    )
 
 
 def _dense(bones: list[tuple[int, int, int]], weights: list[tuple[float, float, float]]) -> np.ndarray:

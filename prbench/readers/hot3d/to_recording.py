@@ -6,7 +6,7 @@ Recording clock: seconds of the ground truth (TIME_CODE), to which the device ti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, y_up
 from prbench.geometry.timelines import nearest_index, require_overlap, stream_ranges
 from prbench.protocol.manifests import Manifest
 from prbench.readers.aria_mps.format import MpsReadings, thinned
-from prbench.readers.aria_mps.to_recording import MpsStreams, mps_streams
+from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d import hands as umetrack
@@ -99,7 +99,19 @@ def match_clocks(
         RecordingUnusable: if the rows are none of the trajectory's (median distance above 1 mm, or too few found), if
             no offset (and drift) fits all of them, or if it stays uncertain by more than 1 ms.
     """
-    found, row, nearest = _find_rows(position, rotation, device_position, device_rotation)
+    # Rows that are found exactly once, where they are found, and every row's distance to the nearest one.
+    count = min(_NEAREST, len(device_position))
+    distance, index = KDTree(device_position).query(position, k=count)
+    distance = distance.reshape(len(position), count)
+    index = index.reshape(len(position), count)
+    turned = Rotation.from_quat(device_rotation[index.ravel()], scalar_first=True).inv() * Rotation.from_quat(
+        np.repeat(rotation, count, axis=0), scalar_first=True
+    )
+    near = (distance < _SAME_POSITION) & (turned.magnitude().reshape(distance.shape) < _SAME_ROTATION)
+    exact = near & (distance == 0.0)
+    candidates = np.where(exact.any(axis=1, keepdims=True), exact, near)
+    found = np.flatnonzero(candidates.sum(axis=1) == 1)
+    found, row, nearest = found, index[found, candidates[found].argmax(axis=1)], distance[:, 0]
     residual = float(np.median(nearest)) if len(nearest) else np.inf
     if residual > _LARGEST_RESIDUAL:
         raise RecordingUnusable(
@@ -149,30 +161,6 @@ def match_clocks(
     return ClockMatch(reference + middle, half, slope * 1e-9, origin, len(times), len(truth_ns))
 
 
-def _find_rows(
-    position: Float[np.ndarray, "n 3"],
-    rotation: Float[np.ndarray, "n 4"],
-    device_position: Float[np.ndarray, "m 3"],
-    device_rotation: Float[np.ndarray, "m 4"],
-) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Float[np.ndarray, " n"]]:
-    """Rows that are found exactly once, where they are found, and every row's distance to the nearest one.
-
-    Bit-identical positions go before close ones; a row with several candidates of the same kind is dropped.
-    """
-    count = min(_NEAREST, len(device_position))
-    distance, index = KDTree(device_position).query(position, k=count)
-    distance = distance.reshape(len(position), count)
-    index = index.reshape(len(position), count)
-    turned = Rotation.from_quat(device_rotation[index.ravel()], scalar_first=True).inv() * Rotation.from_quat(
-        np.repeat(rotation, count, axis=0), scalar_first=True
-    )
-    near = (distance < _SAME_POSITION) & (turned.magnitude().reshape(distance.shape) < _SAME_ROTATION)
-    exact = near & (distance == 0.0)
-    candidates = np.where(exact.any(axis=1, keepdims=True), exact, near)
-    found = np.flatnonzero(candidates.sum(axis=1) == 1)
-    return found, index[found, candidates[found].argmax(axis=1)], distance[:, 0]
-
-
 def _with_drift(
     seconds: Float[np.ndarray, " k"], low: Float[np.ndarray, " k"], high: Float[np.ndarray, " k"]
 ) -> tuple[float, float, float]:
@@ -207,7 +195,17 @@ def recording_from_hot3d(
         RecordingUnusable: if the clocks cannot be aligned.
         StreamsDoNotOverlap: if ground truth, glasses and gaze share no instant.
     """
-    clock = _align(readings)
+    headset = readings.headset
+    device = readings.mps.trajectory
+    clock = match_clocks(
+        headset.time_ns,
+        headset.position,
+        headset.rotation,
+        device.time_us * 1000,
+        device.position,
+        device.rotation,
+        recording=readings.recording_id,
+    )
     # All poses were needed to align the clocks; from here on those around the gaze times suffice.
     mps = _on_truth_clock(thinned(readings.mps), clock)
     streams = mps_streams(mps, world_from_source=Y_UP_FROM_Z_UP)
@@ -223,8 +221,26 @@ def recording_from_hot3d(
         for entry in readings.objects
     )
     span = float(readings.headset.time_ns[0] / 1e9), float(readings.headset.time_ns[-1] / 1e9)
-    _check_overlap(readings, span, streams)
+    ranges = {"ground truth": span} | stream_ranges({"glasses": streams.head.times, "gaze": streams.gaze.times})
+    starts, ends = zip(*((entry.rows.time_ns[0], entry.rows.time_ns[-1]) for entry in readings.objects), strict=True)
+    ranges["objects"] = float(min(starts) / 1e9), float(max(ends) / 1e9)
+    require_overlap(ranges, recording=readings.recording_id)
     source = manifest.body
+    # Tell the user what is unusual about these readings.
+    remarks = []
+    if frames.skipped_start:
+        remarks.append(f"no mask_qa_pass: the first {frames.skipped_start} s of objects and hands are not used")
+    bad = int((~readings.masks["qa_pass"].good).sum()) if frames.has_qa else 0
+    if bad:
+        remarks.append(f"{bad} of {len(readings.masks['qa_pass'].good)} frames fail the quality check and are invalid")
+    without = [entry.name for entry in readings.objects if entry.mesh is None]
+    if without:
+        remarks.append(f"objects without a model, whose box is their origin as a point: {', '.join(sorted(without))}")
+    most = max(int(hot3d.first_of_pairs(entry.rows.time_ns).sum()) for entry in readings.objects)
+    for entry in readings.objects:
+        share = 1 - int(hot3d.first_of_pairs(entry.rows.time_ns).sum()) / most
+        if share > 0.2:
+            remarks.append(f"{entry.name} lacks {share:.0%} of its poses")
     return Recording(
         dataset=dataset,
         recording_id=readings.recording_id,
@@ -247,22 +263,8 @@ def recording_from_hot3d(
             *(readings.body.messages if readings.body is not None else ()),
             clock.remark,
             *hand_remarks,
-            *_remarks(readings, frames),
+            *tuple(remarks),
         ),
-    )
-
-
-def _align(readings: hot3d.Hot3dReadings) -> ClockMatch:
-    headset = readings.headset
-    device = readings.mps.trajectory
-    return match_clocks(
-        headset.time_ns,
-        headset.position,
-        headset.rotation,
-        device.time_us * 1000,
-        device.position,
-        device.rotation,
-        recording=readings.recording_id,
     )
 
 
@@ -330,7 +332,10 @@ def hand_streams(
         if hand.vertices.shape[1]:
             points = y_up(hand.vertices).astype(np.float32)
             streams.append(HandStream(hand.side, "hand_vertex", times, points, valid))
-    return tuple(streams), _hand_remarks(posed)
+    remarks = [f"the {hand.side} hand is never tracked" for hand in posed if len(hand.time_ns) == 0]
+    if any(len(hand.time_ns) and hand.vertices.shape[1] == 0 for hand in posed):
+        remarks.append(f"no {hot3d.PROFILE_FILE}: hands are wrists only; the in-hand rule `wrist` needs no more")
+    return tuple(streams), tuple(remarks)
 
 
 def umetrack_points(rows: hot3d.HandRows, model: hot3d.HandModel | None) -> hot3d.HandPoints:
@@ -346,13 +351,6 @@ def umetrack_points(rows: hot3d.HandRows, model: hot3d.HandModel | None) -> hot3
             model.vertices, model.weights, bones, position, rotation, mirrored=rows.side == "right"
         )
     return hot3d.HandPoints(rows.side, rows.time_ns[kept], position, vertices)
-
-
-def _hand_remarks(posed: Sequence[hot3d.HandPoints]) -> tuple[str, ...]:
-    remarks = [f"the {hand.side} hand is never tracked" for hand in posed if len(hand.time_ns) == 0]
-    if any(len(hand.time_ns) and hand.vertices.shape[1] == 0 for hand in posed):
-        remarks.append(f"no {hot3d.PROFILE_FILE}: hands are wrists only; the in-hand rule `wrist` needs no more")
-    return tuple(remarks)
 
 
 def object_track(
@@ -391,29 +389,3 @@ def _occluder(entry: hot3d.Hot3dObject) -> Occluder | None:
     if entry.mesh is None:
         return None
     return Occluder(entry.name, entry.mesh.vertices, entry.mesh.faces, entry.object_id)
-
-
-def _check_overlap(readings: hot3d.Hot3dReadings, span: tuple[float, float], streams: MpsStreams) -> None:
-    ranges = {"ground truth": span} | stream_ranges({"glasses": streams.head.times, "gaze": streams.gaze.times})
-    starts, ends = zip(*((entry.rows.time_ns[0], entry.rows.time_ns[-1]) for entry in readings.objects), strict=True)
-    ranges["objects"] = float(min(starts) / 1e9), float(max(ends) / 1e9)
-    require_overlap(ranges, recording=readings.recording_id)
-
-
-def _remarks(readings: hot3d.Hot3dReadings, frames: GoodFrames) -> tuple[str, ...]:
-    """Tell the user what is unusual about these readings."""
-    remarks = []
-    if frames.skipped_start:
-        remarks.append(f"no mask_qa_pass: the first {frames.skipped_start} s of objects and hands are not used")
-    bad = int((~readings.masks["qa_pass"].good).sum()) if frames.has_qa else 0
-    if bad:
-        remarks.append(f"{bad} of {len(readings.masks['qa_pass'].good)} frames fail the quality check and are invalid")
-    without = [entry.name for entry in readings.objects if entry.mesh is None]
-    if without:
-        remarks.append(f"objects without a model, whose box is their origin as a point: {', '.join(sorted(without))}")
-    most = max(int(hot3d.first_of_pairs(entry.rows.time_ns).sum()) for entry in readings.objects)
-    for entry in readings.objects:
-        share = 1 - int(hot3d.first_of_pairs(entry.rows.time_ns).sum()) / most
-        if share > 0.2:
-            remarks.append(f"{entry.name} lacks {share:.0%} of its poses")
-    return tuple(remarks)

@@ -389,13 +389,60 @@ def read_readings(found: RecordingFiles, manifest: Manifest, *, meshes: bool = F
     """
     paths = {part: found.require(part, f"{found.recording_id}_{part}.hdf5") for part in mogaze.PARTS}
     human, objects, gaze, segmentations = (paths[part] for part in mogaze.PARTS)
-    state, fixed, participant = _read_human(human)
+    with opened(human) as file:
+        entry = dataset(human, file, mogaze.HUMAN_DATASET)
+        table = numbers(human, entry, columns=len(mogaze.STATE_COLUMNS))
+        names = words(attribute(human, entry, mogaze.COLUMNS_ATTRIBUTE))
+        keys = words(attribute(human, entry, mogaze.FIXED_KEYS_ATTRIBUTE))
+        values = number_attribute(human, entry, mogaze.FIXED_VALUES_ATTRIBUTE).ravel()
+        participant = str(entry.attrs.get(mogaze.PARTICIPANT_ATTRIBUTE, ""))
+    if len(names) != table.shape[1]:
+        raise InputFileError(
+            human,
+            mogaze.COLUMNS_ATTRIBUTE,
+            expected=f"a name for each of the {table.shape[1]} columns",
+            found=f"{len(names)} names",
+            remedy="Copy or download the file again.",
+        )
+    _require(human, mogaze.COLUMNS_ATTRIBUTE, mogaze.STATE_COLUMNS, names)
+    fixed = dict(zip(keys, values.tolist(), strict=False))
+    _require(human, mogaze.FIXED_KEYS_ATTRIBUTE, sorted(mogaze.MODEL_OFFSETS), list(fixed))
+    if len(table) < 2:
+        raise InputFileError(
+            human, _named_dataset(mogaze.HUMAN_DATASET), expected="frames of a body", found=f"{len(table)}"
+        )
+    state, fixed, participant = table[:, [names.index(name) for name in mogaze.STATE_COLUMNS]], fixed, participant
     poses = _read_poses(objects)
     scene_file = found.path(SCENE)
     scene = {} if scene_file is None else read_scene(scene_file)
-    bodies = _named(objects, poses, scene)
+    # Bodies by id: the scene's, else by their order, else without a name of their own.
+    if scene:
+        bodies = {key: scene.get(key, SceneBody(f"body_{key}", None)) for key in poses}
+    else:
+        names = mogaze.BODIES_WITHOUT_SCENE if len(poses) == len(mogaze.BODIES_WITHOUT_SCENE) else ()
+        bodies = {key: SceneBody(names[index] if names else f"body_{key}", None) for index, key in enumerate(poses)}
+    if all(body.name != mogaze.GOGGLES for body in bodies.values()):
+        raise InputFileError(
+            objects,
+            mogaze.OBJECT_GROUP,
+            expected=f"a body that {mogaze.SCENE_FILE} calls '{mogaze.GOGGLES}'",
+            found=", ".join(f"{key} ({body.name})" for key, body in bodies.items()) or "no body",
+            remedy=f"Gaze starts at the goggles. Put {mogaze.SCENE_FILE} of the dataset beside the file.",
+        )
     naming = "" if scene else f"no {mogaze.SCENE_FILE}: the bodies have their names by the order of their keys"
-    points, confidence, calibration = _read_gaze(gaze)
+    with opened(gaze) as file:
+        entry = dataset(gaze, file, mogaze.GAZE_DATASET)
+        table = numbers(gaze, entry, columns=mogaze.FEWEST_GAZE_COLUMNS)
+        calibration = number_attribute(gaze, entry, mogaze.CALIBRATION_ATTRIBUTE).ravel()
+    if len(calibration) != 4 or not abs(np.linalg.norm(calibration) - 1) < 0.01:
+        raise InputFileError(
+            gaze,
+            mogaze.CALIBRATION_ATTRIBUTE,
+            expected="a quaternion of length 1",
+            found=np.array2string(calibration, precision=3),
+            remedy="Copy or download the file again.",
+        )
+    points, confidence, calibration = table[:, mogaze.GAZE_POINT], table[:, -1], calibration
     lengths = {"human_data": len(state), "gaze_data": len(points)}
     lengths |= {f"object_data, body {key}": len(rows) for key, rows in poses.items()}
     n, unequal = _common_length(found, lengths)
@@ -412,32 +459,6 @@ def read_readings(found: RecordingFiles, manifest: Manifest, *, meshes: bool = F
         segments=_read_segments(segmentations),
         messages=tuple(text for text in (naming, unequal) if text),
     )
-
-
-def _read_human(path: Path) -> tuple[Float[np.ndarray, "n 66"], dict[str, float], str]:
-    with opened(path) as file:
-        entry = dataset(path, file, mogaze.HUMAN_DATASET)
-        table = numbers(path, entry, columns=len(mogaze.STATE_COLUMNS))
-        names = words(attribute(path, entry, mogaze.COLUMNS_ATTRIBUTE))
-        keys = words(attribute(path, entry, mogaze.FIXED_KEYS_ATTRIBUTE))
-        values = number_attribute(path, entry, mogaze.FIXED_VALUES_ATTRIBUTE).ravel()
-        participant = str(entry.attrs.get(mogaze.PARTICIPANT_ATTRIBUTE, ""))
-    if len(names) != table.shape[1]:
-        raise InputFileError(
-            path,
-            mogaze.COLUMNS_ATTRIBUTE,
-            expected=f"a name for each of the {table.shape[1]} columns",
-            found=f"{len(names)} names",
-            remedy="Copy or download the file again.",
-        )
-    _require(path, mogaze.COLUMNS_ATTRIBUTE, mogaze.STATE_COLUMNS, names)
-    fixed = dict(zip(keys, values.tolist(), strict=False))
-    _require(path, mogaze.FIXED_KEYS_ATTRIBUTE, sorted(mogaze.MODEL_OFFSETS), list(fixed))
-    if len(table) < 2:
-        raise InputFileError(
-            path, _named_dataset(mogaze.HUMAN_DATASET), expected="frames of a body", found=f"{len(table)}"
-        )
-    return table[:, [names.index(name) for name in mogaze.STATE_COLUMNS]], fixed, participant
 
 
 def _named_dataset(name: str) -> str:
@@ -475,24 +496,6 @@ def _read_poses(path: Path) -> dict[int, Float[np.ndarray, "n 7"]]:
     return poses
 
 
-def _named(path: Path, poses: dict[int, Float[np.ndarray, "n 7"]], scene: dict[int, SceneBody]) -> dict[int, SceneBody]:
-    """Bodies by id: the scene's, else by their order, else without a name of their own."""
-    if scene:
-        bodies = {key: scene.get(key, SceneBody(f"body_{key}", None)) for key in poses}
-    else:
-        names = mogaze.BODIES_WITHOUT_SCENE if len(poses) == len(mogaze.BODIES_WITHOUT_SCENE) else ()
-        bodies = {key: SceneBody(names[index] if names else f"body_{key}", None) for index, key in enumerate(poses)}
-    if all(body.name != mogaze.GOGGLES for body in bodies.values()):
-        raise InputFileError(
-            path,
-            mogaze.OBJECT_GROUP,
-            expected=f"a body that {mogaze.SCENE_FILE} calls '{mogaze.GOGGLES}'",
-            found=", ".join(f"{key} ({body.name})" for key, body in bodies.items()) or "no body",
-            remedy=f"Gaze starts at the goggles. Put {mogaze.SCENE_FILE} of the dataset beside the file.",
-        )
-    return bodies
-
-
 def _body(
     key: int, rows: Float[np.ndarray, "n 7"], body: SceneBody, manifest: Manifest, *, meshes: bool
 ) -> mogaze.MogazeBody:
@@ -513,22 +516,6 @@ def _body(
         vertices=vertices if meshes else None,
         faces=faces if meshes else None,
     )
-
-
-def _read_gaze(path: Path) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"], Float[np.ndarray, "4"]]:
-    with opened(path) as file:
-        entry = dataset(path, file, mogaze.GAZE_DATASET)
-        table = numbers(path, entry, columns=mogaze.FEWEST_GAZE_COLUMNS)
-        calibration = number_attribute(path, entry, mogaze.CALIBRATION_ATTRIBUTE).ravel()
-    if len(calibration) != 4 or not abs(np.linalg.norm(calibration) - 1) < 0.01:
-        raise InputFileError(
-            path,
-            mogaze.CALIBRATION_ATTRIBUTE,
-            expected="a quaternion of length 1",
-            found=np.array2string(calibration, precision=3),
-            remedy="Copy or download the file again.",
-        )
-    return table[:, mogaze.GAZE_POINT], table[:, -1], calibration
 
 
 def _read_segments(path: Path) -> tuple[mogaze.Segment, ...]:

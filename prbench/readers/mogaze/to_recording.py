@@ -60,14 +60,32 @@ def recording_from_mogaze(
         legacy_gaze: See :func:`prbench.readers.mogaze.format.gaze_directions`.
     """
     times = np.arange(len(readings.state)) / mogaze.RATE
-    body, world_from_source, head_link = _body(times, readings, manifest, joint_mapping)
+    # The wearer's body, the world that it stands in, and the rotations of its head link.
+    links, turned = mogaze.forward_kinematics(readings.state, mogaze.link_offsets(readings.fixed))
+    named = manifest.body.joint_mapping if joint_mapping == "anatomical" else manifest.body.other_mappings["named"]
+    native_joints = mogaze.body_joints(links, named)
+    plausible = plausible_body_frames(times, native_joints)
+    # Toes of implausible frames would tell a floor that is not there.
+    world_from_source = _world_from_source(links[plausible], manifest)
+    joints = hold_neighbours(transform_points(world_from_source, native_joints), plausible)
+    head_link = turned[:, mogaze.LINKS.index("head")]
+    body, world_from_source, head_link = BodyStream(times, joints, plausible), world_from_source, head_link
     goggles = next(each for each in readings.bodies if each.name == mogaze.GOGGLES)
-    head = _head(times, goggles, world_from_source, head_link)
+    # The goggles' poses, turned as the head is: the goggles' own axes mean nothing.
+    tracked = seen(goggles.position, goggles.rotation)
+    position = hold_neighbours(transform_points(world_from_source, goggles.position), tracked)
+    known = np.isfinite(head_link).all(axis=(1, 2))
+    face = np.array(mogaze.HEAD_FROM_CPF)
+    turned = np.where(np.reshape(known, (-1, 1, 1)), head_link, _TO_WORLD.T @ face.T)
+    rotation = Rotation.from_matrix(_TO_WORLD @ turned @ face)
+    head = PoseStream(times, position, rotation.as_quat(canonical=True, scalar_first=True), tracked & known)
     directions, usable, in_metres = _gaze(readings, goggles, manifest, legacy=legacy_gaze)
     gaze = GazeStream(times, head.position, directions, usable)
     bodies = [each for each in readings.bodies if each is not goggles]
     tracks = tuple(_track(times, each, world_from_source) for each in bodies)
     events, skipped = annotated_events(readings.segments, tracks, body, int(manifest.thresholds["rest_window"]))
+    # Tell the user about options that change what the recording means.
+    mapping = (f"joint mapping '{joint_mapping}' instead of 'anatomical'",) if joint_mapping != "anatomical" else ()
     return Recording(
         dataset=dataset,
         recording_id=readings.recording_id,
@@ -96,27 +114,9 @@ def recording_from_mogaze(
             *readings.messages,
             *_remarks(world_from_source, body, head, gaze, tracks, in_metres=in_metres),
             *skipped,
-            *_choice_remarks(joint_mapping, legacy_gaze=legacy_gaze),
+            *((*mapping, "gaze by the formula of the dataset's player") if legacy_gaze else mapping),
         ),
     )
-
-
-def _body(
-    times: Float[np.ndarray, " n"],
-    readings: mogaze.MogazeReadings,
-    manifest: Manifest,
-    joint_mapping: JointMapping,
-) -> tuple[BodyStream, Float[np.ndarray, "4 4"], Float[np.ndarray, "n 3 3"]]:
-    """The wearer's body, the world that it stands in, and the rotations of its head link."""
-    links, turned = mogaze.forward_kinematics(readings.state, mogaze.link_offsets(readings.fixed))
-    named = manifest.body.joint_mapping if joint_mapping == "anatomical" else manifest.body.other_mappings["named"]
-    native_joints = mogaze.body_joints(links, named)
-    plausible = plausible_body_frames(times, native_joints)
-    # Toes of implausible frames would tell a floor that is not there.
-    world_from_source = _world_from_source(links[plausible], manifest)
-    joints = hold_neighbours(transform_points(world_from_source, native_joints), plausible)
-    head_link = turned[:, mogaze.LINKS.index("head")]
-    return BodyStream(times, joints, plausible), world_from_source, head_link
 
 
 def _world_from_source(links: Float[np.ndarray, "n 21 3"], manifest: Manifest) -> Float[np.ndarray, "4 4"]:
@@ -129,22 +129,6 @@ def _world_from_source(links: Float[np.ndarray, "n 21 3"], manifest: Manifest) -
         if abs(lowest) > manifest.thresholds["floor_tolerance"]:
             world_from_source[1, 3] = -lowest
     return world_from_source
-
-
-def _head(
-    times: Float[np.ndarray, " n"],
-    goggles: mogaze.MogazeBody,
-    world_from_source: Float[np.ndarray, "4 4"],
-    head_link: Float[np.ndarray, "n 3 3"],
-) -> PoseStream:
-    """Return the goggles' poses, turned as the head is: the goggles' own axes mean nothing."""
-    tracked = seen(goggles.position, goggles.rotation)
-    position = hold_neighbours(transform_points(world_from_source, goggles.position), tracked)
-    known = np.isfinite(head_link).all(axis=(1, 2))
-    face = np.array(mogaze.HEAD_FROM_CPF)
-    turned = np.where(np.reshape(known, (-1, 1, 1)), head_link, _TO_WORLD.T @ face.T)
-    rotation = Rotation.from_matrix(_TO_WORLD @ turned @ face)
-    return PoseStream(times, position, rotation.as_quat(canonical=True, scalar_first=True), tracked & known)
 
 
 def seen(position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, " n"]:
@@ -235,12 +219,6 @@ def _remarks(
     return tuple(remarks)
 
 
-def _choice_remarks(joint_mapping: JointMapping, *, legacy_gaze: bool) -> tuple[str, ...]:
-    """Tell the user about options that change what the recording means."""
-    mapping = (f"joint mapping '{joint_mapping}' instead of 'anatomical'",) if joint_mapping != "anatomical" else ()
-    return (*mapping, "gaze by the formula of the dataset's player") if legacy_gaze else mapping
-
-
 def annotated_events(
     segments: Sequence[Segment], tracks: Sequence[ObjectTrack], body: BodyStream, rest_window: int
 ) -> tuple[tuple[AnnotatedEvent, ...], tuple[str, ...]]:
@@ -259,27 +237,8 @@ def annotated_events(
         The events in the order of time, and what was left out.
     """
     by_name = {track.name: track for track in tracks}
-    carries, remarks = _carries_of(segments, by_name, len(body.times))
-    last = len(body.times) - 1
-    events = []
-    for number, carry in enumerate(carries):
-        track = by_name[carry.label]
-        if carry.start > 0:
-            place = _resting_before(track, carry.start)
-            events.append(_event(f"{number}/pick", "pick", track, carry.start, place, body))
-        if carry.end < last:
-            later = carries[number + 1 :]
-            next_movement = min((other.start for other in later), default=last + 1)
-            moved_again = min((other.start for other in later if other.label == carry.label), default=last + 1)
-            place = _resting_after(track, carry.end, min(carry.end + rest_window, next_movement), moved_again)
-            events.append(_event(f"{number}/put", "put", track, carry.end, place, body))
-    return tuple(events), remarks
-
-
-def _carries_of(
-    segments: Sequence[Segment], labels: dict[str, ObjectTrack], n_frames: int
-) -> tuple[list[Segment], tuple[str, ...]]:
-    """The movements of objects: in order, equal neighbours merged, impossible segments left out with a remark."""
+    # The movements of objects: in order, equal neighbours merged, impossible segments left out with a remark.
+    n_frames = len(body.times)
     remarks = []
     if not segments:
         remarks.append("no segments, so no events")
@@ -290,7 +249,7 @@ def _carries_of(
     previous = ""
     merged = 0
     for segment in ordered:
-        reason = _why_bad(segment, labels, n_frames)
+        reason = _why_bad(segment, by_name, n_frames)
         if reason:
             remarks.append(f"segment {segment.start} to {segment.end} ({segment.label}) is left out: {reason}")
         elif segment.label == previous:
@@ -307,7 +266,21 @@ def _carries_of(
         remarks.append(f"{kept[0].label} is in hand when the recording begins: no pick")
     if kept and kept[-1].end >= n_frames - 1:
         remarks.append(f"{kept[-1].label} is in hand when the recording ends: no put")
-    return kept, tuple(remarks)
+    carries, remarks = kept, tuple(remarks)
+    last = len(body.times) - 1
+    events = []
+    for number, carry in enumerate(carries):
+        track = by_name[carry.label]
+        if carry.start > 0:
+            place = _resting_before(track, carry.start)
+            events.append(_event(f"{number}/pick", "pick", track, carry.start, place, body))
+        if carry.end < last:
+            later = carries[number + 1 :]
+            next_movement = min((other.start for other in later), default=last + 1)
+            moved_again = min((other.start for other in later if other.label == carry.label), default=last + 1)
+            place = _resting_after(track, carry.end, min(carry.end + rest_window, next_movement), moved_again)
+            events.append(_event(f"{number}/put", "put", track, carry.end, place, body))
+    return tuple(events), remarks
 
 
 def _why_bad(segment: Segment, labels: dict[str, ObjectTrack], n_frames: int) -> str:

@@ -383,7 +383,12 @@ def _used_rows(features: np.ndarray, wanted: int, root: Root, source: str) -> np
 def _decoded(used: np.ndarray, wanted: int, bones: Bones, offsets: np.ndarray) -> np.ndarray:
     joints = decode(used) if bones == "positions" else decode_rotations(used, offsets)
     if wanted > len(used):
-        joints = np.concatenate([joints, _frame_after(used, joints[-1])[None]])
+        # The frame to which the joint velocities of the last row lead.
+        last = joints[-1]
+        yaw = 2 * used[:-1, ROOT_YAW_VELOCITY].sum(axis=0)
+        world_from_heading = yaw_matrices(np.cos(yaw), -np.sin(yaw))[0]
+        step = used[-1, JOINT_VELOCITIES].reshape(N_JOINTS, 3) @ world_from_heading.T
+        joints = np.concatenate([joints, (last + step).astype(np.float32)[None]])
     return joints
 
 
@@ -406,11 +411,3 @@ def relative_root(features: Float[np.ndarray, "rows 263"]) -> Float[np.ndarray, 
     seen = yaw_matrices(np.cos(2 * heading[1:]), np.sin(2 * heading[1:])) @ walked[..., None]
     steps[:-1, ROOT_LINEAR_VELOCITY], steps[-1, ROOT_LINEAR_VELOCITY] = seen[:, ::2, 0], 0.0
     return steps
-
-
-def _frame_after(features: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """The frame to which the joint velocities of the last row lead."""
-    yaw = 2 * features[:-1, ROOT_YAW_VELOCITY].sum(axis=0)
-    world_from_heading = yaw_matrices(np.cos(yaw), -np.sin(yaw))[0]
-    step = features[-1, JOINT_VELOCITIES].reshape(N_JOINTS, 3) @ world_from_heading.T
-    return (last + step).astype(np.float32)

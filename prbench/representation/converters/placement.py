@@ -267,7 +267,16 @@ def front_of_legs(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True
     across = joints[:, Joint.LEFT_HIP] - joints[:, Joint.RIGHT_HIP]
     across = across + joints[:, Joint.LEFT_SHOULDER] - joints[:, Joint.RIGHT_SHOULDER]
     front = np.stack([-across[:, 2], across[:, 0]], axis=-1)
-    pointers = [_knee_bends(joints)]
+    # Sum over both legs of the knee's offset from the line between hip and ankle (frames, 3).
+    bends = np.zeros((len(joints), 3))
+    for hip, knee, ankle in (
+        (Joint.LEFT_HIP, Joint.LEFT_KNEE, Joint.LEFT_ANKLE),
+        (Joint.RIGHT_HIP, Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE),
+    ):
+        leg = joints[:, ankle] - joints[:, hip]
+        part = ((joints[:, knee] - joints[:, hip]) * leg).sum(axis=-1) / np.maximum((leg**2).sum(axis=-1), 1e-12)
+        bends += joints[:, knee] - joints[:, hip] - part[:, None] * leg
+    pointers = [bends]
     if feet:
         pointers += [joints[:, Joint.LEFT_FOOT] - joints[:, Joint.LEFT_ANKLE]]
         pointers += [joints[:, Joint.RIGHT_FOOT] - joints[:, Joint.RIGHT_ANKLE]]
@@ -302,19 +311,6 @@ def check_sides(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True, 
             remedy="Left and right joints are exchanged, or the world is left-handed: check the order of the joints,"
             " then say left_handed=True.",
         )
-
-
-def _knee_bends(joints: np.ndarray) -> np.ndarray:
-    """Sum over both legs of the knee's offset from the line between hip and ankle (frames, 3)."""
-    bends = np.zeros((len(joints), 3))
-    for hip, knee, ankle in (
-        (Joint.LEFT_HIP, Joint.LEFT_KNEE, Joint.LEFT_ANKLE),
-        (Joint.RIGHT_HIP, Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE),
-    ):
-        leg = joints[:, ankle] - joints[:, hip]
-        part = ((joints[:, knee] - joints[:, hip]) * leg).sum(axis=-1) / np.maximum((leg**2).sum(axis=-1), 1e-12)
-        bends += joints[:, knee] - joints[:, hip] - part[:, None] * leg
-    return bends
 
 
 Height = Literal["pelvis", "floor"]

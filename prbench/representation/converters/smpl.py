@@ -512,7 +512,25 @@ class SmplxModel:
             import torch
         except ImportError as error:
             raise MissingExtraError("smplx", "smplx", "the SMPL converter through smplx") from error
-        arrays = _model_arrays(model)
+        arrays = read_plain_arrays(model, _BODY, (*_HANDS, *_FACE))
+        joints = arrays[REGRESSOR].shape[0] if arrays[REGRESSOR].ndim == 2 else 0
+        needed = {SMPL_JOINTS: (), SMPLH_JOINTS: _HANDS, SMPLX_JOINTS: (*_HANDS, *_FACE)}
+        if joints not in needed:
+            raise InputFileError(
+                model,
+                REGRESSOR,
+                expected="a regressor of 24 (SMPL), 52 (SMPL-H) or 55 (SMPL-X) joints",
+                found=str(arrays[REGRESSOR].shape),
+            )
+        missing = [name for name in needed[joints] if name not in arrays]
+        if missing:
+            raise InputFileError(
+                model,
+                "",
+                expected=f"an array '{missing[0]}', which smplx wants of a model of {joints} joints",
+                found="none",
+                remedy="smpl_joints needs no hands and no face.",
+            )
         with contextlib.redirect_stdout(io.StringIO()):  # it prints warnings, and stdout may belong to a protocol
             return cls(_layer(smplx, torch, arrays))
 
@@ -561,29 +579,6 @@ class SmplxModel:
                 **face,
             )
         return posed.joints[:, :N_JOINTS].numpy()
-
-
-def _model_arrays(model: Path) -> dict[str, np.ndarray]:
-    arrays = read_plain_arrays(model, _BODY, (*_HANDS, *_FACE))
-    joints = arrays[REGRESSOR].shape[0] if arrays[REGRESSOR].ndim == 2 else 0
-    needed = {SMPL_JOINTS: (), SMPLH_JOINTS: _HANDS, SMPLX_JOINTS: (*_HANDS, *_FACE)}
-    if joints not in needed:
-        raise InputFileError(
-            model,
-            REGRESSOR,
-            expected="a regressor of 24 (SMPL), 52 (SMPL-H) or 55 (SMPL-X) joints",
-            found=str(arrays[REGRESSOR].shape),
-        )
-    missing = [name for name in needed[joints] if name not in arrays]
-    if missing:
-        raise InputFileError(
-            model,
-            "",
-            expected=f"an array '{missing[0]}', which smplx wants of a model of {joints} joints",
-            found="none",
-            remedy="smpl_joints needs no hands and no face.",
-        )
-    return arrays
 
 
 def _layer(smplx: Any, torch: Any, arrays: dict[str, np.ndarray]) -> Any:

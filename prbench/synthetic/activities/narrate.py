@@ -504,9 +504,20 @@ def _goal_facts(performance: Performance, event: TrueEvent, since: float) -> Fac
     """
     first, last = np.searchsorted(performance.times, [since, event.event_time])
     joints = performance.joints[first : max(int(last), int(first) + 2)]
+    # The furniture under the goal, and whether it is low or high.
+    bottom = event.goal.copy()
+    bottom[1] = event.box_min[1]
+    surfaces = [item for item in performance.objects if not item.movable and len(item.position) == 1]
+    nearest = min(surfaces, key=lambda item: _distance_to_top(item, bottom), default=None)
+    name = "surface" if nearest is None else nearest.category.removeprefix("low ").removeprefix("high ")
+    height = ""
+    if bottom[1] < _LOW:
+        height = "low "
+    elif bottom[1] > _HIGH:
+        height = "high "
     slots = {
         "thing": f"the {spoken_name(event.object_name)}",
-        "place": _place(performance, event),
+        "place": f"the {height}{name}",
         "hand": f"the {event.hand} hand",
         "side": _side(joints, event),
         "manner": _manner(joints, event),
@@ -522,21 +533,6 @@ def spoken_name(name: str) -> str:
     if len(words) == 2 and words[1] in colours:
         words.reverse()
     return " ".join(words)
-
-
-def _place(performance: Performance, event: TrueEvent) -> str:
-    """Return the furniture under the goal, and whether it is low or high."""
-    bottom = event.goal.copy()
-    bottom[1] = event.box_min[1]
-    surfaces = [item for item in performance.objects if not item.movable and len(item.position) == 1]
-    nearest = min(surfaces, key=lambda item: _distance_to_top(item, bottom), default=None)
-    name = "surface" if nearest is None else nearest.category.removeprefix("low ").removeprefix("high ")
-    height = ""
-    if bottom[1] < _LOW:
-        height = "low "
-    elif bottom[1] > _HIGH:
-        height = "high "
-    return f"the {height}{name}"
 
 
 def _distance_to_top(item: ObjectMotion, point: np.ndarray) -> float:

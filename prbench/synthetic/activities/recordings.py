@@ -110,7 +110,19 @@ def act_out(preset: Preset, script: Script, rate: float, rng: np.random.Generato
     body = script.person.body
     drop = (standing_pelvis_height(body) - seated_pelvis_height(body)) / body.leg
     bending = Bending(lean, crouch + drop * seated, channels[:, 2])
-    looks = _all_looks(script, feet_base, seated, times, rng)
+    # The looks of the activities, and looks ahead in between.
+    looks: list[Look] = []
+    now = 0.0
+    last = Look(float(times[-1]), float(times[-1]), np.zeros(3), False, None)
+    for planned in (*sorted(script.looks, key=lambda look: look.start), last):
+        while planned.start - now > 1e-9:
+            length = min(float(np.clip(0.7 * np.exp(0.4 * rng.standard_normal()), 0.3, 1.6)), planned.start - now)
+            looks.append(Look(now, now + length, _ahead(script, feet_base, seated, times, now, rng), False, None))
+            now += length
+        if planned is not last:
+            looks.append(planned)
+            now = planned.end
+    looks = tuple(looks)
     gaze = GazePlan(looks, (), ())
     rough = move_trunk(plan, base, bending, sway, feet, steps, times, None)
     eye = rough.neck + np.array([0.0, 0.06, 0.0]) * person.body.stature
@@ -126,24 +138,6 @@ def _sat_back(base: BasePath, seated: np.ndarray, stature: float) -> BasePath:
     """Move the pelvis back onto the seat; the feet stay."""
     back = _SEAT_BACK * stature * seated
     return replace(base, x=base.x - back * np.sin(base.heading), z=base.z - back * np.cos(base.heading))
-
-
-def _all_looks(
-    script: Script, base: BasePath, seated: np.ndarray, times: np.ndarray, rng: np.random.Generator
-) -> tuple[Look, ...]:
-    """Return the looks of the activities, and looks ahead in between."""
-    looks: list[Look] = []
-    now = 0.0
-    last = Look(float(times[-1]), float(times[-1]), np.zeros(3), False, None)
-    for planned in (*sorted(script.looks, key=lambda look: look.start), last):
-        while planned.start - now > 1e-9:
-            length = min(float(np.clip(0.7 * np.exp(0.4 * rng.standard_normal()), 0.3, 1.6)), planned.start - now)
-            looks.append(Look(now, now + length, _ahead(script, base, seated, times, now, rng), False, None))
-            now += length
-        if planned is not last:
-            looks.append(planned)
-            now = planned.end
-    return tuple(looks)
 
 
 def _ahead(

@@ -33,7 +33,7 @@ from prbench.synthetic.people.person import PRESETS, Person, Preset, Trunk, draw
 from prbench.synthetic.people.plan import OPENING, Plan, plan_recording, shares_for
 from prbench.synthetic.people.reaching import Posture, shoulder_in_posture, solve_posture
 from prbench.synthetic.people.truth import Scene, events_of_others, move_objects, true_events
-from prbench.synthetic.people.walking import BasePath, Feet, Legs, place_feet, plan_steps, pose_legs, sample_base
+from prbench.synthetic.people.walking import BasePath, Feet, place_feet, plan_steps, pose_legs, sample_base
 from prbench.synthetic.people.world import Room, Source, World, assign, draw_room, seated
 from prbench.synthetic.performance import Fixation, ObjectMotion, OtherPerson, Performance
 
@@ -169,31 +169,14 @@ def assemble(
     joints[:, [Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER]] = np.stack(trunk.shoulders, axis=1)
     joints[:, [Joint.LEFT_ELBOW, Joint.RIGHT_ELBOW]] = arms.elbow
     joints[:, [Joint.LEFT_WRIST, Joint.RIGHT_WRIST]] = arms.wrist
-    return Motion(
-        joints=joints,
-        rotations=_rotations(trunk, legs, arms, feet, rotation_quaternion(neck_yaw, neck_pitch), head_rotation, hands),
-        head=head,
-        head_rotation=head_rotation,
-        eye=eye,
-        hands=hands,
-        finger_bases=arms.wrist + body.hand * hands[..., 1],
-        planted=feet.planted,
-        base=base,
-        gaze_plan=gaze_plan,
-        misses=misses,
-    )
-
-
-def _rotations(
-    trunk: Trunk, legs: Legs, arms: Arms, feet: Feet, neck: np.ndarray, head: np.ndarray, hands: np.ndarray
-) -> Float[np.ndarray, "n 22 4"]:
-    """Return world from segment at each joint: trunk and feet y up, limbs y along the bone, x the hinge."""
-    turned = np.empty((len(head), N_JOINTS, 4))
+    # World from segment at each joint: trunk and feet y up, limbs y along the bone, x the hinge.
+    neck = rotation_quaternion(neck_yaw, neck_pitch)
+    turned = np.empty((len(head_rotation), N_JOINTS, 4))
     for joint, yaw, pitch in zip(
         (Joint.PELVIS, Joint.SPINE1, Joint.SPINE2, Joint.SPINE3), trunk.yaws, trunk.pitches, strict=True
     ):
         turned[:, joint] = rotation_quaternion(yaw, pitch)
-    turned[:, Joint.NECK], turned[:, Joint.HEAD] = neck, head
+    turned[:, Joint.NECK], turned[:, Joint.HEAD] = neck, head_rotation
     hips = np.stack(trunk.hips, axis=1)
     shoulders = np.stack(trunk.shoulders, axis=1)
     knee_hinge = np.cross(legs.knee - hips, legs.ankle - legs.knee)
@@ -215,7 +198,19 @@ def _rotations(
             frame_of_bone(arms.wrist[:, side] - arms.elbow[:, side], arms.hinge[:, side])
         )
         turned[:, Joint.LEFT_WRIST + side] = quaternion(hands[:, side])
-    return turned
+    return Motion(
+        joints=joints,
+        rotations=turned,
+        head=head,
+        head_rotation=head_rotation,
+        eye=eye,
+        hands=hands,
+        finger_bases=arms.wrist + body.hand * hands[..., 1],
+        planted=feet.planted,
+        base=base,
+        gaze_plan=gaze_plan,
+        misses=misses,
+    )
 
 
 _EVENTS = 2
@@ -276,8 +271,25 @@ def perform(
     room = draw_room(constants, f"R{assigned.room:03d}", room_rng, bystander_objects)
     shares = shares_for(constants, provocations)
     plan, motion, times = _acted(constants, source, room, person, index, n_events, rate, shares)
-    gaze_plan, gaze = _looked(source, index, plan, motion, times)
-    ids = _object_ids(source, index, len(plan.items) + _OTHERS_OBJECTS)
+    # The true gaze, after moving fills that would prime a goal too early; the head stays as it was.
+    gaze_plan = motion.gaze_plan
+    shifts = source.generator("recording", index, "repair")
+    gaze = np.empty((0, 3))
+    for left in reversed(range(_REPAIRS + 1)):
+        gaze = move_eyes(gaze_plan.looks, motion.head, motion.eye, times, source.generator("recording", index, "eye"))
+        better = repaired(plan, gaze_plan, motion.eye, gaze, times, shifts) if left else gaze_plan
+        if better is gaze_plan:
+            break
+        gaze_plan = better
+    # Draw ids of sixteen decimal digits, distinct within the recording.
+    count = len(plan.items) + _OTHERS_OBJECTS
+    rng = source.generator("object", index, "id")
+    numbers: list[int] = []
+    while len(numbers) < count:
+        number = int(rng.integers(10**15, 9 * 10**15))
+        if number not in numbers:
+            numbers.append(number)
+    ids = [str(number) for number in numbers]
     objects = move_objects(plan, motion.joints[:, 20:22], motion.hands, times, ids[:-_OTHERS_OBJECTS])
     recording_id = name_of_recording(preset, seed, index)
     scene = Scene(times, motion.joints, motion.eye, gaze)
@@ -345,31 +357,6 @@ def _acted(
             break
         acted = act(attempt)
     return acted
-
-
-def _looked(source: Source, index: int, plan: Plan, motion: Motion, times: np.ndarray) -> tuple[GazePlan, np.ndarray]:
-    """Return the true gaze, after moving fills that would prime a goal too early; the head stays as it was."""
-    gaze_plan = motion.gaze_plan
-    shifts = source.generator("recording", index, "repair")
-    gaze = np.empty((0, 3))
-    for left in reversed(range(_REPAIRS + 1)):
-        gaze = move_eyes(gaze_plan.looks, motion.head, motion.eye, times, source.generator("recording", index, "eye"))
-        better = repaired(plan, gaze_plan, motion.eye, gaze, times, shifts) if left else gaze_plan
-        if better is gaze_plan:
-            break
-        gaze_plan = better
-    return gaze_plan, gaze
-
-
-def _object_ids(source: Source, index: int, count: int) -> list[str]:
-    """Draw ids of sixteen decimal digits, distinct within the recording."""
-    rng = source.generator("object", index, "id")
-    numbers: list[int] = []
-    while len(numbers) < count:
-        number = int(rng.integers(10**15, 9 * 10**15))
-        if number not in numbers:
-            numbers.append(number)
-    return [str(number) for number in numbers]
 
 
 def name_of_recording(preset: str, seed: int, index: int) -> str:
