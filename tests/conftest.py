@@ -14,8 +14,6 @@ import pytest
 
 from tests.shapes import check_array_annotations, unchecked
 
-os.environ.setdefault("PRBENCH_PARSE_CACHE", "off")  # tests leave nothing in the user's cache, and take nothing from it
-
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):  # hundreds of interpreters are started, which would each compile anew
     sys.dont_write_bytecode = False
 

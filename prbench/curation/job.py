@@ -23,7 +23,7 @@ from prbench.engine import is_out_of_memory
 from prbench.errors import InputFileError, PrbenchError
 from prbench.files.arrays import first_repeated
 from prbench.files.bounded import foreign_input
-from prbench.files.storage import text_digest
+from prbench.files.storage import file_digest, text_digest
 from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of, load_manifest
 from prbench.protocol.own_protocol import OPTION
 from prbench.readers import (
@@ -37,7 +37,6 @@ from prbench.readers import (
     require_marked,
     require_one_origin,
 )
-from prbench.readers.parse_cache import remembered_digest
 from prbench.recording import Recording
 from prbench.sequences import parts
 from prbench.sequences.dataset_info import DatasetInfo, FunnelCounts, QuarantinedRecording
@@ -115,7 +114,7 @@ class NativeSource:
     def input_digest(self) -> str:
         """See :class:`RecordingSource`: roles, names and contents of the files, a split of their own, and options."""
         files = sorted(self.found.files, key=lambda file: file.role)
-        digests = {path: remembered_digest(path) for path in {file.path for file in files}}  # many lie in one archive
+        digests = {path: file_digest(path) for path in {file.path for file in files}}  # many lie in one archive
         parts = [text for file in files for text in (file.role, file.path.name, file.member, digests[file.path])]
         chosen = [text for item in described_options(self._reader.options).items() for text in item]
         return text_digest(self.dataset, self.recording_id, self.split or "", *parts, *chosen)

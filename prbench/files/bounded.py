@@ -13,15 +13,63 @@ import contextlib
 import os
 import stat
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
+
+import numpy as np
+from jaxtyping import Bool
 
 from prbench.errors import InputFileError, PrbenchError, UnforeseenInput
 from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LARGEST_FILE, LARGEST_UNPACKED, LONGEST_LINE
 
 _TOO_LARGE = "This is another file, or a damaged one."
 _WELL_KNOWN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+def require(path: Path | str, *checks: tuple[bool | np.bool_, str, str, object, str]) -> None:
+    """Refuse a file at the first of some checks that fails.
+
+    Args:
+        path: The file, for the message.
+        checks: Rows of whether it holds, where in the file, what is expected, what is found, and what to do about it.
+
+    Raises:
+        InputFileError: for the first check that does not hold.
+    """
+    for holds, where, expected, found, remedy in checks:
+        if not holds:
+            raise InputFileError(path, where, expected=expected, found=str(found), remedy=remedy)
+
+
+def require_rows(
+    path: Path | str,
+    bad: Bool[np.ndarray, " n"],
+    expected: str | Callable[[int], str],
+    found: str | Callable[[int], str],
+    *,
+    place: str = "line",
+    first: int = 2,
+    remedy: str = "",
+) -> None:
+    """Refuse a file at the first of its rows that is bad.
+
+    Args:
+        path: The file, for the message.
+        bad: One value a row.
+        expected: What the row should hold; a function of the row's index (from 0) where it depends on the row.
+        found: What it holds instead.
+        place: What a row is called in the message.
+        first: Number of the first row there.
+        remedy: What to do about it.
+
+    Raises:
+        InputFileError: naming the first bad row.
+    """
+    if bad.any():
+        row = int(np.argmax(bad))
+        said = [text if isinstance(text, str) else text(row) for text in (expected, found)]
+        raise InputFileError(path, f"{place} {row + first}", expected=said[0], found=said[1], remedy=remedy)
 
 
 def read_whole(path: Path, *, largest: int = LARGEST_FILE) -> bytes:

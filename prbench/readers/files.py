@@ -10,8 +10,7 @@ import io
 import re
 import zipfile
 import zlib
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast
@@ -28,6 +27,7 @@ from prbench.files.bounded import (
     open_regular,
     read_end,
     read_whole,
+    require_rows,
     require_size,
     require_unpackable,
     too_long_line,
@@ -46,9 +46,6 @@ class ZippedFile:
 
     archive: Path
     member: str
-
-    def __str__(self) -> str:
-        return str(self.shown)
 
     @property
     def shown(self) -> Path:
@@ -90,7 +87,7 @@ def archive_members(archive: Path) -> dict[str, int]:
         ) from error
 
 
-@contextmanager
+@contextlib.contextmanager
 def opened(source: Source) -> Iterator[io.BufferedIOBase]:
     """The bytes of a source as a stream; a damaged archive becomes an error that says what to do.
 
@@ -104,31 +101,28 @@ def opened(source: Source) -> Iterator[io.BufferedIOBase]:
         with open(source, "rb") as file:
             yield file
         return
-    with ExitStack() as stack:
-        file = _opened_member(source, stack)
+    require_size(source.archive, largest=LARGEST_ARCHIVE)
+    expected = "a file that can be unpacked"
+    with contextlib.ExitStack() as stack:
+        try:
+            archive = stack.enter_context(zipfile.ZipFile(source.archive))
+            member = archive.getinfo(source.member)
+            require_unpackable(source.shown, member)
+            file = cast(io.BufferedIOBase, stack.enter_context(archive.open(member)))
+        except KeyError as error:
+            raise InputFileError(
+                source.archive, "", expected=f"the file {source.member} in it", found="none"
+            ) from error
+        except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError) as error:  # the latter two: encrypted
+            raise InputFileError(
+                source.shown, "", expected=expected, found=str(error), remedy=_COPY_ARCHIVE_AGAIN
+            ) from error
         try:
             yield file
         except (zipfile.BadZipFile, zlib.error, EOFError) as error:
-            raise _damaged(source, error) from error
-
-
-def _opened_member(source: ZippedFile, stack: ExitStack) -> io.BufferedIOBase:
-    require_size(source.archive, largest=LARGEST_ARCHIVE)
-    try:
-        archive = stack.enter_context(zipfile.ZipFile(source.archive))
-        member = archive.getinfo(source.member)
-        require_unpackable(source.shown, member)
-        return cast(io.BufferedIOBase, stack.enter_context(archive.open(member)))
-    except KeyError as error:
-        raise InputFileError(source.archive, "", expected=f"the file {source.member} in it", found="none") from error
-    except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError) as error:  # the latter two: encrypted
-        raise _damaged(source, error) from error
-
-
-def _damaged(source: ZippedFile, error: Exception) -> InputFileError:
-    return InputFileError(
-        source.shown, "", expected="a file that can be unpacked", found=str(error), remedy=_COPY_ARCHIVE_AGAIN
-    )
+            raise InputFileError(
+                source.shown, "", expected=expected, found=str(error), remedy=_COPY_ARCHIVE_AGAIN
+            ) from error
 
 
 def read_all(source: Source, *, largest: int = LARGEST_FILE) -> bytes:
@@ -245,7 +239,19 @@ def read_columns(path: Source, columns: Mapping[str, Column]) -> pa.Table:
     try:
         table, tail = _parse(path, types, use_threads=True)
     except pa.ArrowInvalid:
-        table, tail = _parse_naming_row(path, types)
+        # One thread is slower, and knows the row of an error.
+        try:
+            table, tail = _parse(path, types, use_threads=False)
+        except pa.ArrowInvalid as error:
+            found = str(error).splitlines()[0]
+            row = re.search(r"Row #(\d+)", found)
+            raise InputFileError(
+                shown(path),
+                f"line {row[1]}" if row else "",
+                expected="complete lines of comma-separated values of the right kind",
+                found=f"'{found[:160]}'",
+                remedy=_COPY_AGAIN,
+            ) from error
     require_whole_last_line(shown(path), columns, header, tail=tail)
     require_integers(path, table, columns)
     return table
@@ -256,7 +262,7 @@ def arrow_types(columns: Mapping[str, Column]) -> dict[str, pa.DataType]:
     return {name: _ARROW_TYPES[kind] for name, kind in columns.items()}
 
 
-def require_column_names(path: Source, header: list[str], columns: Mapping[str, Column]) -> None:
+def require_column_names(path: Source, header: list[str], columns: Iterable[str]) -> None:
     """Refuse a file that lacks a column.
 
     Raises:
@@ -268,7 +274,7 @@ def require_column_names(path: Source, header: list[str], columns: Mapping[str, 
             shown(path),
             "header",
             expected=f"a column '{missing[0]}'",
-            found=f"the columns {', '.join(header)}",
+            found=f"the columns {', '.join(name or '(unnamed)' for name in header)}",
             remedy="This is another file, or another version of the format.",
         )
 
@@ -280,9 +286,9 @@ def require_integers(path: Source, table: pa.Table, columns: Mapping[str, Column
         InputFileError: naming the first line.
     """
     for name, kind in columns.items():
-        if kind is int and table[name].null_count:
-            row = int(np.flatnonzero(table[name].is_null().to_numpy(zero_copy_only=False))[0])
-            raise InputFileError(shown(path), f"line {row + 2}", expected=f"an integer '{name}'", found="nothing")
+        if kind is int:
+            empty = table[name].is_null().to_numpy()
+            require_rows(shown(path), empty, f"an integer '{name}'", "nothing")
 
 
 def column_vectors(table: pa.Table, names: tuple[str, ...]) -> Float[np.ndarray, "n k"]:
@@ -312,16 +318,15 @@ def require_increasing(
     Raises:
         InputFileError: naming the first row that does not come after the one before it.
     """
-    backwards = np.flatnonzero(np.diff(times) <= 0)
-    if backwards.size:
-        row = int(backwards[0]) + 1
-        raise InputFileError(
-            shown(path),
-            f"{place} {row + first}",
-            expected=f"a time after {times[row - 1]} {unit}",
-            found=f"{times[row]} {unit}",
-            remedy=remedy,
-        )
+    require_rows(
+        shown(path),
+        np.diff(times) <= 0,
+        lambda row: f"a time after {times[row]} {unit}",
+        lambda row: f"{times[row + 1]} {unit}",
+        place=place,
+        first=first + 1,
+        remedy=remedy,
+    )
 
 
 def require_poses(
@@ -346,25 +351,17 @@ def require_poses(
     """
     matters = np.ones(len(position), dtype=bool) if used is None else used
     bad = matters & ~np.isfinite(np.einsum("nk->n", position) + np.einsum("nk->n", rotation))
-    if bad.any():
-        raise InputFileError(
-            shown(path),
-            f"line {int(np.argmax(bad)) + first}",
-            expected="a pose of finite numbers",
-            found="NaN or nothing",
-            remedy="Remove the row, or download the file again.",
-        )
+    remedy = "Remove the row, or download the file again."
+    require_rows(shown(path), bad, "a pose of finite numbers", "NaN or nothing", first=first, remedy=remedy)
     length = np.sqrt(np.einsum("nk,nk->n", rotation, rotation))
-    bad = matters & (np.abs(length - 1) > _QUATERNION_TOLERANCE)
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise InputFileError(
-            shown(path),
-            f"line {row + first}",
-            expected="a quaternion of length 1",
-            found=f"length {length[row]:.4f}",
-            remedy=_COPY_AGAIN,
-        )
+    require_rows(
+        shown(path),
+        matters & (np.abs(length - 1) > _QUATERNION_TOLERANCE),
+        "a quaternion of length 1",
+        lambda row: f"length {length[row]:.4f}",
+        first=first,
+        remedy=_COPY_AGAIN,
+    )
 
 
 @foreign_input()
@@ -484,22 +481,6 @@ def _parse(path: Source, types: Mapping[str, pa.DataType], *, use_threads: bool)
         return pa.Table.from_batches(kept, batches.schema), stream.tail
 
 
-def _parse_naming_row(path: Source, types: Mapping[str, pa.DataType]) -> tuple[pa.Table, bytes | None]:
-    """Parse again in one thread, which is slow but knows the row of an error."""
-    try:
-        return _parse(path, types, use_threads=False)
-    except pa.ArrowInvalid as error:
-        found = str(error).splitlines()[0]
-        row = re.search(r"Row #(\d+)", found)
-        raise InputFileError(
-            shown(path),
-            f"line {row[1]}" if row else "",
-            expected="complete lines of comma-separated values of the right kind",
-            found=f"'{found[:160]}'",
-            remedy=_COPY_AGAIN,
-        ) from error
-
-
 Poses = tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 4"]]
 """Times, positions and rotations of one body."""
 
@@ -537,22 +518,9 @@ def read_poses_by_body(
     times = table[time].to_numpy()
     # Sorted by body alone: rows of one body keep the order of the file, which must be that of time.
     order = np.argsort(codes, kind="stable")
-    _require_clock(path, codes[order], times[order], order, static_time)
-    bounds = np.searchsorted(codes[order], np.arange(1, len(encoded.dictionary)))
-    bodies = zip(encoded.dictionary.to_pylist(), np.split(order, bounds), strict=True) if len(table) else ()
-    return {name: (times[rows], positions[rows], rotations[rows]) for name, rows in bodies}
-
-
-def _require_clock(
-    path: Path,
-    codes: Int[np.ndarray, " n"],
-    times: Int[np.ndarray, " n"],
-    order: Int[np.ndarray, " n"],
-    static_time: int | None,
-) -> None:
-    """Refuse a body whose rows are not in the order of time; rows are grouped by body here."""
-    same_body = np.diff(codes) == 0
-    mixed = np.flatnonzero(same_body & ((times[:-1] == static_time) | (times[1:] == static_time)))
+    grouped = times[order]
+    same_body = np.diff(codes[order]) == 0
+    mixed = np.flatnonzero(same_body & ((grouped[:-1] == static_time) | (grouped[1:] == static_time)))
     if mixed.size:
         raise InputFileError(
             path,
@@ -561,8 +529,10 @@ def _require_clock(
             found=f"both, or two rows of time {static_time}, for one object",
             remedy="Remove one of the rows, or download the file again.",
         )
-    backwards = np.flatnonzero(same_body & (np.diff(times) <= 0))
+    backwards = np.flatnonzero(same_body & (np.diff(grouped) <= 0))
     if backwards.size:
-        earlier = backwards[0]
         later = backwards[0] + 1
-        require_increasing(path, times[earlier : later + 1], unit="ns", first=int(order[later]) + 1)
+        require_increasing(path, grouped[later - 1 : later + 1], unit="ns", first=int(order[later]) + 1)
+    bounds = np.searchsorted(codes[order], np.arange(1, len(encoded.dictionary)))
+    bodies = zip(encoded.dictionary.to_pylist(), np.split(order, bounds), strict=True) if len(table) else ()
+    return {name: (times[rows], positions[rows], rotations[rows]) for name, rows in bodies}

@@ -18,7 +18,6 @@ from prbench.harness.run_folder.predictions.rows import Numbering
 from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LONGEST_LINE, LONGEST_MESSAGE
 from prbench.readers import files
 from prbench.readers.files import ZippedFile, decode_json, read_all, read_columns, require_whole_last_line
-from prbench.readers.parse_cache import remembered_digest
 from tests.bombs import MEGABYTE, declaring, encrypted, zipped
 
 
@@ -48,7 +47,7 @@ def test_a_pipe_is_refused_instead_of_waited_for(tmp_path):
         read_whole(tmp_path / "metadata.json")
 
 
-@pytest.mark.parametrize("look", [open_regular, file_digest, remembered_digest, require_whole_last_line_of, headers_of])
+@pytest.mark.parametrize("look", [open_regular, file_digest, require_whole_last_line_of, headers_of])
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
 def test_what_is_read_in_pieces_is_no_pipe_either(look, tmp_path):
     os.mkfifo(tmp_path / "0000000000.npy")

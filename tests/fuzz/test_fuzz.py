@@ -42,7 +42,7 @@ def test_no_damage_ends_in_a_traceback_a_hang_or_a_silent_change(doors):
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-m", "tests.fuzz", *doors.split(), "--mutations", mutations, "--seed", seed],
         cwd=ROOT,
-        env=os.environ | {"OMP_NUM_THREADS": "1", "PRBENCH_PARSE_CACHE": "off"},
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
     )

@@ -270,10 +270,6 @@ class NearGaze:
         """The same choice among rows whose times are all known."""
         return rows_around(time_us, wanted_times_us(self.gaze_us, int(time_us[0]), int(time_us[-1]), self.rate))
 
-    def key(self) -> bytes:
-        """Equal for equal wishes."""
-        return f"gaze {self.rate} ".encode() + self.gaze_us.tobytes()
-
 
 _BLOCK = 8 * 2**20
 """Bytes of text in memory at once."""

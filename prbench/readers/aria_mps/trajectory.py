@@ -35,10 +35,7 @@ from prbench.readers.files import (
     require_whole_last_line,
     shown,
 )
-from prbench.readers.parse_cache import keep_parsed, load_parsed
 
-_WISH = b"aria trajectory 2 "
-"""Begins the key of what is kept of a file; raise the number when other rows or columns are kept."""
 _NUMBERS = (*mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS, *mps.GRAVITY_COLUMNS, mps.QUALITY_COLUMN)
 COLUMNS: dict[str, Column] = {mps.GRAPH_COLUMN: str, mps.TIME_COLUMN: int, **dict.fromkeys(_NUMBERS, float)}
 """Columns that are read; the velocities are unreliable and stay unread."""
@@ -125,25 +122,18 @@ def read_near(source: Source, wanted: NearGaze) -> mps.AriaTrajectory:
     The rows are searched for, not read through: what stands between them is not noticed, be it a repeated row, a
     number that is none, or a world of its own shorter than the wanted steps. Rows without a world or of another one
     are left out after the choice, so that at the edge of such a stretch poses may be missing for one step of the grid;
-    they are counted among the rows that were looked at. :func:`check_trajectory` looks at
-    every row. What was read is kept for the next time (:mod:`prbench.readers.parse_cache`).
+    they are counted among the rows that were looked at. :func:`check_trajectory` looks at every row.
 
     Raises:
         InputFileError: as :func:`read_trajectory`, for what was looked at.
     """
-    wish = _WISH + wanted.key()
-    kept = load_parsed(source, wish)
-    if kept is not None:
-        return _trajectory_of(source, kept)
     try:
         table = search_rows(source, COLUMNS, mps.TIME_COLUMN, wanted)
         require_increasing(source, table[mps.TIME_COLUMN].to_numpy(), unit="us")
-        trajectory = _trajectory_of(source, table)
+        return _trajectory_of(source, table)
     except (NotSearchable, pa.ArrowInvalid, InputFileError):
-        table = _wanted_rows(source, _read_whole(source), wanted)  # it names the line of what is wrong
-        trajectory = _trajectory_of(source, table)
-    keep_parsed(source, wish, table)
-    return trajectory
+        # Reading every row names the line of what is wrong.
+        return _trajectory_of(source, _wanted_rows(source, _read_whole(source), wanted))
 
 
 def _wanted_rows(source: Source, table: pa.Table, wanted: NearGaze) -> pa.Table:
