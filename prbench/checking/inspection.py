@@ -14,10 +14,8 @@ from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
 from prbench.protocol.published import QUANTITIES, Spread
 from prbench.readers import SYNTHETIC_FILE, RecordingFiles, cut_short, lacks_mark, reader_for
-from prbench.readers.aria_mps.trajectory import check_trajectory
 from prbench.readers.discover import BrokenDataset, Discovery, FoundDataset, discover
 from prbench.readers.extents import damage
-from prbench.readers.files import source_of
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.table import table_statistics, why_no_sequences
@@ -227,8 +225,6 @@ def _inspect(found: FoundDataset, recording: RecordingFiles, *, thorough: bool) 
     if not thorough:
         return _told(recording, size, cut_short(recording), wanted)
     try:
-        for trajectory in (file for file in recording.files if file.role == "trajectory"):
-            check_trajectory(source_of(trajectory))  # reading one looks at the wanted rows alone
         read = reader_for(found.dataset).read(recording)
     except PrbenchError as error:
         return InspectedRecording(recording.recording_id, "unreadable", size, (str(error),))

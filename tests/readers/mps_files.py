@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import zipfile
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.format import rows_around
-from prbench.readers.aria_mps.search import NearGaze
 from prbench.readers.files import ZippedFile
 
 WORLD, OTHER_WORLD = "ea7288b8-b6a0-012d-8156-257aba6bd796", "short"
@@ -18,25 +15,6 @@ COLUMNS = (
     "graph_uid", "tracking_timestamp_us", "utc_timestamp_ns", *mps.POSITION_COLUMNS, *mps.ROTATION_COLUMNS,
     "device_linear_velocity_x_device", *mps.GRAVITY_COLUMNS, "quality_score", "geo_available",
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class NearTimes(NearGaze):
-    """Rows around some times alone, without a grid: what a search finds between them is easier to tell."""
-
-    def between(self, first_us: int, after_us: int | None, until_us: int) -> np.ndarray:
-        times = np.unique(self.gaze_us)
-        first = 0 if after_us is None else np.searchsorted(times, after_us, side="right")
-        return times[first : np.searchsorted(times, until_us, side="right")]
-
-    def beyond(self, last_us: int) -> bool:
-        return bool((self.gaze_us > last_us).any())
-
-    def rows(self, time_us: np.ndarray) -> np.ndarray:
-        return rows_around(time_us, self.gaze_us)
-
-    def key(self) -> bytes:
-        return b"times" + self.gaze_us.tobytes()
 
 
 def trajectory_lines(

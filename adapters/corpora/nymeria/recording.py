@@ -25,7 +25,6 @@ from prbench.protocol.manifests import digest_of, load_manifest
 from prbench.readers import described_options
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.aria_mps.files import find_gaze_file, read_gaze_angles
-from prbench.readers.aria_mps.search import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.recording.streams import BodyStream, GazeStream, PoseStream, Recording
 from prbench_adapters.corpora.nymeria.clock import ClockOffset, offset_by_correlation, offset_from_file
@@ -204,7 +203,7 @@ class SuitRecording:
             return _no_gaze(), "no gaze file beside a trajectory of the glasses"
         thresholds = load_manifest("nymeria").thresholds
         trajectory_path = self.source.found.require(TRAJECTORY, "the glasses' trajectory")
-        trajectory = read_near(trajectory_path, NearGaze(_NO_TIMES, thresholds["correlation_rate"]))
+        trajectory = read_near(trajectory_path, _NO_TIMES, thresholds["correlation_rate"])
         offset, message = self._offset(clean, trajectory.time_us, trajectory.rotation, thresholds)
         if offset is None:
             return _no_gaze(), message

@@ -17,7 +17,6 @@ from prbench.files.storage import file_digest, read_json, text_digest
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.randomness import hash_fraction
 from prbench.readers import ReaderOptions, RecordingFiles, described_options, parse_options, require_one_origin
-from prbench.readers.aria_mps.search import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.readers.extents import SEVERAL_SENSORS
 from prbench.sequences.corpus import Annotation, Caption, Clip
@@ -392,7 +391,7 @@ class NymeriaSource:
         path = self.found.path(TRAJECTORY)
         if path is not None:
             try:
-                trajectory = read_near(path, NearGaze(_NO_GAZE, thresholds["correlation_rate"]))
+                trajectory = read_near(path, _NO_GAZE, thresholds["correlation_rate"])
                 offset, why = offset_by_correlation(clean, trajectory.time_us, trajectory.rotation, thresholds)
                 if offset is not None:
                     return offset, _cut_short(path, trajectory.time_us, clean, offset)

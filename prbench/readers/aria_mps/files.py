@@ -19,7 +19,6 @@ from prbench.errors import InputFileError
 from prbench.files.arrays import require_column
 from prbench.limits import FARTHEST_POSITION, LARGEST_ANGLE, LONGEST_LINE
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.search import NearGaze
 from prbench.readers.aria_mps.trajectory import read_near, read_trajectory
 from prbench.readers.files import (
     Source,
@@ -231,8 +230,7 @@ def read_mps(found: RecordingFiles, *, thin: bool = True) -> mps.MpsReadings:
 
     Args:
         found: The recording's files; those of other roles are not looked at.
-        thin: Read only the poses around the gaze times and a grid of 30 Hz; else all of them, which needs more time
-            and memory and notices damage in every row.
+        thin: Keep only the poses around the gaze times and a grid of 30 Hz; else all of them, which needs more memory.
 
     Raises:
         InputFileError: if trajectory or gaze is missing, damaged, or reported as an ERROR.
@@ -241,7 +239,7 @@ def read_mps(found: RecordingFiles, *, thin: bool = True) -> mps.MpsReadings:
     remarks = [*_warnings(found, mps.SLAM_SUMMARY), *_warnings(found, mps.GAZE_SUMMARY)]
     gaze = read_gaze_angles(source_of(gaze_file))
     poses = source_of(trajectory_file)
-    trajectory = read_near(poses, NearGaze(gaze.time_us)) if thin else read_trajectory(poses)
+    trajectory = read_near(poses, gaze.time_us) if thin else read_trajectory(poses)
     file = _file(found, mps.CALIBRATION)
     calibration = None if file is None else read_first_calibration(source_of(file))
     wrists, hand_remarks = _read_wrists(found)

@@ -221,39 +221,26 @@ class MpsReadings:
 
 
 def wanted_times_us(
-    gaze_us: Int[np.ndarray, " n"], first_us: int, last_us: int, rate: float = POSE_RATE
+    gaze_us: Int[np.ndarray, " n"], first_us: int, last_us: int, rate: float = POSE_RATE, *, from_us: int | None = None
 ) -> Int[np.ndarray, " m"]:
-    """Times around which poses of the glasses are needed: the gaze times and a regular grid over the whole trajectory.
+    """Times around which poses of the glasses are needed: the gaze times and a regular grid over the trajectory.
 
     Args:
-        gaze_us: Gaze times, microseconds on the device clock; those outside of the trajectory do not count.
+        gaze_us: Gaze times, microseconds on the device clock; those outside of the stretch do not count.
         first_us: First time of the trajectory, where the grid begins.
-        last_us: Its last time; the grid ends there or less than one step later.
+        last_us: Last time of the stretch; the grid ends there or less than one step later.
         rate: Of the grid, Hz.
+        from_us: Beginning of the stretch, which is left out itself; the first time by default, which is not.
 
     Returns:
         Sorted, without repetition.
     """
-    inside = gaze_us[(gaze_us >= first_us) & (gaze_us <= last_us)]
-    grid = grid_times_us(first_us, first_us, last_us, rate)
-    return np.unique(np.concatenate([inside, grid]))
-
-
-def grid_times_us(first_us: int, from_us: int, until_us: int, rate: float = POSE_RATE) -> Int[np.ndarray, " m"]:
-    """A stretch of the regular grid that begins at ``first_us``.
-
-    Args:
-        first_us: Microseconds.
-        from_us: The stretch begins with the last grid time that is not later.
-        until_us: It ends with the first one that is not earlier.
-        rate: Hz.
-    """
-    before, after = (int((time_us - first_us) * rate / 1e6) for time_us in (from_us, until_us))
-    steps = np.arange(max(before - 1, 0), after + 3)
-    times = first_us + np.rint(steps * (1e6 / rate)).astype(np.int64)
-    first = np.searchsorted(times, from_us, side="right")
-    last = np.searchsorted(times, until_us)
-    return times[max(int(first) - 1, 0) : int(last) + 1]
+    begin = first_us - 1 if from_us is None or from_us == first_us else from_us
+    step, stop = (int((time_us - first_us) * rate / 1e6) for time_us in (begin, last_us))
+    grid = first_us + np.rint(np.arange(max(step - 1, 0), stop + 3) * (1e6 / rate)).astype(np.int64)
+    grid = grid[: np.searchsorted(grid, last_us) + 1]
+    times = np.unique(np.concatenate([gaze_us[gaze_us <= last_us], grid]))
+    return times[times > begin]
 
 
 def rows_around(time_us: Int[np.ndarray, " n"], wanted_us: Int[np.ndarray, " m"]) -> Int[np.ndarray, " k"]:

@@ -16,7 +16,6 @@ from prbench.readers.aria_mps.files import (
     read_hand_tracking,
     read_wrists,
 )
-from prbench.readers.aria_mps.search import NearGaze
 from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.aria_mps.trajectory import read_near, read_trajectory
 
@@ -73,7 +72,7 @@ def test_poses(folder) -> None:
 def test_poses_interpolated_at_the_gaze_times(folder) -> None:
     """From the searched rows only, against the official interpolation over all of them."""
     path, gaze = file_of(folder, mps.TRAJECTORY), read_gaze_angles(file_of(folder, mps.GAZE))
-    thin = read_near(path, NearGaze(gaze.time_us))
+    thin = read_near(path, gaze.time_us)
     readings = mps.MpsReadings(thin, gaze, "general", None, "DVT-S", None)
     found = mps_streams(readings, world_from_source=np.eye(4))
     theirs = official.read_closed_loop_trajectory(str(path))
