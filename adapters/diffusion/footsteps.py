@@ -168,12 +168,13 @@ def _way(
         flies = slice(swing.start, swing.stop)
         share = (frames[flies] - swing.start) / (swing.stop - swing.start)
         if swing.behind:
-            # The way of a toe that is in the air in the first frame.
-            way = wanted[: len(share)].copy()
-            way[:, ::2] += share[:, None] * (swing.target - wanted[min(swing.stop, len(wanted) - 1), ::2])
+            # A toe in the air in the first frame goes on as the network says, so that the first step has the speed of
+            # the given pose; it is lifted where that is too low, and ends where it stands afterwards.
+            flight = wanted[: len(share)].copy()
+            flight[:, ::2] += share[:, None] * (swing.target - wanted[min(swing.stop, n - 1), ::2])
             rise = LIFT * np.sin(np.pi * (swing.behind + (1 - swing.behind) * share))
-            way[:, 1] += (1 - _fading(np.arange(len(share)), fps)) * np.maximum(rise - way[:, 1], 0)
-            way[flies] = way
+            flight[:, 1] += (1 - _fading(np.arange(len(share)), fps)) * np.maximum(rise - flight[:, 1], 0)
+            way[flies] = flight
         else:
             way[flies, ::2] = swing.source + _eased(share)[:, None] * (swing.target - swing.source)
             way[flies, 1] += LIFT * np.sin(np.pi * share)

@@ -24,7 +24,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import BinaryIO, Protocol, runtime_checkable
 
 import numpy as np
 import pyarrow as pa
@@ -345,7 +345,7 @@ class Archive:
             self._header(name, stream)
             while part := stream.read(_PIECE):
                 try:
-                    file.write(part)
+                    _write_piece(file, part)
                 except OSError as error:
                     raise StorageError(
                         f"{self.path}, '{name}': cannot be unpacked to {target} ({error.strerror}). Save it with"
@@ -400,6 +400,10 @@ _DAMAGED = (
     ValueError,  # of a table of contents that points before the start of the file
 )
 """Exceptions that zipfile raises for damaged archives."""
+
+
+def _write_piece(file: BinaryIO, part: bytes) -> None:
+    file.write(part)
 
 
 def open_parquet(path: Path, *, verify: bool = False) -> pq.ParquetFile:

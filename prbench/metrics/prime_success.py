@@ -58,11 +58,10 @@ def primed(
     frame = ranges(candidates.first, candidates.count)
     row = track.row_of_frame_0[sequence] + frame
     hold = candidates.hold[sequence]
-    # True where each row that is on target with the ``hold`` rows after it.
-    stays = on_target[row]
+    # A look may begin where the ray is on target and stays there for the ``hold`` frames after.
+    chosen = on_target[row]
     for k in range(1, _largest(hold) + 1):
-        stays &= on_target[row + np.minimum(k, hold)]
-    chosen = stays
+        chosen &= on_target[row + np.minimum(k, hold)]
     # Turning speed has no value in frame 0, so the mean of K speeds up to t needs t >= max(2, K).
     if variant == "onset":
         chosen &= (frame >= np.maximum(2, hold)) & ~on_target[row - 1]

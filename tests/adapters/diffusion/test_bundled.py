@@ -11,11 +11,11 @@ from prbench_adapters.diffusion import method
 
 @pytest.fixture
 def shipped(tmp_path, monkeypatch) -> Path:
-    folder = tmp_path / "shipped"
-    folder.mkdir()
+    folder = tmp_path / "shipped" / "mdm" / "weights"
+    folder.mkdir(parents=True)
     for name in ("mdm-small.safetensors", "mdm-small.json", "pr-small-goal-loc.safetensors"):
         (folder / name).touch()
-    monkeypatch.setattr(method, "_folders", lambda: [folder])
+    monkeypatch.setattr(method, "files", lambda package: tmp_path / "shipped")
     return folder
 
 
