@@ -5,7 +5,7 @@ Two runs on the same sequences: the command ``prbench leaderboard compare``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -106,7 +106,7 @@ def score(
     Args:
         motions: A dictionary from ``sequence_id`` to an array (n, 22, 3) of joint positions in the canonical frame of
             the sequence, metres, or (samples, n, 22, 3) where several motions were drawn of each sequence; or a run
-            folder, a Parquet or ``.npz`` file, or a folder of ``.npy`` files, as the command takes them.
+            folder, or a Parquet or ``.npz`` file, as the command takes them.
         table: The table that the motions belong to, or its folder, or several.
         conditions: The file of ``prbench export-conditions`` that the motions were made from; says seed, split, limit,
             samples and condition, and is checked.
@@ -172,35 +172,13 @@ def score(
     return Scores(reports, folder)
 
 
-@dataclass(frozen=True, eq=False)
-class _ArraysInMemory:
-    """Motions as a list of arrays; see :class:`prbench.harness.run_folder.predictions.rows.MotionStore`."""
-
-    arrays: tuple[np.ndarray, ...]
-
-    def make_ready(self, together: Iterable[Sequence[int]] = ()) -> None:
-        """Nothing has to be done."""
-
-    def motions(self, rows: Sequence[int]) -> list[np.ndarray]:
-        """Return the motions of some rows, in the order given."""
-        return [self.arrays[row] for row in rows]
-
-    def gaze(self, rows: Sequence[int]) -> list[np.ndarray]:
-        """Never asked for: arrays of joints alone have no gaze."""
-        raise NotImplementedError
-
-    def where(self, row: int) -> str:  # noqa: ARG002 - one place holds them all
-        """Say where a motion stands, for messages that name its sequence themselves."""
-        return str(_IN_MEMORY)
-
-
 def _given(motions: Mapping[str, ArrayLike]) -> GivenMotions:
     """Return motions by ``sequence_id`` as the scoring takes them.
 
     Raises:
         PredictionsError: if there are none, or one is not of the right form.
     """
-    from prbench.harness.run_folder.predictions.rows import as_float32
+    from prbench.harness.run_folder.predictions.rows import ArrayMotions, as_float32
     from prbench.harness.score_request import GivenMotions
 
     if not motions:
@@ -216,7 +194,7 @@ def _given(motions: Mapping[str, ArrayLike]) -> GivenMotions:
             samples.append(sample)
             arrays.append(as_float32(motion))
     lengths = np.array([len(array) for array in arrays], dtype=np.int64)
-    store = _ArraysInMemory(tuple(arrays))
+    store = ArrayMotions(tuple(arrays), (str(_IN_MEMORY),) * len(arrays))
     predictions = Predictions((), "sequence_id", tuple(ids), tuple(samples), lengths, store)
     digests = [bytes_digest(np.ascontiguousarray(array).tobytes()) for array in arrays]
     parts = [part for item in zip(ids, map(str, samples), digests, strict=True) for part in item]

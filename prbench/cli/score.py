@@ -107,11 +107,10 @@ def score(
     one_design: bool,
     **given: Any,
 ) -> Answer:
-    """Score finished motions (Parquet, .npz, motions/*.npy), or a run folder again.
+    """Score finished motions (Parquet, .npz), or a run folder again.
 
-    PREDICTIONS is a run folder; Parquet or .npz with opaque_id (or sequence_id), sample (0 if absent), joints and, in
-    .npz, n_frames; or a folder of motions/0000000000.npy, numbered by the rows of --conditions. Of
-    motion-prediction it is .npz with opaque_id and joints (windows, samples, frames, joints, 3).
+    PREDICTIONS is a run folder, or Parquet or .npz with opaque_id (or sequence_id), sample (0 if absent), joints and,
+    in .npz, n_frames. Of motion-prediction it is .npz with opaque_id and joints (windows, samples, frames, joints, 3).
     """
     from prbench.contract import Condition
     from prbench.harness.benchmark import load_benchmark

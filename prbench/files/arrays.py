@@ -16,12 +16,11 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-import struct
 import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import BinaryIO, Protocol, runtime_checkable
@@ -31,14 +30,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Bool, Float
 
-from prbench.errors import InputFileError, RecordingUnusable, StorageError
+from prbench.errors import InputFileError, RecordingUnusable
 from prbench.files.bounded import require_size, require_unpackable
 from prbench.limits import (
-    HIGHEST_COMPRESSION,
     LARGEST_ARCHIVE,
     LARGEST_ARRAYS,
     LARGEST_HEADER,
-    LARGEST_UNPACKED,
     LATEST_TIME,
     LONGEST_AXIS,
     LONGEST_RECORDING,
@@ -47,7 +44,6 @@ from prbench.limits import (
     MOST_VALUES_PER_BYTE,
 )
 
-_LOCAL_HEADER_BYTES = 30  # of a ZIP member, before its name
 _PIECE = 4 * 1024**2
 _NO_OBJECTS = "Save numbers and text only: np.array(values, dtype=np.float32), or np.array(names) without dtype=object."
 
@@ -297,65 +293,8 @@ class Archive:
         return found
 
     def stored_as_is(self, name: str) -> bool:
-        """Return True if :meth:`mapped` can give single rows without unpacking the whole."""
+        """Return True for an array that is stored without compression."""
         return self.members[name].compress_type == zipfile.ZIP_STORED
-
-    def mapped(self, name: str) -> np.ndarray:
-        """A read-only view of an array that is stored without compression.
-
-        Raises:
-            InputFileError: if the archive is damaged.
-        """
-        info = self.members[name]
-        header = self.header(name)
-        with open(self.path, "rb") as file:
-            file.seek(info.header_offset)
-            local = file.read(_LOCAL_HEADER_BYTES)
-        # The table of contents does not tell: the extra field beside the data may have another length.
-        name_bytes, extra_bytes = struct.unpack("<HH", local[26:30])
-        return map_array(self.path, header, start=info.header_offset + _LOCAL_HEADER_BYTES + name_bytes + extra_bytes)
-
-    def verify(self, name: str) -> None:
-        """Read an array once and compare its checksum.
-
-        Raises:
-            InputFileError: if the archive is damaged.
-        """
-        with self._opened() as archive, archive.open(self.members[name]) as stream:
-            while stream.read(_PIECE):
-                pass
-
-    def unpack(self, name: str, target: Path) -> None:
-        """Write the values of an array to a file of their own, a piece at a time.
-
-        Raises:
-            InputFileError: if the archive is damaged.
-            StorageError: if there is no space for them.
-        """
-        member = self.members[name]
-        if member.file_size > max(LARGEST_UNPACKED, HIGHEST_COMPRESSION * member.compress_size):
-            raise InputFileError(
-                self.path,
-                f"'{name}'",
-                expected=f"at most {HIGHEST_COMPRESSION} times the {member.compress_size:,} packed bytes",
-                found=f"{member.file_size:,} declared",
-                remedy="Save it without padding: the frames of all motions one after another.",
-            )
-        with self._opened() as archive, archive.open(member) as stream, open(target, "wb") as file:
-            self._header(name, stream)
-            while part := stream.read(_PIECE):
-                try:
-                    _write_piece(file, part)
-                except OSError as error:
-                    raise StorageError(
-                        f"{self.path}, '{name}': cannot be unpacked to {target} ({error.strerror}). Save it with"
-                        " np.savez, which does not compress, or let TMPDIR name a folder with more space."
-                    ) from error
-
-    def unpacked(self, name: str, target: Path) -> np.ndarray:
-        """A read-only view of what :meth:`unpack` wrote; the file has to stay as long as the view."""
-        header = self.header(name)
-        return map_array(target, replace(header, offset=0))
 
     def _header(self, name: str, stream: _ByteStream) -> ArrayHeader:
         header = read_header(stream, self.path, f"'{name}'", remedy=self.remedy)

@@ -28,7 +28,7 @@ from prbench.harness.run_folder import record as run_record
 from prbench.harness.run_folder.agreement import DatasetAgreement
 from prbench.harness.run_folder.cost import total_cost
 from prbench.harness.run_folder.folder import RunFolder
-from prbench.harness.run_folder.predictions import Numbering, Predictions
+from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.record import FILE, BatchPlanRecord, MethodRecord, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import RUN_SCHEMA_VERSION, CodedScores
 from prbench.harness.run_folder.summary import DatasetSummary
@@ -292,10 +292,10 @@ def score_predictions(
         # Score the motions of a file, or those in memory.
         name = request.name or _name_of(request.predictions)
         protocol = protocol_for(request.protocol, (table.described_protocol for table in tables))
-        stated, numbering = _stated(tables, request)
+        stated = _stated(tables, request)
         chosen = [select(table, split=stated.split, limit=stated.limit) for table in tables]
         selections = [_supported(each, stated) for each in chosen]
-        predictions = Predictions.open(request.predictions, numbering=numbering) if given is None else given.predictions
+        predictions = Predictions.open(request.predictions) if given is None else given.predictions
         samples = _require_fit(predictions, selections, stated, request)
         rules = ScoringRules(
             protocol.metrics,
@@ -348,17 +348,14 @@ def score_predictions(
         )
 
 
-def _stated(tables: list[SequenceTable], request: ScoreRequest) -> tuple[Stated, Numbering | None]:
-    """Return what is known of the motions, and what the numbers of numbered files mean."""
+def _stated(tables: list[SequenceTable], request: ScoreRequest) -> Stated:
+    """Return what is known of the motions."""
     stated = stated_by_request(request)
-    numbering = None
     if request.conditions is not None:
-        conditions = read_conditions_file(request.conditions)
-        stated = stated_by_conditions(conditions, tables, request)
-        numbering = Numbering(request.conditions, conditions.opaque_id, tuple(conditions.sample.tolist()))
+        stated = stated_by_conditions(read_conditions_file(request.conditions), tables, request)
     if stated.native_fps is not None and request.allow_length_mismatch:
         raise UsageError("--allow-length-mismatch: motions that have to be resampled need the length of --native-fps.")
-    return stated, numbering
+    return stated
 
 
 def _supported(chosen: Selection, stated: Stated) -> Selection:
@@ -395,8 +392,7 @@ def _name_of(path: Path) -> str:
     Raises:
         UsageError: if the method cannot be called that.
     """
-    path = path.absolute()
-    name = path.parent.name if path.is_dir() and path.name == "motions" else path.stem
+    name = path.absolute().stem
     if problem := name_problem(name):
         raise UsageError(f"{clean(path)}: {problem}. Say what the method is called with --name.")
     return name

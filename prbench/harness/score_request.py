@@ -43,7 +43,7 @@ class ScoreRequest:
 
     predictions: Path
     """A run folder, its part for one dataset, a Parquet file with the columns sequence_id (or opaque_id), sample
-    (0 if absent) and joints, a folder of such files, an ``.npz``, or a folder of ``motions/%010d.npy``."""
+    (0 if absent) and joints, a folder of such files, or an ``.npz``."""
     data: tuple[Path, ...]
     """The dataset folders."""
     conditions: Path | None = None

@@ -130,7 +130,6 @@ def score_selection(
         PredictionsError: if a motion has another length than the recorded one, or NaN; names sequence and frame.
     """
     opened = Predictions.open(predictions) if isinstance(predictions, Path) else predictions
-    opened.make_ready(_asked_together(selection, opened, rules))
     if len(selection) <= WINDOW:
         # Workers gain nothing: their start takes longer than a few hundred sequences.
         engine = InProcess()
@@ -174,13 +173,6 @@ def score_recorded(
             if unknown is not None:
                 parts[-1][name] = np.where(unknown, np.nan, parts[-1][name])
     return {name: np.concatenate([part[name] for part in parts]) for name in wanted}, np.concatenate(goals)
-
-
-def _asked_together(selection: Selection, predictions: Predictions, rules: ScoringRules) -> Iterator[Sequence[str]]:
-    """Yield the ids of each window as the predictions have them; row groups stay in memory from part to part."""
-    names_of = _namer(selection, predictions, rules)
-    for start in range(0, len(selection), WINDOW):
-        yield names_of(selection.sequence_ids[start : start + WINDOW])
 
 
 def _namer(

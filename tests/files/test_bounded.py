@@ -13,8 +13,6 @@ from prbench import limits
 from prbench.errors import InputFileError, PrbenchError, TableError
 from prbench.files.bounded import open_regular, read_text, read_whole, require_unpackable, whole_lines
 from prbench.files.storage import file_digest
-from prbench.harness.run_folder.predictions.predictions import index_numbered
-from prbench.harness.run_folder.predictions.rows import Numbering
 from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LONGEST_LINE, LONGEST_MESSAGE
 from prbench.readers import files
 from prbench.readers.files import ZippedFile, decode_json, read_all, read_columns, require_whole_last_line
@@ -23,10 +21,6 @@ from tests.bombs import MEGABYTE, declaring, encrypted, zipped
 
 def require_whole_last_line_of(path):
     require_whole_last_line(path, ["x"], ["x"])
-
-
-def headers_of(path):
-    index_numbered(path.parent, Numbering(path, ("a",), (0,)))
 
 
 def test_a_file_larger_than_any_of_its_kind_is_refused_unread(tmp_path):
@@ -47,7 +41,7 @@ def test_a_pipe_is_refused_instead_of_waited_for(tmp_path):
         read_whole(tmp_path / "metadata.json")
 
 
-@pytest.mark.parametrize("look", [open_regular, file_digest, require_whole_last_line_of, headers_of])
+@pytest.mark.parametrize("look", [open_regular, file_digest, require_whole_last_line_of])
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
 def test_what_is_read_in_pieces_is_no_pipe_either(look, tmp_path):
     os.mkfifo(tmp_path / "0000000000.npy")

@@ -8,12 +8,11 @@ import os
 import numpy as np
 import pytest
 
-from prbench.errors import InputFileError, PredictionsError, UnforeseenInput
+from prbench.errors import InputFileError, UnforeseenInput
 from prbench.files.arrays import Archive, load_array
-from prbench.harness.run_folder.predictions import Predictions
 from prbench.limits import LARGEST_ARRAYS
 from prbench.readers.files import archive_members
-from tests.bombs import encrypted, npy_header, npz, zipped
+from tests.bombs import encrypted, npy_header, npz
 
 
 @pytest.mark.parametrize(
@@ -71,25 +70,6 @@ def test_an_encrypted_archive_is_refused(tmp_path):
     np.savez(tmp_path / "a.npz", a=np.arange(3))
     with pytest.raises(InputFileError, match=r"a\.npz: expected a readable \.npz file, found .*encrypted"):
         Archive(encrypted(tmp_path / "a.npz")).load(["a"])
-
-
-@pytest.mark.parametrize(
-    ("shape", "said"),
-    [((10**11, 0, 22, 3), "expected at most 2,097,152 motions, found 100,000,000,000"), ((0, 22, 3), "")],
-    ids=["endless samples", "no frames"],
-)
-def test_empty_predictions_cannot_stand_for_many(tmp_path, shape, said):
-    path = zipped(tmp_path / "p.npz", "gimo/a.npy", npy_header(shape))
-    if not said:
-        assert Predictions.open(path).ids == ("gimo/a",)
-        return
-    with pytest.raises(PredictionsError, match=said):
-        Predictions.open(path)
-
-
-def test_predictions_that_declare_more_than_a_sequence_holds_are_refused(tmp_path):
-    with pytest.raises(PredictionsError, match="expected at most 33,554,432 bytes of one sequence"):
-        Predictions.open(npz(tmp_path / "p.npz", "gimo_a", 40))
 
 
 def test_an_archive_that_has_lost_its_beginning_is_told_as_damaged(tmp_path):

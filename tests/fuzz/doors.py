@@ -297,7 +297,5 @@ COMMANDS = (
     _predictions(_write_flat, "motions.parquet"),
     _predictions(method.write_padded, "motions.npz"),
     _predictions(method.write_ragged, "motions.npz"),
-    _predictions(method.write_named, "motions.npz"),
-    _predictions(method.write_numbered, "motions"),
 )  # fmt: skip
 """Commands that read, or read and write."""

@@ -23,7 +23,7 @@ DAMAGES = {
     "mogaze": 100,
     "adt-egoallo nymeria humanml3d conditions-npz conditions-parquet weights configuration method-description": 6,
     "build-adt build-gimo build-hd-epic build-hot3d build-mogaze build-corpus": 4,
-    "inspect diff run board import-release score-flat score-padded score-ragged score-named score-numbered": 6,
+    "inspect diff run board import-release score-flat score-padded score-ragged": 6,
 }
 """How often files are damaged before each door; doors that share a line share a process."""
 

@@ -284,7 +284,9 @@ def test_results_are_not_written_over_those_of_a_run(table, tmp_path):
 )
 def test_the_cause_of_wrong_lengths_is_named_whatever_the_format(table, recorded, tmp_path, shorter, message):
     wrong = {name: shorter(motion) for name, motion in recorded.items()}
-    np.savez(tmp_path / "p.npz", **wrong)
+    lengths = np.array([len(motion) for motion in wrong.values()])
+    joints = np.concatenate(list(wrong.values()))
+    np.savez(tmp_path / "p.npz", sequence_id=np.array(list(wrong)), n_frames=lengths, joints=joints)
     for path in (write(tmp_path / "p.parquet", wrong), tmp_path / "p.npz"):
         with pytest.raises(PredictionsError, match=message) as caught:
             score(table, path)

@@ -58,7 +58,6 @@ def _of_table(run: RunFolder, table: SequenceTable, constants: MetricConstants, 
             f"{folder}: expected the motions of the run, found none. Run the method again, which keeps them."
         )
     predictions = Predictions.open(folder)
-    predictions.make_ready()
     selection = scored_sequences(run, table)
     for _, chunk in selection.windows([*COLUMNS, "prime_gap", "recording_id", "next_joints"]):
         targets = targets_of(chunk, chunk.vectors("goal_location"), None)

@@ -90,24 +90,6 @@ def write_ragged(path: Path, conditions: ConditionsFile, motions: list[np.ndarra
     return path
 
 
-def write_named(path: Path, conditions: ConditionsFile, motions: list[np.ndarray]) -> Path:
-    """One array a sequence, its samples in it."""
-    arrays: dict[str, list[np.ndarray]] = {}
-    for name, motion in zip(conditions.opaque_id, motions):
-        arrays.setdefault(name, []).append(motion)
-    np.savez(path, **{name: np.stack(drawn) for name, drawn in arrays.items()})
-    return path
-
-
-def write_numbered(path: Path, conditions: ConditionsFile, motions: list[np.ndarray]) -> Path:
-    """The layout of the authors' release."""
-    assert len(conditions) == len(motions)
-    (path / "motions").mkdir(parents=True)
-    for row, motion in enumerate(motions):
-        np.save(path / f"motions/{row:010d}.npy", motion.astype(np.float32))
-    return path
-
-
 def _beside(conditions: ConditionsFile) -> dict[str, np.ndarray]:
     return {
         "opaque_id": np.array(conditions.opaque_id),

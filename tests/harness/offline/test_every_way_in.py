@@ -27,12 +27,12 @@ def run(table, out, name, **changes) -> bytes:
 
 
 def offline(table, folder, make) -> bytes:
-    """Export, let ``make`` generate the motions of all rows, and score them in the numbered layout."""
+    """Export, let ``make`` generate the motions of all rows, and score them."""
     path = folder / "conditions.npz"
     request = ExportRequest(data=(table.folder,), condition=Condition.GOAL_LOCATION, out=path, seed=3, samples=2)
     export_conditions(request)
     conditions = read_conditions_file(path)
-    made = method.write_numbered(folder / "made", conditions, make(conditions))
+    made = method.write_ragged(folder / "made.npz", conditions, make(conditions))
     score_predictions(
         ScoreRequest(predictions=made, data=(table.folder,), conditions=path, out=folder / "offline", name="x")
     )

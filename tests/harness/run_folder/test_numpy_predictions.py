@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import os
 import pickle
@@ -12,9 +11,9 @@ import zipfile
 import numpy as np
 import pytest
 
-from prbench.errors import InputFileError, PredictionsError, StorageError
+from prbench.errors import InputFileError, PredictionsError
 from prbench.files import arrays as array_files
-from prbench.harness.run_folder.predictions import Numbering, Predictions, npz
+from prbench.harness.run_folder.predictions import Predictions, npz
 
 LENGTHS = np.array([3, 5, 2])
 IDS = np.array(["b", "a", "c"])
@@ -38,8 +37,8 @@ def saved(path, *, compressed: bool = False, **changes):
     return path
 
 
-def require_motions(path, **rest) -> Predictions:
-    predictions = Predictions.open(path, **rest)
+def require_motions(path) -> Predictions:
+    predictions = Predictions.open(path)
     rows = predictions.motions(["a", "c", "b"], 0)
     assert rows.values.dtype == np.float32
     assert np.array_equal(rows.values, np.concatenate([MOTIONS[1], MOTIONS[2], MOTIONS[0]]).astype(np.float32))
@@ -68,48 +67,6 @@ FORMS = {
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_of_one_array_is_read(tmp_path, form, compressed):
     require_motions(saved(tmp_path / "p.npz", compressed=compressed, **FORMS[form]))
-
-
-@pytest.mark.parametrize("compressed", [False, True])
-def test_one_array_a_motion_is_read(tmp_path, compressed):
-    save = np.savez_compressed if compressed else np.savez
-    save(tmp_path / "p.npz", **dict(zip(IDS.tolist(), MOTIONS)))
-    assert require_motions(tmp_path / "p.npz").id_column == "sequence_id"
-    save(tmp_path / "q.npz", **{"f" * 64: np.stack([MOTIONS[1], MOTIONS[1] + 1])})
-    drawn = Predictions.open(tmp_path / "q.npz")
-    assert (drawn.id_column, drawn.samples) == ("opaque_id", (0, 1))
-    assert np.array_equal(drawn.motions(["f" * 64], 1).values, (MOTIONS[1] + 1).astype(np.float32))
-
-
-def test_an_array_a_motion_may_be_saved_column_by_column(tmp_path):
-    np.savez(tmp_path / "p.npz", **{name: np.asfortranarray(motion) for name, motion in zip(IDS.tolist(), MOTIONS)})
-    require_motions(tmp_path / "p.npz")
-
-
-def test_slashes_in_the_name_of_an_array_are_part_of_the_id(tmp_path):
-    np.savez(tmp_path / "p.npz", **{"adt/rec/cup/pick/1.5/suit": MOTIONS[0]})
-    assert Predictions.open(tmp_path / "p.npz").ids == ("adt/rec/cup/pick/1.5/suit",)
-
-
-def test_another_process_reads_what_this_one_unpacked(tmp_path):
-    predictions = Predictions.open(saved(tmp_path / "p.npz", compressed=True))
-    predictions.make_ready()
-    copy = pickle.loads(pickle.dumps(predictions))
-    unpacked = copy.store._unpacked._path
-    assert unpacked.is_file()
-    assert np.array_equal(copy.motions(["c"], 0).values, MOTIONS[2].astype(np.float32))
-    del predictions
-    assert not unpacked.is_file(), "the copy goes when the one that made it does"
-
-
-def test_single_motions_are_read_from_a_stored_array_without_the_rest(tmp_path):
-    joints = np.zeros((400, 200, 22, 3), np.float32)
-    ids = np.array([f"s{i}" for i in range(400)])
-    np.savez(tmp_path / "p.npz", opaque_id=ids, n_frames=np.full(400, 200), joints=joints)
-    store = Predictions.open(tmp_path / "p.npz").store
-    array = store._unpacked.array(store.archive, "joints")
-    assert isinstance(array, np.memmap)
-    assert not array.flags.writeable
 
 
 UNFIT = [
@@ -141,20 +98,6 @@ def test_what_does_not_fit_is_refused_with_file_and_array(tmp_path, changes, mes
     assert str(tmp_path / "p.npz") in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("motion", "message"),
-    [
-        (np.zeros((4, 21, 3)), r"'a': expected \(frames, 22, 3\), .* found \(4, 21, 3\) of float64"),
-        (np.zeros(66, int), r"'a': expected .* of int64"),
-        (np.array([{}]), "'a': expected numbers or text, found Python objects"),
-    ],
-)
-def test_an_array_that_is_no_motion_is_refused_by_its_name(tmp_path, motion, message):
-    np.savez(tmp_path / "p.npz", b=MOTIONS[0], a=motion)
-    with pytest.raises(PredictionsError, match=message):
-        Predictions.open(tmp_path / "p.npz")
-
-
 class Bomb:
     """Leaves a file behind if it is ever unpickled."""
 
@@ -170,12 +113,9 @@ def test_pickles_are_never_loaded(tmp_path):
     evil = np.array([Bomb(target)], dtype=object)
     saved(tmp_path / "p.npz", opaque_id=evil)
     (tmp_path / "q.npz").write_bytes(pickle.dumps(Bomb(target)))
-    (tmp_path / "motions").mkdir()
-    np.save(tmp_path / "motions/0000000000.npy", evil, allow_pickle=True)
-    numbering = Numbering(tmp_path / "c.npz", ("a",), (0,))
-    for path in ("p.npz", "q.npz", "motions"):
+    for path in ("p.npz", "q.npz"):
         with pytest.raises(PredictionsError):
-            Predictions.open(tmp_path / path, numbering=numbering).motions(["a"], 0)
+            Predictions.open(tmp_path / path).motions(["a"], 0)
     assert not target.exists()
 
 
@@ -221,17 +161,6 @@ def test_padding_beyond_all_measure_is_refused_unread(tmp_path):
         Predictions.open(path)
 
 
-def test_no_space_to_unpack_is_said_so(tmp_path, monkeypatch):
-    predictions = Predictions.open(saved(tmp_path / "p.npz", compressed=True))
-
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(array_files, "_write_piece", full)
-    with pytest.raises(StorageError, match=r"cannot be unpacked .*No space left.* Save it with np.savez"):
-        predictions.make_ready()
-
-
 @pytest.mark.parametrize("compressed", [False, True])
 def test_a_flipped_bit_is_noticed(tmp_path, compressed):
     noise = np.random.default_rng(0).normal(size=(3, 900, 22, 3))
@@ -241,9 +170,8 @@ def test_a_flipped_bit_is_noticed(tmp_path, compressed):
         info = archive.getinfo("joints.npy")
     content[info.header_offset + 400 + info.compress_size // 2] ^= 1
     path.write_bytes(content)
-    predictions = Predictions.open(path)
     with pytest.raises(PredictionsError, match=r"expected a readable .npz file"):
-        predictions.make_ready()
+        Predictions.open(path)
 
 
 @pytest.mark.parametrize("cut", [10, 600, -30])
@@ -276,66 +204,6 @@ def test_encrypted_and_foreign_members_are_refused(tmp_path):
         Predictions.open(tmp_path / "q.npz")
 
 
-@pytest.fixture
-def numbered(tmp_path):
-    (tmp_path / "made/motions").mkdir(parents=True)
-    for row, motion in enumerate(MOTIONS):
-        np.save(tmp_path / f"made/motions/{row:010d}.npy", motion)
-    return tmp_path / "made"
-
-
-def numbering(tmp_path) -> Numbering:
-    return Numbering(tmp_path / "c.npz", tuple(IDS.tolist()), (0, 0, 0))
-
-
-@pytest.mark.parametrize("part", ["", "motions"])
-def test_numbered_files_are_rows_of_the_conditions(numbered, tmp_path, part):
-    predictions = require_motions(numbered / part, numbering=numbering(tmp_path))
-    assert predictions.id_column == "opaque_id"
-    assert predictions.where("a", 0) == str(numbered / "motions/0000000001.npy")
-
-
-def test_numbered_files_in_other_layouts_of_the_same_numbers_are_read(numbered, tmp_path):
-    np.save(numbered / "motions/0000000001.npy", np.asfortranarray(MOTIONS[1].astype(">f4")))
-    np.save(numbered / "motions/0000000002.npy", MOTIONS[2].reshape(-1, 66))
-    require_motions(numbered, numbering=numbering(tmp_path))
-
-
-def test_numbers_without_a_conditions_file_mean_nothing(numbered):
-    with pytest.raises(PredictionsError, match=r"motions: expected to be told .* Add --conditions FILE"):
-        Predictions.open(numbered)
-
-
-def rename(folder, old, new):
-    (folder / f"motions/{old:010d}.npy").rename(folder / "motions" / new)
-
-
-def cut(folder, size):
-    path = folder / "motions/0000000001.npy"
-    path.write_bytes(path.read_bytes()[:size])
-
-
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (lambda f: rename(f, 2, "0000000003.npy"), r"3.npy: expected a number below 3, the rows of .*c.npz, fo"),
-        (lambda f: rename(f, 0, "0000000003.npy"), r"found 3. The files seem to count from 1; count from 0"),
-        (lambda f: (f / "motions/0000000001.npy").unlink(), r"expected 3 files, .* found 2; .* is 0000000001.npy"),
-        (lambda f: rename(f, 1, "one.npy"), r"one.npy: expected a number as name, such as 0000000012.npy"),
-        (lambda f: np.save(f / "motions/1.npy", MOTIONS[1]), r"1.npy: expected each number once, found 1 in"),
-        (lambda f: np.save(f / "motions/0000000001.npy", np.zeros((4, 21, 3))), r"expected the shape .*\(4, 21, 3"),
-        (lambda f: np.save(f / "motions/0000000001.npy", np.zeros((4, 66), int)), r"1.npy: .* of int64"),
-        (lambda f: (f / "motions/0000000001.npy").write_text("?"), r"1.npy: expected an array as np.save writes it"),
-        (lambda f: cut(f, 200), r"0000000001.npy: expected 2768 bytes, found 200. It is cut off; write it again"),
-        (lambda f: cut(f, 0), r"0000000001.npy: expected an array as np.save writes it"),
-    ],
-)  # fmt: skip
-def test_numbered_files_that_do_not_fit_are_named(numbered, tmp_path, spoil, message):
-    spoil(numbered)
-    with pytest.raises(PredictionsError, match=message):
-        Predictions.open(numbered, numbering=numbering(tmp_path)).motions(["a"], 0)
-
-
 @pytest.mark.parametrize("name", ["made.pkl", "made.pt", "made.npy", "made"])
 def test_other_formats_are_refused_with_the_ones_there_are(tmp_path, name):
     (tmp_path / name).write_bytes(pickle.dumps(MOTIONS))
@@ -353,11 +221,8 @@ def test_a_missing_or_empty_file_is_named(tmp_path):
     with pytest.raises(PredictionsError, match=r"gone.npz: expected an .npz file, found no file"):
         Predictions.open(tmp_path / "gone.npz")
     np.savez(tmp_path / "p.npz")
-    with pytest.raises(PredictionsError, match=r"p.npz: expected motions, found no array"):
+    with pytest.raises(PredictionsError, match=r"p.npz: expected the arrays .*, found none"):
         Predictions.open(tmp_path / "p.npz")
-    (tmp_path / "motions").mkdir()
-    with pytest.raises(PredictionsError, match=r"motions: expected 3 files, one a row .*, found 0"):
-        Predictions.open(tmp_path / "motions", numbering=numbering(tmp_path))
 
 
 @pytest.mark.parametrize("compressed", [False, True])
