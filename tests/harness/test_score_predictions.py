@@ -8,7 +8,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from prbench.errors import PrbenchError, PredictionsError, RunError, StorageError
-from prbench.files.arrays import Archive
 from prbench.harness.conditions import opaque_ids, run_salt
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import DatasetSummary, read_scores
@@ -321,4 +320,3 @@ def test_flat_lists_are_read_and_odd_ones_refused_by_row(table, recorded, tmp_pa
     pq.write_table(pa.table(rows), tmp_path / "p.parquet")
     with pytest.raises(PredictionsError, match=r"column 'joints', row 4: expected .* all frames after one another"):
         score(table, tmp_path / "p.parquet")
-
