@@ -23,11 +23,9 @@ from prbench.geometry.skeleton import (
     invert_rigid,
     transform_points,
 )
-from prbench.geometry.timelines import SequenceGrid, interpolate
 from prbench.representation.features import (
     CONTACT_JOINTS,
     CONTACT_THRESHOLD,
-    FRAME_RATE,
     HALF_TURN_MIDWAYS,
     JOINT_POSITIONS,
     JOINT_ROTATIONS,
@@ -190,51 +188,6 @@ def no_heading(source: Path | str, error: ValueError) -> InputFileError:
 def mirror(joints: Float[np.ndarray, "*batch 22 3"]) -> Float[np.ndarray, "*batch 22 3"]:
     """The poses as a mirror at x = 0 shows them: x negated, left and right limbs exchanged."""
     return joints[..., MIRRORED_JOINTS, :] * np.array([-1, 1, 1], dtype=joints.dtype)
-
-
-def at_20_fps(
-    joints: Float[np.ndarray, "frames 22 3"], fps: float, *, source: Path | str = IN_MEMORY
-) -> Float[np.ndarray, "kept 22 3"]:
-    """The motion at 20 frames a second, linearly interpolated on a grid that ends on its last frame.
-
-    The event of a sequence is its last frame, so that frame is kept exactly
-    (docs/specification/humanml3d.md#down-sampling-to-20-fps).
-
-    Args:
-        joints: Uniformly sampled positions, any frame, metres.
-        fps: Their rate.
-        source: File or name that messages begin with.
-
-    Returns:
-        Same frame, metres; the type of the numbers stays.
-
-    Raises:
-        InputFileError: if the rate is no positive number.
-    """
-    check_rate(fps, source)
-    end = (len(joints) - 1) / fps
-    grid = SequenceGrid.ending_at(end, prime_time=0.0, lead=0.0, fps=FRAME_RATE)
-    return interpolate(np.arange(len(joints)) / fps, joints, grid.times).astype(joints.dtype)
-
-
-def every_stride(
-    joints: Float[np.ndarray, "frames 22 3"], fps: float, *, source: Path | str = IN_MEMORY
-) -> tuple[Float[np.ndarray, "kept 22 3"], float]:
-    """Keep every floor(fps / 20)-th frame, as the original's preprocessing does; return also the rate that this gives.
-
-    Only multiples of 20 come out at 20 fps: 59 gives 29.5, 30 stays 30. Use it to reproduce the released data, and
-    :func:`at_20_fps` for everything else.
-
-    Raises:
-        InputFileError: if the rate is below 20, so that no stride exists.
-    """
-    check_rate(fps, source)
-    stride = int(fps / FRAME_RATE)
-    if stride < 1:
-        raise InputFileError(
-            source, "", expected="20 frames a second or more", found=f"{fps:g}", remedy="Interpolate with at_20_fps."
-        )
-    return joints[::stride], fps / stride
 
 
 def check_rate(fps: float, source: Path | str) -> None:

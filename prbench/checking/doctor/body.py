@@ -265,7 +265,7 @@ def _features(motion_set: MotionSet, evidence: str) -> Finding:
 def _unknown(motion_set: MotionSet, evidence: str) -> Diagnosis:
     width = motion_set.motions[0].shape[-1] if motion_set.motions[0].ndim == 2 else 0
     if width in _BODY_PARAMETERS:
-        remedy = f"Let a body model make joints of them: {_CONVERT}.smpl_joints, or SmplxModel through smplx."
+        remedy = f"Let a body model make joints of them: {_CONVERT}.smpl_joints."
         return Diagnosis("shape", True, evidence, f"parameters of a body, {_BODY_PARAMETERS[width]}", remedy)
     remedy = f"Give positions of the 22 joints of HumanML3D, (frames, 22, 3); {_CONVERT} holds what helps."
     return Diagnosis("shape", True, evidence, "no known way to write the joints of a body", remedy)

@@ -25,8 +25,6 @@ _PACKAGES = ("prbench",)
 _FOR_TYPES_ONLY = "jaxtyping"
 
 _CONVERTERS = "prbench.representation.converters"
-_LEFT_OUT = frozenset({"SmplxModel"})
-"""Needs torch and the package ``smplx``; ``smpl_joints`` gives the same joints."""
 _ROOTS: Mapping[str, tuple[str, ...]] = {
     "prbench.errors": ("PrbenchError", "InputFileError", "UsageError"),
     "prbench.geometry.skeleton": ("Joint", "PARENTS", "y_up", "z_up"),
@@ -84,7 +82,7 @@ class _Module:
 def converters_file() -> str:
     """The text of :data:`ONE_FILE`."""
     offered = importlib.import_module(_CONVERTERS).__all__
-    roots = {**_ROOTS, _CONVERTERS: tuple(name for name in offered if name not in _LEFT_OUT)}
+    roots = {**_ROOTS, _CONVERTERS: tuple(offered)}
     return one_file(roots, _HEADER.format(version=prbench.__version__))
 
 

@@ -1,13 +1,12 @@
 """Converters from what models put out to the 22 joints in the canonical frame (``docs/wrapping.md``).
 
 Three sources: HumanML3D features, SMPL parameters, joints of another skeleton. Every step is a small pure function in
-NumPy; nothing here imports torch except :class:`SmplxModel`.
+NumPy; nothing here imports torch.
 """
 
 from __future__ import annotations
 
 from prbench.representation.converters.features import (
-    FeatureWarning,
     check_features,
     feature_rows,
     joints_from_features,
@@ -35,7 +34,6 @@ from prbench.representation.converters.smpl import (
     RestJoints,
     RotationForm,
     SmplParameters,
-    SmplxModel,
     quaternions_of,
     read_amass,
     read_rest_joints,
@@ -44,12 +42,10 @@ from prbench.representation.converters.smpl import (
 
 __all__ = [
     "JOINT_MAPS",
-    "FeatureWarning",
     "JointMap",
     "RestJoints",
     "RotationForm",
     "SmplParameters",
-    "SmplxModel",
     "at_rate",
     "at_times",
     "check_features",

@@ -10,9 +10,7 @@ Checks that features were restored with the statistics of their own model judge 
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -21,7 +19,7 @@ from jaxtyping import Float, Int
 
 from prbench.errors import InputFileError
 from prbench.files.arrays import load_array
-from prbench.files.bounded import foreign_input
+from prbench.files.bounded import foreign_input, require_rows
 from prbench.geometry.skeleton import N_JOINTS
 from prbench.representation.encoding import decode, decode_rotations, yaw_matrices
 from prbench.representation.features import (
@@ -53,25 +51,6 @@ _OTHER_STATISTICS = (
     " trained, or has random weights), say check=False."
 )
 
-_warned: set[str] = set()
-"""Sources that a warning was given for; a run of thousands of motions needs one."""
-
-
-class FeatureWarning(UserWarning):
-    """Single motions of a model look as if they had been restored with the statistics of another one."""
-
-
-@dataclass(frozen=True)
-class _Doubt:
-    """Doubt about one motion."""
-
-    row: int
-    where: str
-    expected: str
-    found: str
-    sure: bool
-    """Nothing but other statistics explains it, so that the motion needs no company to be refused."""
-
 
 def check_features(
     features: Float[np.ndarray, "rows 263"] | Sequence[Float[np.ndarray, "_ 263"]],
@@ -84,8 +63,7 @@ def check_features(
     The step of the pelvis stands in a row twice, in the root block and among the joint velocities. Statistics of an
     evaluator scale the one about 25 times as small as those of a generator, and leave the other. Numbers that were
     never restored are near 1 and move joints by half a metre a frame. Wrong statistics show in most motions, a model
-    that has learnt little in some; so it counts what most of the motions say, and single ones lead to one
-    :class:`FeatureWarning` for each source.
+    that has learnt little in some; so it counts what most of the motions say, and single ones are kept.
 
     Args:
         features: Of one motion or several: raw, relative root.
@@ -101,56 +79,30 @@ def check_features(
     motions = [features] if isinstance(features, np.ndarray) and features.ndim == 2 else list(features)
     walking = [row for row, motion in enumerate(motions) if max(_step_lengths(motion)) > _WALKS]
     everything = list(range(len(motions)))
-    examinations: tuple[tuple[Callable[[int, np.ndarray], _Doubt | None], list[int]], ...] = (
+    examinations: tuple[tuple[Callable[[np.ndarray], _Doubt | None], list[int]], ...] = (
         (_steps, walking),
         (_contacts, everything),
         (_speed, everything),
     )
     for look, rows in examinations:
-        doubts = [doubt for row in rows if (doubt := look(row, motions[row])) is not None]
-        if not doubts:
-            continue
-        believed = len(rows) >= _ENOUGH or all(doubt.sure for doubt in doubts)
+        doubts = [(row, doubt) for row in rows if (doubt := look(motions[row])) is not None]
+        believed = len(rows) >= _ENOUGH or all(sure for _, (_, _, _, sure) in doubts)
         if 2 * len(doubts) > len(rows) and believed:
-            many = f", and likewise in {len(doubts)} of {len(rows)} motions" if len(rows) > 1 else ""
-            first = doubts[0]
-            raise InputFileError(
-                source,
-                _place(first, sequences, len(motions)),
-                expected=first.expected,
-                found=first.found + many,
-                remedy=_OTHER_STATISTICS,
-            )
-        _warn(doubts, len(rows), source, sequences, len(motions))
+            row, (where, expected, found, _) = doubts[0]
+            place = f"row {row}, " if len(motions) > 1 else ""
+            if sequences is not None:
+                place = f"row {row} (sequence {sequences[row]}), "
+            if len(rows) > 1:
+                found += f", and likewise in {len(doubts)} of {len(rows)} motions"
+            raise InputFileError(source, place + where, expected=expected, found=found, remedy=_OTHER_STATISTICS)
 
 
-def _warn(
-    doubts: list[_Doubt], judged: int, source: str, sequences: Sequence[str] | np.ndarray | None, motions: int
-) -> None:
-    """Tell the first doubt, once for each source."""
-    if source in _warned:
-        return
-    _warned.add(source)
-    first = doubts[0]
-    warnings.warn(
-        f"{source}, {_place(first, sequences, motions)}: expected {first.expected}, found {first.found}"
-        f" (odd in {len(doubts)} of the {judged} motions that show it). They are kept, and this is told once. A model"
-        " that has learnt little makes such motions; if most of them are odd, the Mean.npy and Std.npy are not those"
-        " that it was trained with.",
-        FeatureWarning,
-        stacklevel=4,
-    )
+_Doubt = tuple[str, str, str, bool]
+"""Columns, what is expected there, what is found, and True where nothing but other statistics explains it, so that the
+motion needs no company to be refused."""
 
 
-def _place(doubt: _Doubt, sequences: Sequence[str] | np.ndarray | None, motions: int) -> str:
-    """Row and name of the motion, and its columns."""
-    parts = [f"row {doubt.row}"] if motions > 1 or sequences is not None else []
-    if sequences is not None:
-        parts[0] += f" (sequence {sequences[doubt.row]})"
-    return ", ".join([*parts, doubt.where])
-
-
-def _steps(row: int, motion: np.ndarray) -> _Doubt | None:
+def _steps(motion: np.ndarray) -> _Doubt | None:
     """The pelvis steps by another length in the root block than among the joint velocities."""
     stepped, walked = _step_lengths(motion)
     ratio = stepped / max(walked, 1e-12)
@@ -160,13 +112,9 @@ def _steps(row: int, motion: np.ndarray) -> _Doubt | None:
     undecided = np.minimum(np.abs(contacts), np.abs(contacts - 1)).min() > _UNDECIDED
     squeezed = bool(undecided) and float(np.ptp(contacts, axis=0).max()) < _LEAST_CONTACTS_VARY
     stretched = float(np.abs(contacts).max()) > _FARTHEST_CONTACT
-    return _Doubt(
-        row,
-        "columns 1 and 2",
-        expected=f"steps of the pelvis as long as those in columns 193 and 195 ({walked * 1000:.1f} mm a frame)",
-        found=f"{stepped * 1000:.1f} mm ({ratio:.2g} times as long)",
-        sure=squeezed or stretched or not 1 / _NO_MODEL < ratio < _NO_MODEL,
-    )
+    expected = f"steps of the pelvis as long as those in columns 193 and 195 ({walked * 1000:.1f} mm a frame)"
+    found = f"{stepped * 1000:.1f} mm ({ratio:.2g} times as long)"
+    return "columns 1 and 2", expected, found, squeezed or stretched or not 1 / _NO_MODEL < ratio < _NO_MODEL
 
 
 def _step_lengths(motion: np.ndarray) -> tuple[float, float]:
@@ -177,16 +125,15 @@ def _step_lengths(motion: np.ndarray) -> tuple[float, float]:
     return stepped, walked
 
 
-def _contacts(row: int, motion: np.ndarray) -> _Doubt | None:
+def _contacts(motion: np.ndarray) -> _Doubt | None:
     """Foot contacts, which are 0 or 1, lie nowhere near."""
     contacts = motion[:, FOOT_CONTACTS]
     if np.abs(contacts).max() <= _FARTHEST_CONTACT:
         return None
-    found = f"{contacts.min():.1f} to {contacts.max():.1f}"
-    return _Doubt(row, "columns 259 to 262", expected="foot contacts near 0 or 1", found=found, sure=True)
+    return "columns 259 to 262", "foot contacts near 0 or 1", f"{contacts.min():.1f} to {contacts.max():.1f}", True
 
 
-def _speed(row: int, motion: np.ndarray) -> _Doubt | None:
+def _speed(motion: np.ndarray) -> _Doubt | None:
     """Joints move faster than any body for the whole motion."""
     if len(motion) < 2:
         return None
@@ -194,7 +141,7 @@ def _speed(row: int, motion: np.ndarray) -> _Doubt | None:
     if speed <= _FASTEST:
         return None
     expected = f"joints that move less than {_FASTEST * 100:.0f} cm a frame in the mean"
-    return _Doubt(row, "columns 0 to 66", expected=expected, found=f"{speed * 100:.0f} cm", sure=True)
+    return "columns 0 to 66", expected, f"{speed * 100:.0f} cm", True
 
 
 Root = Literal["relative", "absolute"]
@@ -203,6 +150,7 @@ Bones = Literal["positions", "rotations"]
 _TINIEST_STD = 1e-8
 
 
+@foreign_input()
 def read_feature_statistics(mean: Path, std: Path) -> Statistics:
     """``Mean.npy`` and ``Std.npy`` of the generator.
 
@@ -217,27 +165,19 @@ def read_feature_statistics(mean: Path, std: Path) -> Statistics:
     Raises:
         InputFileError: if a file is missing, no ``.npy`` of plain numbers, or holds other than 263 finite numbers.
     """
-    means = _vector(mean)
-    stds = _vector(std)
-    if (stds < 0).any():
-        column = int(np.flatnonzero(stds < 0)[0])
-        raise InputFileError(
-            std, f"column {column}", expected="0 or more", found=f"{stds[column]:g}", remedy="Is this Mean.npy?"
-        )
-    return Statistics(means, np.where(stds < _TINIEST_STD, np.float32(1.0), stds))
-
-
-@foreign_input()
-def _vector(path: Path) -> np.ndarray:
     remedy = "Give the Mean.npy and Std.npy that the model was trained with."
-    values = load_array(path, remedy=remedy)
-    if values.shape != (N_FEATURES,) or values.dtype.kind not in "fiu":
-        found = f"shape {values.shape} of {values.dtype}"
-        raise InputFileError(path, "", expected=f"{N_FEATURES} numbers", found=found, remedy=remedy)
-    if not np.isfinite(values).all():
-        column = int(np.flatnonzero(~np.isfinite(values))[0])
-        raise InputFileError(path, f"column {column}", expected="a finite number", found=str(values[column]))
-    return values.astype(np.float32)
+    vectors = []
+    for path in (mean, std):
+        values = load_array(path, remedy=remedy)
+        if values.shape != (N_FEATURES,) or values.dtype.kind not in "fiu":
+            found = f"shape {values.shape} of {values.dtype}"
+            raise InputFileError(path, "", expected=f"{N_FEATURES} numbers", found=found, remedy=remedy)
+        require_rows(path, ~np.isfinite(values), "a finite number", "NaN or infinity", place="column", first=0)
+        vectors.append(values.astype(np.float32))
+    means, stds = vectors
+    remedy = "Is this Mean.npy?"
+    require_rows(std, stds < 0, "0 or more", lambda row: f"{stds[row]:g}", place="column", first=0, remedy=remedy)
+    return Statistics(means, np.where(stds < _TINIEST_STD, np.float32(1.0), stds))
 
 
 def feature_rows(output: np.ndarray, *, source: str = FEATURES) -> Float[np.ndarray, "batch rows 263"]:

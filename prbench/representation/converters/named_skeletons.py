@@ -18,9 +18,7 @@ import numpy as np
 from jaxtyping import Float, Num
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
-from prbench.files.bounded import foreign_input, read_text
 from prbench.geometry.skeleton import CHAINS, N_JOINTS, XSENS_SEGMENTS, Joint, match_names
-from prbench.limits import HARMLESS_SIZE
 
 _AXES = ("@up", "@forward", "@left", "@ahead", "@above")
 """Directions of the trunk, each as long as the trunk (middle of the hips to middle of the shoulders): ``@up`` along it,
@@ -36,10 +34,6 @@ class Expression:
 
     joints: tuple[tuple[str, float], ...]
     axes: tuple[tuple[str, float], ...] = ()
-
-    def __str__(self) -> str:
-        terms = [name if weight == 1 else f"{weight:g} {name}" for name, weight in (*self.joints, *self.axes)]
-        return " + ".join(terms).replace("+ -", "- ")
 
 
 def parse_expression(text: str, known: Iterable[str], *, where: str) -> Expression:
@@ -57,13 +51,16 @@ def parse_expression(text: str, known: Iterable[str], *, where: str) -> Expressi
     names = list(known)
     joints: list[tuple[str, float | None]] = []
     axes: list[tuple[str, float]] = []
-    for sign, term in _signed_terms(text):
+    parts = re.split(r"\s+([+-])\s+", text.strip())
+    for sign, term in [("+", parts[0]), *zip(parts[1::2], parts[2::2])]:
         matched = _TERM.fullmatch(term)
         if matched is None:
             raise UsageError(f"{where}: expected joints and numbers such as '0.6 neck + 0.4 head', found '{text}'.")
         name = matched["name"].strip()
         number = matched["number"]
-        weight = None if number is None and sign > 0 else sign * float(number or 1)
+        weight = None
+        if number is not None or sign == "-":
+            weight = float(number or 1) * (1.0 if sign == "+" else -1.0)
         if name in names:
             joints.append((name, weight))
         elif name in _AXES:
@@ -73,24 +70,15 @@ def parse_expression(text: str, known: Iterable[str], *, where: str) -> Expressi
                 f"{where}: unknown joint '{name}'.{did_you_mean(name, [*names, *_AXES])} The source has: "
                 f"{', '.join(names)}."
             )
-    return Expression(_weighted(joints, text, where), tuple(axes))
-
-
-def _signed_terms(text: str) -> list[tuple[float, str]]:
-    parts = re.split(r"\s+([+-])\s+", text.strip())
-    return [(1.0, parts[0])] + [(1.0 if sign == "+" else -1.0, term) for sign, term in zip(parts[1::2], parts[2::2])]
-
-
-def _weighted(joints: list[tuple[str, float | None]], text: str, where: str) -> tuple[tuple[str, float], ...]:
     given = [weight for _, weight in joints if weight is not None]
-    if not given and joints:
-        return tuple((name, 1 / len(joints)) for name, _ in joints)
-    if len(given) != len(joints) or abs(sum(given) - 1) > _SUM_TOLERANCE:
+    if joints and not given:
+        return Expression(tuple((name, 1 / len(joints)) for name, _ in joints), tuple(axes))
+    if not joints or len(given) != len(joints) or abs(sum(given) - 1) > _SUM_TOLERANCE:
         raise UsageError(
             f"{where}: expected weights of all joints, which add up to 1, or of none, found '{text}'"
             f" ({sum(given):g} in all)."
         )
-    return tuple((name, weight) for name, weight in joints if weight is not None)
+    return Expression(tuple((name, weight) for (name, _), weight in zip(joints, given)), tuple(axes))
 
 
 NAMES: tuple[str, ...] = tuple(joint.name.lower() for joint in Joint)
@@ -146,20 +134,6 @@ def trunk_axes(joints: Float[np.ndarray, "*batch 22 3"]) -> dict[str, Float[np.n
     return {name: direction * length for name, direction in zip(_AXES, directions)}
 
 
-def complete(joints: Float[np.ndarray, "frames 22 3"], missing: tuple[Joint, ...]) -> Float[np.ndarray, "frames 22 3"]:
-    """The motion with the missing joints filled in.
-
-    Args:
-        joints: Y up, metres; missing ones hold anything.
-        missing: Keys of :data:`COMPLETIONS`.
-    """
-    filled = joints.copy()
-    axes = trunk_axes(joints)
-    for joint in (joint for joint in COMPLETIONS if joint in missing):
-        filled[:, joint] = placed(COMPLETIONS[joint], dict(zip(NAMES, range(N_JOINTS))), filled, axes)
-    return filled
-
-
 def placed(
     expression: Expression,
     columns: Mapping[str, int],
@@ -175,7 +149,6 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
-_KEYS = ("name", "joints", "map")
 _TRUNK = (Joint.LEFT_HIP, Joint.RIGHT_HIP, Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER)
 
 
@@ -227,37 +200,6 @@ class JointMap:
                 )
         return cls(name, names, expressions)
 
-    @classmethod
-    @foreign_input()
-    def from_toml(cls, path: Path) -> JointMap:
-        """A user's map: keys ``name``, ``joints`` (list of the source's names) and a table ``[map]``.
-
-        Raises:
-            InputFileError: if the file is missing, no TOML, or lacks a key.
-            UsageError: as :meth:`of`.
-        """
-        import tomllib  # here, because Python before 3.11 has none, and programs of such a Python use this class
-
-        try:
-            content = tomllib.loads(read_text(path, encoding="utf-8", largest=HARMLESS_SIZE))
-        except FileNotFoundError as error:
-            raise InputFileError(path, "", expected="this file", found="no such file") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputFileError(path, "", expected="TOML", found=str(error)) from error
-        unknown = [key for key in content if key not in _KEYS]
-        if unknown:
-            hint = did_you_mean(unknown[0], _KEYS).strip()
-            raise InputFileError(path, unknown[0], expected=", ".join(_KEYS), found="another key", remedy=hint)
-        joints = content.get("joints")
-        given = content.get("map")
-        if not isinstance(joints, list) or not all(isinstance(joint, str) for joint in joints):
-            raise InputFileError(
-                path, "joints", expected="a list of names, in the order of the arrays", found=f"{joints}"
-            )
-        if not isinstance(given, dict) or not all(isinstance(text, str) for text in given.values()):
-            raise InputFileError(path, "[map]", expected='lines such as neck = "Neck"', found=f"{given}")
-        return cls.of(str(content.get("name", path.stem)), joints, given)
-
     @property
     def completed(self) -> tuple[Joint, ...]:
         """Joints that the source lacks, and that are made from the others with fixed proportions."""
@@ -295,7 +237,10 @@ class JointMap:
         axes = trunk_axes(body)
         for joint, expression in self.expressions.items():
             body[:, joint] = placed(expression, columns, native, axes)
-        return complete(body, self.completed).astype(np.result_type(joints.dtype, np.float32))
+        own = dict(zip(NAMES, range(N_JOINTS)))
+        for joint in self.completed:
+            body[:, joint] = placed(COMPLETIONS[joint], own, body, axes)
+        return body.astype(np.result_type(joints.dtype, np.float32))
 
 
 def joint_map(name: str) -> JointMap:
@@ -307,7 +252,7 @@ def joint_map(name: str) -> JointMap:
     if name not in JOINT_MAPS:
         raise UsageError(
             f"unknown skeleton '{name}'.{did_you_mean(name, JOINT_MAPS)} Known ones: {', '.join(JOINT_MAPS)}; others"
-            " take a map of your own (JointMap.of, JointMap.from_toml)."
+            " take a map of your own (JointMap.of)."
         )
     return JOINT_MAPS[name]
 
@@ -339,26 +284,19 @@ def _paired(**parts: str) -> dict[str, str]:
     }
 
 
-def _smpl(name: str, count: int) -> JointMap:
-    """Skeletons whose first 22 joints are ours; what follows (hands, face, surface points) is left away."""
-    names = (*NAMES, *(f"joint_{index}" for index in range(len(NAMES), count)))
-    return JointMap.of(name, names, {joint: joint for joint in NAMES})
-
-
-def _chains() -> JointMap:
-    """The five kinematic chains of HumanML3D laid end to end, joints that two chains share standing in both."""
-    names: list[str] = []
-    for joint in (joint for chain in CHAINS for joint in chain):
-        plain = Joint(joint).name.lower()
-        names.append(plain if plain not in names else f"{plain}_{len(names)}")
-    return JointMap.of("humanml3d-chains", names, {joint: joint for joint in NAMES})
-
-
 _LIMBS = _paired(
     hip="{side}_hip", knee="{side}_knee", ankle="{side}_ankle", shoulder="{side}_shoulder", elbow="{side}_elbow",
     wrist="{side}_wrist",
 )  # fmt: skip
-_EARS = "0.5 left_ear + 0.5 right_ear - 0.05 @up"
+_EARS = {"head": "0.5 left_ear + 0.5 right_ear - 0.05 @up"}
+_ANIMATION_LIMBS = {
+    f"{side}_{part}": f"{side.capitalize()}{name}"
+    for side in ("left", "right")
+    for part, name in (
+        ("hip", "UpLeg"), ("knee", "Leg"), ("ankle", "Foot"), ("foot", "ToeBase"), ("shoulder", "Arm"),
+        ("elbow", "ForeArm"), ("wrist", "Hand"),
+    )
+}  # fmt: skip
 _COCO = (
     "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
     "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
@@ -400,58 +338,49 @@ _MIXAMO = (
     "RightUpLeg", "RightLeg", "RightFoot", "RightToeBase",
 )  # fmt: skip
 
-_ANIMATION_LIMBS = {
-    f"{side}_{part}": f"{side.capitalize()}{name}"
-    for side in ("left", "right")
-    for part, name in (
-        ("hip", "UpLeg"), ("knee", "Leg"), ("ankle", "Foot"), ("foot", "ToeBase"), ("shoulder", "Arm"),
-        ("elbow", "ForeArm"), ("wrist", "Hand"),
-    )
-}  # fmt: skip
+_OURS = {joint: joint for joint in NAMES}
+# The five kinematic chains of HumanML3D laid end to end, joints that two chains share standing in both.
+_CHAIN_JOINTS = [NAMES[joint] for chain in CHAINS for joint in chain]
+_CHAINS = [name if name not in _CHAIN_JOINTS[:place] else f"{name}_{place}" for place, name in enumerate(_CHAIN_JOINTS)]
 
 
-_ALL = (
-    _smpl("humanml3d-22", 22),
-    _chains(),
-    _smpl("smpl-24", 24),
-    _smpl("smpl-45", 45),
-    _smpl("smplh-52", 52),
-    _smpl("smplh-73", 73),
-    _smpl("smplx-55", 55),
-    _smpl("smplx-127", 127),
-    _smpl("smplx-144", 144),
-    JointMap.of("coco-17", _COCO, {**_LIMBS, "head": _EARS}),
-    JointMap.of(
-        "openpose-25",
+def _smpl(count: int) -> tuple[Sequence[str], Mapping[str, str]]:
+    """Skeletons whose first 22 joints are ours; what follows (hands, face, surface points) is left away."""
+    return (*NAMES, *(f"joint_{index}" for index in range(N_JOINTS, count))), _OURS
+
+
+_SKELETONS: Mapping[str, tuple[Sequence[str], Mapping[str, str]]] = {
+    "humanml3d-22": _smpl(22),
+    "humanml3d-chains": (_CHAINS, _OURS),
+    "smpl-24": _smpl(24),
+    "smpl-45": _smpl(45),
+    "smplh-52": _smpl(52),
+    "smplh-73": _smpl(73),
+    "smplx-55": _smpl(55),
+    "smplx-127": _smpl(127),
+    "smplx-144": _smpl(144),
+    "coco-17": (_COCO, {**_LIMBS, **_EARS}),
+    "openpose-25": (
         _BODY_25,
-        {
-            **_LIMBS,
-            **_paired(foot="0.35 {side}_ankle + 0.4 {side}_big_toe + 0.25 {side}_small_toe"),
-            "head": _EARS,
-        },
+        {**_LIMBS, **_paired(foot="0.35 {side}_ankle + 0.4 {side}_big_toe + 0.25 {side}_small_toe"), **_EARS},
     ),
-    JointMap.of(
-        "mediapipe-33",
+    "mediapipe-33": (
         _MEDIAPIPE,
-        {**_LIMBS, **_paired(foot="0.35 {side}_ankle + 0.65 {side}_foot_index"), "head": _EARS},
+        {**_LIMBS, **_paired(foot="0.35 {side}_ankle + 0.65 {side}_foot_index"), **_EARS},
     ),
-    JointMap.of(
-        "ntu-25",
+    "ntu-25": (
         _NTU,
         {**_LIMBS, **_paired(foot="{side}_foot"), "neck": "neck", "head": "0.65 neck + 0.35 head + 0.08 @forward"},
     ),
-    JointMap.of(
-        "h36m-17",
+    "h36m-17": (
         _H36M_17,
         {**_LIMBS, "neck": "0.35 thorax + 0.65 neck", "head": "0.9 neck + 0.1 head + 0.08 @forward"},
     ),
-    JointMap.of(
-        "h36m-32",
+    "h36m-32": (
         _H36M_32,
         {**_ANIMATION_LIMBS, "neck": "0.35 Neck + 0.65 Head", "head": "0.9 Head + 0.1 HeadSite + 0.08 @forward"},
     ),
-    JointMap.of(
-        "xsens-23",
+    "xsens-23": (
         XSENS_SEGMENTS,
         {
             **_paired(
@@ -461,15 +390,16 @@ _ALL = (
             "pelvis": "L5", "spine1": "L3", "spine2": "T12", "spine3": "T8", "neck": "Neck", "head": "Head",
         },
     ),
-    JointMap.of(
-        "mixamo",
+    "mixamo": (
         _MIXAMO,
         {
             **_ANIMATION_LIMBS, "pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2",
             "neck": "Neck", "head": "Head", "left_collar": "LeftShoulder", "right_collar": "RightShoulder",
         },
     ),
-)  # fmt: skip
+}  # fmt: skip
 
-JOINT_MAPS: Mapping[str, JointMap] = MappingProxyType({one.name: one for one in _ALL})
+JOINT_MAPS: Mapping[str, JointMap] = MappingProxyType(
+    {name: JointMap.of(name, joints, given) for name, (joints, given) in _SKELETONS.items()}
+)
 """All named maps."""

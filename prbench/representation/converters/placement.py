@@ -117,8 +117,7 @@ def at_rate(
 ) -> Float[np.ndarray, "wanted *shape"]:
     """Resample a motion to another rate, linearly interpolated; both begin on the first frame.
 
-    The first frame of a generated motion is the initial pose, so the grid begins there
-    (:func:`prbench.representation.at_20_fps` ends its grid on the last frame, which is the event of a recording).
+    The first frame of a generated motion is the initial pose, so the grid begins there.
 
     Args:
         values: Uniformly sampled positions or other vectors.

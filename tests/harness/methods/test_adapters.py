@@ -111,9 +111,9 @@ def test_an_error_that_the_user_can_repair_passes_as_it_is(install):
     install(
         "needy",
         "from prbench.errors import MissingExtraError\n"
-        "def load(weights, *, options, device): raise MissingExtraError('smplx', 'smplx', 'needy')",
+        "def load(weights, *, options, device): raise MissingExtraError('transformers', 'text', 'needy')",
     )
-    with pytest.raises(MissingExtraError, match=r"prbench\[smplx\]"):
+    with pytest.raises(MissingExtraError, match=r"prbench\[text\]"):
         load_adapter("needy", None, {}, "cpu")
 
 

@@ -89,38 +89,6 @@ def test_an_unknown_skeleton_is_answered_with_the_nearest() -> None:
         joint_map("h36m_17")
 
 
-def toml(**changes: str) -> str:
-    lines = {"joints": f"joints = {LIMB_NAMES}", "map": "[map]", **changes}
-    return "\n".join([*lines.values(), *(f'{name} = "{name}"' for name in LIMB_NAMES)])
-
-
-def test_a_map_from_toml_is_the_map_from_a_dictionary(tmp_path) -> None:
-    path = tmp_path / "rig.toml"
-    path.write_text(toml())
-    assert JointMap.from_toml(path) == JointMap.of("rig", LIMB_NAMES, IDENTITY)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (toml(map="[maps]"), "maps: expected name, joints, map.*Did you mean 'map'"),
-        (toml(joints="joints = 17"), "joints: expected a list of names"),
-        ('joints = ["a"]', r"\[map\]: expected lines such as"),
-        ("joints = [", "expected TOML"),
-    ],
-)
-def test_toml_that_is_no_map_is_refused(tmp_path, text, message) -> None:
-    path = tmp_path / "rig.toml"
-    path.write_text(text)
-    with pytest.raises(InputFileError, match=message):
-        JointMap.from_toml(path)
-
-
-def test_a_missing_toml_is_named(tmp_path) -> None:
-    with pytest.raises(InputFileError, match="no such file"):
-        JointMap.from_toml(tmp_path / "rig.toml")
-
-
 @pytest.mark.parametrize(
     "rename",
     [
