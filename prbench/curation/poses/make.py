@@ -26,7 +26,7 @@ from prbench.files.storage import atomic_folder, lock_file, sole_writer
 from prbench.limits import HARMLESS_SIZE
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import format as ego
-from prbench.readers.egoallo.bodies import HOW_TO_GET, read_window
+from prbench.readers.egoallo.bodies import HOW_TO_GET
 from prbench.readers.egoallo.files import EgoalloInputs, Need, find_model, poses_folder
 
 _PLACEHOLDERS = {
@@ -394,9 +394,6 @@ def _run(state: PoseState, inputs: EgoalloInputs, config: PosesConfig, model: Pa
             replaced = target.with_name(f"{target.name}{_REPLACED}")
             _clear(replaced)
             target.replace(replaced)
-    if model is not None and model.is_file():  # the joints are computed while the model is at hand
-        for path in sorted(target.glob("*.npz")):
-            read_window(path, model)
     return Outcome(name, "made", f"{len(outputs)} outputs cover {covered}")
 
 

@@ -259,8 +259,7 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
             streams.append(replace(csv_extent("gaze", file, TIME_COLUMN, 1e-6), tells_span=False))
         elif file.role.startswith(SKELETON_PREFIX):
             streams.append(replace(json_extent("body", file), tells_span=False, may_start_late=True))
-    body = body_extent(found)
-    return tuple(streams) if body is None else (*streams, body)
+    return (*streams, *body_extent(found))
 
 
 class Instance(msgspec.Struct):

@@ -20,7 +20,7 @@ from prbench.protocol.manifests import Manifest
 from prbench.readers.adt import format as adt
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, AriaTrajectory, GlassesSize, device_from_cpf
 from prbench.readers.aria_mps.to_recording import gaze_in_world, head_and_camera, part_poses, size_remark
-from prbench.readers.egoallo.files import POINT_FILES, EgoalloInputs, aria_inputs, require_trajectory
+from prbench.readers.egoallo.files import POINT_FILES, EgoalloInputs, aria_inputs
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS, body_stream
 from prbench.readers.found import RecordingFiles
 from prbench.recording.streams import (
@@ -258,9 +258,8 @@ def adt_inputs(root: Path, found: RecordingFiles) -> EgoalloInputs:
     Raises:
         InputFileError: if it has no trajectory.
     """
-    require_trajectory(found, adt.TRAJECTORY_FILE)
     return replace(
-        aria_inputs(root, found),
+        aria_inputs(root, found, adt.TRAJECTORY_FILE),
         points=point_cloud(found),
         glasses_size=ASSUMED_SIZE,
         turned=prepared_trajectory,

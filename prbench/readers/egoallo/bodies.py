@@ -1,192 +1,99 @@
 """The outputs of one recording as one body: read, checked against the recording, joined.
 
-Joints are computed once: later reads take them from the user's cache and need no body model.
+Sources: docs/specification/egoallo.md#files and docs/specification/egoallo.md#bad-input.
 """
 
 from __future__ import annotations
 
-import contextlib
-import io
-import re
-import zipfile
-import zlib
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
-from prbench.errors import InputFileError, StorageError
+from prbench.errors import InputFileError
 from prbench.files.arrays import Archive
-from prbench.files.bounded import foreign_input, read_whole, require_regular
-from prbench.files.storage import bytes_digest, cache_folder, sole_file
-from prbench.geometry.skeleton import Joint
+from prbench.files.bounded import foreign_input
 from prbench.geometry.timelines import covered
 from prbench.readers.aria_mps.format import LONGEST_POSE_STEP
 from prbench.readers.egoallo import format as ego
-from prbench.readers.egoallo.files import MODEL_ROLE, OUTPUT_ROLE, parse_output, read_output
-from prbench.readers.egoallo.to_recording import joined_windows, window_joints
-from prbench.readers.found import RecordingFiles, is_present
+from prbench.readers.egoallo.files import MODEL_ROLE, OUTPUT_ROLE
+from prbench.readers.egoallo.to_recording import body_from_outputs
+from prbench.readers.files import require_increasing
+from prbench.readers.found import RecordingFiles
 from prbench.recording.streams import PoseStream
+from prbench.representation.converters import RestJoints, read_rest_joints
 
 HOW_TO_GET = (
     "Download the 'Extended SMPL+H model' (16 shape parameters) from https://mano.is.tue.mpg.de/ (free registration)"
     " and give its smplh/neutral/model.npz with --option smplh_model=FILE, in the environment variable"
-    " PRBENCH_SMPLH_MODEL, or as smplh/neutral/model.npz below the dataset's root. It is needed once: the joints are"
-    " kept."
+    " PRBENCH_SMPLH_MODEL, or as smplh/neutral/model.npz below the dataset's root."
 )
-_CONVERT = (
-    "Some copies hold Python objects, which prbench never unpickles. If yours is from the official site, convert it"
-    " once: python -c \"import numpy as np; m = np.load('model.npz', allow_pickle=True);"
-    " np.savez('plain.npz', **{k: np.asarray(m[k].todense() if hasattr(m[k], 'todense') else m[k])"
-    " for k in ('J_regressor', 'v_template', 'shapedirs')})\""
-)
-_KEYS = (ego.REGRESSOR, ego.TEMPLATE, ego.SHAPES)
-_GUIDANCE = re.compile(r"^guidance_mode:[ ]*['\"]?(\w+)['\"]?[ ]*$", re.MULTILINE)
-_OPTIONS_BYTES = 65536
-_VERSION = 1  # of what is kept; raise it when the arithmetic changes
+_AGAIN = "Delete it and run `prbench poses egoallo` again."
+_ELSEWHERE = "Move it to the recording it was made from, or delete it and run `prbench poses egoallo` again."
+_MARGIN = 1.0  # seconds
+_SHAPES: dict[str, tuple[int | str, ...]] = {
+    ego.WORLD_FROM_CPF: ("T", 7),
+    ego.WORLD_FROM_ROOT: ("S", "T", 7),
+    ego.BODY_QUATS: ("S", "T", ego.N_BODY_QUATS, 4),
+    ego.BETAS: ("S", "T", ego.N_BETAS),
+}
 
 
-def read_window(path: Path, model: Path | None) -> tuple[ego.BodyWindow, Float[np.ndarray, "t 3"] | None]:
-    """Joints of one output file, and the head positions that it was made from (None in files with joints only).
-
-    Args:
-        path: The output.
-        model: SMPL-H model; None is enough where the joints of exactly these bytes were computed before.
-
-    Raises:
-        InputFileError: if the output is damaged (docs/specification/egoallo.md#bad-input), or the model is needed and
-        missing or damaged.
-    """
-    try:
-        content = read_whole(path)
-    except FileNotFoundError as error:
-        raise InputFileError(
-            path, "", expected="an output of EgoAllo", found="no such file", remedy="Run `prbench poses egoallo`."
-        ) from error
-    output = parse_output(path, content)
-    if isinstance(output, ego.BodyWindow):
-        return output, None
-    guidance = _read_guidance(path)
-    head = output.world_from_cpf[:, 4:].astype(np.float64)
-    samples = len(output.world_from_root)
-    kept = cache_folder() / "egoallo" / f"{bytes_digest(content)}.npz"
-    wanted = None if model is None else _model_digest(model)
-    joints = _kept_joints(kept, wanted, frames=len(output.time_ns))
-    if joints is None:
-        if model is None or wanted is None:
-            raise InputFileError(
-                path,
-                "",
-                expected="the SMPL-H body model, from which joints are computed",
-                found="no model, and no joints of this file from an earlier run",
-                remedy=HOW_TO_GET,
-            )
-        joints = window_joints(output, read_smplh_rest(model)).joints
-        with contextlib.suppress(StorageError), sole_file(kept) as temporary:  # a full cache costs time, not the build
-            np.savez(temporary, version=_VERSION, model=wanted, joints=joints)
-    return ego.BodyWindow(path.name, output.time_ns, joints, samples, guidance), head
-
-
-def _read_guidance(path: Path) -> str:
-    """``guidance_mode`` of an output, from the options beside it; empty where they are missing or say nothing.
-
-    The file is YAML that may name Python objects: it is looked at as text and never loaded.
-    """
-    options = path.with_name(f"{path.stem}{ego.ARGUMENTS_SUFFIX}")
-    if not is_present(options):
-        return ""
-    require_regular(options)
-    with open(options, "rb") as file:
-        text = file.read(_OPTIONS_BYTES).decode("utf-8", errors="replace")
-    found = _GUIDANCE.search(text)
-    return found[1] if found else ""
-
-
-def _model_digest(path: Path) -> str:
-    """SHA-256 of the rest joints' template and directions, which tells two models apart.
-
-    Raises:
-        InputFileError: see :func:`read_smplh_rest`.
-    """
-    rest = read_smplh_rest(path)
-    return bytes_digest(np.ascontiguousarray(rest.template).tobytes() + np.ascontiguousarray(rest.directions).tobytes())
-
-
-@foreign_input()
-def read_smplh_rest(path: Path) -> ego.SmplhRest:
+def read_smplh_rest(path: Path) -> RestJoints:
     """Rest joints of the model, linear in the shape; of its 52 joints the first 22.
 
     Raises:
-        InputFileError: if the file is missing, damaged, lacks a key, or holds arrays of other shapes or objects.
+        InputFileError: if the file is missing, damaged, or no SMPL-H model with 16 shapes.
     """
-    path = path.expanduser()
-    try:
-        state = path.stat()
-    except OSError as error:
-        raise InputFileError(
-            path, "", expected="the SMPL-H body model", found="no such file", remedy=HOW_TO_GET
-        ) from error
-    return _read((path, state.st_size, state.st_mtime_ns))
+    rest = read_rest_joints(path, joints=ego.N_MODEL_JOINTS, how_to_get=HOW_TO_GET)
+    shapes = rest.directions.shape[-1]
+    if shapes < ego.N_BETAS:
+        expected = f"at least {ego.N_BETAS} shapes (SMPL-H, extended)"
+        raise InputFileError(path, "shapedirs", expected=expected, found=str(shapes), remedy=HOW_TO_GET)
+    return rest
 
 
-@lru_cache(maxsize=4)
-def _read(state: tuple[Path, int, int]) -> ego.SmplhRest:
-    """Read once a process; size and time of change make a changed file another one."""
-    path = state[0]
-    archive = Archive(path, remedy=f"Copy or download it again. {_CONVERT}")
-    missing = [key for key in _KEYS if key not in archive.members]
-    if missing:
-        raise InputFileError(
-            path,
-            "",
-            expected=f"an array '{missing[0]}'",
-            found=", ".join(archive.members) or "nothing",
-            remedy=f"This is no SMPL-H model. {HOW_TO_GET}",
-        )
-    arrays = archive.load(_KEYS)
-    for key, axes in zip(_KEYS, (2, 2, 3), strict=True):
-        if arrays[key].ndim != axes or arrays[key].dtype.kind not in "fiu":
-            found = f"shape {arrays[key].shape} of {arrays[key].dtype}"
-            raise InputFileError(path, key, expected=f"numbers with {axes} axes", found=found, remedy=HOW_TO_GET)
-    regressor, template, shapes = (arrays[key].astype(np.float64) for key in _KEYS)
-    points = regressor.shape[1]
-    for key, array, shape in (
-        (ego.REGRESSOR, regressor, (ego.N_MODEL_JOINTS, points)),
-        (ego.TEMPLATE, template, (points, 3)),
-        (ego.SHAPES, shapes[..., : ego.N_BETAS], (points, 3, ego.N_BETAS)),
-    ):
-        if array.shape != shape or not np.isfinite(array).all():
-            raise InputFileError(
-                path,
-                key,
-                expected="52 joints, as many points everywhere, at least 16 shapes, finite numbers (SMPL-H, extended)",
-                found=f"the shape {arrays[key].shape}",
-                remedy=HOW_TO_GET,
-            )
-    # The first 22 of the 52 joints are those of the body; the others are fingers.
-    body = regressor[:22]
-    return ego.SmplhRest(body @ template, np.einsum("jv,vkb->jkb", body, shapes[:, :, : ego.N_BETAS]))
+@foreign_input()
+def read_output(path: Path) -> ego.EgoAlloOutput:
+    """Read one output file.
 
-
-def _kept_joints(kept: Path, wanted: str | None, *, frames: int) -> np.ndarray | None:
-    """Joints from the cache, if they are whole and of the wanted model (of any model where none is given)."""
-    try:
-        with np.load(io.BytesIO(kept.read_bytes()), allow_pickle=False) as file:
-            version = int(file["version"])
-            model = str(file["model"])
-            joints = file["joints"]
-    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
-        if not isinstance(error, FileNotFoundError):
-            with contextlib.suppress(OSError):  # a damaged entry is dropped where that is possible, and made again
-                kept.unlink(missing_ok=True)
-        return None
-    fits = version == _VERSION and joints.shape == (frames, 22, 3) and joints.dtype == np.float32
-    return joints if fits and wanted in (None, model) else None
-
-
-_MARGIN = 1.0  # seconds
-_REMEDY = "Move it to the recording it was made from, or delete it and run `prbench poses egoallo` again."
+    Raises:
+        InputFileError: if the file is missing or no npz archive of plain arrays, or a key is missing, empty, of another
+            shape than the others, or holds NaN, quaternions of another length than 1, or times that do not increase.
+    """
+    archive = Archive(path, remedy=f"The file may be truncated. {_AGAIN}")
+    archive.require((ego.TIMES, *_SHAPES))
+    arrays = archive.load((ego.TIMES, *_SHAPES))  # what else it holds is not even unpacked
+    times = arrays.pop(ego.TIMES)
+    if times.ndim != 1 or not np.issubdtype(times.dtype, np.integer):
+        found = f"{times.dtype} {times.shape}"
+        raise InputFileError(path, ego.TIMES, expected="integers (T,), nanoseconds", found=found, remedy=_AGAIN)
+    root = arrays[ego.WORLD_FROM_ROOT]
+    sizes = {"T": len(times), "S": len(root) if root.ndim == 3 else -1}
+    for size, what in (("T", "frame"), ("S", "sample")):
+        if sizes[size] == 0:
+            raise InputFileError(path, "", expected=f"at least one {what}", found=f"{size} = 0", remedy=_AGAIN)
+    require_increasing(path, times, unit="ns", place=f"{ego.TIMES}, frame", first=0, remedy=_AGAIN)
+    for key, form in _SHAPES.items():
+        array = arrays[key]
+        shape = tuple(size if isinstance(size, int) else sizes[size] for size in form)
+        if array.shape != shape or not np.issubdtype(array.dtype, np.floating):
+            expected = f"floats of the shape {shape} (as many frames as '{ego.TIMES}' and as many samples everywhere)"
+            found = f"{array.dtype} {array.shape}"
+            raise InputFileError(path, key, expected=expected, found=found, remedy=_AGAIN)
+        bad = np.argwhere(~np.isfinite(array))
+        if len(bad):
+            found = f"NaN or infinity in {len(bad)} places"
+            raise InputFileError(path, f"{key}{bad[0].tolist()}", expected="finite numbers", found=found, remedy=_AGAIN)
+        if key != ego.BETAS:
+            length = np.linalg.norm(array[..., :4].astype(np.float64), axis=-1)
+            worst = np.unravel_index(int(np.argmax(np.abs(length - 1))), length.shape)
+            if abs(length[worst] - 1) > ego.QUATERNION_TOLERANCE:
+                place = f"{key}{[int(index) for index in worst]}"
+                found = f"length {length[worst]:.4f}"
+                raise InputFileError(path, place, expected="a quaternion of length 1", found=found, remedy=_AGAIN)
+        arrays[key] = array if array.dtype == np.float64 else array.astype(np.float32)
+    return ego.EgoAlloOutput(path.name, times.astype(np.int64), *(arrays[key] for key in _SHAPES))
 
 
 def check_output(path: Path, cpf: PoseStream) -> Int[np.ndarray, " t"]:
@@ -194,7 +101,7 @@ def check_output(path: Path, cpf: PoseStream) -> Int[np.ndarray, " t"]:
 
     Args:
         path: The output.
-        cpf: See :func:`_require_belongs`.
+        cpf: The recording's central pupil frame, in the world that the output is in, device seconds.
 
     Returns:
         Its times, nanoseconds on the device clock.
@@ -202,58 +109,44 @@ def check_output(path: Path, cpf: PoseStream) -> Int[np.ndarray, " t"]:
     Raises:
         InputFileError: if the output is damaged, or belongs to another recording.
     """
-    output = read_output(path)
-    if isinstance(output, ego.BodyWindow):
-        _require_belongs(path, output.time_ns, output.joints[:, Joint.HEAD].astype(np.float64), cpf, exact=False)
-    else:
-        _require_belongs(path, output.time_ns, output.world_from_cpf[:, 4:].astype(np.float64), cpf, exact=True)
-    return output.time_ns
+    return _read_own(path, cpf).time_ns
 
 
-def _require_belongs(
-    path: Path, time_ns: Int[np.ndarray, " t"], points: Float[np.ndarray, "t 3"], cpf: PoseStream, *, exact: bool
-) -> None:
+def _read_own(path: Path, cpf: PoseStream) -> ego.EgoAlloOutput:
     """Refuse an output of another recording: the head pose is an input of EgoAllo and must come back.
 
-    Args:
-        path: The output, for the message.
-        time_ns: Its times on the device clock.
-        points: The central pupil frame in the output, or its head joint.
-        cpf: The recording's central pupil frame, in the world that the output is in, device seconds.
-        exact: Whether ``points`` are the central pupil frame; the limit for head joints is wider.
-
-    Raises:
-        InputFileError: if no frame falls into the recording's time, or the median distance is above 5 cm.
+    No frame may lie outside of the recording's time alone, and the median distance may be 5 cm.
     """
-    times = time_ns / 1e9
-    whole = cpf
+    output = read_output(path)
+    times = output.time_ns / 1e9
+    begin, end = cpf.times[[0, -1]]
     # The part of a trajectory that can matter for some times: a recording has hundreds of outputs to compare.
     first, last = np.searchsorted(cpf.times, [times[0] - _MARGIN, times[-1] + _MARGIN])
     rows = slice(max(int(first) - 1, 0), int(last) + 1)
     cpf = PoseStream(cpf.times[rows], cpf.position[rows], cpf.rotation[rows], cpf.valid[rows])
     posed = covered(cpf.times, cpf.valid, times, max_gap=LONGEST_POSE_STEP)
-    during = (times >= whole.times[0]) & (times <= whole.times[-1])
-    if during.any() and not posed.any():
-        return  # all of it lies in a gap of the trajectory: nothing tells, and its frames become invalid
     if not posed.any():
+        if ((times >= begin) & (times <= end)).any():
+            return output  # all of it lies in a gap of the trajectory: nothing tells, and its frames become invalid
         raise InputFileError(
             path,
             ego.TIMES,
-            expected=f"times of this recording, {whole.times[0]:.3f} … {whole.times[-1]:.3f} s on the device clock",
+            expected=f"times of this recording, {begin:.3f} … {end:.3f} s on the device clock",
             found=f"{times[0]:.3f} … {times[-1]:.3f} s: the output belongs to another recording",
-            remedy=_REMEDY,
+            remedy=_ELSEWHERE,
         )
     expected, _ = cpf.pose_at(times[posed])
-    limit = ego.LARGEST_CPF_ERROR if exact else ego.LARGEST_HEAD_ERROR
-    distance = float(np.median(np.linalg.norm(points[posed] - expected, axis=1)))
-    if not distance <= limit:
+    points = output.world_from_cpf[posed, 4:].astype(np.float64)
+    distance = float(np.median(np.linalg.norm(points - expected, axis=1)))
+    if not distance <= ego.LARGEST_CPF_ERROR:
         raise InputFileError(
             path,
-            ego.WORLD_FROM_CPF if exact else ego.JOINTS,
-            expected=f"head poses of this recording at the same times, to {limit * 100:.0f} cm",
+            ego.WORLD_FROM_CPF,
+            expected=f"head poses of this recording at the same times, to {ego.LARGEST_CPF_ERROR * 100:.0f} cm",
             found=f"a median distance of {distance * 100:.1f} cm: the output belongs to another recording or world",
-            remedy=_REMEDY,
+            remedy=_ELSEWHERE,
         )
+    return output
 
 
 def read_bodies(found: RecordingFiles, *, cpf: PoseStream) -> ego.EgoAlloBody | None:
@@ -268,15 +161,19 @@ def read_bodies(found: RecordingFiles, *, cpf: PoseStream) -> ego.EgoAlloBody | 
         Joints in the source world, on the device clock; None where there are no outputs.
 
     Raises:
-        InputFileError: if an output is damaged, or belongs to another recording; or if joints must be computed and the
-            body model is missing or damaged.
+        InputFileError: if an output is damaged, or belongs to another recording; or if the body model is missing or
+            damaged.
     """
-    outputs = [file.path for file in found.files if file.role.startswith(OUTPUT_ROLE)]
+    outputs = [_read_own(file.path, cpf) for file in found.files if file.role.startswith(OUTPUT_ROLE)]
+    if not outputs:
+        return None
     model = found.path(MODEL_ROLE)
-    windows = []
-    for path in outputs:
-        window, head = read_window(path, model)
-        points = window.joints[:, Joint.HEAD].astype(np.float64) if head is None else head
-        _require_belongs(path, window.time_ns, points, cpf, exact=head is not None)
-        windows.append(window)
-    return joined_windows(windows)
+    if model is None:
+        raise InputFileError(
+            found.folder,
+            "",
+            expected="the SMPL-H body model, from which joints are computed",
+            found="no model",
+            remedy=HOW_TO_GET,
+        )
+    return body_from_outputs(outputs, read_smplh_rest(model))

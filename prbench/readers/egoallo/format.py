@@ -30,16 +30,11 @@ LEFT_HAND_QUATS = "left_hand_quats"
 RIGHT_HAND_QUATS = "right_hand_quats"
 CONTACTS = "contacts"
 FRAME_NUMS = "frame_nums"
-JOINTS = "joints"
-"""Key in files that other pipelines make: joints instead of rotations."""
 N_BODY_QUATS = 21
 N_HAND_QUATS = 15
 N_BETAS = 16
 
 MODEL_FILE = "smplh/neutral/model.npz"
-REGRESSOR = "J_regressor"
-TEMPLATE = "v_template"
-SHAPES = "shapedirs"
 N_MODEL_JOINTS = 52
 
 WINDOW_FRAMES = 128
@@ -53,8 +48,6 @@ SAME_FRAME_NS = 20_000_000
 """Frames of two windows closer than this are one frame: steps are 33 ms."""
 LARGEST_CPF_ERROR = 0.05
 """Metres, median; a head pose further from the recording's at the same time belongs to another one (choice)."""
-LARGEST_HEAD_ERROR = 0.5
-"""Metres, median; the same for the head joint of files that hold joints only (choice)."""
 QUATERNION_TOLERANCE = 1e-3
 
 
@@ -76,20 +69,6 @@ class EgoAlloOutput:
 
 
 @dataclass(frozen=True)
-class BodyWindow:
-    """The joints of one output file."""
-
-    name: str
-    time_ns: Int[np.ndarray, " t"]
-    joints: Float[np.ndarray, "t 22 3"]
-    """World of the trajectory, metres."""
-    samples: int = 1
-    """Guesses in the file, of which the first is taken."""
-    guidance: str = ""
-    """EgoAllo's ``guidance_mode`` (``no_hands``, ``aria_wrist_only``, …); empty if unknown."""
-
-
-@dataclass(frozen=True)
 class EgoAlloBody:
     """All windows of one recording as one body."""
 
@@ -98,18 +77,6 @@ class EgoAlloBody:
     """World of the trajectory that the outputs were made from, metres."""
     messages: tuple[str, ...] = ()
     """Messages for the user about them."""
-
-
-@dataclass(frozen=True)
-class SmplhRest:
-    """Rest joints of an SMPL-H model: linear in the 16 shape numbers."""
-
-    template: Float[np.ndarray, "22 3"]
-    directions: Float[np.ndarray, "22 3 16"]
-
-    def rest_joints(self, betas: Float[np.ndarray, "16"]) -> Float[np.ndarray, "22 3"]:
-        """Joints of one person in the rest pose, metres, model frame (x left, y up, z forward)."""
-        return self.template + self.directions @ betas.astype(np.float64)
 
 
 def forward_kinematics(

@@ -24,6 +24,8 @@ from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.geometry.timelines import interpolate, slerp
 from prbench.readers.aria_mps.format import AriaTrajectory, GlassesSize, device_from_cpf
 from prbench.readers.egoallo import format as ego
+from prbench.representation.converters import RestJoints
+from prbench.representation.converters.smpl import REGRESSOR, SHAPES, TEMPLATE
 from prbench.synthetic.people.kinematics import soft_limit, two_bone, wobble
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import Sensing, Switches
@@ -66,13 +68,13 @@ _EXACT = 1e-7  # metres; people are made of these lengths
 
 
 @cache
-def synthetic_smplh() -> ego.SmplhRest:
+def synthetic_smplh() -> RestJoints:
     """Return the synthetic model: rest joints of a mean person, and what each of the 16 shape numbers adds to them."""
     bones = np.stack([_group_bones(group) for group in _GROUPS], axis=-1) * _STATURE
     joints = np.zeros_like(bones)
     for child in range(1, N_JOINTS):
         joints[child] = joints[PARENTS[child]] + bones[child]
-    return ego.SmplhRest(joints.sum(axis=-1), joints * _UNIT)
+    return RestJoints(joints.sum(axis=-1), joints * _UNIT)
 
 
 def shape_of(performance: Performance) -> Float[np.ndarray, "16"]:
@@ -205,7 +207,7 @@ def sense_egoallo(
     ).reshape(n, len(Joint), 4)
     rotations = model_rotations(segments)
     pelvis = interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
-    rest = synthetic_smplh().rest_joints(shape_of(performance))
+    rest = synthetic_smplh().of(shape_of(performance))
     joints = ego.forward_kinematics(rest, pelvis, rotations[:, Joint.PELVIS], _local(rotations))
     pose = _estimate(sensing, _Pose(joints, rotations), times, number)
     # The root pose in the native world, and local rotations; float32, as the files hold them.
@@ -350,11 +352,11 @@ def write_smplh_model(path: Path) -> None:
             temporary,
             **{
                 "f": np.array([[0, 1, 2]], dtype=np.int32),
-                ego.REGRESSOR: np.eye(n),
+                REGRESSOR: np.eye(n),
                 "kintree_table": np.stack([parents, np.arange(n)]).astype(np.uint32),
                 "weights": np.eye(n),
                 "posedirs": np.zeros((n, 3, 9 * (n - 1))),
-                ego.TEMPLATE: rest.template[owner],
-                ego.SHAPES: rest.directions[owner],
+                TEMPLATE: rest.template[owner],
+                SHAPES: rest.directions[owner],
             },
         )

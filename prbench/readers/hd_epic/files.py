@@ -255,9 +255,7 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
             streams.append(csv_extent(_MPS[file.role], file, mps.TIME_COLUMN, 1e-6))
         elif file.role == mps.TRAJECTORY and recording is not None:
             streams.append(Extent("glasses", file.member.rpartition("/")[2], *recording.span))
-    body = body_extent(found)
-    everything = streams if body is None else [*streams, body]
-    return tuple(replace(stream, slack=SEVERAL_SENSORS) for stream in everything)
+    return tuple(replace(stream, slack=SEVERAL_SENSORS) for stream in (*streams, *body_extent(found)))
 
 
 _UP = (0.0, 0.0, 1.0)

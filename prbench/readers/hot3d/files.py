@@ -188,10 +188,9 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
     device = [
         _device_stream(file) for file in found.files if file.role in (TRAJECTORY, GAZE) and can_be_looked_at(file)
     ]
-    body = body_extent(found)
     truth = [_truth_stream(file) for file in found.files if file.role in (HEADSET, OBJECTS, UMETRACK)]
     masks = [_truth_stream(file) for file in found.files if file.role.startswith(MASK_PREFIX)]
-    return (*_from_start([*truth, *masks]), *_from_start(device if body is None else [*device, body]))
+    return (*_from_start([*truth, *masks]), *_from_start([*device, *body_extent(found)]))
 
 
 def _device_stream(file: InputFile) -> Extent:

@@ -313,9 +313,8 @@ def read_amass(path: Path) -> SmplParameters:
 REGRESSOR = "J_regressor"
 TEMPLATE = "v_template"
 SHAPES = "shapedirs"
-SMPLH_JOINTS = 52
 SMPLX_JOINTS = 55
-"""Rows of the regressor, by which these models are told from SMPL, which has 24."""
+"""Rows of the regressor, by which this model is told from SMPL, which has 24, and from SMPL-H, which has 52."""
 
 HOW_TO_CONVERT = (
     "prbench opens no pickles. Convert the licensed file once, in the environment of its own tools (a .pkl of SMPL"
@@ -367,11 +366,12 @@ class RestJoints:
 
 
 @foreign_input()
-def read_rest_joints(path: Path, *, how_to_get: str = _DOWNLOAD) -> RestJoints:
+def read_rest_joints(path: Path, *, joints: int | None = None, how_to_get: str = _DOWNLOAD) -> RestJoints:
     """The rest joints of a body model in ``.npz`` form; arrays that hold Python objects are never opened.
 
     Args:
         path: ``SMPLX_NEUTRAL.npz``, ``smplh/neutral/model.npz``, or what :data:`HOW_TO_CONVERT` writes.
+        joints: Of the whole model, where only one will do: 24 of SMPL, 52 of SMPL-H, 55 of SMPL-X.
         how_to_get: What to do where there is no file, for the message.
 
     Raises:
@@ -390,16 +390,17 @@ def read_rest_joints(path: Path, *, how_to_get: str = _DOWNLOAD) -> RestJoints:
     fits = (
         template.shape == (points, 3)
         and regressor.ndim == 2
-        and regressor.shape[0] >= N_JOINTS
+        and (regressor.shape[0] >= N_JOINTS if joints is None else regressor.shape[0] == joints)
         and regressor.shape[1] == points
         and shapes.ndim == 3
         and shapes.shape[:2] == (points, 3)
     )
     if not fits or not all(np.isfinite(array).all() for array in (regressor, template, shapes)):
+        rows = joints or f"at least {N_JOINTS}"
         raise InputFileError(
             path,
             "",
-            expected=f"finite v_template (v, 3), J_regressor (at least {N_JOINTS}, v) and shapedirs (v, 3, shapes)",
+            expected=f"finite v_template (v, 3), J_regressor ({rows}, v) and shapedirs (v, 3, shapes)",
             found=f"{template.shape}, {regressor.shape} and {shapes.shape}",
             remedy="This is the model of another body.",
         )

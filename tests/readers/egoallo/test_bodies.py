@@ -16,8 +16,7 @@ from tests.readers.egoallo_files import model, output, rewrite, times_ns, walk, 
 
 
 @pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("PRBENCH_CACHE", str(tmp_path / "cache"))
+def no_model_in_the_environment(monkeypatch):
     monkeypatch.delenv("PRBENCH_SMPLH_MODEL", raising=False)
 
 
@@ -45,11 +44,10 @@ def test_no_outputs_no_body(root):
 
 def test_outputs_of_the_first_place_that_has_some(root, tmp_path):
     write(poses_folder(root, "rec"), output(0, 5))
-    assert len(_found(root).files) == 3
+    assert len(_found(root).files) == 2
     write(root / "rec" / "egoallo_outputs", output(0, 6), output(6, 9))
     assert {file.role for file in _found(root).files} == {
         "egoallo/20240101-120000_0-6.npz", "egoallo/20240101-120000_6-9.npz", "smplh_model",
-        "egoallo options/20240101-120000_0-6_args.yaml", "egoallo options/20240101-120000_6-9_args.yaml",
     }  # fmt: skip
     write(poses_folder(root, "rec", tmp_path / "poses"), output(0, 7))
     first = _found(root, poses_root=tmp_path / "poses").files[0]
@@ -85,14 +83,6 @@ def test_names_of_files_do_not_matter_for_the_order(root):
     np.testing.assert_allclose(_body(root).joints[:25, 0, 2], 0.9, atol=1e-6)
 
 
-def test_an_output_of_which_the_options_alone_are_there_is_missed(root):
-    folder = poses_folder(root, "rec")
-    write(folder, output(0, 25))
-    write(folder, output(20, 40)).unlink()
-    with pytest.raises(InputFileError, match=r"20-40\.npz"):
-        _body(root)
-
-
 def test_frames_of_another_phase_do_not_interleave(root):
     folder = poses_folder(root, "rec")
     path = write(folder, output(0, 20), output(10, 30))
@@ -121,24 +111,6 @@ def test_of_several_samples_the_first_is_taken_and_told(root):
     assert body.messages == ("1 of 1 EgoAllo outputs hold several samples; the first is taken",)
     write(poses_folder(root, "rec"), output())
     np.testing.assert_array_equal(body.joints, _body(root).joints)
-
-
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("guidance_mode: no_hands\n", ("EgoAllo was guided by: no_hands",)),
-        (
-            "!!python/object:__main__.Args\nguidance_mode: 'aria_wrist_only'\n",
-            ("EgoAllo was guided by: aria_wrist_only",),
-        ),
-        ("guidance_mode: !!python/object/apply:os.system [exit]\n", ()),
-        ("", ()),
-    ],
-)
-def test_options_are_looked_at_as_text(root, text, told):
-    path = write(poses_folder(root, "rec"), output())
-    path.with_name(f"{path.stem}_args.yaml").write_text(text)
-    assert _body(root).messages == told
 
 
 def test_the_shape_is_averaged_over_time(root):
@@ -187,58 +159,8 @@ def test_an_output_within_a_gap_of_the_trajectory_is_kept(root):
     np.testing.assert_array_equal(body.joints, _body(root).joints)
 
 
-def test_files_with_joints_only_need_no_model_and_must_be_near_the_head(root):
-    path = poses_folder(root, "rec") / "x.npz"
-    path.parent.mkdir(parents=True)
-    joints = np.tile([0.05, 0.0, 1.5], (5, 22, 1))
-    np.savez(path, joints=joints, timestamps_ns=times_ns(0, 5))
-    (root / "smplh/neutral/model.npz").unlink()
-    np.testing.assert_array_equal(_body(root).joints, joints)
-    rewrite(path, joints=joints + np.array([0, 3.0, 0]))
-    with pytest.raises(InputFileError, match="another recording"):
-        read_bodies(_found(root), cpf=walk())
-
-
-def test_the_model_is_needed_once(root):
-    write(poses_folder(root, "rec"), output())
-    first = _body(root)
-    (root / "smplh/neutral/model.npz").unlink()
-    np.testing.assert_array_equal(_body(root).joints, first.joints)
-
-
-def test_without_model_and_kept_joints_it_is_asked_for(root):
+def test_without_model_it_is_asked_for(root):
     write(poses_folder(root, "rec"), output())
     (root / "smplh/neutral/model.npz").unlink()
     with pytest.raises(InputFileError, match=r"Extended SMPL\+H model"):
         read_bodies(_found(root), cpf=walk())
-
-
-def test_kept_joints_are_not_used_for_another_output_or_another_model(root):
-    path = write(poses_folder(root, "rec"), output(root_height=0.9))
-    read_bodies(_found(root), cpf=walk())
-    write(path.parent, output(root_height=1.0))
-    assert _body(root).joints[0, 0, 2] == pytest.approx(1.0)
-    before = _body(root).joints
-    with np.load(root / "smplh/neutral/model.npz") as archive:
-        template = archive["v_template"]
-    rewrite(root / "smplh/neutral/model.npz", v_template=template * 1.1)
-    after = _body(root).joints
-    np.testing.assert_allclose(after - after[:, :1], (before - before[:, :1]) * 1.1, atol=1e-5)
-
-
-def test_an_entry_of_the_cache_with_other_frames_is_made_again(root, tmp_path):
-    write(poses_folder(root, "rec"), output())
-    first = _body(root).joints
-    (entry,) = (tmp_path / "cache" / "egoallo").glob("*.npz")
-    rewrite(entry, joints=first[:5])
-    np.testing.assert_array_equal(_body(root).joints, first)
-
-
-def test_a_damaged_entry_of_the_cache_is_made_again(root, tmp_path):
-    write(poses_folder(root, "rec"), output())
-    first = _body(root).joints
-    (entry,) = (tmp_path / "cache" / "egoallo").glob("*.npz")
-    entry.write_bytes(entry.read_bytes()[:200])
-    np.testing.assert_array_equal(_body(root).joints, first)
-    with np.load(entry) as archive:
-        assert archive["joints"].shape == (12, 22, 3)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prbench.geometry.skeleton import PARENTS, Joint, bone_lengths
-from prbench.readers.egoallo.format import SmplhRest, forward_kinematics
+from prbench.readers.egoallo.format import forward_kinematics
 from prbench.readers.egoallo.synthetic import synthetic_smplh
 
 IDENTITY = np.array([1.0, 0, 0, 0])
@@ -66,15 +66,3 @@ def test_turning_the_root_turns_the_body_about_the_pelvis():
     other = forward_kinematics(rest, position, turned, local) - position[:, None]
     np.testing.assert_allclose(other, turn.apply(straight.reshape(-1, 3)).reshape(other.shape), atol=1e-12)
     np.testing.assert_allclose(bone_lengths(other), bone_lengths(straight), atol=1e-12)
-
-
-def test_rest_joints_are_linear_in_the_shape():
-    rng = np.random.default_rng(1)
-    rest = SmplhRest(rng.normal(size=(22, 3)), rng.normal(size=(22, 3, 16)))
-    first, second = rng.normal(size=(2, 16))
-    np.testing.assert_allclose(
-        rest.rest_joints(first + second), rest.rest_joints(first) + rest.rest_joints(second) - rest.template
-    )
-    one = np.zeros(16)
-    one[5] = 2.0
-    np.testing.assert_allclose(rest.rest_joints(one), rest.template + 2 * rest.directions[..., 5])
