@@ -327,7 +327,6 @@ class PredictorSubject(MethodSubject):
     """
 
     case = "window"
-    answer = "window"
     asks = "predicts"
     own_generators = Remedy(
         "Draw from one generator a sample: prbench_benchmarks.motion_prediction.batch.sample_generator(seed,"

@@ -74,7 +74,6 @@ def generators_set_to(seed: int) -> Iterator[None]:
 
 STATE_SEED = 20_240_607
 """Seed of the global generators before every call. Only the check of global generators uses another one."""
-_COPIED = ("n_frames", "initial_joints", "previous_joints", "goal_joints", "goal_location")
 TOLERANCE = 1e-4
 """Metres by which a motion may change where only rounding differs (docs/specification/protocol.md#reproducibility)."""
 
@@ -94,9 +93,6 @@ class Answer:
     answered: bool = False
     """True if the method returned without raising."""
     seconds: float = 0.0
-    halvings: int = 0
-    overwritten: tuple[str, ...] = ()
-    """Fields of the batch that it wrote into."""
     drew_from: tuple[str, ...] = ()
     """Global generators whose state moved."""
     n_samples: int = 1
@@ -122,7 +118,6 @@ class _Watched:
     adapter: Adapter
     returned: object = None
     answered: bool = False
-    overwritten: set[str] = field(default_factory=set)
     drew_from: set[str] = field(default_factory=set)
     seconds: float = 0.0
 
@@ -130,8 +125,7 @@ class _Watched:
         return getattr(self.adapter, name)
 
     def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:
-        """Generate, and compare the batch and the global generators with what they were."""
-        before = {name: getattr(batch, name).copy() for name in _COPIED if getattr(batch, name) is not None}
+        """Generate, and compare the global generators with what they were."""
         states = generator_states()
         started = time.perf_counter()
         try:
@@ -140,8 +134,6 @@ class _Watched:
         finally:
             self.seconds += time.perf_counter() - started
             self.drew_from.update(generators_touched(states))
-            after = {name: getattr(batch, name) for name in before}
-            self.overwritten |= {name for name in before if not np.array_equal(before[name], after[name])}
         return self.returned  # type: ignore[return-value] - whatever it is, the harness checks it
 
 
@@ -157,13 +149,12 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
     """
     watched = _Watched(adapter)
     motions = None
-    halvings = 0
     error = ""
     # A method may keep or change its batch; the answer holds the one that was meant.
     own = dataclasses.replace(batch)
     try:
         with computing_threads(threads), generators_set_to(state_seed):
-            motions, halvings = generate_checked(
+            motions, _ = generate_checked(
                 watched,  # type: ignore[arg-type] - its other attributes are the method's
                 own,
                 seed=seed,
@@ -180,8 +171,6 @@ def ask(adapter: Adapter, batch: ConditionBatch, *, seed: int, state_seed: int, 
         watched.returned,
         watched.answered,
         watched.seconds,
-        halvings,
-        overwritten=tuple(sorted(watched.overwritten)),
         drew_from=tuple(sorted(watched.drew_from)),
     )
 
@@ -236,8 +225,6 @@ class MethodSubject(ABC):
 
     case: ClassVar[str]
     """What it is asked about, for messages: ``sequence`` or ``window``."""
-    answer: ClassVar[str] = "motion"
-    """What times and memory are told of."""
     asks: ClassVar[str]
     """Name of the check that asks it under every condition."""
     own_generators: ClassVar[Remedy]
@@ -248,8 +235,6 @@ class MethodSubject(ABC):
     def __init__(self, spec: MethodSpec, folder: Path) -> None:
         self.spec = spec
         self.folder = folder
-        self.overwritten: set[str] = set()
-        """Fields of batches that the method wrote into."""
         self.drew_from: set[str] = set()
         """Global generators whose state it moved."""
         self.asking: Callable[[str], None] = lambda _text: None
@@ -513,6 +498,5 @@ class Subject(MethodSubject):
             f"while it generated {of_one} of up to {int(batch.n_frames.max())} frames under {batch.condition.value}"
         )
         answer = ask(self.adapter, batch, seed=seed, state_seed=state_seed, threads=self.spec.threads)
-        self.overwritten.update(answer.overwritten)
         self.drew_from.update(answer.drew_from)
         return answer

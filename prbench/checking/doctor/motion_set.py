@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from prbench.geometry.skeleton import CHAINS, PARENTS, Joint
+from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.harness.methods.motions import spread_poses
 from prbench.representation import REST_OFFSETS
-
-AT_RATE = (
-    "Resample to the asked rate (prbench.representation.converters.at_rate), or let the method declare native_fps: an"
-    " attribute of an adapter, a key in the hello of a program."
-)
-AT_TIMES = "Resample on the frames' own times: prbench.representation.converters.at_times."
 
 
 @dataclass(frozen=True)
@@ -44,16 +38,10 @@ class Expected:
     """The frame that the motion should begin with."""
     previous_joints: Float[np.ndarray, "22 3"] | None = None
     """The frame before that one."""
-    goal_joints: Float[np.ndarray, "22 3"] | None = None
-    """The pose that the motion should end in."""
-    goal_location: Float[np.ndarray, " 3"] | None = None
-    """The place that a wrist should reach."""
     n_frames: int | None = None
     """Number of frames that were asked for."""
     fps: float | None = None
     """Frames a second that were asked for."""
-    recorded: Float[np.ndarray, "frames 22 3"] | None = None
-    """The recorded motion of the same sequence, where the table may be read."""
 
 
 NOTHING_KNOWN = Expected()
@@ -76,7 +64,7 @@ class MotionSet:
 
     def changed(self, change: Callable[[np.ndarray], np.ndarray]) -> MotionSet:
         """Return the set with each motion changed."""
-        return dataclasses.replace(self, motions=tuple(change(motion) for motion in self.motions))
+        return self.with_motions([change(motion) for motion in self.motions])
 
     def with_motions(self, motions: Sequence[np.ndarray]) -> MotionSet:
         """Return the set with other motions in their places."""
@@ -84,9 +72,8 @@ class MotionSet:
 
     def only(self, rows: Sequence[int]) -> MotionSet:
         """Return the set of some rows."""
-        return dataclasses.replace(
-            self, motions=tuple(self.motions[row] for row in rows), expected=tuple(self.expected[row] for row in rows)
-        )
+        expected = tuple(self.expected[row] for row in rows)
+        return dataclasses.replace(self, motions=tuple(self.motions[row] for row in rows), expected=expected)
 
     def without_lengths(self) -> MotionSet:
         """Return the set with nothing expected of lengths, because a fault has changed them."""
@@ -115,21 +102,13 @@ class MotionSet:
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """The result of one examination."""
+    """What one examination found; an examination that found nothing returns None."""
 
     diagnoses: tuple[Diagnosis, ...]
     motion_set: MotionSet
     """The motions with the fault undone, so that it leads to no second diagnosis."""
     unreadable: bool = False
     """True if the fault cannot be undone and hides everything that would be looked at later."""
-
-
-Examination = Callable[[MotionSet], Finding]
-
-
-def no_finding(motion_set: MotionSet) -> Finding:
-    """Return the finding of an examination that found no fault."""
-    return Finding((), motion_set)
 
 
 def on_straight_lines(poses: np.ndarray, frames: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -148,87 +127,58 @@ def on_straight_lines(poses: np.ndarray, frames: np.ndarray, places: np.ndarray)
     return np.stack(columns, axis=1).reshape(-1, *poses.shape[1:])
 
 
-_NEGLIGIBLE = 1e-9
-_LENGTHS = np.linalg.norm(REST_OFFSETS, axis=1)
-_EXTRA = (
-    ("left_hip", "right_hip", 0.16),
-    ("left_shoulder", "right_shoulder", 0.36),
-    ("left_hip", "left_shoulder", 0.52),
-    ("right_hip", "right_shoulder", 0.52),
-)
-"""Across the trunk: they tell which side a whole limb belongs to, and hold for skeletons without a spine."""
-_LEFTS = [joint for joint in Joint if joint.name.startswith("LEFT")]
-_RIGHTS = [joint for joint in Joint if joint.name.startswith("RIGHT")]
-PARTS = tuple(joint.name.removeprefix("LEFT_").lower() for joint in _LEFTS)
-"""Names of the parts that exist on both sides, from the hips to the wrists."""
+def joint_distances(motions: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Measure the distances between all pairs of joints: no axis, no handedness and no origin is in them.
+
+    Returns:
+        Median over poses, and standard deviation within a motion averaged over motions; (joints, joints) each.
+    """
+    every = []
+    for motion in motions:
+        some = motion[np.linspace(0, len(motion) - 1, min(len(motion), 24)).astype(int)]
+        every.append(np.linalg.norm(some[:, :, None] - some[:, None], axis=-1))
+    spread = np.mean([apart.std(axis=0) for apart in every], axis=0)
+    return np.median(np.concatenate(every), axis=0), spread
+
+
 _NAMES = tuple(joint.name.lower() for joint in Joint)
-_BONES = (
-    *((_NAMES[PARENTS[joint]], _NAMES[joint], float(_LENGTHS[joint])) for joint in range(1, len(Joint))),
-    *_EXTRA,
+# Beside the bones some distances across the trunk, which tell the side that a whole limb belongs to, metres.
+_ACROSS = (
+    (Joint.LEFT_HIP, Joint.RIGHT_HIP, 0.16),
+    (Joint.LEFT_SHOULDER, Joint.RIGHT_SHOULDER, 0.36),
+    (Joint.LEFT_HIP, Joint.LEFT_SHOULDER, 0.52),
+    (Joint.RIGHT_HIP, Joint.RIGHT_SHOULDER, 0.52),
 )
-_PLACES = {name: place for place, name in enumerate(_NAMES)}
-BONE_ENDS = (np.array([_PLACES[one] for one, _, _ in _BONES]), np.array([_PLACES[other] for _, other, _ in _BONES]))
-"""Joints at both ends of what :func:`fit` measures, in HumanML3D's order."""
-BONE_LENGTHS = np.array([length for _, _, length in _BONES])
-"""People's, metres."""
+_ENDS = np.array([(PARENTS[joint], joint) for joint in range(1, N_JOINTS)] + [row[:2] for row in _ACROSS])
+_PEOPLES = np.concatenate([np.linalg.norm(REST_OFFSETS[1:], axis=1), [row[2] for row in _ACROSS]])
 
 
-@dataclass(frozen=True)
-class Fit:
-    """The bones of joints in one order, compared with those of people."""
+def fit(distances: tuple[np.ndarray, np.ndarray], index: Sequence[int] = range(N_JOINTS)) -> tuple[float, float]:
+    """Compare the bones of joints in some order with those of people; the size is fitted away.
 
-    misfit: float
-    """Mean difference between the lengths of bones and people's, as a share of the mean length; 0 is perfect."""
-    stretch: float
-    """Mean standard deviation of a bone's length over time, as a share of the mean length."""
+    Args:
+        distances: Of :func:`joint_distances`.
+        index: ``joints[:, index]`` stands in HumanML3D's order.
 
-    @property
-    def badness(self) -> float:
-        """The number by which orders are compared."""
-        return self.misfit + self.stretch
-
-
-@dataclass(frozen=True, eq=False)
-class Distances:
-    """Distances between all pairs of joints: no axis, no handedness and no origin is in them."""
-
-    median: np.ndarray
-    """(joints, joints), over poses."""
-    spread: np.ndarray
-    """(joints, joints), standard deviation within a motion, averaged over motions."""
-
-    @classmethod
-    def of(cls, motions: tuple[np.ndarray, ...]) -> Distances:
-        """Measure motions of one number of joints."""
-        every = []
-        spreads = []
-        for motion in motions:
-            some = motion[np.linspace(0, len(motion) - 1, min(len(motion), 24)).astype(int)]
-            apart = np.linalg.norm(some[:, :, None] - some[:, None], axis=-1)
-            every.append(apart)
-            spreads.append(apart.std(axis=0))
-        return cls(np.median(np.concatenate(every), axis=0), np.mean(spreads, axis=0))
+    Returns:
+        Mean difference from people's lengths and mean standard deviation over time, as shares of the mean length.
+    """
+    median, spread = distances
+    one, other = np.asarray(index)[_ENDS].T
+    lengths = median[one, other]
+    people = _PEOPLES * (lengths.sum() / _PEOPLES.sum())
+    return float(np.abs(lengths - people).sum() / people.sum()), float(spread[one, other].sum() / people.sum())
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
     """Scale vectors to length one; those without a length stay zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.where(length > _NEGLIGIBLE, vectors / np.maximum(length, _NEGLIGIBLE), 0.0)
+    return np.where(length > 1e-9, vectors / np.maximum(length, 1e-9), 0.0)
 
 
 def body_up(poses: np.ndarray) -> np.ndarray:
     """Return the direction from the ankles to the head, (poses, 3)."""
-    return unit(poses[:, Joint.HEAD] - _middle(poses, Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE))
-
-
-def left_of_hips(poses: np.ndarray) -> np.ndarray:
-    """Return the direction from the right hip to the left one as they are named, (poses, 3)."""
-    return unit(poses[:, Joint.LEFT_HIP] - poses[:, Joint.RIGHT_HIP])
-
-
-def left_of_shoulders(poses: np.ndarray) -> np.ndarray:
-    """Return the direction from the right shoulder to the left one as they are named, (poses, 3)."""
-    return unit(poses[:, Joint.LEFT_SHOULDER] - poses[:, Joint.RIGHT_SHOULDER])
+    return unit(poses[:, Joint.HEAD] - poses[:, [Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE]].mean(axis=1))
 
 
 def front(poses: np.ndarray) -> np.ndarray:
@@ -236,157 +186,51 @@ def front(poses: np.ndarray) -> np.ndarray:
 
     Names of left and right do not matter, nor does the handedness of the world.
     """
-    toes = _sum(poses, Joint.LEFT_FOOT, Joint.RIGHT_FOOT) - _sum(poses, Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE)
-    knees = _bend(poses, Joint.LEFT_HIP, Joint.LEFT_KNEE, Joint.LEFT_ANKLE) + _bend(
-        poses, Joint.RIGHT_HIP, Joint.RIGHT_KNEE, Joint.RIGHT_ANKLE
-    )
-    elbows = _bend(poses, Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST) + _bend(
-        poses, Joint.RIGHT_SHOULDER, Joint.RIGHT_ELBOW, Joint.RIGHT_WRIST
-    )
     head = poses[:, Joint.HEAD] - poses[:, Joint.NECK]
-    # Toes tell most reliably; elbows bend backwards and are often straight, so they count half.
-    cue = 2 * toes + knees + head - elbows / 2
+    cue = np.zeros_like(head) + head
+    for side in ("LEFT", "RIGHT"):
+        hip, knee, ankle, foot, shoulder, elbow, wrist = (
+            poses[:, Joint[f"{side}_{part}"]] for part in ("HIP", "KNEE", "ANKLE", "FOOT", "SHOULDER", "ELBOW", "WRIST")
+        )
+        # Toes tell most reliably; elbows bend backwards and are often straight, so they count half.
+        cue += 2 * (foot - ankle) + (knee - (hip + ankle) / 2) - (elbow - (shoulder + wrist) / 2) / 2
     up = body_up(poses)
     return unit(cue - (cue * up).sum(axis=-1, keepdims=True) * up)
 
 
-def sideways_agreement(poses: np.ndarray) -> np.ndarray:
-    """Return for each part how often its left lies on the side of the left hip: 1 always, -1 never; (8 parts,)."""
-    hips = left_of_hips(poses)
-    sideways = ((poses[:, _LEFTS] - poses[:, _RIGHTS]) * hips[:, None]).sum(axis=-1)
-    return sideways.mean(axis=0) / np.maximum(np.abs(sideways).mean(axis=0), _NEGLIGIBLE)
-
-
-def sidedness(poses: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """Return +1 where ``left`` lies to the left of the front, -1 where it lies to the right; the head is up."""
+def sidedness(poses: np.ndarray, part: str = "HIP") -> np.ndarray:
+    """Return +1 where the left hip (or shoulder) lies to the left of the front, -1 to the right; the head is up."""
+    left = unit(poses[:, Joint[f"LEFT_{part}"]] - poses[:, Joint[f"RIGHT_{part}"]])
     return (np.cross(left, body_up(poses)) * front(poses)).sum(axis=-1)
 
 
-def with_sides(index: Sequence[int], exchanged: np.ndarray) -> list[int]:
-    """Exchange left and right in an index of joints, for some of :data:`PARTS`."""
-    result = list(index)
-    for left, right, swap in zip(_LEFTS, _RIGHTS, exchanged, strict=True):
-        if swap:
-            result[left], result[right] = result[right], result[left]
-    return result
+def _depth_first_orders() -> Iterator[tuple[str, tuple[str, ...]]]:
+    trunk = ("spine1", "spine2", "spine3")
+    for sides in (("left", "right"), ("right", "left")):
+        legs = tuple(f"{side}_{part}" for side in sides for part in ("hip", "knee", "ankle", "foot"))
+        arms = tuple(f"{side}_{part}" for side in sides for part in ("collar", "shoulder", "elbow", "wrist"))
+        for top, upper in (
+            ("head before the arms", (*trunk, "neck", "head", *arms)),
+            ("arms before the head", (*trunk, *arms, "neck", "head")),
+        ):
+            for start, rest in (("legs", legs + upper), ("trunk", upper + legs)):
+                name = f"depth-first order, as in BVH files ({start} first, {sides[0]} side first, {top})"
+                yield name, ("pelvis", *rest)
 
 
-def _middle(poses: np.ndarray, one: int, other: int) -> np.ndarray:
-    return _sum(poses, one, other) / 2
-
-
-def _sum(poses: np.ndarray, one: int, other: int) -> np.ndarray:
-    return poses[:, one] + poses[:, other]
-
-
-def _bend(poses: np.ndarray, upper: int, middle: int, lower: int) -> np.ndarray:
-    """Return the vector from the middle between the ends of a limb to its middle joint."""
-    return poses[:, middle] - _middle(poses, upper, lower)
-
-
-def fit(distances: Distances, places: dict[str, int]) -> Fit:
-    """Compare the bones that an order names with people's."""
-    named = [(places[one], places[other], length) for one, other, length in _BONES if one in places and other in places]
-    one, other, typical = (np.array(column) for column in zip(*named, strict=True))
-    lengths = distances.median[one, other]
-    scale = lengths.sum() / typical.sum()
-    # The scale is fitted away: units are judged elsewhere.
-    people = scale * typical
-    return Fit(
-        float(np.abs(lengths - people).sum() / people.sum()),
-        float(distances.spread[one, other].sum() / people.sum()),
-    )
-
-
-_LEG = ("hip", "knee", "ankle", "foot")
-_ARM = ("collar", "shoulder", "elbow", "wrist")
-_TRUNK = ("spine1", "spine2", "spine3")
-_TOP = ("neck", "head")
-_FOREIGN = (
-    "Write its map for prbench.representation.converters.JointMap, which turns joints of other skeletons into the 22."
-)
-
-
-@dataclass(frozen=True)
-class Order:
-    """An order of joints."""
-
-    name: str
-    joints: tuple[str, ...]
-    """In the order of the file; a joint that the 22 do not have has a name of its own."""
-    remedy: str = ""
-    """Instead of the index that puts the 22 joints into place."""
-
-    def places(self) -> dict[str, int]:
-        """Map the name of each joint to its place."""
-        return {joint: place for place, joint in enumerate(self.joints)}
-
-    @property
-    def holds_all(self) -> bool:
-        """True if it holds all 22 joints."""
-        return set(_NAMES) <= set(self.joints)
-
-    def index(self) -> tuple[int, ...]:
-        """``joints[:, index]`` stands in HumanML3D's order."""
-        places = self.places()
-        return tuple(places[name] for name in _NAMES)
-
-
-def _unique(joints: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(joints))
-
-
-def _depth_first_orders() -> tuple[Order, ...]:
-    orders = []
-    for first, second in (("left", "right"), ("right", "left")):
-        for trunk_first in (False, True):
-            for arms_before_head in (False, True):
-                start = "trunk" if trunk_first else "legs"
-                top = "arms before the head" if arms_before_head else "head before the arms"
-                if (first, trunk_first, arms_before_head) == ("right", False, False):
-                    continue  # the chain order of HumanML3D
-                name = f"depth-first order, as in BVH files ({start} first, {first} side first, {top})"
-                legs = _side(first, _LEG) + _side(second, _LEG)
-                arms = _side(first, _ARM) + _side(second, _ARM)
-                upper = _TRUNK + (arms + _TOP if arms_before_head else _TOP + arms)
-                orders.append(Order(name, ("pelvis", *(upper + legs if trunk_first else legs + upper))))
-    return tuple(orders)
-
-
-def _side(side: str, parts: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(f"{side}_{part}" for part in parts)
-
-
-_CHAIN_ORDER = Order(
-    "kinematic chain order of HumanML3D", _unique(tuple(_NAMES[joint] for chain in CHAINS for joint in chain))
-)
-ORDERS_OF_22: tuple[Order, ...] = (
-    _CHAIN_ORDER,
-    *_depth_first_orders(),
-    Order("alphabetical order (left_ankle, left_collar …)", tuple(sorted(_NAMES))),
-    Order("reversed order", _NAMES[::-1]),
-    Order(
-        "all left joints, then all right ones, behind those of the middle",
-        tuple(sorted(_NAMES, key=lambda name: ("left" in name) + 2 * ("right" in name))),
+ORDERS_OF_22: dict[str, tuple[str, ...]] = {
+    **dict(_depth_first_orders()),
+    "alphabetical order (left_ankle, left_collar …)": tuple(sorted(_NAMES)),
+    "reversed order": _NAMES[::-1],
+    "all left joints, then all right ones, behind those of the middle": tuple(
+        sorted(_NAMES, key=lambda name: ("left" in name) + 2 * ("right" in name))
     ),
-    Order("pelvis at the end", (*_NAMES[1:], "pelvis")),
-)
-"""Full orders of the 22 joints other than HumanML3D's own."""
-OTHER_ORDERS: tuple[Order, ...] = (
-    Order(
-        "OpenPose COCO (18 joints)",
-        ("nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
-         "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye", "left_eye",
-         "right_ear", "left_ear"),
-        _FOREIGN,
-    ),
-    Order(
-        "KIT motion-language (21 joints)",
-        ("pelvis", "spine1", "spine3", "neck", "head", "left_shoulder", "left_elbow", "left_wrist", "right_shoulder",
-         "right_elbow", "right_wrist", "left_hip", "left_knee", "left_ankle", "left_heel", "left_foot", "right_hip",
-         "right_knee", "right_ankle", "right_heel", "right_foot"),
-        _FOREIGN,
-    ),
-    Order("the 22 joints without the pelvis (21 joints)", _NAMES[1:], "Put the pelvis back at place 0."),
-)  # fmt: skip
-"""Orders with another number of joints that are not among ``prbench.representation.converters.JOINT_MAPS``."""
+    "pelvis at the end": (*_NAMES[1:], "pelvis"),
+}
+"""Joints of full orders other than HumanML3D's own; the first with the right side first and the legs first is that of
+its kinematic chains."""
+
+
+def index_of(joints: Sequence[str]) -> list[int]:
+    """Return the index that puts the 22 joints of an order into HumanML3D's: ``joints[:, index]``."""
+    return [joints.index(name) for name in _NAMES]

@@ -33,13 +33,13 @@ def test_a_method_that_ends_its_process_fails_and_is_not_asked_again(site, data)
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals end processes elsewhere only")
 def test_after_a_crash_and_a_hang_the_other_checks_go_on(site, data):
-    report = check(CheckRequest("diesonblanktextandhangsononeframe", data=data, time_limit=3.0))
+    report = check(CheckRequest("diesonblanktextandhangsonthelongest", data=data, time_limit=3.0))
     hung, crashed = report.failed
-    assert hung.check == "short"
-    assert "no end after 3 s, while it generated 1 sequence of up to 1 frames" in hung.said
+    assert hung.check == "lengths"
+    assert "no end after 3 s, while it generated 2 sequences of up to 241 frames" in hung.said
     assert crashed.check == "text"
     assert "signal 11" in crashed.said
-    assert outcomes(report)["speed"] is Outcome.PASSED
+    assert outcomes(report)["memory"] is Outcome.PASSED
     assert outcomes(report)["process"] is Outcome.PASSED
 
 
@@ -109,7 +109,7 @@ def test_findings_come_in_the_order_in_which_they_are_announced(site, data):
 
 
 def test_checks_that_wait_for_another_one_share_a_line_and_a_log_keeps_its_own(capsys):
-    waiting = [Finding(name, Outcome.SKIPPED, "not looked at before 'load' passes.") for name in ("shapes", "speed")]
+    waiting = [Finding(name, Outcome.SKIPPED, "not looked at before 'load' passes.") for name in ("shapes", "memory")]
     load = Finding("load", Outcome.FAILED, "it ended. The log:\n    line one", "Repair it.")
     imports = Finding("import", Outcome.SKIPPED, "a program imports nothing.")
     print_report(Report("glide", (imports, load, *waiting), 1.0))
@@ -118,6 +118,6 @@ def test_checks_that_wait_for_another_one_share_a_line_and_a_log_keeps_its_own(c
         "failed   load             it ended. The log:",
         "    line one",
         "    Repair it.",
-        "skipped  not looked at before 'load' passes. 2: shapes, speed.",
+        "skipped  not looked at before 'load' passes. 2: shapes, memory.",
         "glide does not keep the contract: 0 passed, 3 skipped, 0 warning, 1 failed; 1.0 s.",
     ]

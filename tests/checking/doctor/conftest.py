@@ -30,10 +30,9 @@ def walkers(crowds: dict[str, list[np.ndarray]]) -> list[np.ndarray]:
     return [motion for motion in crowds["gimo"] if np.ptp(motion[:, 0, [0, 2]], axis=0).max() > 1.0]
 
 
-def known(motion: np.ndarray, *, recorded: bool = False) -> Expected:
+def known(motion: np.ndarray) -> Expected:
     """What a table says of a motion, were it recorded."""
-    previous = 2 * motion[0] - motion[1]
-    return Expected(motion[0], previous, motion[-1], motion[-1, 21], len(motion), 20.0, motion if recorded else None)
+    return Expected(motion[0], 2 * motion[0] - motion[1], len(motion), 20.0)
 
 
 def _acted(preset: str, index: int) -> list[np.ndarray]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 from prbench.checking.doctor import Diagnosis, Expected, diagnose
 from prbench.representation import canonicalise
 from tests.checking.doctor.conftest import known
-from tests.checking.doctor.faults import RATES, SLIDES, SPACE, TIME, WALKING, Fault, axes, scaled, swapped, turned
+from tests.checking.doctor.faults import RATES, SPACE, TIME, WALKING, Fault, axes, scaled, swapped, turned
 from tests.fakes import smooth_motion
 
 
@@ -31,7 +30,7 @@ def changed(fault: Fault, motions: Sequence[np.ndarray]) -> list[np.ndarray]:
 def test_correct_motions_of_every_preset_have_no_fault(crowds: dict[str, list[np.ndarray]]) -> None:
     for motions in crowds.values():
         assert diagnose(motions, None, fps=20.0) == ()
-        assert diagnose(motions, [known(motion, recorded=True) for motion in motions], fps=20.0) == ()
+        assert diagnose(motions, [known(motion) for motion in motions], fps=20.0) == ()
 
 
 def test_no_single_correct_motion_has_a_certain_fault(everybody: list[np.ndarray]) -> None:
@@ -76,82 +75,6 @@ def test_a_lost_root_is_named_where_people_walk(fault: Fault, walkers: list[np.n
     assert tuple(certain(changed(fault, walkers))) == fault.kinds
 
 
-def test_a_heading_that_is_kept_on_purpose_is_at_most_suspicious(walkers: list[np.ndarray]) -> None:
-    straight = []
-    for motion in changed(WALKING[1], walkers):
-        motion[:, :, 2] += np.linspace(0, 3, len(motion))[:, None]
-        straight.append(motion)
-    found = [each for each in diagnose(straight, None, fps=20.0) if each.kind in ("heading", "root")]
-    assert [(each.kind, each.certain) for each in found] == [("heading", False)]
-    assert "never turns a body, which is allowed" in found[0].cause
-    assert "canonical frame of its own" in found[0].cause
-
-
-def test_who_stands_and_only_reaches_may_keep_a_heading(walkers: list[np.ndarray]) -> None:
-    reaching = [np.repeat(motion[:1], len(motion), axis=0) for motion in walkers]
-    for motion in reaching:
-        motion[:, [18, 20], 2] += np.linspace(0, 0.2, len(motion))[:, None]
-    assert certain(reaching) == []
-
-
-def test_feet_that_slide_along_are_no_frame_rate(walkers: list[np.ndarray]) -> None:
-    way = np.linspace(0, 1, 200)
-    glided = [np.repeat(motion[:1], 200, axis=0) for motion in walkers]
-    for motion in glided:
-        motion[:, :, 2] += (2 * way * way * (3 - 2 * way))[:, None]
-    assert "frame-rate" not in [each.kind for each in diagnose(glided, None, fps=20.0)]
-    slow = [each.kind for each in diagnose([_slowed(motion, 6) for motion in walkers], None, fps=20.0)]
-    assert "frame-rate" in slow  # 120 frames a second shown at 20 are still told
-
-
-def trembling(motions: list[np.ndarray], *, by: float) -> list[np.ndarray]:
-    generator = np.random.default_rng(0)
-    return [motion + generator.normal(scale=by, size=motion.shape) for motion in motions]
-
-
-@pytest.mark.parametrize("metres", [0.01, 0.02, 0.04])
-def test_trembling_of_walking_people_is_no_frame_rate(metres: float, walkers: list[np.ndarray]) -> None:
-    kinds = [each.kind for each in diagnose(trembling(walkers, by=metres), None, fps=20.0)]
-    assert "jitter" in kinds
-    assert "frame-rate" not in kinds
-
-
-@pytest.mark.parametrize(("joints", "metres"), [(1, 0.3), (22, 0.15)])
-def test_trembling_bodies_that_slide_about_are_no_frame_rate(
-    joints: int, metres: float, walkers: list[np.ndarray]
-) -> None:
-    """As models with random weights make them: a body, or each joint on its own, swings slowly and trembles."""
-    generator = np.random.default_rng(0)
-    seconds = np.arange(120)[:, None, None] / 20
-    sliding = []
-    for motion in walkers:
-        period = generator.uniform(1, 5, size=(1, joints, 3))
-        phase = generator.uniform(0, 6, size=(1, joints, 3))
-        swing = np.sin(2 * np.pi * seconds / period + phase) * (metres, metres / 10, metres)
-        sliding.append(motion[:1] + swing)
-    kinds = [each.kind for each in diagnose(trembling(sliding, by=0.02), None, fps=20.0)]
-    assert "jitter" in kinds
-    assert "frame-rate" not in kinds
-
-
-@pytest.mark.parametrize("fault", RATES[:3], ids=lambda fault: fault.name)
-@pytest.mark.parametrize("metres", [0.01, 0.02])
-def test_a_wrong_rate_is_told_beside_the_trembling(fault: Fault, metres: float, walkers: list[np.ndarray]) -> None:
-    found = diagnose(trembling(changed(fault, walkers), by=metres), None, fps=20.0)
-    kinds = [each.kind for each in found]
-    assert {"frame-rate", "jitter"} <= set(kinds)
-    (rate,) = (each for each in found if each.kind == "frame-rate")
-    told = re.search(r"about (\d+) frames", rate.cause)
-    assert told is not None
-    assert float(told[1]) == pytest.approx(float(fault.name[:2]), rel=0.1)
-
-
-def _slowed(motion: np.ndarray, times: int) -> np.ndarray:
-    old, new = np.arange(len(motion)), np.linspace(0, len(motion) - 1, times * (len(motion) - 1) + 1)
-    flat = motion.reshape(len(motion), -1)
-    return np.stack([np.interp(new, old, column) for column in flat.T], axis=1).reshape(-1, 22, 3)
-
-
 @pytest.mark.parametrize("fault", TIME, ids=lambda fault: fault.name)
 def test_a_stumbling_clock_is_named_alone(fault: Fault, crowds: dict[str, list[np.ndarray]]) -> None:
     for preset in ("adt", "gimo", "mogaze"):
@@ -174,12 +97,6 @@ def test_a_wrong_rate_is_certain_from_the_lengths(fault: Fault, crowds: dict[str
     assert certain(changed(fault, motions), [known(motion) for motion in motions]) == ["frame-rate"]
 
 
-@pytest.mark.parametrize("fault", RATES[:3], ids=lambda fault: fault.name)
-def test_a_wrong_rate_is_suspicious_from_the_steps_alone(fault: Fault, walkers: list[np.ndarray]) -> None:
-    found = diagnose(changed(fault, walkers), None, fps=20.0)
-    assert [(each.kind, each.certain) for each in found] == [("frame-rate", False)]
-
-
 def test_a_wrong_rate_of_the_right_length_is_certain_from_the_initial_velocity(walkers: list[np.ndarray]) -> None:
     starting = [canonicalise(motion[_fastest(motion) :]) for motion in walkers]
     assert len(starting) >= 5
@@ -190,12 +107,6 @@ def test_a_wrong_rate_of_the_right_length_is_certain_from_the_initial_velocity(w
 
 def _fastest(motion: np.ndarray) -> int:
     return int(np.linalg.norm(np.diff(motion[:45], axis=0), axis=-1).mean(axis=1).argmax())
-
-
-@pytest.mark.parametrize("fault", [*SLIDES, *RATES[3:]], ids=lambda fault: fault.name)
-def test_a_slide_and_a_rate_are_certain_against_the_recorded_motion(fault: Fault, walkers: list[np.ndarray]) -> None:
-    motions = walkers[:4]
-    assert certain(changed(fault, motions), [known(motion, recorded=True) for motion in motions]) == [fault.kinds[0]]
 
 
 # faults together, and what tells similar faults apart
@@ -254,14 +165,6 @@ def test_features_that_are_still_standardised_say_so(everybody: list[np.ndarray]
     assert "still standardised" in found.cause
 
 
-def test_an_order_of_its_own_is_put_right(everybody: list[np.ndarray]) -> None:
-    order = np.random.default_rng(5).permutation(22)
-    (found,) = diagnose([motion[:, order] for motion in everybody[:4]], None, fps=20.0)
-    index = [int(number) for number in found.remedy.split("[:, [")[1].split("]")[0].split(",")]
-    assert found.kind == "joint-order"
-    assert (order[index] == np.arange(22)).all()
-
-
 @pytest.mark.parametrize("name", ["smplx-55", "coco-17", "openpose-25", "ntu-25", "h36m-17"])
 def test_another_number_of_joints_is_never_called_right(name: str, everybody: list[np.ndarray]) -> None:
     from prbench.representation.converters import JOINT_MAPS
@@ -303,16 +206,6 @@ def test_a_fixed_window_is_a_wrong_length(everybody: list[np.ndarray]) -> None:
     assert "fixed window" in found.cause
 
 
-def test_noise_and_rubber_bones_are_suspicious(everybody: list[np.ndarray]) -> None:
-    generator = np.random.default_rng(0)
-    noisy = [motion + generator.normal(scale=0.01, size=motion.shape) for motion in everybody[:6]]
-    stretched = [motion.copy() for motion in everybody[:6]]
-    for motion in stretched:
-        motion[:, 20] += np.linspace(0, 0.3, len(motion))[:, None]
-    assert "jitter" in [each.kind for each in diagnose(noisy, None, fps=20.0)]
-    assert [each.kind for each in diagnose(stretched, None, fps=20.0)] == ["bones"]
-
-
 # the answer
 
 
@@ -327,8 +220,7 @@ def test_every_diagnosis_has_numbers_a_cause_and_a_remedy(crowds: dict[str, list
 
 
 def test_the_same_motions_get_the_same_answer(crowds: dict[str, list[np.ndarray]]) -> None:
-    order = np.random.default_rng(2).permutation(22)
-    motions = [motion[:, order] * 1000 for motion in crowds["adt"][:4]]
+    motions = [motion[:, ::-1] * 1000 for motion in crowds["adt"][:4]]
     assert diagnose(motions, None, fps=20.0) == diagnose(motions, None, fps=20.0)
 
 

@@ -50,7 +50,7 @@ def test_every_form_of_correct_motions_is_read_and_found_right(motions: list[np.
     for path in sorted(tmp_path.iterdir()):
         read = read_motions(path)
         wanted = [90] if path.stem == "one" else lengths
-        assert [each.values.shape for each in read.motions] == [(length, 22, 3) for length in wanted], path.name
+        assert [values.shape for _, values in read] == [(length, 22, 3) for length in wanted], path.name
         assert kinds(path) == [], path.name
 
 
@@ -70,13 +70,6 @@ def test_other_shapes_are_named_and_not_refused(shape: str, motions: list[np.nda
     assert kinds(tmp_path / "motions.npy") == ["features" if shape == "features" else "shape"]
 
 
-def test_a_limit_takes_motions_from_the_whole_file(motions: list[np.ndarray], tmp_path: Path) -> None:
-    np.save(tmp_path / "batch.npy", np.stack(motions))
-    read = read_motions(tmp_path / "batch.npy", limit=2)
-    assert read.total == 4
-    assert [each.name for each in read.motions] == ["batch[0]", "batch[3]"]
-
-
 def test_what_is_no_file_of_numbers_is_refused_with_a_reason(tmp_path: Path) -> None:
     (tmp_path / "motions.pkl").write_bytes(b"\x80\x04.")
     np.save(tmp_path / "objects.npy", np.array([{}, {}], dtype=object), allow_pickle=True)
@@ -87,7 +80,7 @@ def test_what_is_no_file_of_numbers_is_refused_with_a_reason(tmp_path: Path) -> 
     for name, message in (
         ("motions.pkl", "never opened"),
         ("objects.npy", "Python objects"),
-        ("nothing.npz", "two axes or more"),
+        ("nothing.npz", "expected arrays of motions"),
         ("conditions.npz", "with --conditions"),
         ("column.parquet", "column 'joints'"),
         ("empty", "expected motions, found none"),
@@ -181,7 +174,6 @@ def test_the_command_looks_at_no_more_motions_than_it_is_told(
 
 
 def test_a_suspicion_alone_ends_with_zero(motions: list[np.ndarray], tmp_path: Path) -> None:
-    noisy = motions[0] + np.random.default_rng(0).normal(scale=0.01, size=motions[0].shape)
-    np.save(tmp_path / "noisy.npy", noisy)
-    assert set(kinds(tmp_path / "noisy.npy")) == {"jitter", "bones"}
-    assert main(["doctor", str(tmp_path / "noisy.npy")]) == 0
+    np.save(tmp_path / "higher.npy", motions[0] + np.array([0, 0.06, 0], dtype=np.float32))
+    assert kinds(tmp_path / "higher.npy") == ["floor"]
+    assert main(["doctor", str(tmp_path / "higher.npy")]) == 0

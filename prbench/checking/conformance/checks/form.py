@@ -94,67 +94,53 @@ def load(subject: MethodSubject) -> Iterator[Finding]:
 @check("settings", "unknown options and weights are refused", needs=("load",))
 def settings(subject: MethodSubject) -> Iterator[Finding]:
     """Require that unknown options are refused, since a misspelt one would change nothing and be recorded."""
-    options = (*subject.spec.options, (_NO_SUCH_OPTION, "1"))
-    if _loads(subject, options=tuple(sorted(options))):
-        yield failed(
-            f"--option {_NO_SUCH_OPTION}=1 was taken without a word.",
-            _OPTIONS.then("a misspelt option would be recorded as if it had been used."),
-        )
-        return
-    if _loads(subject, weights=_NO_SUCH_WEIGHTS):
-        yield warning(
-            f"--weights {_NO_SUCH_WEIGHTS} was taken without a word.",
-            _WEIGHTS,
-        )
-        return
-    yield passed("refuses an unknown option and unknown weights.")
+    options = tuple(sorted((*subject.spec.options, (_NO_SUCH_OPTION, "1"))))
+    if _loads(subject, options=options):
+        remedy = _OPTIONS.then("a misspelt option would be recorded as if it had been used.")
+        yield failed(f"--option {_NO_SUCH_OPTION}=1 was taken without a word.", remedy)
+    elif _loads(subject, weights=_NO_SUCH_WEIGHTS):
+        yield warning(f"--weights {_NO_SUCH_WEIGHTS} was taken without a word.", _WEIGHTS)
+    else:
+        yield passed("refuses an unknown option and unknown weights.")
 
 
 @check("weights", "the weights that it names are there", needs=("load",))
 def weights(subject: MethodSubject) -> Iterator[Finding]:
     """Ask ``weights_for`` twice for each condition."""
     if subject.is_program:
-        yield _named_by_program(subject)
-        return
-    if not callable(getattr(subject.adapter, "weights_for", None)):
-        yield skipped("it has no weights_for(); a run records the path that its user gives.")
-        return
-    named: dict[str, str] = {}
-    for condition in subject.conditions:
-        try:
-            first, second = (
-                used_weights(subject.adapter, condition, subject.spec.weights, origin=subject.origin) for _ in range(2)
-            )
-            digest = weights_digest(first)
-        except PrbenchError as error:
-            yield failed(
-                f"weights_for({condition.value}): {error}",
-                "Return the path of an existing file or folder as pathlib.Path, or None if this condition uses none.",
-            )
-            return
-        except Exception as error:
-            yield failed(
-                f"weights_for({condition.value}) raised {type(error).__name__}: {error}",
-                "Answer for every condition that you declare; a run asks before it generates.",
-            )
-            return
-        if first != second:
-            yield failed(
-                f"weights_for({condition.value}) named {first} and then {second}.", "Name the same file every time."
-            )
-            return
-        named[condition.value] = f"{first.name} ({digest[:12]})" if first is not None and digest else "none"
-    yield passed("; ".join(f"{condition}: {name}" for condition, name in named.items()) + ".")
-
-
-def _named_by_program(subject: MethodSubject) -> Finding:
-    """Report the weights of a program's hello, whose form the handshake has checked."""
-    named = getattr(subject.adapter, "weights", {})
+        # The handshake has checked the form of the hello, which names the weights of a program.
+        named = {
+            key.value: f"{each.name} ({each.sha256[:12]})"
+            for key, each in getattr(subject.adapter, "weights", {}).items()
+        }
+    elif not callable(getattr(subject.adapter, "weights_for", None)):
+        named = {}
+    else:
+        named = {}
+        for condition in subject.conditions:
+            try:
+                first, second = (
+                    used_weights(subject.adapter, condition, subject.spec.weights, origin=subject.origin)
+                    for _ in range(2)
+                )
+                digest = weights_digest(first)
+            except Exception as error:  # the method's own code
+                said = str(error) if isinstance(error, PrbenchError) else f"raised {type(error).__name__}: {error}"
+                remedy = (
+                    "For every condition that you declare, return the path of an existing file or folder as"
+                    " pathlib.Path, or None if it uses none; a run asks before it generates."
+                )
+                yield failed(f"weights_for({condition.value}): {said}", remedy)
+                return
+            if first != second:
+                said = f"weights_for({condition.value}) named {first} and then {second}."
+                yield failed(said, "Name the same file every time.")
+                return
+            named[condition.value] = f"{first.name} ({digest[:12]})" if first is not None and digest else "none"
     if not named:
-        return skipped("its hello names no weights; a run records the path that its user gives.")
-    return passed(
-        "; ".join(f"{key.value}: {named[key].name} ({named[key].sha256[:12]})" for key in sorted(named)) + "."
-    )
+        yield skipped("it names no weights; a run records the path that its user gives.")
+    else:
+        yield passed("; ".join(f"{condition}: {name}" for condition, name in sorted(named.items())) + ".")
 
 
 def _loads(subject: MethodSubject, **changed: object) -> bool:
@@ -223,11 +209,6 @@ def generates(subject: Subject) -> Iterator[Finding]:
             f"the program ended by itself and was started again ({restarts} times); its log says why.",
             "Repair what ends it: a run starts a program again only once for each batch.",
         )
-    if any(answer.halvings for answer in answers.values()):
-        yield warning(
-            f"a batch of {len(subject.rows)} sequences did not fit in memory and was halved.",
-            "Nothing is wrong with the motions; --batch-size makes a run's batches smaller.",
-        )
 
 
 @check("shapes", "motions have the asked shape and lengths", needs=("load",))
@@ -244,10 +225,8 @@ def dtype(subject: Subject) -> Iterator[Finding]:
     yield from by_condition(answers, lambda answer: not _is_floating(answer), _DTYPE, said="floating point")
     coarse = [name.value for name, answer in answers.items() if _dtype_of(answer) == np.dtype(np.float16)]
     if coarse:
-        yield warning(
-            f"{', '.join(coarse)}: joints come as float16, whose steps are 1 mm at 2 m from the origin.",
-            _COARSE,
-        )
+        said = f"{', '.join(coarse)}: joints come as float16, whose steps are 1 mm at 2 m from the origin."
+        yield warning(said, _COARSE)
 
 
 @check("finite", "no position is NaN or infinite", needs=("load",))

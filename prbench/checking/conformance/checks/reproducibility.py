@@ -19,7 +19,7 @@ from prbench.checking.conformance.subject import (
     metres,
     same_bytes,
 )
-from prbench.contract import GIVEN, ConditionBatch
+from prbench.contract import GIVEN
 
 _ROUNDING = np.float32(1e-6)  # metres; about the last digit of a float32 position some metres away
 _AMPLIFIED = 30.0  # how much more than such a nudge another batch may move a motion of a method that amplifies rounding
@@ -49,12 +49,10 @@ def global_random(subject: MethodSubject) -> Iterator[Finding]:
     drew = ", ".join(sorted(subject.drew_from)) or "a global generator"
     if other.motions is not None and same_bytes(first, other):
         if subject.drew_from:
-            yield warning(
-                f"it sets or draws from {drew}, though its motions do not change with it.",
-                subject.own_generators.after(
-                    "Leave global generators alone: another method or test in the process may use them."
-                ),
+            remedy = subject.own_generators.after(
+                "Leave global generators alone: another method or test in the process may use them."
             )
+            yield warning(f"it sets or draws from {drew}, though its motions do not change with it.", remedy)
         else:
             yield passed("no global generator is touched.")
         return
@@ -109,12 +107,12 @@ def process(subject: MethodSubject) -> Iterator[Finding]:
     if not moved:
         yield passed("another process gave the same bytes.", change_m=0.0)
         return
-    text = f"another process moved joints by up to {metres(moved)}."
     remedy = (
         "A run may use several processes and be resumed in new ones. Python's hash() of text and the order of sets"
         " change from process to process, and so does whatever is drawn or read while loading."
     )
-    yield (failed if moved > TOLERANCE else warning)(text, remedy, change_m=moved)
+    finding = failed if moved > TOLERANCE else warning
+    yield finding(f"another process moved joints by up to {metres(moved)}.", remedy, change_m=moved)
 
 
 @check("single-row", "a batch of one works", of_motions=True)
@@ -144,15 +142,34 @@ def batch(subject: MethodSubject) -> Iterator[Finding]:
         yield skipped(f"there is only one {subject.case} to ask about.")
         return
     orders = {"in reverse order": [list(range(n))[::-1]], "in two parts": [list(range(n // 2)), list(range(n // 2, n))]}
-    moved: dict[str, float] = {}
+    moved = dict.fromkeys(orders, 0.0)
     for name, parts in orders.items():
         for part in parts:
             answer = subject.ask(subject.rows_of(first.batch, part))
             if answer.motions is None:
                 yield failed(f"the same {subject.case}s {name}: {answer.error}", subject.own_row)
                 return
-            moved[name] = max(moved.get(name, 0.0), largest_changes(first, answer, part).max())
-    yield _judged(subject, first, moved)
+            moved[name] = max(moved[name], largest_changes(first, answer, part).max())
+    most = max(moved.values())
+    if most <= TOLERANCE:
+        yield passed(f"the same within {metres(most)} (tolerance {metres(TOLERANCE)}).", change_m=most)
+        return
+    # Optimisation at generation time amplifies rounding; a nudge of the input's last digit tells it from a defect.
+    amplified = 0.0
+    nudged = subject.nudged(first.batch, _ROUNDING)
+    if nudged is not None and (answer := subject.ask(nudged)).motions is not None:
+        amplified = float(largest_changes(first, answer).max())
+    told = " and ".join(f"by {metres(distance)} {name}" for name, distance in moved.items() if distance > TOLERANCE)
+    if most > _AMPLIFIED * amplified:
+        yield failed(f"the same {subject.case}s move {told}.", subject.own_row, change_m=most, amplified_m=amplified)
+        return
+    yield warning(
+        f"the same {subject.case}s move {told}; but a nudge of {_ROUNDING:.0e} m of their input alone moves them by"
+        f" {metres(amplified)}: the method amplifies rounding, as optimisation does.",
+        "Only scores can be compared between batch sizes, not motions; name the batch size beside your results.",
+        change_m=most,
+        amplified_m=amplified,
+    )
 
 
 def _compared(first: Answer, second: Answer, when: str, remedy: str) -> Finding:
@@ -170,33 +187,6 @@ def _compared(first: Answer, second: Answer, when: str, remedy: str) -> Finding:
             change_m=moved,
         )
     return failed(f"{when}: joints moved by up to {metres(moved)}.", remedy, change_m=moved)
-
-
-def _judged(subject: MethodSubject, first: Answer, moved: dict[str, float]) -> Finding:
-    most = max(moved.values())
-    told = " and ".join(f"by {metres(distance)} {name}" for name, distance in moved.items() if distance > TOLERANCE)
-    if most <= TOLERANCE:
-        return passed(f"the same within {metres(most)} (tolerance {metres(TOLERANCE)}).", change_m=most)
-    # Optimisation at generation time amplifies rounding; the same nudge tells it from a defect.
-    amplified = _amplified(subject, first)
-    if most <= _AMPLIFIED * amplified:
-        return warning(
-            f"the same {subject.case}s move {told}; but a nudge of {_ROUNDING:.0e} m of their input alone moves them by"
-            f" {metres(amplified)}: the method amplifies rounding, as optimisation does.",
-            "Only scores can be compared between batch sizes, not motions; name the batch size beside your results.",
-            change_m=most,
-            amplified_m=amplified,
-        )
-    return failed(f"the same {subject.case}s move {told}.", subject.own_row, change_m=most, amplified_m=amplified)
-
-
-def _amplified(subject: MethodSubject, first: Answer) -> float:
-    """Return how far motions move, in metres, if their input changes in the last digit only."""
-    nudged = subject.nudged(first.batch, _ROUNDING)
-    if nudged is None:
-        return 0.0
-    answer = subject.ask(nudged)
-    return 0.0 if answer.motions is None else float(largest_changes(first, answer).max())
 
 
 CHECKS = (determinism, global_random, noise_seed, process, single_row, batch)
@@ -222,12 +212,11 @@ _ODD_TEXTS = {
 def lengths(subject: Subject) -> Iterator[Finding]:
     """Ask for the protocol's shortest and longest sequence in one batch."""
     shortest = min(subject.shortest, subject.longest)
-    answer = subject.ask(_with_lengths(subject, [shortest, subject.longest]))
+    rows = [subject.rows[0], subject.rows[1 % len(subject.rows)]]
+    batch = subject.batch(rows, subject.main)
+    answer = subject.ask(dataclasses.replace(batch, n_frames=np.array([shortest, subject.longest])))
     if answer.motions is None:
-        yield failed(
-            f"{shortest} and {subject.longest} frames in one batch: {answer.error}",
-            _LENGTHS,
-        )
+        yield failed(f"{shortest} and {subject.longest} frames in one batch: {answer.error}", _LENGTHS)
         return
     wanted = subject.protocols_longest
     if subject.longest < wanted:
@@ -241,24 +230,6 @@ def lengths(subject: Subject) -> Iterator[Finding]:
         yield passed(f"{shortest} and {subject.longest} frames in one batch.", longest_frames=float(subject.longest))
 
 
-@check("short", "one frame and two", needs=("lengths",), of_motions=True)
-def short(subject: Subject) -> Iterator[Finding]:
-    """Ask for fewer frames than any sequence of the protocol has."""
-    wrong = []
-    for n_frames in (1, 2):
-        answer = subject.ask(_with_lengths(subject, [n_frames]))
-        if answer.motions is None:
-            wrong.append(f"{n_frames} frame{'s' * (n_frames > 1)}: {answer.error}")
-    if wrong:
-        yield warning(
-            " ".join(wrong),
-            f"The protocol asks for {subject.shortest} frames at least; other tables may ask for less."
-            " A division by n_frames - 1 is the usual cause.",
-        )
-    else:
-        yield passed("one frame and two frames work.")
-
-
 @check("conditions", "conditions that it does not declare do no harm", needs=("determinism",), of_motions=True)
 def conditions(subject: Subject) -> Iterator[Finding]:
     """Ask under each of them; then the first batch must come out as before."""
@@ -266,22 +237,17 @@ def conditions(subject: Subject) -> Iterator[Finding]:
     if not undeclared:
         yield skipped("it declares all four conditions.")
         return
-    answers = {condition: subject.ask(subject.batch(subject.rows[:1], condition)) for condition in undeclared}
+    answers = [subject.ask(subject.batch(subject.rows[:1], condition)) for condition in undeclared]
     before = subject.standard(subject.main)
     after = subject.ask(before.batch)
     moved = 0.0 if after.motions is None else largest_changes(before, after).max()
+    names = ", ".join(condition.value for condition in undeclared)
     if after.motions is None or moved:
         what = after.error or f"it moved joints by up to {metres(moved)}."
-        yield failed(
-            f"asked under {_listed(undeclared)}, which it does not declare, and then again as before: {what}",
-            _REFUSE,
-        )
+        yield failed(f"asked under {names}, which it does not declare, and then again as before: {what}", _REFUSE)
         return
-    refused = [condition for condition, answer in answers.items() if answer.motions is None]
-    rest = [condition for condition in undeclared if condition not in refused]
-    told = [f"refuses {_listed(refused)}"] if refused else []
-    told += [f"answers {_listed(rest)}, which no run will ask it for"] if rest else []
-    yield passed(f"{' and '.join(told)}; nothing changed by it.")
+    refused = sum(answer.motions is None for answer in answers)
+    yield passed(f"refuses {refused} of {len(undeclared)} ({names}); nothing changed by it.")
 
 
 @check("text", "texts of any kind", of_motions=True)
@@ -300,34 +266,8 @@ def text(subject: Subject) -> Iterator[Finding]:
         return
     errors = {name: subject.ask(batch.rows(row, row + 1)).error for row, name in enumerate(_ODD_TEXTS)}
     wrong = [f"{name}: {error}" for name, error in errors.items() if error] or ["all of them in one batch"]
-    yield failed(
-        " ".join(wrong),
-        "Cut a text to what the encoder takes, and treat one without known words as no text.",
-    )
+    remedy = "Cut a text to what the encoder takes, and treat one without known words as no text."
+    yield failed(" ".join(wrong), remedy)
 
 
-@check("inputs", "what it is given stays as it was", of_motions=True)
-def inputs(subject: Subject) -> Iterator[Finding]:
-    """Report every array of a batch that the method has changed so far."""
-    if subject.is_program:
-        yield skipped("a program gets its own copy.")
-    elif subject.overwritten:
-        yield warning(
-            f"generate() writes into batch.{', batch.'.join(sorted(subject.overwritten))}.",
-            "Copy an array before you change it (x = batch.goal_location.copy()). The harness hands out copies, so no"
-            " score is wrong; whoever calls the method directly is surprised.",
-        )
-    else:
-        yield passed("no array of a batch was written into.")
-
-
-def _with_lengths(subject: Subject, n_frames: list[int]) -> ConditionBatch:
-    rows = [subject.rows[row % len(subject.rows)] for row in range(len(n_frames))]
-    return dataclasses.replace(subject.batch(rows, subject.main), n_frames=np.array(n_frames))
-
-
-def _listed(names: list) -> str:
-    return ", ".join(name.value for name in names)
-
-
-INPUTS = (lengths, short, conditions, text, inputs)
+INPUTS = (lengths, conditions, text)
