@@ -181,7 +181,7 @@ _HEAVY = {
     "run --view",
     "audit --out",
     "run --method all --out",
-    "prediction tables --out",
+    "study prediction --out",
     "view --out png",
     "view --out html",
     "view --out mp4",
@@ -217,13 +217,9 @@ WRITING = (
     Writing("build-windows --out", lambda given, out: ("build-windows", "adt", "--root", given.adt, "--out", out)),
     Writing("build-windows --data", lambda given, out: ("build-windows", "--data", given.table, "--out", out)),
     Writing(
-        "prediction tables --out",
-        lambda given, out: ("prediction", "tables", given.windows, "--samples", 2, "--limit", 4, "--out", out),
-    ),
-    Writing(
-        "prediction view --out",
-        lambda given, out: ("prediction", "view", given.windows, "--method", "zero-velocity", "--out", out),
-        "f.png",
+        "study prediction --out",
+        lambda given, out: ("study", "prediction", given.windows, "--limit", 4, "--out", out),
+        "t.md",
     ),
     Writing("build-corpus --out", lambda _, out: ("build-corpus", "synthetic", "--count", 1, "--out", out)),
     Writing(

@@ -7,6 +7,7 @@ from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 from prbench.errors import UsageError
 from prbench.harness.benchmark import Benchmark
@@ -23,6 +24,9 @@ from prbench_benchmarks.motion_prediction.protocol import PredictionProtocol, lo
 from prbench_benchmarks.motion_prediction.remote import RemotePredictor, serve_futures
 from prbench_benchmarks.motion_prediction.table import FILE_NAME, WindowsTable
 from prbench_benchmarks.motion_prediction.work import FutureWork
+
+if TYPE_CHECKING:
+    from prbench_benchmarks.motion_prediction.futures import FuturesReport
 
 _PREDICTORS = MethodGroup(
     "prbench.predictors",
@@ -135,6 +139,12 @@ class MotionPrediction(Benchmark[WindowsTable, WindowCases]):
         from prbench_benchmarks.motion_prediction import offline
 
         return offline
+
+    def view(self, request: Any) -> FuturesReport:
+        """See the base class."""
+        from prbench_benchmarks.motion_prediction.futures import view_futures
+
+        return view_futures(request)
 
     def recording_key(self, sequence_id: str) -> str:
         """Id of a window without segment, anchor and first frame; of an anchored one without its sequence's end."""

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Int
 
-from prbench.errors import UsageError
+from prbench.errors import RunError, UsageError
 from prbench.files.storage import text_digest
+from prbench.harness.run_folder import RunFolder
+from prbench.harness.run_folder.folder import DatasetFolder
 from prbench.sequences.table import by_share, find_sequence_id
 from prbench_benchmarks.motion_prediction.table import WindowsTable
 
@@ -48,34 +51,18 @@ class WindowCases:
         kept = set(by_share(everything.sequence_ids, everything.recording_ids)[:limit])
         return everything.chosen(np.array([name in kept for name in everything.sequence_ids]))
 
-    def only(self, wanted: Sequence[str]) -> WindowCases:
-        """Choose single windows.
-
-        Args:
-            wanted: Ids of windows.
-        """
-        return self.chosen(np.isin(self.sequence_ids, list(wanted)))
-
     def chosen(self, keep: np.ndarray) -> WindowCases:
         """See :meth:`prbench.harness.benchmark.Cases.chosen`."""
         return replace(self, places=self.places[keep])
 
-    @property
+    @cached_property
     def sequence_ids(self) -> tuple[str, ...]:
         """Ids of the windows."""
-        return self._ids
-
-    @property
-    def recording_ids(self) -> tuple[str, ...]:
-        """The recording of each window."""
-        return self._recordings
-
-    @cached_property
-    def _ids(self) -> tuple[str, ...]:
         return tuple(self.table.windows["window_id"].take(self.places).to_pylist())
 
     @cached_property
-    def _recordings(self) -> tuple[str, ...]:
+    def recording_ids(self) -> tuple[str, ...]:
+        """The recording of each window."""
         rows = self.table.windows["row"].take(self.places)
         return tuple(self.table.runs["recording_id"].take(rows).to_pylist())
 
@@ -103,7 +90,7 @@ def single_windows(tables: Sequence[WindowsTable], wanted: Sequence[str], *, spl
     known = [name for each in cases for name in each.sequence_ids]
     among = ", ".join(table.info.dataset for table in tables)
     ids = [find_sequence_id(name, known, among=f"split '{split}' of {among}") for name in wanted]
-    chosen = [each.only(ids) for each in cases]
+    chosen = [each.chosen(np.isin(each.sequence_ids, ids)) for each in cases]
     return [each for each in chosen if len(each)]
 
 
@@ -126,3 +113,18 @@ def open_windows(folders: Sequence, *, benchmark: str) -> list[WindowsTable]:
     if repeated:
         raise UsageError(f"--data: expected different datasets, found {repeated[0]} more than once.")
     return tables
+
+
+def run_on(path: Path, table: WindowsTable) -> tuple[RunFolder, DatasetFolder]:
+    """Open a run, and its files of a table of windows.
+
+    Raises:
+        RunError: for a run of another benchmark, or on other windows.
+    """
+    run = RunFolder.open(path, any_benchmark=True)
+    if run.record.benchmark != "motion-prediction":
+        raise RunError(f"{path}: expected a run of motion-prediction, found one of {run.record.benchmark}.")
+    for each in run.record.tables:
+        if each.content_digest == table.info.content_digest:
+            return run, run.dataset(each.dataset)
+    raise RunError(f"{path}: expected a run on {table.folder}, found one on other windows.")

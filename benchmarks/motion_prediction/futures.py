@@ -1,7 +1,7 @@
-"""Possible futures of a window as a fan of bodies over the observed half second.
+"""`prbench view` of runs of motion prediction: possible futures of a window as a fan of bodies.
 
-Each predictor fills a row: bodies from the side at some moments after the last observed frame, ways from above, and how
-far each future is from what happened. What was observed is grey, what happened is black.
+Each run fills a row: bodies from the side at some moments after the last observed frame, ways from above, and how far
+each future is from what happened. What was observed is grey, what happened is black.
 """
 
 from __future__ import annotations
@@ -9,13 +9,19 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+import pyarrow as pa
+import pyarrow.compute as pc
+from jaxtyping import Float
 
+from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import UsageError
+from prbench.harness.run_folder.folder import DatasetFolder
+from prbench.sequences.dataset_info import notice, require_may_pass_on
+from prbench.sequences.schema import read_parquet
+from prbench.sequences.table import by_share, find_sequence_id
 from prbench.shown import figure_text
 from prbench.viewing.figures import (
     draw_chains,
@@ -29,8 +35,15 @@ from prbench.viewing.figures import (
     without_frame,
     write_figure,
 )
-from prbench_benchmarks.motion_prediction.joint_sets import JointSet
-from prbench_benchmarks.motion_prediction.metrics import joint_errors
+from prbench.viewing.replay.read import run_labels
+from prbench.viewing.replay.scene import METHOD_COLOURS
+from prbench.viewing.view import DEFAULT_LIMIT, ViewReport, ViewRequest
+from prbench_benchmarks.motion_prediction.batch import Condition
+from prbench_benchmarks.motion_prediction.cases import run_on
+from prbench_benchmarks.motion_prediction.joint_sets import JointSet, transform_each
+from prbench_benchmarks.motion_prediction.metrics import displacements, frame_errors, joint_errors
+from prbench_benchmarks.motion_prediction.protocol import load_prediction_protocol
+from prbench_benchmarks.motion_prediction.table import WindowsTable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,52 +52,62 @@ RECORDED_COLOUR = "#000000"
 OBSERVED_COLOUR = "#8c8c8c"
 GAZE_COLOUR = "#e69f00"
 GOAL_COLOUR = "#56b4e9"
+MOST_ROWS = 12
 _MOMENTS = (0.5, 1.0, 1.5, 2.0)  # seconds after the last observed frame
 _OBSERVED_POSES = 3  # of the observed frames, evenly spread
 _SPACING = 0.45  # metres between the bodies of two moments
 _MARGIN = 0.3  # metres
 _LOOK = 0.6  # metres of the line that shows where gaze points
 _LINE = 190  # characters of the note below the panels
-MOST_ROWS = 12
 
 
 @dataclass(frozen=True, eq=False)
 class Fan:
-    """The futures of one predictor."""
+    """The futures of one run in a window."""
 
     label: str
     colour: str
     """``#rrggbb``."""
     joints: Float[np.ndarray, "samples future joints 3"]
     """Room, metres."""
-    score: str
-    """What it scored, in words."""
+    scores: dict[str, float]
+    """``ade`` and ``fde``, metres."""
+
+    @property
+    def score(self) -> str:
+        """What it scored, in words."""
+        return f"ADE {self.scores['ade']:.2f} m, FDE {self.scores['fde']:.2f} m"
+
+    @property
+    def shades(self) -> list[tuple[float, float, float]]:
+        """A colour for each future."""
+        return shades(self.colour, len(self.joints))
 
 
 @dataclass(frozen=True, eq=False)
 class ShownWindow:
-    """One window with the futures that predictors see in it. Room, metres."""
+    """One window with the futures that runs hold of it. Room, metres."""
 
-    window_id: str
+    sequence_id: str
     dataset: str
-    synthetic: bool
+    title: str
     joint_set: JointSet
     fps: float
     observed: Float[np.ndarray, "observed joints 3"]
     recorded: Float[np.ndarray, "scored joints 3"]
     """What happened, up to the last scored frame."""
-    gaze: Float[np.ndarray, "observed 3"]
-    gaze_valid: Bool[np.ndarray, " observed"]
+    look: Float[np.ndarray, "2 3"] | None
+    """From the head to where gaze points in the last observed frame; None where it was not measured."""
     goal: Float[np.ndarray, "3"] | None
     """Where the hand is at the event; None where the window does not reach it."""
-    fans: tuple[Fan, ...]
+    motions: tuple[Fan, ...]
     notice: str
     """Sentence that the dataset's terms ask for; empty where they ask for none."""
 
     @property
-    def last_pose(self) -> Float[np.ndarray, "joints 3"]:
-        """The last observed pose."""
-        return self.observed[-1]
+    def pelvis(self) -> int:
+        """Place of the pelvis among the joints."""
+        return self.joint_set.index(self.joint_set.pelvis)[0]
 
     @property
     def floor(self) -> float:
@@ -94,186 +117,228 @@ class ShownWindow:
     @property
     def sideways(self) -> Float[np.ndarray, "3"]:
         """Horizontal unit vector that points to the right in side views: where the body goes, or else faces."""
-        pelvis = self.joint_set.index(self.joint_set.pelvis)[0]
-        way = self.recorded[-1, pelvis] - self.observed[0, pelvis]
+        way = self.recorded[-1, self.pelvis] - self.observed[0, self.pelvis]
         if np.hypot(way[0], way[2]) < 0.1:
-            way = self.joint_set.last_pose_frame(self.last_pose[None])[0, :3, 2]
+            way = self.joint_set.last_pose_frame(self.observed[-1:])[0, :3, 2]
         return horizontal_direction(way)
 
+    def errors(self, fan: Fan) -> Float[np.ndarray, "samples scored"]:
+        """Mean distance of the joints from what happened, metres."""
+        n = min(len(self.recorded), fan.joints.shape[1])
+        return joint_errors(fan.joints[None, :, :n], self.recorded[None, :n])[0].mean(axis=-1)
 
-def draw_futures(windows: Sequence[ShownWindow], path: Path, *, dpi: int = 110) -> None:
-    """Draw windows below one another, a row for each predictor.
 
-    Args:
-        windows: What is shown.
-        path: ``.png`` or ``.svg``; replaced when it exists.
-        dpi: Resolution of a PNG.
+@dataclass(frozen=True)
+class FuturesReport(ViewReport):
+    """The windows that were shown."""
+
+    def told(self, scene: Any, motion: Any) -> str:  # noqa: ARG002 - as the base class
+        """Return what a run scored in a window."""
+        return motion.score
+
+
+def view_futures(request: ViewRequest) -> FuturesReport:
+    """Draw the futures of runs into a picture, a row for each window and run.
 
     Raises:
-        UsageError: for another kind of file, or too many rows for one picture.
+        RedistributionError: if the dataset's licence keeps recorded motion.
+        RunError: for a run of another benchmark or table.
+        TableError: if the windows cannot be read.
+        UsageError: for a window that is not in all runs, or too much for one picture.
         StorageError: if the file cannot be written.
     """
-    require_drawable(path)
-    rows = [(window, fan) for window in windows for fan in window.fans]
-    if not 0 < len(rows) <= MOST_ROWS:
-        raise UsageError(f"{path}: expected 1 to {MOST_ROWS} rows (windows times predictors), found {len(rows)}.")
+    require_drawable(request.out)
+    if len(request.data) != 1 or request.sample or request.scene is not None:
+        raise UsageError("runs of motion prediction: name their windows with one --data DIR; no --sample, no --scene.")
+    table = WindowsTable.open(request.data[0])
+    # What was observed stands in every view.
+    require_may_pass_on(table.info, "the view", request.permitted)
+    runs = [run_on(path, table) for path in request.runs]
+    labels = run_labels(request.runs, [run.record for run, _ in runs])
+    ids = [_ids_of(files) for _, files in runs]
+    windows = table.windows["window_id"].to_pylist()
+    known = [name for name in windows if all(name in held for held in ids)]
+    if request.sequences:
+        chosen = {find_sequence_id(name, known, among="the windows of these runs") for name in request.sequences}
+    else:
+        rows = table.windows["row"].take([windows.index(name) for name in known])
+        recordings = table.runs["recording_id"].take(rows).to_pylist()
+        chosen = set(by_share(known, recordings)[: request.limit or DEFAULT_LIMIT])
+    if not 0 < len(chosen) * len(runs) <= MOST_ROWS:
+        raise UsageError(
+            f"{request.out}: expected 1 to {MOST_ROWS} rows (windows times runs), found {len(chosen) * len(runs)}."
+        )
+    places = np.array([place for place, name in enumerate(windows) if name in chosen])
+    futures = [_read(files, chosen, len(table.joints.names)) for _, files in runs]
+    shown = []
+    condition = Condition.POSE_GAZE if table.info.has_gaze else Condition.POSE
+    frame = load_prediction_protocol().evaluation.frame
+    batch, truth = next(table.batches(condition, places, frame=frame, size=len(places)))
+    turns = truth.room_from_batch.copy()
+    turns[:, :3, 3] = 0.0
+    observed = transform_each(truth.room_from_batch, batch.observed_joints)
+    recorded = transform_each(truth.room_from_batch, truth.joints)
+    goal = transform_each(truth.room_from_batch, truth.goal)
+    for row, name in enumerate(truth.window_ids):
+        n = int(truth.n_scored[row])
+        look = None
+        if batch.gaze is not None and batch.gaze_valid is not None and batch.gaze_valid[row, -1]:
+            head = observed[row, -1, table.joints.index(table.joints.head)[0]]
+            direction = transform_each(turns[row : row + 1], batch.gaze[row : row + 1, -1])[0]
+            look = np.stack([head, head + _LOOK * direction])
+        fans = []
+        for label, colour, found in zip(labels, METHOD_COLOURS, futures, strict=False):
+            joints = found[name]
+            error = displacements(frame_errors(joints[None, :, :n], truth.joints[row : row + 1, :n]))
+            scores = {metric: float(error[metric][0]) for metric in ("ade", "fde")}
+            in_room = transform_each(truth.room_from_batch[row : row + 1], joints[None])[0]
+            fans.append(Fan(label, colour, in_room, scores))
+        synthetic = table.info.dataset.startswith(SYNTHETIC_PREFIX)
+        shown.append(
+            ShownWindow(
+                sequence_id=name,
+                dataset=table.info.dataset,
+                title="Synthetic people." if synthetic else "",
+                joint_set=table.joints,
+                fps=batch.fps,
+                observed=observed[row],
+                recorded=recorded[row, :n],
+                look=look,
+                goal=goal[row] if np.isfinite(goal[row]).all() else None,
+                motions=tuple(fans),
+                notice=notice(table.info, request.permitted),
+            )
+        )
+    _draw(shown, request)
+    return FuturesReport(request.out, tuple(shown))
+
+
+def _ids_of(files: DatasetFolder) -> set[str]:
+    paths = sorted(files.predictions.glob("part-*.parquet"))
+    return {name for path in paths for name in read_parquet(path, ["sequence_id"])["sequence_id"].to_pylist()}
+
+
+def _read(files: DatasetFolder, chosen: set[str], joints: int) -> dict[str, Float[np.ndarray, "samples future _ 3"]]:
+    """The futures of some windows by id, in the order of their samples and in the frame of the batch."""
+    found: dict[str, list[np.ndarray]] = {}
+    for path in sorted(files.predictions.glob("part-*.parquet")):
+        rows = read_parquet(path, ["sequence_id", "joints"])
+        for row in np.flatnonzero(
+            pc.is_in(rows["sequence_id"], value_set=pa.array(sorted(chosen))).to_numpy()
+        ).tolist():
+            values = rows["joints"][row].values.flatten().to_numpy()
+            found.setdefault(rows["sequence_id"][row].as_py(), []).append(values.reshape(-1, joints, 3))
+    return {name: np.stack(samples) for name, samples in found.items()}
+
+
+def _draw(windows: Sequence[ShownWindow], request: ViewRequest) -> None:
+    """Draw windows below one another, a row for each run."""
+    rows = [(window, fan) for window in windows for fan in window.motions]
     height = 2.9 * len(rows) + 1.1
-    figure = new_figure(14.0, height, dpi=dpi)
+    figure = new_figure(14.0, height, dpi=110)
     grid = {"left": 0.005, "right": 0.992, "top": 1 - 0.55 / height, "bottom": 0.8 / height, "wspace": 0.13}
     panels = figure.subplots(
         len(rows), 3, squeeze=False, width_ratios=(3.4, 1.2, 1.2), gridspec_kw={**grid, "hspace": 0.26}
     )
     for (window, fan), (bodies, above, errors) in zip(rows, panels, strict=True):
         _draw_bodies(bodies, window, fan)
-        # Draw ways of the pelvis and the wrists from above.
-        pelvis = window.joint_set.index(window.joint_set.pelvis)[0]
-        wrists = window.joint_set.index(*window.joint_set.wrists)
-        for joints, colour in reversed(list(zip(fan.joints, _shades(fan), strict=True))):
-            above.plot(joints[:, pelvis, 0], joints[:, pelvis, 2], color=colour, linewidth=1.4)
-            above.plot(joints[-1, pelvis, 0], joints[-1, pelvis, 2], "s", color=colour, markersize=4)
-            above.plot(joints[-1, wrists, 0], joints[-1, wrists, 2], ".", color=colour, markersize=4)
-        for joints, colour, width in ((window.observed, OBSERVED_COLOUR, 3.0), (window.recorded, RECORDED_COLOUR, 1.1)):
-            above.plot(joints[:, pelvis, 0], joints[:, pelvis, 2], color=colour, linewidth=width)
-        end = window.recorded[-1]
-        above.plot(end[pelvis, 0], end[pelvis, 2], "s", color=RECORDED_COLOUR, markersize=4)
-        above.plot(end[wrists, 0], end[wrists, 2], ".", color=RECORDED_COLOUR, markersize=4)
-        shown = [window.observed[:, pelvis], window.recorded[:, pelvis], end[wrists]]
-        shown += [each.joints[:, :, pelvis].reshape(-1, 3) for each in window.fans]
-        if window.gaze_valid[-1]:
-            look = _look(window)
-            above.plot(look[:, 0], look[:, 2], color=GAZE_COLOUR, linewidth=1.4)
-            shown.append(look)
-        if window.goal is not None:
-            above.plot(window.goal[0], window.goal[2], "o", color=GOAL_COLOUR, markersize=8, alpha=0.8)
-            shown.append(window.goal[None])
-        x, z = square_limits(np.concatenate(shown)[:, [0, 2]], margin=_MARGIN)
-        # x grows to the left, as for somebody who looks down on a body that faces away from them.
-        above.set_xlim(*reversed(x))
-        above.set_ylim(*z)
-        above.set_aspect("equal")
-        above.set_title("from above, m; squares: pelvis, dots: wrists at the end", fontsize=7.5, loc="left")
-        above.tick_params(labelsize=6)
-        _draw_errors(errors, window, fan)
-        title = f"{window.window_id}\n{fan.label}: {len(fan.joints)} futures{f', {fan.score}' if fan.score else ''}"
+        title = f"{window.sequence_id}\n{fan.label}: {len(fan.joints)} futures, {fan.score}"
         bodies.set_title(figure_text(title), fontsize=8.5, loc="left")
-    figure.supxlabel(figure_text(_foot(windows)), fontsize=7.5, color="0.35", x=0.01, y=0.01, ha="left")
-    write_figure(figure, path)
-
-
-def _foot(windows: Sequence[ShownWindow]) -> str:
+        _draw_from_above(above, window, fan)
+        # Mean distance of the joints from what happened over the seconds.
+        tracks = window.errors(fan)
+        seconds = np.arange(1, tracks.shape[1] + 1) / window.fps
+        for track, colour in reversed(list(zip(tracks, fan.shades, strict=True))):
+            errors.plot(seconds, track, color=colour, linewidth=1.1)
+        # The same for all rows of a window, so that rows compare.
+        errors.set_ylim(0.0, 1.05 * max(float(window.errors(each).max()) for each in window.motions) + 1e-3)
+        errors.set_title("joints from what happened, mean, m, over seconds", fontsize=7.5, loc="left")
+        errors.tick_params(labelsize=6)
     said = [
         "Grey: the observed half second, the last pose darkest; black: what happened; a shade is a future, the same in",
         "all panels of a row.",
     ]
-    if any(window.gaze_valid.any() for window in windows):
+    if any(window.look is not None for window in windows):
         said.append("Orange: recorded gaze at the last observed frame.")
     if any(window.goal is not None for window in windows):
         said.append("Cyan: the goal at the event.")
-    if any(window.synthetic for window in windows):
-        said.append("Synthetic people.")
+    said.append(windows[0].title)
     notices = dict.fromkeys(window.notice for window in windows if window.notice)
-    return "\n".join((*textwrap.wrap(" ".join(said), _LINE), *notices)).strip()
+    foot = "\n".join((*textwrap.wrap(" ".join(said), _LINE), *notices)).strip()
+    figure.supxlabel(figure_text(foot), fontsize=7.5, color="0.35", x=0.01, y=0.01, ha="left")
+    write_figure(figure, request.out)
 
 
-def moments_of(window: ShownWindow) -> list[tuple[str, int]]:
-    """Moments that are drawn, and the frame of each after the last observed one, from 0 on."""
-    frames = [(seconds, round(seconds * window.fps) - 1) for seconds in _MOMENTS]
-    n_future = min((fan.joints.shape[1] for fan in window.fans), default=0)
-    return [(f"+{seconds:g} s", frame) for seconds, frame in frames if frame < n_future]
+def _draw_from_above(axes: Axes, window: ShownWindow, fan: Fan) -> None:
+    """Draw the ways of the pelvis, and the wrists at the end."""
+    pelvis = window.pelvis
+    wrists = window.joint_set.index(*window.joint_set.wrists)
+
+    def end(pose: np.ndarray, colour: object) -> None:
+        axes.plot(pose[pelvis, 0], pose[pelvis, 2], "s", color=colour, markersize=4)
+        axes.plot(pose[wrists, 0], pose[wrists, 2], ".", color=colour, markersize=4)
+
+    for joints, colour in reversed(list(zip(fan.joints, fan.shades, strict=True))):
+        axes.plot(joints[:, pelvis, 0], joints[:, pelvis, 2], color=colour, linewidth=1.4)
+        end(joints[-1], colour)
+    for joints, colour, width in ((window.observed, OBSERVED_COLOUR, 3.0), (window.recorded, RECORDED_COLOUR, 1.1)):
+        axes.plot(joints[:, pelvis, 0], joints[:, pelvis, 2], color=colour, linewidth=width)
+    end(window.recorded[-1], RECORDED_COLOUR)
+    shown = [window.observed[:, pelvis], window.recorded[:, pelvis], window.recorded[-1][wrists]]
+    shown += [each.joints[:, :, pelvis].reshape(-1, 3) for each in window.motions]
+    if window.look is not None:
+        axes.plot(window.look[:, 0], window.look[:, 2], color=GAZE_COLOUR, linewidth=1.4)
+        shown.append(window.look)
+    if window.goal is not None:
+        axes.plot(window.goal[0], window.goal[2], "o", color=GOAL_COLOUR, markersize=8, alpha=0.8)
+        shown.append(window.goal[None])
+    x, z = square_limits(np.concatenate(shown)[:, [0, 2]], margin=_MARGIN)
+    # x grows to the left, as for somebody who looks down on a body that faces away from them.
+    axes.set_xlim(*reversed(x))
+    axes.set_ylim(*z)
+    axes.set_aspect("equal")
+    axes.set_title("from above, m; squares: pelvis, dots: wrists at the end", fontsize=7.5, loc="left")
+    axes.tick_params(labelsize=6)
 
 
 def _draw_bodies(axes: Axes, window: ShownWindow, fan: Fan) -> None:
     """Draw the observed half second, then all futures at some moments, each moment at a place of its own."""
-    pelvis = window.last_pose[window.joint_set.index(window.joint_set.pelvis)[0]]
-    places = np.linspace(0, len(window.observed) - 1, _OBSERVED_POSES).round().astype(int)
-    observed = window.observed[places]
-    moments = moments_of(window)
-    groups = [observed, *(_poses_at(window, fan, frame) for _, frame in moments)]
-    clouds = [flattened(poses.reshape(-1, 3), pelvis, window.sideways, 0.0) for poses in groups]
+    last = window.observed[-1, window.pelvis]
+    chosen = np.linspace(0, len(window.observed) - 1, _OBSERVED_POSES).round().astype(int)
+    groups = [(f"+{seconds:g} s", round(seconds * window.fps) - 1) for seconds in _MOMENTS]
+    groups = [(name, frame) for name, frame in groups if frame < fan.joints.shape[1]]
+    # All poses of each moment with their colours; what futures show after the event nobody has recorded.
+    moments: list[tuple[str, list[tuple[np.ndarray, Any, float]], np.ndarray | None]] = []
+    greys = reversed(shades(OBSERVED_COLOUR, len(chosen)))
+    poses = [(pose, colour, 1.5) for pose, colour in zip(window.observed[chosen], greys, strict=True)]
+    moments.append(("observed", poses, None))
+    for name, frame in groups:
+        poses = [(pose, colour, 1.5) for pose, colour in zip(fan.joints[:, frame], fan.shades, strict=True)][::-1]
+        happened = frame < len(window.recorded)
+        if happened:
+            poses.append((window.recorded[frame], RECORDED_COLOUR, 1.1))
+        moments.append((name, poses, window.goal if happened else None))
+    clouds = []
+    for _, poses, goal in moments:
+        points = [pose for pose, _, _ in poses] + ([] if goal is None else [goal[None]])
+        clouds.append(flattened(np.concatenate(points), last, window.sideways, 0.0))
     shifts = side_by_side(clouds, spacing=_SPACING)
-    for colour, pose in zip(reversed(shades(OBSERVED_COLOUR, len(observed))), observed, strict=True):
-        _draw_pose(axes, window, pose, pelvis, shifts[0], colour)
-    _draw_look(axes, window, pelvis, shifts[0])
-    for (_, frame), shift in zip(moments, shifts[1:], strict=True):
-        for pose, colour in reversed(list(zip(fan.joints[:, frame], _shades(fan), strict=True))):
-            _draw_pose(axes, window, pose, pelvis, shift, colour)
-        if frame < len(window.recorded):
-            _draw_pose(axes, window, window.recorded[frame], pelvis, shift, RECORDED_COLOUR, linewidth=1.1)
-        goal = _goal_at(window, frame)
+    head = window.joint_set.index(window.joint_set.head)[0]
+    for (name, poses, goal), cloud, shift in zip(moments, clouds, shifts, strict=True):
+        for pose, colour, width in poses:
+            flat = flattened(pose, last, window.sideways, shift)
+            draw_chains(axes, flat, window.joint_set.chains, colour, linewidth=width)
+            axes.plot(*flat[head], "o", color=colour, markersize=4.0)
         if goal is not None:
-            place = flattened(goal[None], pelvis, window.sideways, shift)[0]
+            place = flattened(goal[None], last, window.sideways, shift)[0]
             axes.plot(*place, "o", color=GOAL_COLOUR, markersize=8, alpha=0.8, zorder=4)
-    names = ["observed", *(name for name, _ in moments)]
-    for name, points, shift in zip(names, clouds, shifts, strict=True):
-        centre = float(points[:, 0].mean()) + shift
+        centre = float(cloud[:, 0].mean()) + shift
         axes.text(centre, window.floor - 0.1, name, fontsize=7, ha="center", va="top", color="0.35")
+    if window.look is not None:
+        axes.plot(*flattened(window.look, last, window.sideways, shifts[0]).T, color=GAZE_COLOUR, linewidth=1.4)
     everything = np.concatenate([points + np.array([shift, 0.0]) for points, shift in zip(clouds, shifts, strict=True)])
     axes.set_xlim(everything[:, 0].min() - _MARGIN, everything[:, 0].max() + _MARGIN)
     axes.set_ylim(min(window.floor, float(everything[:, 1].min())) - 0.3, everything[:, 1].max() + 0.15)
     axes.axhline(window.floor, color="0.8", linewidth=0.8, zorder=0)
     axes.set_aspect("equal")
     without_frame(axes)
-
-
-def _poses_at(window: ShownWindow, fan: Fan, frame: int) -> Float[np.ndarray, "poses joints 3"]:
-    """All that is drawn at one moment; the goal is put where a joint is, so that there is room for it."""
-    poses = [fan.joints[:, frame]]
-    if frame < len(window.recorded):
-        poses.append(window.recorded[None, frame])
-    goal = _goal_at(window, frame)
-    if goal is not None:
-        poses.append(np.broadcast_to(goal, (1, *fan.joints.shape[2:])))
-    return np.concatenate(poses)
-
-
-def _goal_at(window: ShownWindow, frame: int) -> Float[np.ndarray, "3"] | None:
-    """The goal, up to the event: what futures show after it nobody has recorded."""
-    return window.goal if frame < len(window.recorded) else None
-
-
-def _shades(fan: Fan) -> list[tuple[float, float, float]]:
-    return shades(fan.colour, len(fan.joints))
-
-
-def _draw_pose(
-    axes: Axes,
-    window: ShownWindow,
-    pose: Float[np.ndarray, "joints 3"],
-    pelvis: Float[np.ndarray, "3"],
-    shift: float,
-    colour: object,
-    *,
-    linewidth: float = 1.5,
-) -> None:
-    flat = flattened(pose, pelvis, window.sideways, shift)
-    draw_chains(axes, flat, window.joint_set.chains, colour, linewidth=linewidth)
-    axes.plot(*flat[window.joint_set.index(window.joint_set.head)[0]], "o", color=colour, markersize=4.0)
-
-
-def _draw_look(axes: Axes, window: ShownWindow, pelvis: Float[np.ndarray, "3"], shift: float) -> None:
-    """Draw where gaze points in the last observed frame, where it was measured."""
-    if window.gaze_valid[-1]:
-        axes.plot(*flattened(_look(window), pelvis, window.sideways, shift).T, color=GAZE_COLOUR, linewidth=1.4)
-
-
-def _look(window: ShownWindow) -> Float[np.ndarray, "2 3"]:
-    head = window.last_pose[window.joint_set.index(window.joint_set.head)[0]]
-    return np.stack([head, head + _LOOK * window.gaze[-1]])
-
-
-def _draw_errors(axes: Axes, window: ShownWindow, fan: Fan) -> None:
-    """Draw the mean distance of the joints from what happened over the seconds."""
-    errors = _errors(window, fan)
-    seconds = np.arange(1, errors.shape[1] + 1) / window.fps
-    for track, colour in reversed(list(zip(errors, _shades(fan), strict=True))):
-        axes.plot(seconds, track, color=colour, linewidth=1.1)
-    # The same for all rows of a window, so that rows compare.
-    axes.set_ylim(0.0, 1.05 * max(float(_errors(window, each).max()) for each in window.fans) + 1e-3)
-    axes.set_title("joints from what happened, mean, m, over seconds", fontsize=7.5, loc="left")
-    axes.tick_params(labelsize=6)
-
-
-def _errors(window: ShownWindow, fan: Fan) -> Float[np.ndarray, "samples scored"]:
-    """Mean distance of the joints from what happened, metres."""
-    n = min(len(window.recorded), fan.joints.shape[1])
-    return joint_errors(fan.joints[None, :, :n], window.recorded[None, :n])[0].mean(axis=-1)

@@ -7,7 +7,6 @@ flattened pose, sqrt(J) times the root mean square a joint. Everything is comput
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -39,21 +38,12 @@ def _squared_errors(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.einsum("...c,...c->...", apart, apart)
 
 
-@dataclass(frozen=True)
-class Displacements:
-    """ADE and FDE of a batch of windows, metres."""
+def displacements(errors: Float[np.ndarray, "batch samples frames"]) -> dict[str, Float[np.ndarray, " batch"]]:
+    """ADE and FDE from :func:`frame_errors`, metres; any distance a frame will do.
 
-    ade: Float[np.ndarray, " batch"]
-    """Mean over the frames, of the best sample."""
-    fde: Float[np.ndarray, " batch"]
-    """Last frame, of the best sample, which may be another one."""
-    ade_mean: Float[np.ndarray, " batch"]
-    """Mean over the samples instead of the best one, which rewards no spread."""
-    fde_mean: Float[np.ndarray, " batch"]
-
-
-def displacements(errors: Float[np.ndarray, "batch samples frames"]) -> Displacements:
-    """ADE and FDE from :func:`frame_errors`; any distance a frame will do.
+    Returns:
+        ``ade``, mean over the frames, of the best sample; ``fde``, last frame, of the best sample, which may be another
+        one; ``ade_mean`` and ``fde_mean``, means over the samples in place of the best one, which reward no spread.
 
     Raises:
         UsageError: without samples or frames.
@@ -62,7 +52,12 @@ def displacements(errors: Float[np.ndarray, "batch samples frames"]) -> Displace
         raise UsageError(f"expected one sample and one frame or more, found {errors.shape[1]} and {errors.shape[2]}.")
     average = errors.mean(axis=2)
     last = errors[:, :, -1]
-    return Displacements(average.min(axis=1), last.min(axis=1), average.mean(axis=1), last.mean(axis=1))
+    return {
+        "ade": average.min(axis=1),
+        "fde": last.min(axis=1),
+        "ade_mean": average.mean(axis=1),
+        "fde_mean": last.mean(axis=1),
+    }
 
 
 def diversity(predicted: Float[np.ndarray, "batch samples frames joints 3"]) -> Float[np.ndarray, " batch"]:

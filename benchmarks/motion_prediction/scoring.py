@@ -1,17 +1,17 @@
-"""Scores of a predictor on a table of windows, one value a window.
+"""Scores of predictors, and of references that know the future, on a table of windows: one value a window.
 
-Source: docs/specification/motion-prediction.md#metrics.
+Source: docs/specification/motion-prediction.md#metrics, and #references. References are no predictors: nothing that a
+predictor is given leads to them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from collections.abc import Sequence as SequenceOf
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import pyarrow as pa
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
+from scipy.fft import dct, idct
 
 from prbench.errors import UsageError
 from prbench_benchmarks.motion_prediction import metrics
@@ -19,6 +19,10 @@ from prbench_benchmarks.motion_prediction.batch import Condition, Futures, Obser
 from prbench_benchmarks.motion_prediction.joint_sets import JointSet, invert_each, transform_each
 from prbench_benchmarks.motion_prediction.protocol import EvaluationRules, FrameName, load_prediction_protocol
 from prbench_benchmarks.motion_prediction.table import Truth, WindowsTable
+
+GROUND_TRUTH = "ground-truth"
+TRUNCATION_FLOOR = "truncation-floor"
+Reference = Callable[[ObservedBatch, Truth], Futures]
 
 
 @dataclass(frozen=True)
@@ -42,75 +46,38 @@ class SimilarPasts:
         Windows that are not scored to their end have a set of their own alone: futures of other lengths are no
         continuations of theirs.
         """
-        ids: list[str] = []
-        poses: list[np.ndarray] = []
-        futures: list[np.ndarray] = []
-        whole: list[np.ndarray] = []
-        for batch, truth in table.batches(Condition.POSE, chosen, frame="room", size=256):
-            ids += truth.window_ids
-            poses.append(batch.observed_joints[:, -1])
-            futures.append(truth.joints)
-            whole.append(truth.n_scored == batch.n_future)
-        last = np.concatenate(poses)
-        complete = np.concatenate(whole)
+        batches = list(table.batches(Condition.POSE, chosen, frame="room", size=256))
+        ids = [name for _, truth in batches for name in truth.window_ids]
+        last = np.concatenate([batch.observed_joints[:, -1] for batch, _ in batches])
+        complete = np.concatenate([truth.n_scored == batch.n_future for batch, truth in batches])
         inverse = invert_each(table.joints.last_pose_frame(last))
-        own = transform_each(inverse, last)
+
+        def sets(poses: np.ndarray) -> list[np.ndarray]:
+            found = metrics.similar_pasts(poses, closer_than=closer_than)
+            return [near[complete[near]] if complete[place] else np.array([place]) for place, near in enumerate(found)]
+
         return cls(
             places={name: place for place, name in enumerate(ids)},
-            sets=_among(metrics.similar_pasts(last, closer_than=closer_than), complete),
-            canonical_sets=_among(metrics.similar_pasts(own, closer_than=closer_than), complete),
-            futures=np.concatenate(futures),
+            sets=sets(last),
+            canonical_sets=sets(transform_each(inverse, last)),
+            futures=np.concatenate([truth.joints for _, truth in batches]),
             own_from_room=inverse,
         )
 
 
-def _among(sets: list[np.ndarray], complete: np.ndarray) -> list[np.ndarray]:
-    """Sets of complete windows; an incomplete one keeps itself alone."""
-    return [members[complete[members]] if complete[place] else np.array([place]) for place, members in enumerate(sets)]
-
-
 @dataclass
 class Scores:
-    """Scores of windows: one value a window in each column."""
+    """Scores of windows in table order: one value a window in each column."""
 
     columns: dict[str, list] = field(default_factory=dict)
 
     def add(self, values: Mapping[str, object]) -> None:
         """Append the columns of some windows; a column that they lack, or that came up with them, is NaN elsewhere."""
-        before = len(self.columns.get("window_id", ()))
+        before = len(self)
         added = {name: np.asarray(column).tolist() for name, column in values.items()}
-        after = before + len(added["window_id"])
+        new = len(added["window_id"])
         for name in dict.fromkeys([*self.columns, *added]):
-            column = self.columns.setdefault(name, [np.nan] * before)
-            column.extend(added.get(name, [np.nan] * (after - before)))
-
-    def table(self) -> pa.Table:
-        """One row a window, named by ``window_id``; the order is the same for every predictor and condition."""
-        return pa.table(self.columns)
-
-    @classmethod
-    def of(cls, table: pa.Table) -> Scores:
-        """Read scores from what :meth:`table` returned."""
-        return cls({name: table[name].to_pylist() for name in table.column_names})
-
-    def only(self, keep: Bool[np.ndarray, " windows"]) -> Scores:
-        """The scores of some windows."""
-        return self._at(np.flatnonzero(keep))
-
-    def in_order(self, window_ids: SequenceOf[str]) -> Scores:
-        """The same scores in the order of these windows: batches of another size bring short windows in another one.
-
-        Raises:
-            UsageError: if they are scores of other windows.
-        """
-        place: dict[str, int] = {name: number for number, name in enumerate(self.columns.get("window_id", []))}
-        if place.keys() != set(window_ids) or len(window_ids) != len(self):
-            raise UsageError(f"expected scores of {len(window_ids)} windows, found those of {len(self)} others.")
-        return self._at(np.array([place[name] for name in window_ids]))
-
-    def _at(self, places: Int[np.ndarray, " n"]) -> Scores:
-        chosen = places.tolist()
-        return Scores({name: [values[place] for place in chosen] for name, values in self.columns.items()})
+            self.columns.setdefault(name, [np.nan] * before).extend(added.get(name, [np.nan] * new))
 
     def __len__(self) -> int:
         return len(self.columns.get("window_id", ()))
@@ -157,36 +124,42 @@ def score_predictor(
     """
     if n_samples < 1:
         raise UsageError(f"expected one sample or more, found {n_samples}.")
-    rules = load_prediction_protocol().evaluation
+    frame = frame or load_prediction_protocol().evaluation.frame
     scores = Scores()
-    for batch, truth in table.batches(condition, chosen, frame=frame or rules.frame, size=size):
+    for batch, truth in table.batches(condition, chosen, frame=frame, size=size):
         futures = ask(predictor, batch, n_samples=n_samples, seed=seed)
         one_design = bool(getattr(predictor, "one_design", False))
-        add_scores(scores, batch, futures, truth, table.joints, rules, similar=similar, one_design=one_design)
+        _add(scores, batch, futures, truth, table.joints, similar=similar, one_design=one_design)
     return scores
 
 
-def add_scores(
-    scores: Scores,
-    batch: ObservedBatch,
-    futures: Futures,
-    truth: Truth,
-    joints: JointSet,
-    rules: EvaluationRules,
-    *,
-    similar: SimilarPasts | None = None,
-    one_design: bool = False,
-) -> None:
-    """Score the answer to one batch (:func:`score_batch`), and append its rows to the scores of others."""
-    for rows, values in score_batch(batch, futures, truth, joints, rules, similar=similar, one_design=one_design):
-        named = {
-            "window_id": truth.window_ids,
-            "recording_id": truth.recording_ids,
-            "participant_id": truth.participant_ids,
-            "segment": truth.segments,
-            "anchor": truth.anchors,
-        }
-        scores.add({name: [values[row] for row in rows] for name, values in named.items()} | values)
+def score_reference(
+    reference: Reference, table: WindowsTable, chosen: Int[np.ndarray, " n"], *, similar: SimilarPasts | None = None
+) -> Scores:
+    """Score a reference as a predictor is scored.
+
+    Args:
+        reference: :func:`ground_truth`, or what :func:`truncation_floor` returned.
+        table: The windows.
+        chosen: Places of windows.
+        similar: For MMADE and MMFDE; these are left out without it.
+    """
+    scores = Scores()
+    for batch, truth in table.batches(Condition.POSE, chosen, frame="room"):
+        _add(scores, batch, reference(batch, truth), truth, table.joints, similar=similar)
+    return scores
+
+
+def _add(scores: Scores, batch: ObservedBatch, futures: Futures, truth: Truth, joints: JointSet, **given) -> None:
+    rules = load_prediction_protocol().evaluation
+    about = {
+        "window_id": truth.window_ids,
+        "recording_id": truth.recording_ids,
+        "participant_id": truth.participant_ids,
+        "segment": truth.segments,
+        "anchor": truth.anchors,
+    }
+    scores.add(about | score_batch(batch, futures, truth, joints, rules, **given))
 
 
 def score_batch(
@@ -198,7 +171,7 @@ def score_batch(
     *,
     similar: SimilarPasts | None = None,
     one_design: bool = False,
-) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray]]]:
+) -> dict[str, Float[np.ndarray, " batch"]]:
     """Score the answer to one batch.
 
     Args:
@@ -210,9 +183,10 @@ def score_batch(
         similar: For MMADE and MMFDE.
         one_design: The samples are one design: fewer than all of them have no scores.
 
-    Yields:
-        Rows of the batch that are scored over one number of frames, and their scores by name.
+    Returns:
+        One value a window by the name of the score; NaN where a window has none.
     """
+    columns: dict[str, np.ndarray] = {}
     for n_scored in np.unique(truth.n_scored).tolist():
         rows = np.flatnonzero(truth.n_scored == n_scored)
         predicted = futures.joints[rows][:, :, :n_scored]
@@ -222,52 +196,39 @@ def score_batch(
         # The study's metrics for every number of samples, at every horizon.
         errors = np.sqrt((by_joint**2).sum(axis=-1))
         samples = errors.shape[1]
-        found = metrics.displacements(errors)
-        values = {
-            "ade": found.ade,
-            "fde": found.fde,
-            "ade_mean": found.ade_mean,
-            "fde_mean": found.fde_mean,
-            "apd": metrics.diversity(predicted),
-        }
+        values = metrics.displacements(errors) | {"apd": metrics.diversity(predicted)}
         for n in (each for each in rules.samples if each == samples or (each < samples and not one_design)):
             part = metrics.displacements(errors[:, :n])
-            values |= {f"ade@k{n}": part.ade, f"fde@k{n}": part.fde}
+            values |= {f"ade@k{n}": part["ade"], f"fde@k{n}": part["fde"]}
         for seconds in rules.horizons:
             frames = round(seconds * batch.fps)
             # Anchored windows may end before a horizon: there it says nothing.
-            there = frames <= errors.shape[2]
-            part = metrics.displacements(errors[:, :, : min(frames, errors.shape[2])])
-            nothing = np.full(len(errors), np.nan)
-            values |= {f"ade@{seconds:g}s": part.ade if there else nothing}
-            values |= {f"fde@{seconds:g}s": part.fde if there else nothing}
-        values |= _of_joints(by_joint, joints)
+            part = {"ade": np.nan, "fde": np.nan}
+            if frames <= errors.shape[2]:
+                part = metrics.displacements(errors[:, :, :frames])
+            values |= {f"ade@{seconds:g}s": part["ade"], f"fde@{seconds:g}s": part["fde"]}
+        # Joints are told of the sample whose joints are nearest on average.
+        each = by_joint.mean(axis=2)
+        best = each[np.arange(len(each)), each.mean(axis=2).argmin(axis=1)]
+        values["mpjpe"] = best.mean(axis=1)
+        values |= {f"joint/{name}": best[:, place] for place, name in enumerate(joints.names)}
+        of_wrists = metrics.displacements(by_joint[..., joints.index(*joints.wrists)].mean(axis=-1))
+        values |= {"wrists_ade": of_wrists["ade"], "wrists_fde": of_wrists["fde"]}
         values["first_frame_jump"] = metrics.first_frame_jump(predicted, last)
         values["bone_error_percent"] = metrics.bone_error(predicted, last, joints.bones)
-        values |= _at_goal(predicted, actual, truth.goal[rows], joints)
+        if np.isfinite(truth.goal[rows]).any():
+            values |= _at_goal(predicted, actual, truth.goal[rows], joints)
         if similar is not None:
             values |= _multimodal(predicted, truth, rows, similar)
-        yield rows, values
-
-
-def _of_joints(by_joint: Float[np.ndarray, "batch samples frames joints"], joints: JointSet) -> dict[str, np.ndarray]:
-    """Mean distance of each joint, of the sample whose joints are nearest on average, and of the wrists, metres."""
-    each = by_joint.mean(axis=2)
-    best = each.mean(axis=2).argmin(axis=1)
-    chosen = each[np.arange(len(each)), best]
-    values = {"mpjpe": chosen.mean(axis=1)}
-    values |= {f"joint/{name}": chosen[:, place] for place, name in enumerate(joints.names)}
-    wrists = by_joint[..., joints.index(*joints.wrists)].mean(axis=-1)
-    found = metrics.displacements(wrists)
-    return values | {"wrists_ade": found.ade, "wrists_fde": found.fde}
+        for name, value in values.items():
+            columns.setdefault(name, np.full(len(batch), np.nan))[rows] = value
+    return columns
 
 
 def _at_goal(
     predicted: np.ndarray, actual: np.ndarray, goal: Float[np.ndarray, "batch 3"], joints: JointSet
 ) -> dict[str, np.ndarray]:
     """Distance of the nearer wrist to the goal, and error of the pelvis, at the event; NaN where it lies beyond."""
-    if not np.isfinite(goal).any():
-        return {}
     wrists = joints.index(*joints.wrists)
     best, mean = metrics.goal_distances(predicted[:, :, -1][:, :, wrists], goal)
     _, own = metrics.goal_distances(actual[:, None, -1][:, :, wrists], goal)
@@ -300,3 +261,35 @@ def _multimodal(predicted: np.ndarray, truth: Truth, rows: np.ndarray, similar: 
         found.append((*room, float(len(members)), *canonical, float(len(near))))
     names = ("mmade", "mmfde", "similar_pasts", "mmade_canonical", "mmfde_canonical", "similar_pasts_canonical")
     return dict(zip(names, np.transpose(found), strict=True))
+
+
+def ground_truth(batch: ObservedBatch, truth: Truth) -> Futures:
+    """What happened, as the only sample; the last pose is held after an event."""
+    frame = np.minimum(np.arange(batch.n_future), truth.n_scored[:, None] - 1)
+    return Futures(joints=truth.joints[np.arange(len(batch))[:, None], frame][:, None])
+
+
+def truncation_floor(coefficients: int) -> Reference:
+    """What is left of the true windows when only their first coefficients are kept.
+
+    A network that describes a window by L coefficients cannot be better than this, whatever it learns.
+
+    Args:
+        coefficients: L of the orthonormal DCT-II over observed and future frames, one or more.
+    """
+
+    def truncated(batch: ObservedBatch, truth: Truth) -> Futures:
+        future = ground_truth(batch, truth).joints[:, 0]
+        windows = np.concatenate([batch.observed_joints, future], axis=1).astype(np.float64)
+        kept = np.asarray(dct(windows, axis=1, norm="ortho"))
+        kept[:, coefficients:] = 0.0
+        future = np.asarray(idct(kept, axis=1, norm="ortho"))[:, batch.observed_joints.shape[1] :]
+        return Futures(joints=future[:, None].astype(np.float32))
+
+    return truncated
+
+
+def references() -> Mapping[str, Reference]:
+    """The references by name, the floor with the protocol's number of coefficients."""
+    coefficients = load_prediction_protocol().evaluation.coefficients
+    return {TRUNCATION_FLOOR: truncation_floor(coefficients), GROUND_TRUTH: ground_truth}

@@ -1,34 +1,81 @@
-"""The work of a run of motion prediction on the windows of one table: batches and scores."""
+"""The work of a run of motion prediction on the windows of one table: questions, answers and scores."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
-from prbench.engine import Engine
-from prbench.harness.benchmark import CaseWork
+from prbench.engine import Engine, is_out_of_memory
+from prbench.errors import AdapterError, PrbenchError
+from prbench.harness.benchmark import Answer, CaseWork
+from prbench.harness.methods.loading import LoadedMethod
+from prbench.harness.methods.motions import release_memory, told
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder.folder import DatasetFolder
-from prbench.harness.run_folder.predictions import read_part
+from prbench.harness.run_folder.predictions import PredictionRows, read_part
 from prbench.harness.run_folder.record import MethodRecord
 from prbench.harness.run_folder.scores import SCORES
-from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch
+from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, ask
 from prbench_benchmarks.motion_prediction.cases import WindowCases
 from prbench_benchmarks.motion_prediction.joint_sets import JointSet
 from prbench_benchmarks.motion_prediction.metric_infos import prediction_metrics
-from prbench_benchmarks.motion_prediction.protocol import PredictionProtocol
-from prbench_benchmarks.motion_prediction.question import FutureQuestion
+from prbench_benchmarks.motion_prediction.protocol import EvaluationRules, PredictionProtocol
 from prbench_benchmarks.motion_prediction.scoring import SimilarPasts, score_batch
 from prbench_benchmarks.motion_prediction.table import Truth
 
 NEAREST_PAST = "nearest-past"
 """The predictor that answers with recorded motion."""
+
+
+@dataclass(frozen=True)
+class FutureQuestion:
+    """See :class:`prbench.harness.benchmark.Question`; the predictor sees nothing but ``batch``."""
+
+    batch: ObservedBatch
+    n_samples: int
+
+    def ask(
+        self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...], measure: Callable[[], None]
+    ) -> Answer:
+        """See :class:`prbench.harness.benchmark.Question`."""
+        assert method is not None, "no control of this benchmark"
+        joints, halvings = self._futures(self.batch, method, seed, sequence_ids)
+        measure()
+        n_frames = np.full(len(joints), self.batch.n_future)
+        samples = [PredictionRows.from_padded(joints[:, sample], n_frames) for sample in range(self.n_samples)]
+        return Answer(samples, [self.batch.key] * self.n_samples, halvings)
+
+    def _futures(
+        self, batch: ObservedBatch, method: LoadedMethod, seed: int, ids: tuple[str, ...]
+    ) -> tuple[Float[np.ndarray, "batch samples future joints 3"], int]:
+        """The answer, and how often a batch that did not fit in memory was cut in two."""
+        try:
+            futures = ask(method.adapter, batch, n_samples=self.n_samples, seed=seed)
+        except PrbenchError:
+            raise
+        except (Exception, SystemExit) as error:
+            if not is_out_of_memory(error):
+                where = f"among windows {ids[0]} to {ids[-1]}"
+                raise AdapterError(f"method '{method.name}' failed: {told(error)}, {where}.") from error
+            if len(batch) == 1:
+                raise AdapterError(
+                    f"method '{method.name}' ran out of memory on the single window {ids[0]}"
+                    f" ({self.n_samples} samples). Use a device with more memory, or fewer --samples."
+                ) from error
+        else:
+            return np.asarray(futures.joints, dtype=np.float32), 0
+        # Outside of the handler: its traceback would hold the tensors of the failed batch.
+        release_memory()
+        middle = len(batch) // 2
+        first, halved_first = self._futures(batch.chosen(range(middle)), method, seed, ids[:middle])
+        second, halved_second = self._futures(batch.chosen(range(middle, len(batch))), method, seed, ids[middle:])
+        return np.concatenate((first, second)), 1 + halved_first + halved_second
 
 
 class FutureWork(CaseWork):
@@ -47,20 +94,16 @@ class FutureWork(CaseWork):
         self._cases = cases
         self._method = method
         self._condition = condition
-        self._protocol = protocol
+        self._rules = protocol.evaluation
 
     @property
     def holds_recordings(self) -> bool:
         """True for the predictor that answers with recorded futures."""
         return self._method.name == NEAREST_PAST
 
-    @property
+    @cached_property
     def plan(self) -> list[Int[np.ndarray, "_"]]:
         """Windows after one another, in the order of the table; all are as long."""
-        return self._plan
-
-    @cached_property
-    def _plan(self) -> list[Int[np.ndarray, "_"]]:
         size = self._request.batch_size
         return [np.arange(start, min(start + size, len(self._cases))) for start in range(0, len(self._cases), size)]
 
@@ -76,46 +119,28 @@ class FutureWork(CaseWork):
         table = self._cases.table
         places = self._cases.places[np.concatenate([self.plan[index] for index in wanted])]
         # All planned batches but the last one have this size, so those of the table are the planned ones.
-        batches = table.batches(condition, places, frame=self._protocol.evaluation.frame, size=self._request.batch_size)
+        batches = table.batches(condition, places, frame=self._rules.frame, size=self._request.batch_size)
         for index, (batch, truth) in zip(wanted, batches, strict=True):
             yield index, batch, truth
 
     def scores(self, files: DatasetFolder, engine: Engine) -> Iterator[pa.Table]:
         """See :meth:`CaseWork.scores`."""
-        rules = self._protocol.evaluation
-        similar = SimilarPasts.of(self._cases.table, self._cases.pool, closer_than=rules.similar_past)
-        everything = list(range(len(self.plan)))
+        table = self._cases.table
+        similar = SimilarPasts.of(table, self._cases.pool, closer_than=self._rules.similar_past)
+        score = partial(
+            _score_part,
+            dataset=table.info.dataset,
+            samples=self._request.samples,
+            joints=table.joints,
+            rules=self._rules,
+            one_design=self._method.one_design,
+        )
         # Joints and truth are the same under every condition.
         parts = (
-            _Part(
-                dataset=self._cases.table.info.dataset,
-                path=files.part(index),
-                samples=self._request.samples,
-                batch=batch,
-                truth=truth,
-                similar=_of_windows(similar, truth.window_ids),
-                joints=self._cases.table.joints,
-                protocol=self._protocol,
-                one_design=self._method.one_design,
-            )
-            for index, batch, truth in self._batches(Condition.POSE, everything)
+            (files.part(index), batch, truth, _of_windows(similar, truth.window_ids))
+            for index, batch, truth in self._batches(Condition.POSE, list(range(len(self.plan))))
         )
-        yield from engine.map(_score_part, parts)
-
-
-@dataclass(frozen=True)
-class _Part:
-    """Scoring work for one worker."""
-
-    dataset: str
-    path: Path
-    samples: int
-    batch: ObservedBatch
-    truth: Truth
-    similar: SimilarPasts
-    joints: JointSet
-    protocol: PredictionProtocol
-    one_design: bool
+        yield from engine.map(score, parts)
 
 
 def _of_windows(similar: SimilarPasts, window_ids: tuple[str, ...]) -> SimilarPasts:
@@ -123,16 +148,16 @@ def _of_windows(similar: SimilarPasts, window_ids: tuple[str, ...]) -> SimilarPa
     places = [similar.places[name] for name in window_ids]
     members = [similar.sets[place] for place in places] + [similar.canonical_sets[place] for place in places]
     kept = np.unique(np.concatenate([*members, places]))
-    new_place = {int(place): number for number, place in enumerate(kept)}
+    new_places = np.searchsorted(kept, places).tolist()
 
     def renumbered(sets: list[np.ndarray]) -> list[np.ndarray]:
         found = [np.empty(0, dtype=np.int64)] * len(kept)
-        for place in places:
-            found[new_place[place]] = np.searchsorted(kept, sets[place])
+        for place, new_place in zip(places, new_places, strict=True):
+            found[new_place] = np.searchsorted(kept, sets[place])
         return found
 
     return SimilarPasts(
-        places={name: new_place[place] for name, place in zip(window_ids, places, strict=True)},
+        places=dict(zip(window_ids, new_places, strict=True)),
         sets=renumbered(similar.sets),
         canonical_sets=renumbered(similar.canonical_sets),
         futures=similar.futures[kept],
@@ -140,22 +165,19 @@ def _of_windows(similar: SimilarPasts, window_ids: tuple[str, ...]) -> SimilarPa
     )
 
 
-def _score_part(part: _Part) -> pa.Table:
-    names = part.truth.window_ids
-    joints = read_part(part.path, names, samples=part.samples, joints=len(part.joints.names))
-    columns: dict[str, np.ndarray] = {}
-    scored = score_batch(
-        part.batch,
-        Futures(joints=joints),
-        part.truth,
-        part.joints,
-        part.protocol.evaluation,
-        similar=part.similar,
-        one_design=part.one_design,
-    )
-    for rows, values in scored:
-        for name, value in values.items():
-            columns.setdefault(name, np.full(len(names), np.nan))[rows] = value
+def _score_part(
+    part: tuple[Path, ObservedBatch, Truth, SimilarPasts],
+    *,
+    dataset: str,
+    samples: int,
+    joints: JointSet,
+    rules: EvaluationRules,
+    one_design: bool,
+) -> pa.Table:
+    path, batch, truth, similar = part
+    names = truth.window_ids
+    futures = Futures(joints=read_part(path, names, samples=samples, joints=len(joints.names)))
+    columns = score_batch(batch, futures, truth, joints, rules, similar=similar, one_design=one_design)
     metrics = [info.id for info in prediction_metrics() if info.id in columns]
     values = np.stack([columns[name] for name in metrics], axis=1)
     # A window without a score in a metric, such as one that ends before a horizon, has no row of it.
@@ -163,7 +185,7 @@ def _score_part(part: _Part) -> pa.Table:
     return pa.Table.from_arrays(
         [
             pa.array([names[row] for row in window], pa.string()),
-            pa.array([part.dataset] * len(window), pa.string()),
+            pa.array([dataset] * len(window), pa.string()),
             pa.array(np.zeros(len(window), dtype=np.int32)),
             pa.array([metrics[column] for column in metric], pa.string()),
             pa.array(values[window, metric].astype(np.float64)),

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 import msgspec
 from click.core import ParameterSource
 
-from prbench.cli.commands import Answer, SeveralValues, command, note, session
+from prbench.cli.commands import Answer, SeveralValues, command, note, progress, session
 from prbench.cli.options import (
     OUT_FILE,
     PATH,
@@ -31,6 +31,9 @@ from prbench.entry_points import STUDY_ITEMS, load_built_in
 from prbench.errors import RunError, TableError, UsageError
 from prbench_benchmarks.prime_and_reach.study.document import StudyTable
 
+if TYPE_CHECKING:
+    from prbench.tables import FlatTable
+
 
 class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
     """What was made.
@@ -45,6 +48,7 @@ class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
         runs: Run folders that are finished, with --train.
         failed: Maps rows that failed to the reason, with --train.
         stamps: Maps the parts of the table to what sets their trainings apart from the study's, with --train.
+        prediction: Tables of the study of motion prediction, and what head and gaze are worth.
     """
 
     tables: list[StudyTable] = []
@@ -56,6 +60,7 @@ class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
     runs: list[Path] = []
     failed: dict[str, str] = {}
     stamps: dict[str, str] = {}
+    prediction: list[FlatTable] = []
 
 
 def _answer(tables: Sequence[StudyTable], files: Sequence[Path], drawn: Path | None = None) -> Answer:
@@ -159,6 +164,36 @@ def _ablation(
 
 def _evaluations(item: str, reports: tuple[Path, ...], *, with_published: bool, out: tuple[Path, ...]) -> Answer:
     return _answer([load_built_in(STUDY_ITEMS, item)(reports, with_published=with_published)], out)
+
+
+def _prediction(
+    item: str,
+    inputs: tuple[Path, ...],
+    *,
+    weights: Path | None,
+    limit: int | None,
+    device: str,
+    seed: int,
+    out: tuple[Path, ...],
+) -> Answer:
+    """Score the rows of the study of motion prediction on the first input, windows; the others are finished runs."""
+    from prbench.cli.terminal import print_tables
+    from prbench.tables import FlatTable, write_tables
+
+    with progress("scoring") as tell:
+        made = load_built_in(STUDY_ITEMS, item)(
+            inputs[0], inputs[1:], weights=weights, limit=limit, device=device, seed=seed, progress=tell
+        )
+    for path in out:
+        write_tables(made, path)
+    report = StudyReport(prediction=[FlatTable.of(table) for table in made], files=list(out))
+
+    def show() -> None:
+        print_tables(made, between="\n")
+        for path in out:
+            print(f"written: {path}")
+
+    return Answer(report, show)
 
 
 def _train(
@@ -328,6 +363,7 @@ _OF_RUNS = ("data", "with_published", "out", "workers")
 _DRAWN = ("data", "numbers", "out", "workers")
 _OF_MOTIONS = ("sequences", "limit", "permission", "out")
 _TRAINING = ("data", "nymeria", "humanml3d", "configuration", "out", "limit", "device", "threads", "seed", "workers")
+_PREDICTION = ("weights", "limit", "device", "seed", "out")
 _ITEMS: Mapping[str, _Item] = {
     "table-1": _Item("how many sequences, how long, how far people move", "DIR", ("out",), _sizes),
     "table-2": _Item("runs in the layout of the main table, a part a dataset", "RUN", (*_OF_RUNS, "part"), _methods),
@@ -343,6 +379,12 @@ _ITEMS: Mapping[str, _Item] = {
         "ablation of how initial state and goal enter the memory", "DIR", _OF_RUNS, _ablation, trains=True
     ),
     "table-s7": _Item("ablation of the diffusion steps", "DIR", _OF_RUNS, _ablation, trains=True),
+    "prediction": _Item(
+        "motion prediction, Tables 1 to 3 on windows; RUN behind them stand for their rows",
+        "DIR",
+        _PREDICTION,
+        _prediction,
+    ),
     "figure-1": _Item("recorded sequences with the look that primes the goal", "DIR", _OF_MOTIONS, _motions),
     "figure-2": _Item("recorded sequences of each table", "DIR", _OF_MOTIONS, _motions),
     "figure-4": _Item("scores by what a sequence asks for (--by)", "RUN", (*_DRAWN, "by"), _breakdown),
@@ -350,7 +392,7 @@ _ITEMS: Mapping[str, _Item] = {
     "figure-s2": _Item("where goals lie, how far people move, when they look", "DIR", ("out",), _distributions),
     "figure-s3": _Item("Prime Success over its distance and window", "RUN", (*_DRAWN, "variant"), _sweep),
 }
-_HELP = "\n".join(["\b", *(f"{name:<10}{item.inputs + '...':<8} {item.title}" for name, item in _ITEMS.items())])
+_HELP = "\n".join(["\b", *(f"{name:<11}{item.inputs + '...':<8} {item.title}" for name, item in _ITEMS.items())])
 
 
 class _OutType(PlaceType):
@@ -444,6 +486,7 @@ class _OutType(PlaceType):
     help="Configuration of the trainings: paper (default: days on a GPU), small, smoke (seconds; learns nothing,"
     " and its table is stamped so), or a .toml file.",
 )
+@click.option("--weights", type=PATH, metavar="DIR", help="Weights of prediction by row: no-gaze.safetensors …")
 @device_option
 @threads_option
 @seed_option("of the runs")

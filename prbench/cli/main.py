@@ -82,6 +82,8 @@ _RENAMED = {
     "help completion": "--help, which names the page on completion",
     "help exit-codes": "--help, which names the page on exit codes",
     "leaderboard merge": "merge RUN... --out DIR",
+    "prediction tables": "study prediction WINDOWS",
+    "prediction view": "view RUN --data WINDOWS",
     "stats": "inspect TABLE",
 }
 """Commands of earlier versions, and how to write them now."""

@@ -193,7 +193,7 @@ def _require_fits_benchmark(given: Mapping[str, Any]) -> None:
     if ALL in (given["method"], condition):
         raise UsageError(
             f"--method all: makes the rows of the study's Table 2, and belongs to {own.name}. The rows of motion"
-            " prediction's study are made by `prbench prediction tables WINDOWS --out DIR`."
+            " prediction's study are made by `prbench study prediction WINDOWS`."
         )
     if not given["data"]:
         raise UsageError(f"--data DIR: {about.name} has no embedded tables; `{about.build}` makes one.")

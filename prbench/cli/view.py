@@ -56,7 +56,7 @@ class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
 @command("view", example="prbench view runs/static --data tables/adt --out static.png", report=ViewReport)
 @click.argument("runs", type=opt.PATH, nargs=-1, metavar="[RUN...]")
 @opt.data_option(required=False, help="The table(s) of the runs; not needed for the embedded synthetic datasets.")
-@opt.out_file_option("Picture (.png), film (.mp4) or page (.html).", required=True)
+@opt.out_file_option("Picture (.png), film (.mp4) or page (.html); of motion prediction .png or .svg.", required=True)
 @opt.sequence_option("Show this sequence")
 @opt.limit_option("4")
 @click.option("--sample", type=int, default=0, metavar="K", help="Sample of runs with several (default 0, the first).")
@@ -70,7 +70,8 @@ class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
 def view(*, permission: tuple[str, ...], **given: Any) -> Answer:
     """Show recorded and generated motion beside one another, as PNG, MP4 or HTML.
 
-    RUN are the run folders to compare; without any, the recorded motion of --data is shown.
+    RUN are the run folders to compare; without any, the recorded motion of --data is shown. Of motion prediction the
+    futures are shown, as PNG or SVG.
     """
     from prbench.viewing.view import ViewRequest
     from prbench.viewing.view import view as draw
@@ -93,12 +94,10 @@ def view(*, permission: tuple[str, ...], **given: Any) -> Answer:
     )
 
     def show_scores() -> None:
-        from prbench.viewing.replay.scene import score_sentence
-
         for scene in drawn.scenes:
             print(f"{scene.sequence_id}: {scene.title}")
             for motion in scene.motions:
-                print(f"  {motion.label}: {score_sentence(scene, motion) or 'not scored'}")
+                print(f"  {motion.label}: {drawn.told(scene, motion)}")
         for notice in report.notices:
             print(notice)
         print(f"view: {report.out}")

@@ -321,6 +321,10 @@ class Benchmark(ABC, Generic[Table, Chosen]):
         """Return the module that writes what a method may see and scores what was made elsewhere."""
         raise NotImplementedError(self.name)
 
+    def view(self, request: Any) -> Any:
+        """Draw what methods answered; request and report are those of :func:`prbench.viewing.view.view`."""
+        raise NotImplementedError(self.name)
+
     @abstractmethod
     def recording_key(self, sequence_id: str) -> str:
         """Return what cases of one recording have in common, from the id alone."""

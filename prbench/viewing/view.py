@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -24,18 +25,20 @@ from prbench.files.bounded import foreign_input
 from prbench.files.storage import turn_into_paths
 from prbench.geometry.shapes import import_open3d
 from prbench.geometry.skeleton import Joint, invert_rigid, transform_points
+from prbench.harness.benchmark import load_benchmark
 from prbench.harness.controls import GROUND_TRUTH
 from prbench.harness.first_run import tables_of_runs
 from prbench.harness.run_folder import RunFolder
 from prbench.harness.verification import RunChecker
 from prbench.limits import LARGEST_FILE
+from prbench.protocol.manifests import default_benchmark
 from prbench.readers import AriaGlasses, RecordingFiles, reader_for
 from prbench.readers.files import Source, opened, shown
 from prbench.recording import ObjectTrack, Recording
 from prbench.sequences import SequenceChunk, SequenceTable
 from prbench.sequences.table import by_share, find_sequence_id
 from prbench.viewing.replay.read import RunMotions, read_scenes, run_labels
-from prbench.viewing.replay.scene import METHOD_COLOURS, Scene
+from prbench.viewing.replay.scene import METHOD_COLOURS, Scene, score_sentence
 from prbench.viewing.replay.sheet import file_kind, write_view
 
 _BETWEEN_POINTS = 0.02  # metres; what is drawn
@@ -236,7 +239,12 @@ class ViewReport:
     """The sequences that were shown."""
 
     out: Path
-    scenes: tuple[Scene, ...]
+    scenes: tuple[Any, ...]
+    """Each a :class:`Scene`; those of another benchmark have what stands in the report of the command."""
+
+    def told(self, scene: Any, motion: Any) -> str:
+        """Return the scores of a motion in one line."""
+        return score_sentence(scene, motion) or "not scored"
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -255,6 +263,10 @@ def view(request: ViewRequest, progress: Progress = _silent) -> ViewReport:
         MissingExtraError: if MP4 or HTML is asked for without the extra `view`, or a scene without the extra `open3d`.
         StorageError: if the file cannot be written.
     """
+    if request.runs:
+        benchmark = RunFolder.open(request.runs[0], any_benchmark=True).record.benchmark
+        if benchmark != default_benchmark().name:
+            return load_benchmark(benchmark).view(request)
     # First of all: an unwritable kind of file must not fail after minutes of drawing.
     kind = file_kind(request.out)
     scenes = scenes_of(request)

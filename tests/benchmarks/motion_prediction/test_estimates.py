@@ -6,7 +6,7 @@ import pytest
 from prbench.errors import UsageError
 from prbench.harness.intervals import compare
 from prbench_benchmarks.motion_prediction.scoring import Scores
-from prbench_benchmarks.motion_prediction.tables.estimates import estimates, paired
+from prbench_benchmarks.motion_prediction.study_tables import estimates, paired
 
 
 def scores(shift: float = 0.0, recordings: int = 8) -> Scores:
@@ -39,11 +39,14 @@ def test_no_interval_of_a_distance_reaches_below_zero():
 
 
 def test_differences_are_paired():
-    found = compare(paired(scores(-0.1), scores()))["ade"]
+    pair = paired(scores(-0.1), scores(), "ade")
+    assert pair is not None
+    found = compare({"ade": pair})["ade"]
     assert found.difference.mean == pytest.approx(-0.1)
     assert found.difference.high is None  # the differences are equal: they show no spread
+    assert paired(scores(-0.1), scores(), "wrist_to_goal") is None
 
 
 def test_scores_of_other_windows_are_refused():
     with pytest.raises(UsageError, match="same windows"):
-        paired(scores(), scores(recordings=7))
+        paired(scores(), scores(recordings=7), "ade")

@@ -20,15 +20,15 @@ def test_the_published_program_gives_the_same_numbers(samples):
     found = metrics.displacements(metrics.frame_errors(predicted, truth))
     members = golden["gt_multi"].reshape(len(golden["gt_multi"]), -1, 21, 3)
     mmade, mmfde = metrics.multimodal_displacements(predicted[0], members)
-    values = (found.ade[0], found.fde[0], mmade, mmfde, metrics.diversity(predicted)[0])
+    values = (found["ade"][0], found["fde"][0], mmade, mmfde, metrics.diversity(predicted)[0])
     expected = [float(golden[name]) for name in ("ade", "fde", "mmade", "mmfde", "apd")]
     np.testing.assert_allclose(values, expected, rtol=0, atol=1e-6)
 
 
 def test_the_best_sample_counts_for_each_metric_by_itself():
     found = metrics.displacements(metrics.frame_errors(PREDICTED, TRUTH))
-    assert (found.ade[0], found.fde[0]) == (1.0, 1.0)
-    assert (found.ade_mean[0], found.fde_mean[0]) == (1.25, 2.0)
+    assert (found["ade"][0], found["fde"][0]) == (1.0, 1.0)
+    assert (found["ade_mean"][0], found["fde_mean"][0]) == (1.25, 2.0)
 
 
 def test_diversity_is_over_the_flattened_motion():
@@ -62,8 +62,8 @@ def test_standing_still_on_a_walk_has_the_error_that_one_computes_by_hand():
     truth = np.zeros((1, 60, 21, 3))
     truth[0, :, :, 0] = (1.4 * frames / 30)[:, None]
     found = metrics.displacements(metrics.frame_errors(np.zeros((1, 1, 60, 21, 3)), truth))
-    assert found.ade[0] == pytest.approx(6.5225, abs=1e-4)
-    assert found.fde[0] == pytest.approx(12.8312, abs=1e-4)
+    assert found["ade"][0] == pytest.approx(6.5225, abs=1e-4)
+    assert found["fde"][0] == pytest.approx(12.8312, abs=1e-4)
 
 
 def test_a_jump_and_a_longer_bone_are_measured():

@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prbench.errors import UsageError
 from prbench_benchmarks.motion_prediction.batch import Condition
-from prbench_benchmarks.motion_prediction.folds import default_split, folds
-from prbench_benchmarks.motion_prediction.references import ground_truth, references, score_reference, truncation_floor
-from prbench_benchmarks.motion_prediction.scoring import SimilarPasts
+from prbench_benchmarks.motion_prediction.scoring import (
+    SimilarPasts,
+    ground_truth,
+    references,
+    score_reference,
+    truncation_floor,
+)
 from prbench_benchmarks.motion_prediction.table import WindowsTable
 from tests.benchmarks.motion_prediction.windows import walking, write
 
@@ -48,33 +51,7 @@ def test_all_coefficients_leave_nothing_out(table):
     assert np.allclose(futures.joints[:, 0], truth.joints, atol=1e-5)
 
 
-def test_no_coefficients_are_refused():
-    with pytest.raises(UsageError, match="one coefficient"):
-        truncation_floor(0)
-
-
 def test_references_are_no_methods_of_one_sample_more(table):
     batch, truth = next(table.batches(Condition.POSE, table.chosen()))
     for reference in references().values():
         assert reference(batch, truth).joints.shape == (len(batch), 1, 60, 22, 3)
-
-
-def test_everybody_is_left_out_once(table):
-    found = list(folds(table, "participants"))
-    assert [fold.name for fold in found] == ["P0", "P1"]
-    for fold in found:
-        assert not set(fold.train) & set(fold.test)
-    assert np.array_equal(np.sort(np.concatenate([fold.test for fold in found])), table.chosen())
-
-
-def test_the_split_of_the_dataset_stands_where_no_study_has_one(table):
-    assert default_split(table) == "dataset"
-    (fold,) = folds(table, "dataset")
-    assert np.array_equal(fold.test, table.chosen(split="test"))
-    assert np.array_equal(fold.train, table.chosen(split="train"))
-
-
-def test_a_single_participant_cannot_be_left_out(tmp_path):
-    table = WindowsTable.open(write(tmp_path / "w", walking("a", 120)))
-    with pytest.raises(UsageError, match="two participants"):
-        next(folds(table, "participants"))
