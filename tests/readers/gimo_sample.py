@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from prbench.geometry.skeleton import PARENTS
-from prbench.protocol.manifests import load_manifest
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
 from prbench.readers.gimo.files import GimoOptions, find_segments, read_readings
@@ -99,7 +98,7 @@ def write_root(root: Path, *segments: gimo.GimoReadings, table: Sequence[gimo.Se
 def read_back(root: Path, **options: object) -> gimo.GimoReadings:
     """The readings of the first segment below a root."""
     chosen = GimoOptions(**options)  # type: ignore[arg-type]
-    return read_readings(find_segments(root, chosen)[0], load_manifest("gimo"), chosen)
+    return read_readings(find_segments(root, chosen)[0], chosen)
 
 
 def recording(of: gimo.GimoReadings):

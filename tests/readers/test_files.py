@@ -172,7 +172,7 @@ def test_a_property_twice_and_a_number_of_vertices_that_is_none_are_refused(tmp_
         "",
     ]
     path.write_bytes("\n".join(lines).encode() + bytes(8))
-    with pytest.raises(InputFileError, match=r"a\.ply, header: expected each vertex property once, found 'x' again"):
+    with pytest.raises(InputFileError, match=r"a\.ply, header: expected each vertex property once, found x, x"):
         read_vertices(path)
     path.write_text("\n".join(lines).replace("vertex 1", f"vertex {'9' * 5000}"))
     with pytest.raises(InputFileError, match=r"a\.ply, header: expected a number of vertices"):
@@ -274,7 +274,7 @@ def test_text_where_an_array_is_expected_is_refused(tmp_path):
 def test_a_number_of_channels_is_one(tmp_path, count):
     path = tmp_path / "a.bvh"
     path.write_text(f"HIERARCHY\nROOT hips\n{{\nOFFSET 0 0 0\nCHANNELS {count} Xposition\n}}\nMOTION\nFrames: 1\n")
-    with pytest.raises(InputFileError, match=r"a\.bvh, HIERARCHY, at hips: expected (at most \d channels|a finite)"):
+    with pytest.raises(InputFileError, match=r"a\.bvh, HIERARCHY, at hips: expected .*CHANNELS with as many names"):
         read_bvh(path)
 
 

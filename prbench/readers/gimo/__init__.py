@@ -40,7 +40,7 @@ class GimoReader:
     @property
     def native_joints(self) -> str:
         """See :class:`prbench.readers.PublishedForPrediction`; the jaw needs a body model (option smplx_model)."""
-        has_jaw = self.options.smplx_model is not None and self.options.body != "bvh"
+        has_jaw = self.options.route == "smplx"
         return gimo.GIMO23 if has_jaw else "smpl22"
 
     @foreign_input()
@@ -59,13 +59,12 @@ class GimoReader:
     def _read(self, found: RecordingFiles) -> tuple[gimo.GimoReadings, Recording]:
         manifest = load_manifest("gimo")
         found.require_usable(manifest.why_bad(found.recording_id))
-        readings = read_readings(found, manifest, self.options)
+        readings = read_readings(found, self.options)
         recording = recording_from_gimo(
             readings,
             manifest,
             dataset=found.dataset,
             target=self.options.target,
-            gaze_origin=self.options.gaze_origin,
         )
         return readings, recording
 

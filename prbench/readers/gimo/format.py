@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from prbench.readers.gimo.bvh import BvhMotion
-from prbench.recording.streams import Side
+from prbench.recording.streams import Occluder, Side
 
 TABLE_FILE = "dataset.csv"
 EVENTS_FILE = "prbench_events.csv"
@@ -20,9 +20,6 @@ GAZE_FOLDER = "eye_pc"
 NORM_FILE = "transform_norm.txt"
 SCENE_MESHES = ("textured_output.obj", "scene_downsampled.ply")
 SKELETON_FILE = "skeleton.bvh"
-HOLOLENS_TRANSFORM_FILES = ("transform_scene2scene.txt", "transform_scene2scene.json")
-HOLOLENS_SUFFIX = "_head_hand_eye.csv"
-VIDEO_SUFFIX = "_pv.txt"
 GAZE_CENTRE_SUFFIX = "_center"
 
 TABLE_COLUMNS = ("sequence_path", "start_frame", "end_frame", "scene", "transformation", "training")
@@ -115,8 +112,7 @@ class SceneTransform:
 
     def room_from_scan(self) -> Float[np.ndarray, "4 4"]:
         """Canonical room from scan coordinates; shrinks by the scale."""
-        shrunk = np.diag([1 / self.scale, 1 / self.scale, 1 / self.scale, 1.0])
-        return self._metric(self.room_from_scene) @ shrunk
+        return self._metric(self.room_from_scene) @ np.diag([1 / self.scale, 1 / self.scale, 1 / self.scale, 1.0])
 
     def _metric(self, transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
         metric = transform.copy()
@@ -143,12 +139,11 @@ class SmplxPoses:
 
 @dataclass(frozen=True)
 class LocalJoints:
-    """The 22 joints, as body model or mesh give them."""
+    """The 22 joints, as the body model gives them."""
 
     frames: Int[np.ndarray, " n"]
     joints: Float[np.ndarray, "n 22 3"]
     """Suit frame, metres."""
-    route: Literal["smplx", "mesh"]
     jaw: Float[np.ndarray, "n 3"] | None = None
     """Joint 22 of SMPL-X, suit frame, metres; None where the model's file does not tell it."""
 
@@ -171,34 +166,6 @@ class GazePoints:
 
 
 @dataclass(frozen=True)
-class HoloLens:
-    """The stream recorder's files: head, camera and eyes in the world of the glasses (y up, looking along -z)."""
-
-    ticks: Int[np.ndarray, " n"]
-    """100 ns."""
-    head: Float[np.ndarray, "n 4 4"]
-    gaze_valid: Bool[np.ndarray, " n"]
-    gaze_origin: Float[np.ndarray, "n 3"]
-    gaze_direction: Float[np.ndarray, "n 3"]
-    video_ticks: Int[np.ndarray, " f"]
-    """Time of each video frame; its index is the frame number (assumption of the page)."""
-    camera: Float[np.ndarray, "f 4 4"]
-    """Camera to the glasses' world."""
-    transform: Float[np.ndarray, "4 4"]
-    """Between the glasses' world and the scan; the file does not say in which direction."""
-
-
-@dataclass(frozen=True)
-class SceneMesh:
-    """The scanned room."""
-
-    name: str
-    vertices: Float[np.ndarray, "v 3"]
-    """Scan coordinates."""
-    faces: Int[np.ndarray, "f 3"]
-
-
-@dataclass(frozen=True)
 class GimoReadings:
     """Readings of one segment: the content of its files."""
 
@@ -208,7 +175,7 @@ class GimoReadings:
     body: LocalJoints | LocalSkeleton
     gaze: GazePoints
     events: tuple[EventFrame, ...]
-    hololens: HoloLens | None = None
-    meshes: tuple[SceneMesh, ...] = ()
+    meshes: tuple[Occluder, ...] = ()
+    """The scanned room, scan coordinates."""
     messages: tuple[str, ...] = ()
     """Messages of reading the files."""

@@ -1,7 +1,7 @@
 """What GIMO's suit and glasses see of synthetic people, and its native files, route C.
 
 Sources: docs/specification/synthetic-recordings.md#sensors (rows "gimo"), #native-layouts, and
-docs/specification/gimo.md#three-routes-to-the-22-joints. The learned pose decoder cannot be imitated, so the fitted
+docs/specification/gimo.md#two-routes-to-the-22-joints. The learned pose decoder cannot be imitated, so the fitted
 parameters hold root and translation only, and limbs come from the skeleton of the inertial suit.
 """
 

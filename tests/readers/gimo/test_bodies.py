@@ -13,19 +13,11 @@ from torch import nn
 from prbench.errors import InputFileError
 from prbench.geometry.skeleton import N_JOINTS, PARENTS, Joint
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.bodies import (
-    SmplxModel,
-    joints_from_meshes,
-    joints_from_parameters,
-    read_obj,
-    read_pose_decoder,
-    read_smplx_model,
-)
+from prbench.readers.gimo.bodies import joints_from_parameters, read_pose_decoder, read_rest_joints
 from tests.fakes import STANDING
 from tests.readers import gimo_sample as sample
 
 RNG = np.random.default_rng(5)
-LIMITS = {"largest_edge_error": 0.002, "largest_spread": 1e-4}
 
 
 class Decoder(nn.Module):
@@ -90,11 +82,12 @@ def test_route_a_follows_the_network_and_the_kinematic_tree(network, vposer, smp
         RNG.normal(size=(n, 3)).astype(np.float32),
         RNG.normal(size=(n, 32)).astype(np.float32),
     )
-    model = read_smplx_model(smplx)
-    found = joints_from_parameters(poses, read_pose_decoder(vposer), model)
+    rest = read_rest_joints(smplx)
+    found = joints_from_parameters(poses, read_pose_decoder(vposer), rest)
     with torch.no_grad():
         local = network.double()(torch.tensor(poses.latent, dtype=torch.float64)).numpy()
-    rest = model.regressor @ model.template
+    with np.load(smplx) as arrays:
+        np.testing.assert_allclose(rest, arrays["J_regressor"][:23] @ arrays["v_template"], atol=1e-12)
     for frame in range(n):  # an independent walk down the tree with matrices
         world = [np.eye(4)] * N_JOINTS
         for joint, parent in enumerate(PARENTS):
@@ -105,23 +98,22 @@ def test_route_a_follows_the_network_and_the_kinematic_tree(network, vposer, smp
             world[joint] = step if parent < 0 else world[parent] @ step
             expected = world[joint][:3, 3] + poses.trans[frame]
             np.testing.assert_allclose(found.joints[frame, joint], expected, atol=1e-9)
-        assert model.jaw_regressor is not None
         assert found.jaw is not None
-        offset = model.jaw_regressor @ model.template - rest[Joint.HEAD]
+        offset = rest[N_JOINTS] - rest[Joint.HEAD]
         jaw = (world[Joint.HEAD] @ [*offset, 1.0])[:3] + poses.trans[frame]
         np.testing.assert_allclose(found.jaw[frame], jaw, atol=1e-9)
 
 
 def test_moving_the_body_moves_trans_by_more_than_the_rotation_of_trans(vposer, smplx) -> None:
     """The exact chain: trans_c = R (trans + J0) + t - J0; rotating trans alone is off by up to |J0|."""
-    decoder, model = read_pose_decoder(vposer), read_smplx_model(smplx)
+    decoder, rest = read_pose_decoder(vposer), read_rest_joints(smplx)
     turn, shift = Rotation.from_rotvec([0.0, 1.2, 0.0]), np.array([0.5, 0.0, -0.3])
     orient, trans, latent = np.array([[0.1, 0.2, 0.3]]), np.array([[1.0, 0.9, 2.0]]), RNG.normal(size=(1, 32))
-    j0 = model.rest_joints[0]
+    j0 = rest[0]
 
     def joints(rotation: Rotation, translation: np.ndarray) -> np.ndarray:
         poses = gimo.SmplxPoses(np.array([0]), rotation.as_rotvec()[None], translation, latent)
-        return joints_from_parameters(poses, decoder, model).joints
+        return joints_from_parameters(poses, decoder, rest).joints
 
     moved = turn.apply(joints(Rotation.from_rotvec(orient[0]), trans)[0]) + shift
     exact = joints(turn * Rotation.from_rotvec(orient[0]), turn.apply(trans + j0) + shift - j0)[0]
@@ -153,91 +145,21 @@ def test_weights_of_something_else_are_refused(network, tmp_path, content) -> No
 
 
 def test_a_model_without_an_array_is_refused(tmp_path) -> None:
-    np.savez(tmp_path / "a.npz", v_template=np.zeros((3, 3)), f=np.zeros((1, 3)))
+    np.savez(tmp_path / "a.npz", v_template=np.zeros((3, 3)))
     with pytest.raises(InputFileError, match="expected an array 'J_regressor'"):
-        read_smplx_model(tmp_path / "a.npz")
+        read_rest_joints(tmp_path / "a.npz")
     (tmp_path / "b.pkl").write_bytes(pickle.dumps({"v_template": 1}))
     with pytest.raises(InputFileError, match=r"expected a readable \.npz file"):
-        read_smplx_model(tmp_path / "b.pkl")
+        read_rest_joints(tmp_path / "b.pkl")
 
 
-def write_mesh(path, vertices: np.ndarray, faces: np.ndarray, order: np.ndarray) -> None:
-    """An OBJ file whose vertices stand in another order."""
-    place = np.argsort(order)
-    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices[order].tolist()]
-    lines += ["f " + " ".join(f"{place[corner] + 1}/1/2" for corner in face) for face in faces]
-    path.write_text("\n".join(["# exported", *lines]) + "\n")
-
-
-@pytest.fixture
-def meshes(smplx, tmp_path) -> tuple[dict[int, object], SmplxModel, np.ndarray]:
-    """Two frames of the template, moved rigidly, shuffled differently."""
-    model = read_smplx_model(smplx)
-    files, moved = {}, []
-    for frame in (9, 10):
-        turned = Rotation.from_rotvec(RNG.normal(size=3)).apply(model.template) + RNG.normal(size=3)
-        files[frame] = tmp_path / f"{frame}.obj"
-        write_mesh(files[frame], turned, model.faces, RNG.permutation(len(turned)))
-        moved.append(model.regressor @ turned)
-    return files, model, np.array(moved)
-
-
-def test_route_b_finds_shuffled_vertices_by_the_order_of_the_faces(meshes) -> None:
-    files, model, expected = meshes
-    found = joints_from_meshes(files, model, **LIMITS)
-    assert found.frames.tolist() == [9, 10]
-    np.testing.assert_allclose(found.joints, expected, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("damage", "says"),
-    [
-        ("vertex", "expected 40 vertices, as the model has them, found 39"),
-        ("face", "expected 40 faces, as the model has them, found 39"),
-        ("order", "vertices on which faces disagree"),
-        ("size", "edges as long as the model's, within 2 mm on average, found"),
-        ("corner", "expected vertices from 1 to 40, found 99"),
-        ("cut", "expected lines 'v x y z'"),
-    ],
-)
-def test_a_mesh_of_something_else_is_refused(meshes, damage, says) -> None:
-    files, model, _ = meshes
-    path = files[10]
-    vertices, faces = read_obj(path)
-    lines = [f"v {x} {y} {z}" for x, y, z in vertices.tolist()]
-    corners = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces.tolist()]
-    if damage == "vertex":
-        lines = lines[:-1]
-    elif damage == "face":
-        corners = corners[:-1]
-    elif damage == "order":
-        corners = corners[::-1]
-    elif damage == "size":
-        lines = [f"v {x} {y} {z}" for x, y, z in (vertices * 1.2).tolist()]
-    elif damage == "corner":
-        corners[0] = "f 1 2 99"
-    else:
-        lines[3] = "v 0.1 0.2"
-    path.write_text("\n".join(lines + corners))
-    with pytest.raises(InputFileError, match=says):
-        joints_from_meshes(files, model, **LIMITS)
-
-
-def test_the_reader_prefers_parameters_then_meshes_then_the_suit(tmp_path, vposer, smplx) -> None:
+def test_the_reader_prefers_parameters_to_the_suit(tmp_path, vposer, smplx) -> None:
     root = sample.write_root(tmp_path / "GIMO", sample.readings())
     both = sample.read_back(root, vposer_model=vposer, smplx_model=smplx).body
     assert isinstance(both, gimo.LocalJoints)
-    assert both.route == "smplx"
-    assert isinstance(sample.read_back(root, smplx_model=smplx).body, gimo.LocalSkeleton), "there are no meshes"
-    model = read_smplx_model(smplx)
-    folder = root / "room1" / "2022-01-23-080759" / "smplx_local"
-    for frame in range(100, 145):
-        write_mesh(folder / f"{frame}.obj", model.template, model.faces, np.arange(40))
-    mesh = sample.read_back(root, smplx_model=smplx).body
-    assert isinstance(mesh, gimo.LocalJoints)
-    assert mesh.route == "mesh"
-    np.testing.assert_allclose(mesh.joints[7], model.rest_joints, atol=1e-12)
-    assert isinstance(sample.read_back(root, smplx_model=smplx, body="bvh").body, gimo.LocalSkeleton)
+    assert isinstance(sample.read_back(root, smplx_model=smplx).body, gimo.LocalSkeleton)
+    suit = sample.read_back(root, vposer_model=vposer, smplx_model=smplx, body="bvh").body
+    assert isinstance(suit, gimo.LocalSkeleton)
     assert isinstance(sample.read_back(root).body, gimo.LocalSkeleton)
 
 

@@ -50,7 +50,7 @@ def test_the_study_has_a_jaw_where_a_body_model_tells_it():
     joints = np.zeros((len(keep), 22, 3))
     jaw = np.zeros((len(keep), 3))
     jaw[:, 0] = keep  # moves a metre a frame along x
-    body = gimo.LocalJoints(sound.segment.frames[keep], joints, "smplx", jaw)
+    body = gimo.LocalJoints(sound.segment.frames[keep], joints, jaw)
     recording = gimo_sample.recording(sound)
     track = published_track(replace(sound, body=body), recording, load_manifest("gimo"), with_jaw=True)
     assert track.joints.shape == (gimo_sample.N_FRAMES, len(JOINT_SETS[gimo.GIMO23].names), 3)
@@ -68,6 +68,9 @@ def test_a_suit_has_no_jaw():
 
 def test_which_joints_the_study_has_follows_from_the_options():
     model = Path("SMPLX_NEUTRAL.npz")
+    decoder = Path("TR00_E096.pt")
     assert GimoReader(options=GimoOptions()).native_joints == "smpl22"
-    assert GimoReader(options=GimoOptions(smplx_model=model)).native_joints == gimo.GIMO23
-    assert GimoReader(options=GimoOptions(smplx_model=model, body="bvh")).native_joints == "smpl22"
+    assert GimoReader(options=GimoOptions(smplx_model=model, vposer_model=decoder)).native_joints == gimo.GIMO23
+    assert (
+        GimoReader(options=GimoOptions(smplx_model=model, vposer_model=decoder, body="bvh")).native_joints == "smpl22"
+    )

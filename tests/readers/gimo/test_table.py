@@ -110,10 +110,10 @@ def test_events_decide_where_they_name_a_segment_and_hints_elsewhere(tmp_path) -
     )
     rows = read_events(events(tmp_path, "a,S,1,90,42,pick,left", "a,S,1,90,30,PICK,"))
     found = events_of(named, rows, hints=True)
-    assert found.events == (gimo.EventFrame(30), gimo.EventFrame(42, "left"))
-    assert events_of(hinted, rows, hints=True).events == (gimo.EventFrame(60, None, "hint"),)
-    assert events_of(hinted, rows, hints=False).reason == "no event is annotated for it"
-    assert events_of(neither, rows, hints=True).events == ()
+    assert found == ((gimo.EventFrame(30), gimo.EventFrame(42, "left")), (), None)
+    assert events_of(hinted, rows, hints=True)[0] == (gimo.EventFrame(60, None, "hint"),)
+    assert events_of(hinted, rows, hints=False)[2] == "no event is annotated for it"
+    assert events_of(neither, rows, hints=True)[0] == ()
 
 
 def test_only_confirmed_rows_count_and_a_no_silences_the_hint(tmp_path) -> None:
@@ -121,15 +121,15 @@ def test_only_confirmed_rows_count_and_a_no_silences_the_hint(tmp_path) -> None:
     header = f"{EVENTS},confirmed,confidence"
     for word, n in (("yes", 1), ("X", 1), ("no", 0), ("", 0)):
         rows = read_events(events(tmp_path, f"a,S,1,90,42,pick,left,{word},0.9", header=header))
-        assert len(events_of(row, rows, hints=True).events) == n, word
-    assert events_of(row, rows, hints=True).reason == "none of its 1 proposed events is confirmed"
+        assert len(events_of(row, rows, hints=True)[0]) == n, word
+    assert events_of(row, rows, hints=True)[2] == "none of its 1 proposed events is confirmed"
 
 
 def test_puts_are_left_out_with_a_word(tmp_path) -> None:
     (row,) = read_segments(table(tmp_path, "S,1,90,a,t.json,1"))
     found = events_of(row, read_events(events(tmp_path, "a,S,1,90,42,put,left")), hints=True)
-    assert (found.events, found.reason) == ((), "only puts are annotated for it")
-    assert found.remarks == ("line 2 of the events names a put, GIMO has none: left out",)
+    remarks = ("line 2 of the events names a put, GIMO has none: left out",)
+    assert found == ((), remarks, "only puts are annotated for it")
 
 
 @pytest.mark.parametrize(

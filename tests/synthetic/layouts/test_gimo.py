@@ -9,7 +9,6 @@ import pytest
 
 from prbench.geometry.skeleton import WRISTS
 from prbench.geometry.timelines import interpolate
-from prbench.protocol.manifests import load_manifest
 from prbench.readers import reader_for
 from prbench.readers.gimo import GimoOptions, read_readings
 from prbench.readers.gimo import format as gimo
@@ -39,7 +38,7 @@ def test_files_and_memory_give_the_same_recording_bit_for_bit(tree, performance)
     assert [each.recording_id for each in found] == ["gimo_synthetic_seed11_0000", "gimo_synthetic_seed11_0001"]
     assert {each.dataset for each in found} == {"synthetic-gimo"}
     readings = sense(performance)
-    assert list(differences(read_readings(found[0], load_manifest("gimo"), GimoOptions()), readings)) == []
+    assert list(differences(read_readings(found[0], GimoOptions()), readings)) == []
     assert list(differences(reader.read(found[0]), LAYOUT.recording(readings))) == []
 
 
