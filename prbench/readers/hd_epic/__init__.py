@@ -34,8 +34,8 @@ class HdEpicReader(GlassesWithMps):
         """See :class:`prbench.readers.Reader`."""
         manifest = load_manifest(self.dataset)
         found.require_usable(found.skip_reason or manifest.why_bad(found.recording_id))
-        readings = read_readings(found, self.options)
-        return recording_from_hd_epic(readings, manifest, dataset=found.dataset, boxes=self.options.boxes)
+        readings = read_readings(found)
+        return recording_from_hd_epic(readings, manifest, dataset=found.dataset)
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """See :class:`prbench.readers.KnowsEnds`."""

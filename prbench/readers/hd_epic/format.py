@@ -10,11 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from prbench.readers.aria_mps.format import GlassesSize, MpsReadings
+from prbench.readers.aria_mps.format import MpsReadings
 from prbench.readers.egoallo.format import EgoAlloBody
 
 DATA_FOLDER = "HD-EPIC"
-INTERMEDIATE_FOLDER = "HD-EPIC Intermediate Data"
 ANNOTATIONS_FOLDER = "hd-epic-annotations"
 VIDEOS_FOLDER = "Videos"
 MPS_FOLDER = "SLAM-and-Gaze"
@@ -30,8 +29,6 @@ MASKS_FILE = "mask_info.json"
 PRIMING_FOLDERS = ("eye-gaze-priming", "eye_gaze_priming")
 """As the annotation repository spells it, and as its README does."""
 PRIMING_FILE = "priming_info.json"
-FRAMES_FILE = "framewise_info.jsonl"
-DEVICE_CALIBRATION_FILE = "device_calibration.json"
 
 MP4_TIME = "mp4_time_ns"
 RELATIVE_TIME = "relative_vrs_device_time_ns"
@@ -47,22 +44,6 @@ NO_FIXTURE = "Null"
 NOT_PRIMED = -1
 EXCLUDED = -2
 """Values of ``frame_primed`` that are no frames: tested in vain, never tested."""
-
-
-@dataclass(frozen=True)
-class Thresholds:
-    """Numbers that the dataset's page leaves to choose; the manifest holds them."""
-
-    farthest_mask_frames: float
-    """A mask further from an event does not show it."""
-    sure_wrist: float
-    """Confidence above which a tracked wrist tells the hand of an event."""
-    same_frame: float
-    """Frames within which an entry of the priming file belongs to an event."""
-    same_place_m: float
-    """Metres within which it does."""
-    stale_gaze_s: float
-    """Intermediate data: gaze further than this from the frame it is written beside is none of it."""
 
 
 @dataclass(frozen=True)
@@ -145,27 +126,6 @@ class PublishedSide:
 
 
 @dataclass(frozen=True)
-class FrameReadings:
-    """The intermediate data: what a newer release says about every frame, in place of MPS files.
-
-    Rows without a pose or without gaze hold NaN there.
-    """
-
-    tracking_ns: Int[np.ndarray, " frames"]
-    slam_ns: Int[np.ndarray, " frames"]
-    """-1 without a pose."""
-    gaze_ns: Int[np.ndarray, " frames"]
-    """-1 without gaze."""
-    world_from_device: Float[np.ndarray, "frames 3 4"]
-    gaze_direction: Float[np.ndarray, "frames 3"]
-    """World."""
-    glasses_size: GlassesSize | None
-    device_from_rgb: Float[np.ndarray, "4 4"] | None
-    rgb_focal_length: float | None = None
-    """Pixels of the 1408 image."""
-
-
-@dataclass(frozen=True)
 class HdEpicReadings:
     """All that curation needs of one video."""
 
@@ -176,6 +136,6 @@ class HdEpicReadings:
     tracks: tuple[ObjectTrack, ...]
     priming: tuple[PublishedSide, ...] | None
     """None where the dataset's priming file is not there."""
-    glasses: MpsReadings | FrameReadings
+    glasses: MpsReadings
     body: EgoAlloBody | None
     messages: tuple[str, ...] = ()

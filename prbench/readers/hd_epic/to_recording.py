@@ -10,27 +10,21 @@ import dataclasses
 import itertools
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
-from prbench.errors import InputFileError
 from prbench.geometry.skeleton import Y_UP_FROM_Z_UP, transform_points
-from prbench.geometry.timelines import covered, interpolate, require_overlap, slerp, stream_ranges
+from prbench.geometry.timelines import require_overlap, stream_ranges
 from prbench.protocol.manifests import Manifest
-from prbench.readers.aria_mps.format import LONGEST_POSE_STEP, MpsReadings
-from prbench.readers.aria_mps.to_recording import ASSUMED_SIZE, MpsStreams, head_and_camera, mps_streams, size_remark
+from prbench.readers.aria_mps.to_recording import mps_streams
 from prbench.readers.egoallo.to_recording import body_stream
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.recording.streams import (
     AnnotatedEvent,
     BodyStream,
-    GazeStream,
-    PoseStream,
+    HandStream,
     PublishedPriming,
     Recording,
     reaching_hand,
@@ -38,31 +32,29 @@ from prbench.recording.streams import (
 )
 
 
-def recording_from_hd_epic(
-    readings: hd_epic.HdEpicReadings, manifest: Manifest, *, dataset: str, boxes: BoxKind = "point"
-) -> Recording:
+def recording_from_hd_epic(readings: hd_epic.HdEpicReadings, manifest: Manifest, *, dataset: str) -> Recording:
     """Streams in the world, and the annotated events, from native readings.
 
     Gaze before the first and after the last video frame is masked: priming windows end where the video does.
 
     Args:
         readings: Content of the native files.
-        manifest: Pose source and head tilt.
+        manifest: Pose source, head tilt and thresholds.
         dataset: Name that the recording carries: the manifest's, or ``synthetic-`` before it.
-        boxes: Zero-size boxes at the annotated points, or cubes as large as the 2D boxes say.
 
     Raises:
         StreamsDoNotOverlap: if video, glasses, gaze and body share no instant.
         InputFileError: if there is no pose of the glasses at all.
     """
     world = Y_UP_FROM_Z_UP
-    thresholds = hd_epic.Thresholds(**manifest.thresholds)
-    streams = glasses_streams(readings.glasses, thresholds, world_from_source=world)
+    # Wrists are valid where they are surely tracked.
+    least = manifest.thresholds["sure_wrist"]
+    streams = mps_streams(readings.glasses, world_from_source=world, least_confidence=least)
     body = None if readings.body is None else body_stream(readings.body, world_from_source=world)
     times = {"glasses": streams.device.times, "gaze": streams.gaze.times, "body": None if body is None else body.times}
     ranges = {"video": readings.clock.span} | stream_ranges(times)
     require_overlap(ranges, recording=readings.video)
-    events, remarks = annotated_events(readings, streams, body, thresholds, boxes=boxes)
+    events, remarks = annotated_events(readings, streams.wrists, body, manifest.thresholds)
     gaze = streams.gaze
     inside = (gaze.times >= readings.clock.span[0]) & (gaze.times <= readings.clock.span[1] + 1 / hd_epic.FPS)
     return Recording(
@@ -89,103 +81,11 @@ def recording_from_hd_epic(
     )
 
 
-def glasses_streams(
-    glasses: MpsReadings | hd_epic.FrameReadings,
-    thresholds: hd_epic.Thresholds,
-    *,
-    world_from_source: Float[np.ndarray, "4 4"],
-) -> MpsStreams:
-    """Poses, gaze and wrists on the device clock, from MPS files or from the intermediate data.
-
-    Wrists are valid where they are surely tracked; the intermediate data know none.
-
-    Raises:
-        InputFileError: if there is no pose of the glasses at all.
-    """
-    if isinstance(glasses, MpsReadings):
-        return mps_streams(glasses, world_from_source=world_from_source, least_confidence=thresholds.sure_wrist)
-    return _frame_streams(glasses, thresholds, world_from_source)
-
-
-def source_head(glasses: MpsReadings | hd_epic.FrameReadings) -> PoseStream:
-    """Poses of the central pupil frame in the source world (Z up), on the device clock.
-
-    Raises:
-        InputFileError: if there is no pose of the glasses at all.
-    """
-    if isinstance(glasses, MpsReadings):
-        return mps_streams(dataclasses.replace(glasses, wrists=None), world_from_source=np.eye(4)).head
-    return head_and_camera(_frame_poses(glasses, np.eye(4)), glasses.glasses_size or ASSUMED_SIZE, None)[0]
-
-
-def _frame_streams(
-    frames: hd_epic.FrameReadings, thresholds: hd_epic.Thresholds, world_from_source: Float[np.ndarray, "4 4"]
-) -> MpsStreams:
-    device = _frame_poses(frames, world_from_source)
-    head, camera = head_and_camera(device, frames.glasses_size or ASSUMED_SIZE, frames.device_from_rgb)
-    remarks = ["camera and gaze are those of the intermediate data: gaze at 5 to 10 Hz, no hands"]
-    remarks += size_remark(frames.glasses_size, ASSUMED_SIZE)
-    lost = int((~np.isfinite(frames.world_from_device).all(axis=(1, 2))).sum())
-    if lost:
-        remarks.append(f"{lost} of {len(frames.tracking_ns)} video frames have no pose of the glasses")
-    # One ray a distinct gaze time, which several frames repeat.
-    looking = np.flatnonzero((frames.gaze_ns >= 0) & (frames.slam_ns >= 0) & _finite(frames))
-    away = np.abs(frames.gaze_ns - frames.slam_ns)[looking]
-    # lexsort sorts by its last key first: by gaze time, and within one time by nearness.
-    nearest_first = looking[np.lexsort((away, frames.gaze_ns[looking]))]
-    gaze_ns, first = np.unique(frames.gaze_ns[nearest_first], return_index=True)
-    rows = nearest_first[first]
-    times = gaze_ns / 1e9
-    turn = Rotation.from_matrix(world_from_source[:3, :3])
-    of_frame = turn * Rotation.from_matrix(frames.world_from_device[rows][:, :, :3])
-    direction = of_frame.inv().apply(turn.apply(frames.gaze_direction[rows]))
-    at_gaze = Rotation.from_quat(slerp(device.times, device.rotation, times), scalar_first=True)
-    fresh = np.abs(gaze_ns - frames.tracking_ns[rows]) <= thresholds.stale_gaze_s * 1e9
-    posed = covered(device.times, device.valid, times, max_gap=LONGEST_POSE_STEP)
-    direction = at_gaze.apply(direction)
-    gaze = GazeStream(
-        times,
-        interpolate(head.times, head.position, times),
-        direction / np.linalg.norm(direction, axis=1, keepdims=True),
-        fresh & posed,
-    )
-    return MpsStreams(device, head, camera, gaze, (), tuple(remarks))
-
-
-def _frame_poses(frames: hd_epic.FrameReadings, world_from_source: Float[np.ndarray, "4 4"]) -> PoseStream:
-    """One pose a distinct SLAM time; frames without pose leave a gap."""
-    posed = np.isfinite(frames.world_from_device).all(axis=(1, 2)) & (frames.slam_ns >= 0)
-    times, rows = np.unique(frames.slam_ns[posed], return_index=True)
-    if len(times) == 0:
-        raise InputFileError(
-            hd_epic.FRAMES_FILE, "T_world_device", expected="poses of the glasses", found="null in every frame"
-        )
-    poses = frames.world_from_device[posed][rows]
-    turn = Rotation.from_matrix(world_from_source[:3, :3])
-    return PoseStream(
-        times / 1e9,
-        poses[:, :, 3] @ world_from_source[:3, :3].T + world_from_source[:3, 3],
-        (turn * Rotation.from_matrix(poses[:, :, :3])).as_quat(scalar_first=True),
-        np.ones(len(times), dtype=bool),
-    )
-
-
-def _finite(frames: hd_epic.FrameReadings) -> np.ndarray:
-    length = np.linalg.norm(frames.gaze_direction, axis=1)
-    return np.isfinite(length) & (length > 0) & np.isfinite(frames.world_from_device).all(axis=(1, 2))
-
-
-BoxKind = Literal["point", "cube"]
-
-_NO_MASK = "no mask"
-_FAR_MASK = "mask too far"
-_NO_POINT = "no point"
-_OUTSIDE = "outside"
 _WHY_UNPLACED = {
-    _NO_MASK: "have no mask",
-    _FAR_MASK: "have a mask that is too many frames away",
-    _NO_POINT: "have a mask without 3d_location",
-    _OUTSIDE: "lie beyond the rows of the time file",
+    "no mask": "have no mask",
+    "mask too far": "have a mask that is too many frames away",
+    "no point": "have a mask without 3d_location",
+    "outside": "lie beyond the rows of the time file",
 }
 
 
@@ -204,33 +104,53 @@ class MovementSide:
 
 def annotated_events(
     readings: hd_epic.HdEpicReadings,
-    streams: MpsStreams,
+    wrists: Sequence[HandStream],
     body: BodyStream | None,
-    thresholds: hd_epic.Thresholds,
-    *,
-    boxes: BoxKind,
+    thresholds: Mapping[str, float],
 ) -> tuple[tuple[AnnotatedEvent, ...], tuple[str, ...]]:
     """Pick (lift) and put (release) of every movement, in the order of time, and remarks.
 
     Args:
         readings: Tracks with masks, the video's clock, and the published priming.
-        streams: Of the same video, in the recording's world.
+        wrists: Tracked wrists of the same video, in the recording's world.
         body: Of the same video: its wrists tell the hand where tracked ones do not.
-        thresholds: Of the dataset.
-        boxes: Zero-size boxes at the annotated points, or cubes as large as the 2D boxes say.
+        thresholds: Of the dataset's manifest.
     """
-    sides = [side for track in readings.tracks for side in _sides(track, readings.clock, thresholds)]
+    farthest = thresholds["farthest_mask_frames"]
+    sides = [side for track in readings.tracks for side in _sides(track, readings.clock, farthest)]
     times = readings.clock.device_seconds(np.array([side.frame for side in sides], dtype=np.float64))
     published: list[PublishedPriming | None] = [None] * len(sides)
     remarks: tuple[str, ...] = ()
     if readings.priming is not None:
         published, remarks = published_priming(sides, readings.priming, readings.clock, thresholds)
-    events = [
-        _event(side, float(time), priming, readings, streams, body, boxes)
-        for side, time, priming in zip(sides, times, published, strict=True)
-    ]
+    events = []
+    for side, time, priming in zip(sides, times.tolist(), published, strict=True):
+        location = hand = None
+        if side.mask is not None and side.mask.location is not None:
+            location = transform_points(Y_UP_FROM_Z_UP, side.mask.location)
+            hand = reaching_hand(wrists_at(wrists, body, time), location)
+        events.append(
+            AnnotatedEvent(
+                native_key=f"{side.track.object_id}/{side.track.track_id}/{'start' if side.is_start else 'end'}",
+                action="pick" if side.is_start else "put",
+                object_id=side.track.object_id,
+                object_name=side.track.name,
+                event_time=time,
+                location=location,
+                box_min=None,
+                box_max=None,
+                hand=None if hand is None else hand.side,
+                hand_source=None if hand is None else hand.source,
+                published_priming=priming,
+            )
+        )
     events.sort(key=lambda event: (event.event_time, event.native_key))
-    return tuple(events), (*_unplaced_remarks(sides), _box_remark(boxes), *remarks)
+    counts = Counter(side.unplaced for side in sides if side.unplaced)
+    unplaced = ()
+    if counts:
+        reasons = ", ".join(f"{counts[why]} {text}" for why, text in _WHY_UNPLACED.items() if counts[why])
+        unplaced = (f"{counts.total()} of {len(sides)} events have no place: {reasons}",)
+    return tuple(events), (*unplaced, "boxes: zero-size, at the annotated points", *remarks)
 
 
 def masks_of_sides(
@@ -255,7 +175,7 @@ def masks_of_sides(
     )
 
 
-def _sides(track: hd_epic.ObjectTrack, clock: hd_epic.VideoClock, thresholds: hd_epic.Thresholds) -> list[MovementSide]:
+def _sides(track: hd_epic.ObjectTrack, clock: hd_epic.VideoClock, farthest: float) -> list[MovementSide]:
     """Both sides of a movement, without a mask that does not show them, and with the reason."""
     frames = np.array([track.start, track.end]) * hd_epic.FPS
     sides = []
@@ -265,14 +185,14 @@ def _sides(track: hd_epic.ObjectTrack, clock: hd_epic.VideoClock, thresholds: hd
         unplaced = ""
         if not inside or (mask is not None and mask.frame >= len(clock.device_ns)):
             mask = None
-            unplaced = _OUTSIDE
+            unplaced = "outside"
         elif mask is None:
-            unplaced = _NO_MASK
-        elif abs(mask.frame - frame) > thresholds.farthest_mask_frames:
+            unplaced = "no mask"
+        elif abs(mask.frame - frame) > farthest:
             mask = None
-            unplaced = _FAR_MASK
+            unplaced = "mask too far"
         elif mask.location is None:
-            unplaced = _NO_POINT
+            unplaced = "no point"
         sides.append(MovementSide(track, is_start, float(frame), mask, unplaced))
     return sides
 
@@ -281,7 +201,7 @@ def published_priming(
     sides: Sequence[MovementSide],
     entries: Sequence[hd_epic.PublishedSide],
     clock: hd_epic.VideoClock,
-    thresholds: hd_epic.Thresholds,
+    thresholds: Mapping[str, float],
 ) -> tuple[list[PublishedPriming | None], tuple[str, ...]]:
     """What the dataset publishes about each event, and remarks on what found no partner.
 
@@ -292,6 +212,7 @@ def published_priming(
     at_frame: dict[int, list[int]] = {}
     for index, entry in enumerate(entries):
         at_frame.setdefault(entry.frame, []).append(index)
+    reach = thresholds["same_frame"]
     candidates: set[tuple[float, float, int, int]] = set()
     located = 0
     for number, side in enumerate(sides):
@@ -299,7 +220,6 @@ def published_priming(
             continue
         located += 1
         around = (side.frame, float(side.mask.frame))
-        reach = thresholds.same_frame
         near = {frame for base in around for frame in range(math.ceil(base - reach), math.floor(base + reach) + 1)}
         for index in itertools.chain.from_iterable(at_frame.get(frame, ()) for frame in near):
             entry = entries[index]
@@ -307,100 +227,29 @@ def published_priming(
                 continue
             frames = float(min(abs(base - entry.frame) for base in around))
             metres = float(np.linalg.norm(side.mask.location - entry.location))
-            if frames <= reach and metres <= thresholds.same_place_m:
+            if frames <= reach and metres <= thresholds["same_place_m"]:
                 candidates.add((frames, metres, number, index))
 
     # Nearest first: by frames, among equals by metres.
     partner: dict[int, int] = {}
-    taken: set[int] = set()
     for _, _, number, index in sorted(candidates):
-        if number not in partner and index not in taken:
+        if number not in partner and index not in partner.values():
             partner[number] = index
-            taken.add(index)
+    behind = 0
     for number, index in partner.items():
-        result[number] = _priming(entries[index], clock)
-
-    remarks = []
-    if len(partner) < len(entries):
-        remarks.append(f"published priming: {len(entries) - len(partner)} of {len(entries)} entries belong to no event")
-    if len(partner) < located:
-        remarks.append(f"published priming: nothing about {located - len(partner)} of {located} located events")
-    behind = sum(result[number] is None for number in partner)
-    if behind:
-        remarks.append(
-            f"published priming: {behind} primed frames lie beyond the rows of the time file; taken as unknown"
-        )
-    return result, tuple(remarks)
-
-
-def _priming(entry: hd_epic.PublishedSide, clock: hd_epic.VideoClock) -> PublishedPriming | None:
-    """None for a primed frame beyond the rows of the time file."""
-    frame = entry.frame_primed
-    if frame < 0:
-        return PublishedPriming("excluded" if frame == hd_epic.EXCLUDED else "not_primed", None)
-    if not clock.covers(np.array([float(frame)]))[0]:
-        return None
-    time = clock.device_seconds(np.array([float(frame)]))[0]
-    return PublishedPriming("primed", float(time), uncertainty=1 / hd_epic.FPS)
-
-
-def _event(
-    side: MovementSide,
-    time: float,
-    priming: PublishedPriming | None,
-    readings: hd_epic.HdEpicReadings,
-    streams: MpsStreams,
-    body: BodyStream | None,
-    boxes: BoxKind,
-) -> AnnotatedEvent:
-    location = None
-    if side.mask is not None and side.mask.location is not None:
-        location = transform_points(Y_UP_FROM_Z_UP, side.mask.location)
-    edge = None if location is None or boxes == "point" else _cube_edge(side, location, readings, streams)
-    half = None if edge is None else np.full(3, edge / 2)
-    hand = None if location is None else reaching_hand(wrists_at(streams.wrists, body, time), location)
-    return AnnotatedEvent(
-        native_key=f"{side.track.object_id}/{side.track.track_id}/{'start' if side.is_start else 'end'}",
-        action="pick" if side.is_start else "put",
-        object_id=side.track.object_id,
-        object_name=side.track.name,
-        event_time=time,
-        location=location,
-        box_min=None if location is None or half is None else location - half,
-        box_max=None if location is None or half is None else location + half,
-        hand=None if hand is None else hand.side,
-        hand_source=None if hand is None else hand.source,
-        published_priming=priming,
-    )
-
-
-def _cube_edge(
-    side: MovementSide, location: Float[np.ndarray, "3"], readings: hd_epic.HdEpicReadings, streams: MpsStreams
-) -> float | None:
-    """Mean side of the 2D box × distance from the camera / focal length; None without a box or a camera pose."""
-    camera = streams.camera
-    if side.mask is None or side.mask.box_px is None or not camera.valid.any():
-        return None
-    time = readings.clock.device_seconds(np.array([side.mask.frame], dtype=np.float64))
-    eye = camera.pose_at(time)[0][0]
-    low_x, low_y, high_x, high_y = side.mask.box_px
-    mean_side = (abs(high_x - low_x) + abs(high_y - low_y)) / 2
-    focal = hd_epic.FOCAL_LENGTH
-    if isinstance(readings.glasses, hd_epic.FrameReadings) and readings.glasses.rgb_focal_length is not None:
-        focal = readings.glasses.rgb_focal_length
-    # Pinhole camera: metres = pixels * distance / focal length.
-    return float(mean_side * np.linalg.norm(location - eye) / focal)
-
-
-def _unplaced_remarks(sides: Sequence[MovementSide]) -> tuple[str, ...]:
-    counts = Counter(side.unplaced for side in sides if side.unplaced)
-    if not counts:
-        return ()
-    reasons = ", ".join(f"{counts[why]} {text}" for why, text in _WHY_UNPLACED.items() if counts[why])
-    return (f"{counts.total()} of {len(sides)} events have no place: {reasons}",)
-
-
-def _box_remark(boxes: BoxKind) -> str:
-    if boxes == "point":
-        return "boxes: zero-size, at the annotated points"
-    return "boxes: cubes as large as the 2D boxes say at the distance of the point"
+        frame = entries[index].frame_primed
+        if frame < 0:
+            result[number] = PublishedPriming("excluded" if frame == hd_epic.EXCLUDED else "not_primed", None)
+        elif clock.covers(np.array([float(frame)]))[0]:
+            time = float(clock.device_seconds(np.array([float(frame)]))[0])
+            result[number] = PublishedPriming("primed", time, uncertainty=1 / hd_epic.FPS)
+        else:
+            behind += 1
+    lonely = len(entries) - len(partner)
+    untold = located - len(partner)
+    said = {
+        f"{lonely} of {len(entries)} entries belong to no event": lonely,
+        f"nothing about {untold} of {located} located events": untold,
+        f"{behind} primed frames lie beyond the rows of the time file; taken as unknown": behind,
+    }
+    return result, tuple(f"published priming: {text}" for text, count in said.items() if count)

@@ -5,20 +5,19 @@ Sources: docs/specification/hd-epic.md#annotations and docs/specification/hd-epi
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from prbench.geometry.skeleton import N_JOINTS, WRISTS
 from prbench.protocol.manifests import load_manifest
-from prbench.readers.aria_mps.to_recording import MpsStreams
 from prbench.readers.hd_epic import format as hd_epic
 from prbench.readers.hd_epic.format import ObjectMask, ObjectTrack, PublishedSide
 from prbench.readers.hd_epic.to_recording import MovementSide, annotated_events, masks_of_sides, published_priming
-from prbench.recording.streams import BodyStream, GazeStream, HandStream, PoseStream
+from prbench.recording.streams import BodyStream, HandStream
+from tests.readers.hd_epic_copies import still_glasses
 
-THRESHOLDS = hd_epic.Thresholds(**load_manifest("hd-epic").thresholds)
+THRESHOLDS = load_manifest("hd-epic").thresholds
+GLASSES = still_glasses()
 CLOCK = hd_epic.VideoClock(50_000_000_000 + np.rint(np.arange(600) * 1e9 / 30).astype(np.int64))  # 20 s from 50 s on
 
 
@@ -61,24 +60,12 @@ def test_no_mask_serves_nobody() -> None:
     assert masks_of_sides(track(1.0, 2.0)) == (None, None)
 
 
-def _streams(**changes) -> MpsStreams:
-    times = 50 + np.arange(0, 20.01, 0.05)
-    n = len(times)
-    pose = PoseStream(times, np.zeros((n, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), np.ones(n, dtype=bool))
-    gaze = GazeStream(times, np.zeros((n, 3)), np.tile([0.0, 0.0, 1.0], (n, 1)), np.ones(n, dtype=bool))
-    return dataclasses.replace(MpsStreams(pose, pose, pose, gaze, (), ()), **changes)
-
-
 def _readings(*tracks: ObjectTrack, priming=None, clock=CLOCK) -> hd_epic.HdEpicReadings:
-    frames = hd_epic.FrameReadings(
-        clock.device_ns, clock.device_ns, clock.device_ns, np.zeros((len(clock.device_ns), 3, 4)),
-        np.zeros((len(clock.device_ns), 3)), "DVT-S", None,
-    )  # fmt: skip
-    return hd_epic.HdEpicReadings("P09-x", "P09", clock, tracks, priming, frames, None)
+    return hd_epic.HdEpicReadings("P09-x", "P09", clock, tracks, priming, GLASSES, None)
 
 
-def _events(*tracks: ObjectTrack, boxes="point", streams=None, body=None, **readings):
-    return annotated_events(_readings(*tracks, **readings), streams or _streams(), body, THRESHOLDS, boxes=boxes)
+def _events(*tracks: ObjectTrack, wrists=(), body=None, **readings):
+    return annotated_events(_readings(*tracks, **readings), wrists, body, THRESHOLDS)
 
 
 def test_pick_is_the_start_and_put_the_end_on_the_device_clock() -> None:
@@ -121,13 +108,6 @@ def test_a_mask_of_thirty_frames_away_still_shows_the_event() -> None:
     assert put.location is not None
 
 
-def test_a_cube_has_the_size_of_the_2d_box_at_its_distance() -> None:
-    (pick, _), remarks = _events(track(1.0, 2.0, mask(30, (0.0, 1.3, 0.0)), mask(60)), boxes="cube")
-    assert pick.box_max - pick.box_min == pytest.approx(np.full(3, 90 * 1.3 / 607)), "mean of 100 and 80 px at 1.3 m"
-    assert (pick.box_max + pick.box_min) / 2 == pytest.approx(pick.location)
-    assert "boxes: cubes as large as the 2D boxes say at the distance of the point" in remarks
-
-
 def _wrist(side: str, place) -> HandStream:
     times = 50 + np.arange(0, 20, 0.1)
     points = np.tile(np.array(place, dtype=np.float64), (len(times), 1, 1))
@@ -143,15 +123,15 @@ def _body(left, right) -> BodyStream:
 
 def test_the_hand_that_the_glasses_lost_is_told_by_the_body() -> None:
     """The issue's event: the left wrist, 0.476 m away, was tracked, and the right one, 0.094 m away, was not."""
-    only_left = _streams(wrists=(_wrist("left", (1.0, 3.0, -1.524)),))
+    only_left = (_wrist("left", (1.0, 3.0, -1.524)),)
     body = _body((1.0, 3.0, -1.524), (1.0, 3.0, -1.906))
-    (pick, _), _ = _events(track(2.0, 4.5, mask(60), mask(135)), streams=only_left, body=body)
+    (pick, _), _ = _events(track(2.0, 4.5, mask(60), mask(135)), wrists=only_left, body=body)
     assert (pick.hand, pick.hand_source) == ("right", "body")
 
 
 def test_a_far_wrist_alone_tells_no_hand() -> None:
-    only_left = _streams(wrists=(_wrist("left", (1.0, 3.0, -1.524)),))
-    (pick, _), _ = _events(track(2.0, 4.5, mask(60), mask(135)), streams=only_left)
+    only_left = (_wrist("left", (1.0, 3.0, -1.524)),)
+    (pick, _), _ = _events(track(2.0, 4.5, mask(60), mask(135)), wrists=only_left)
     assert (pick.hand, pick.hand_source) == (None, None)
 
 

@@ -10,15 +10,14 @@ import shutil
 import zipfile
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from prbench.errors import InputFileError, RecordingUnusable, UsageError
+from prbench.errors import InputFileError, RecordingUnusable
 from prbench.readers import reader_for
 from prbench.readers.found import RecordingFiles
 from prbench.readers.hd_epic import annotations
 from prbench.readers.hd_epic import format as hd_epic
-from prbench.readers.hd_epic.annotations import read_frames, read_video_clock
+from prbench.readers.hd_epic.annotations import read_video_clock
 from tests.comparing import differences
 from tests.readers.hd_epic_copies import FIRST, SECOND, annotation, change_json, time_file, write_copy
 
@@ -200,16 +199,6 @@ def test_nothing_of_the_dataset_says_what_was_looked_for(tmp_path) -> None:
         reader_for("hd-epic").find(tmp_path)
 
 
-def test_an_unknown_box_is_a_usage_error() -> None:
-    with pytest.raises(UsageError, match="boxes"):
-        reader_for("hd-epic", {"boxes": "sphere"})
-
-
-def test_the_intermediate_data_are_named_when_they_are_missing(root) -> None:
-    with pytest.raises(InputFileError, match=r"framewise_info\.jsonl.*source=intermediate was chosen"):
-        _read(root, source="intermediate")
-
-
 TIMES = "mp4_time_ns,relative_vrs_device_time_ns,vrs_device_time_ns\n"
 
 
@@ -233,29 +222,3 @@ def test_rows_are_compared_with_the_frames_of_the_log(tmp_path) -> None:
     log.write_text('{"num_mp4_frames": 5, "num_skipped_frames": 0}')
     _, remarks = read_video_clock(_times(tmp_path / "t.csv", "100", "200"), log)
     assert remarks == ("t.csv has 2 rows for a video of 5 frames: it may be truncated",)
-
-
-def test_a_frame_that_is_missing_from_the_intermediate_data_is_named(tmp_path) -> None:
-    path = tmp_path / "framewise_info.jsonl"
-    path.write_text('{"frame_index": 0, "tracking_timestamp_ns": 5}\n{"frame_index": 2, "tracking_timestamp_ns": 9}\n')
-    with pytest.raises(InputFileError, match="line 2: expected frame_index 1, found 2"):
-        read_frames(path, None)
-
-
-def test_a_cut_line_of_the_intermediate_data_is_named(tmp_path) -> None:
-    path = tmp_path / "framewise_info.jsonl"
-    path.write_text('{"frame_index": 0, "tracking_timestamp_ns": 5}\n{"frame_index": 1, "track')
-    with pytest.raises(InputFileError, match="line 2: expected one video frame as JSON"):
-        read_frames(path, None)
-
-
-def test_frames_without_pose_or_gaze_hold_nothing(tmp_path) -> None:
-    path = tmp_path / "framewise_info.jsonl"
-    path.write_text(
-        '{"frame_index": 0, "tracking_timestamp_ns": 5, "slam_timestamp_ns": null, "gaze_timestamp_ns": null,'
-        ' "T_world_device": null, "gaze_direction_in_world": null}\n'
-    )
-    frames = read_frames(path, None)
-    assert np.isnan(frames.world_from_device).all()
-    assert np.isnan(frames.gaze_direction).all()
-    assert (frames.slam_ns[0], frames.gaze_ns[0]) == (-1, -1)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from prbench.curation import curate_recording
 from prbench.curation.options import CurationOptions
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.readers import reader_for
-from prbench.readers.hd_epic import HdEpicOptions, read_readings
-from prbench.readers.hd_epic import format as hd_epic
+from prbench.readers.hd_epic import read_readings
 
 VIDEO = "P99-20240101-120000"
 START = 150.0  # device time of the first frame, seconds
@@ -30,7 +28,7 @@ def recording(samples):
 @pytest.fixture(scope="module")
 def readings(samples):
     (found,) = reader_for("hd-epic").find(samples / "hd-epic")
-    return read_readings(found, HdEpicOptions())
+    return read_readings(found)
 
 
 def _curated(recording, **options):
@@ -95,52 +93,6 @@ def test_events_without_a_place_and_without_a_body_stay_and_say_so(recording) ->
     assert outcomes["lid", "pick", 2.0] == outcomes["lid", "put", 2.1] == outcomes["cloth", "put", 3.4] == "no_location"
     assert outcomes["mug", "pick", 7.0] == "no_body"
     assert "3 of 10 events have no place: 3 have no mask" in recording.messages
-
-
-def test_frames_of_the_intermediate_data(samples, reference_values) -> None:
-    expected = reference_values["hdepic-framewise"]["expect"]
-    (found,) = reader_for("hd-epic", {"source": "intermediate"}).find(samples / "hd-epic")
-    frames = read_readings(found, HdEpicOptions(source="intermediate")).glasses
-    assert isinstance(frames, hd_epic.FrameReadings)
-    assert len(frames.tracking_ns) == expected["rows"]
-    assert (~np.isfinite(frames.world_from_device).all(axis=(1, 2))).sum() == expected["no_pose"]
-    assert (~np.isfinite(frames.gaze_direction).all(axis=1)).sum() == expected["no_gaze"]
-    assert len(np.unique(frames.gaze_ns[frames.gaze_ns >= 0])) == expected["distinct_gaze"]
-    assert frames.glasses_size == "DVT-S"
-
-
-def test_intermediate_data_agree_with_mps(samples, recording) -> None:
-    frames = _read(samples, source="intermediate")
-    shared = np.intersect1d(
-        np.rint(frames.gaze.times[frames.gaze.valid] * 1e6), np.rint(recording.gaze.times[recording.gaze.valid] * 1e6)
-    )
-    assert len(shared) > 90
-    one, other = (
-        stream.gaze.direction[np.searchsorted(np.rint(stream.gaze.times * 1e6), shared)]
-        for stream in (frames, recording)
-    )
-    angle = np.rad2deg(np.arccos(np.clip((one * other).sum(axis=1), -1, 1)))
-    assert np.median(angle) < 0.2
-    assert angle.max() < 1.5
-    origins = [
-        stream.gaze.origin[np.searchsorted(np.rint(stream.gaze.times * 1e6), shared)] for stream in (frames, recording)
-    ]
-    assert np.linalg.norm(origins[0] - origins[1], axis=1).max() < 0.01
-    assert frames.hands == ()
-    mug = _curated(frames)["mug", "pick", 7.0]
-    assert mug.prime_time == pytest.approx(_curated(recording)["mug", "pick", 7.0].prime_time, abs=0.11)
-
-
-def test_cubes_are_as_large_as_the_2d_boxes_say(samples) -> None:
-    boxed = _read(samples, boxes="cube")
-    mug = next(e for e in boxed.annotated_events if (e.object_name, e.action) == ("mug", "pick"))
-    edges = mug.box_max - mug.box_min
-    camera = [np.interp(START + 7.0, boxed.camera.times, boxed.camera.position[:, axis]) for axis in range(3)]
-    distance = np.linalg.norm(mug.location - camera)
-    assert 0.5 < distance < 1.5, "within reach"
-    assert edges == pytest.approx(np.full(3, (78.25 + 88.5) / 2 * distance / 607), rel=1e-3)
-    assert (mug.box_max + mug.box_min) / 2 == pytest.approx(mug.location)
-    assert any("cubes" in message for message in boxed.messages)
 
 
 def test_the_folder_hd_epic_alone_finds_the_annotations_beside_it(samples) -> None:
