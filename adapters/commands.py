@@ -85,9 +85,6 @@ class TrainReport(msgspec.Struct, frozen=True, kw_only=True):
 @click.option("--init", type=PATH, metavar="FILE", help="Weights to start from.")
 @click.option("--device", default="cpu", help="cpu (default), cuda, cuda:1, mps.")
 @click.option("--devices", type=POSITIVE, default=1, metavar="N", help="Processes to train in (default 1).")
-@click.option(
-    "--nodes", type=POSITIVE, default=1, metavar="N", help="Machines with as many each; run the command on every one."
-)
 @threads_option
 @click.option("--loaders", type=int, default=0, metavar="N", help="Processes that load data (default 0).")
 @engine_options(help="Processes that prepare the data (default 1; with --engine ray all processors).")
@@ -105,7 +102,6 @@ def train(
     init: Path | None,
     device: str,
     devices: int,
-    nodes: int,
     threads: int,
     loaders: int,
     engine: EngineChoice,
@@ -136,7 +132,6 @@ def train(
         initial=init,
         device=device,
         devices=devices,
-        nodes=nodes,
         threads=threads,
         workers=loaders,
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,17 +14,13 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from prbench.contract import Adapter
 from prbench.errors import UsageError
-from prbench_adapters.dart.adapter import DartControl
 from prbench_adapters.dart.model import (
     HISTORY_FRAMES,
     KIND,
     N_FEATURES,
     REPRESENTATION,
     DartConfiguration,
-    DartModel,
-    DartSettings,
     FeatureScaling,
     Frames,
     LatentDenoiser,
@@ -537,19 +532,6 @@ class DartTraining(TrainingModule):
         tensors |= {"statistics.mean": self.mean, "statistics.std": self.std, "latent.std": self.latent_std}
         metadata = weights_header(KIND, self.configuration, REPRESENTATION)
         return tensors, metadata
-
-    def adapter(self, device: str) -> Adapter | None:
-        """``dart`` with a copy of the weights as they are now; None while the VAE is trained."""
-        if not self._measured():
-            return None
-        model = DartModel(
-            copy.deepcopy(self.vae).to(device),
-            copy.deepcopy(self.denoiser).to(device),
-            scaling=self._scaling(),
-            latent_std=float(self.latent_std),
-            texts=self.texts,
-        )
-        return DartControl(model, Path("the networks in training"), DartSettings())
 
     def hidden_matrices(self) -> tuple[nn.Parameter, ...]:
         """The matrices of all transformer layers; without a gradient, those of the other network stay as they are."""

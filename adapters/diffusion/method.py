@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from prbench.contract import Condition, ConditionBatch, Motions
+from prbench.contract import Condition, ConditionBatch
 from prbench.errors import AdapterError, did_you_mean
 from prbench.geometry.skeleton import Joint
-
-if TYPE_CHECKING:
-    from prbench_adapters.diffusion.generation import SamplingSettings
-    from prbench_adapters.diffusion.model import MotionModel
 
 _SUFFIX = ".safetensors"
 
@@ -113,8 +109,6 @@ _HIGHEST_GOAL = 3.0
 """Metres from the first pelvis, and from the floor: in twelve seconds nobody here comes farther or reaches higher."""
 TEXT_GUIDANCE = 2.5
 """docs/specification/mdm.md#classifier-free-guidance; docs/specification/pr-model.md#sampling-without-optimisation."""
-IN_TRAINING = Path("the network in training")
-"""Stands in place of a weights file in the messages of a validation."""
 
 
 def require_goals_within_reach(batch: ConditionBatch, *, adapter: str) -> None:
@@ -162,22 +156,3 @@ class SingleModelMethod:
     def weights_for(self, condition: Condition) -> Path:  # noqa: ARG002 - one model for all
         """The weights file in use."""
         return self.weights
-
-
-class TextSampler(SingleModelMethod):
-    """Plain samples of a text-to-motion model: what MDM is, and what any pre-training on text is validated with.
-
-    Every motion starts at the canonical origin and faces +Z.
-    """
-
-    name = "text-to-motion"
-    conditions = frozenset({Condition.TEXT})
-
-    model: MotionModel
-    settings: SamplingSettings
-
-    def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
-        """Sample one motion for each row."""
-        from prbench_adapters.diffusion.generation import generate
-
-        return generate(self.model, batch, self.settings)

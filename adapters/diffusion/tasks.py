@@ -12,7 +12,7 @@ noise leads both to the same motion, and the student's file is one of an ordinar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -22,7 +22,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from prbench.contract import Adapter
 from prbench.errors import UsageError
 from prbench_adapters.diffusion.configuration import (
     ConditionScaling,
@@ -32,7 +31,7 @@ from prbench_adapters.diffusion.configuration import (
 )
 from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser
 from prbench_adapters.diffusion.goal_frame import GoalFrame, seen_condition
-from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors, network, stored_scaling, stored_statistics
+from prbench_adapters.diffusion.model import KIND, TextVectors, network, stored_scaling, stored_statistics
 from prbench_adapters.diffusion.sampling import MOST_PASSES, CosineSchedule, ddim_factors
 from prbench_adapters.diffusion.training import DiffusionTraining, Objective
 from prbench_adapters.training import MotionBatch
@@ -114,7 +113,6 @@ class Distillation(DiffusionTraining):
         scaling: The teacher's.
         texts: Vectors of the captions.
         objective: Weights of the losses.
-        validating: Makes the adapter that validation asks for motions.
         origin: Lines for the card about what the weights build upon.
     """
 
@@ -127,17 +125,10 @@ class Distillation(DiffusionTraining):
         scaling: ConditionScaling | None,
         texts: TextVectors,
         objective: Objective,
-        validating: Callable[[MotionModel], Adapter],
         origin: tuple[str, ...] = (),
     ) -> None:
         super().__init__(
-            denoiser,
-            statistics=statistics,
-            scaling=scaling,
-            texts=texts,
-            objective=objective,
-            validating=validating,
-            origin=origin,
+            denoiser, statistics=statistics, scaling=scaling, texts=texts, objective=objective, origin=origin
         )
         self.teacher = teacher.eval().requires_grad_(False)
         schedule = CosineSchedule(teacher.configuration.diffusion_steps)
@@ -226,16 +217,8 @@ class DiffusionTask:
     """Kinds of goal that its models may have once they are fine-tuned."""
     configurations: str
     """Import name of the package with the method's ``<name>-<configuration>.toml``."""
-    validating: Callable[[MotionModel], Adapter]
-    """Makes the adapter that validation asks for motions, from the network as it is then."""
-    distilled: Callable[[MotionModel], Adapter] | None = None
-    """The same for a student; None for a method without the stage ``distil``."""
-
-    @property
-    def stages(self) -> tuple[str, ...]:
-        """Names that ``--stage`` may have."""
-        own = () if self.distilled is None else (DISTIL,)
-        return (*DEFAULT_STAGES, *own)
+    stages: tuple[str, ...] = DEFAULT_STAGES
+    """Names that ``--stage`` may have."""
 
     def build(
         self, model: Mapping[str, Any], *, data: TrainingData, initial: Path | None, stage: str
@@ -286,7 +269,6 @@ class DiffusionTask:
             scaling=scaling,
             texts=texts,
             objective=objective,
-            validating=self.validating,
             origin=(texts.origin, *origin_of(start)),
         )
 
@@ -294,7 +276,6 @@ class DiffusionTask:
         self, configuration: DenoiserConfiguration, objective: Objective, texts: TextVectors, start: Weights
     ) -> Distillation:
         """The student of the teacher in a weights file, with the teacher's scales."""
-        assert self.distilled is not None
         teacher = network(start.configuration(DenoiserConfiguration))
         start.load_into(teacher, "denoiser")
         return Distillation(
@@ -304,7 +285,6 @@ class DiffusionTask:
             scaling=stored_scaling(start, configuration),
             texts=texts,
             objective=objective,
-            validating=self.distilled,
             origin=(
                 texts.origin,
                 f"distilled from {start.path.name}, sha256 {start.digest}, of {teacher.configuration.diffusion_steps}"
@@ -388,4 +368,4 @@ def _scales(
         features = torch.as_tensor(found.mean), torch.as_tensor(found.std)
     if own is None:
         return features, None
-    return features, ConditionScaling.of(configuration, torch.as_tensor(own.mean), torch.as_tensor(own.std))
+    return features, ConditionScaling.of(configuration, torch.as_tensor(own[0]), torch.as_tensor(own[1]))

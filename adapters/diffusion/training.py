@@ -6,8 +6,6 @@ small network does not learn them. All are squared metres, averaged over frames.
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,14 +14,13 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from prbench.contract import Adapter
 from prbench.geometry.skeleton import BONES, TOES, WRISTS, Joint
 from prbench.protocol.manifests import load_protocol
 from prbench.representation.tensors import decode
 from prbench_adapters.diffusion.configuration import ConditionScaling, EncodedCondition, raw_condition_of_items
 from prbench_adapters.diffusion.denoiser import Denoiser, FrameDenoiser
 from prbench_adapters.diffusion.goal_frame import head_axes, smoothed, still_steps
-from prbench_adapters.diffusion.model import KIND, MotionModel, TextVectors, goal_frame
+from prbench_adapters.diffusion.model import KIND, TextVectors, goal_frame
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.training import MotionBatch
 from prbench_adapters.training.task import TrainingModule
@@ -235,7 +232,6 @@ class DiffusionTraining(TrainingModule):
         scaling: Of the condition vector; None for a model without a goal.
         texts: Vectors of the captions.
         objective: Weights of the losses.
-        validating: Makes the adapter that validation asks for motions.
         origin: Lines for the card about what the weights build upon.
     """
 
@@ -247,12 +243,11 @@ class DiffusionTraining(TrainingModule):
         scaling: ConditionScaling | None,
         texts: TextVectors,
         objective: Objective,
-        validating: Callable[[MotionModel], Adapter],
         origin: tuple[str, ...] = (),
     ) -> None:
         super().__init__()
         self.denoiser, self.scaling, self.texts = denoiser, scaling, texts
-        self.objective, self.validating, self.origin = objective, validating, origin
+        self.objective, self.origin = objective, origin
         schedule = CosineSchedule(denoiser.configuration.diffusion_steps)
         alphas_cumprod = torch.as_tensor(schedule.alphas_cumprod)
         self.mean: torch.Tensor
@@ -361,10 +356,3 @@ class DiffusionTraining(TrainingModule):
         representation = representation_entry(configuration.representation) if standard else configuration.features
         metadata = weights_header(KIND, configuration, representation)
         return tensors, metadata
-
-    def adapter(self, device: str) -> Adapter:
-        """The method's own, with a copy of the weights as they are now."""
-        network = copy.deepcopy(self.denoiser).to(device)
-        return self.validating(
-            MotionModel(network, mean=self.mean, std=self.std, scaling=self.scaling, texts=self.texts)
-        )

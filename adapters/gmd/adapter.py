@@ -33,15 +33,13 @@ from prbench_adapters.gmd.model import GMDModel, decode_absolute
 from prbench_adapters.gmd.sampling import (
     Ends,
     GMDSettings,
-    GoalLoss,
     GuidedNetwork,
-    Imputation,
     Keyframes,
     sample_motion,
     sample_trajectory,
 )
 
-_OPTIONS = ("guidance", "goal-scale", "goal-loss", "imputation", "keyframes", "steps", "clamp", "bones", "text-path")
+_OPTIONS = ("guidance", "goal-scale", "keyframes", "steps", "bones", "text-path")
 _LARGEST_PART = {"cpu": 16}  # sequences in one pass; their activations are kept for the gradient
 _LARGEST_PART_ELSEWHERE = 64
 
@@ -69,9 +67,8 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> GM
     """Entry point ``gmd``.
 
     Options: ``keyframes`` (root, or pose to impute both given poses), ``guidance`` (2.5), ``goal-scale`` (100, weight
-    of the goal's gradient), ``goal-loss`` (absolute or squared), ``imputation`` (end, demo or evaluation: until when is
-    imputed), ``steps`` (of each stage; all of the training's), ``clamp`` (6 standard deviations, at which
-    estimates of the trajectory are cut), ``bones`` (predicted, or initial for the lengths of the initial pose),
+    of the goal's gradient), ``steps`` (of each stage; all of the training's), ``bones`` (predicted, or initial for the
+    lengths of the initial pose),
     ``text-path`` (files of the text encoder, if the weights need one that has some).
 
     Args:
@@ -94,11 +91,8 @@ def _settings(options: Mapping[str, str], *, diffusion_steps: int) -> GMDSetting
     return GMDSettings(
         guidance=number(options, "guidance", GMDSettings.guidance),
         goal_scale=number(options, "goal-scale", GMDSettings.goal_scale),
-        goal_loss=cast("GoalLoss", choice(options, "goal-loss", ("absolute", "squared"))),
-        imputation=cast("Imputation", choice(options, "imputation", ("end", "demo", "evaluation"))),
         keyframes=cast("Keyframes", choice(options, "keyframes", ("root", "pose"))),
         steps=whole_number(options, "steps", most=diffusion_steps),
-        clamp=number(options, "clamp", GMDSettings.clamp, least=1.0),
         bones="initial" if choice(options, "bones", ("predicted", "initial")) == "initial" else "predicted",
     )
 

@@ -16,10 +16,9 @@ from prbench_adapters.diffusion.generation import Guidance, SequenceNoise
 from prbench_adapters.diffusion.sampling import Chain, CosineSchedule, Denoise
 from prbench_adapters.gmd.model import N_POSE, N_ROOT, ROOT_XZ, FeatureSpace, TemporalUNet, half_turn_of, pose_columns
 
-GoalLoss = Literal["absolute", "squared"]
 RowLoss = Callable[[Tensor], Tensor]
 """Maps the clean estimate (batch, frames, columns) to a loss a row (batch,)."""
-MOST_DEVIATIONS = 6.0
+_MOST_DEVIATIONS = 6.0
 """Limit at which the original cuts the clean estimate of the trajectory, in standard deviations."""
 Keyframes = Literal["root", "pose"]
 """Part of the first and last frame that is imputed: the pelvis on the ground, or in stage 2 the whole pose."""
@@ -32,26 +31,11 @@ class RootGoal:
     xz: Float[Tensor, "batch frames 2"]
     wanted: Bool[Tensor, "batch frames"]
 
-    def loss(
-        self,
-        root: Float[Tensor, "batch frames 2"],
-        kind: GoalLoss = "absolute",
-        *,
-        over: Literal["motion", "batch"] = "motion",
-    ) -> Float[Tensor, " batch"]:
-        """Mean error of each row over its wanted coordinates, metres or square metres.
-
-        Args:
-            root: Pelvis on the ground, metres.
-            kind: Of the error.
-            over: The sum is divided by the wanted coordinates of the motion itself, or as the original does by the
-                batch's mean of them, with which a motion depends on its mates unless all have as many.
-        """
-        error = root - self.xz
-        error = error.abs() if kind == "absolute" else error.square()
+    def loss(self, root: Float[Tensor, "batch frames 2"]) -> Float[Tensor, " batch"]:
+        """Mean error of each row over its own wanted coordinates, metres, of the pelvis on the ground."""
         wanted = 2.0 * self.wanted.sum(dim=1)
-        wanted = wanted if over == "motion" else wanted.mean().expand(len(wanted))
-        return torch.where(self.wanted[..., None], error, 0.0).sum(dim=(1, 2)) / wanted.clamp_min(1)
+        error = torch.where(self.wanted[..., None], (root - self.xz).abs(), 0.0)
+        return error.sum(dim=(1, 2)) / wanted.clamp_min(1)
 
     def line(self) -> RootGoal:
         """The way at constant speed from each wanted frame to the next, and to the first from the origin at frame 0.
@@ -71,12 +55,8 @@ class RootGoal:
         return RootGoal(torch.lerp(start, end, progress[..., None]), after < frames)
 
 
-@dataclass(frozen=True)
-class Imputed:
-    """Columns that sampling overwrites, in standardised features."""
-
-    values: Float[Tensor, "batch frames columns"]
-    where: Bool[Tensor, "batch frames columns"]
+Imputed = tuple[Float[Tensor, "batch frames columns"], Bool[Tensor, "batch frames columns"]]
+"""Standardised values, and the columns that sampling overwrites by them."""
 
 
 def clean_of_noise(
@@ -84,11 +64,11 @@ def clean_of_noise(
     i: int,
     state: Float[Tensor, "batch frames columns"],
     noise: Float[Tensor, "batch frames columns"],
-    most: float = MOST_DEVIATIONS,
 ) -> Float[Tensor, "batch frames columns"]:
-    """The clean estimate that belongs to an estimate of the noise, cut at ``most`` standard deviations."""
+    """The clean estimate that belongs to an estimate of the noise, cut at six standard deviations."""
     level = float(chain.alphas_cumprod[i])
-    return ((state - math.sqrt(1 - level) * noise) / math.sqrt(level)).clamp(-most, most)
+    clean = (state - math.sqrt(1 - level) * noise) / math.sqrt(level)
+    return clean.clamp(-_MOST_DEVIATIONS, _MOST_DEVIATIONS)
 
 
 def guided_mean(
@@ -135,7 +115,8 @@ def imputed_by_noising(
     """Overwrite x_{t-1} by the values, noised to its level: for a network that estimates the noise."""
     level = float(chain.alphas_cumprod_previous[i])
     # Values are clean, the state is noisy: they are noised to the state's level before they enter it.
-    return torch.where(imputed.where, math.sqrt(level) * imputed.values + math.sqrt(1 - level) * noise, state)
+    values, where = imputed
+    return torch.where(where, math.sqrt(level) * values + math.sqrt(1 - level) * noise, state)
 
 
 def imputed_in_mean(
@@ -155,7 +136,8 @@ def imputed_in_mean(
     noisy = space.unprojected(state)
     of_clean = float(chain.posterior_mean_clean[i])
     of_noisy = float(chain.posterior_mean_noisy[i])
-    return space.projected(torch.where(imputed.where, of_clean * imputed.values + of_noisy * noisy, plain))
+    values, where = imputed
+    return space.projected(torch.where(where, of_clean * values + of_noisy * noisy, plain))
 
 
 @dataclass(frozen=True)
@@ -180,8 +162,7 @@ class Ends:
     def impute_poses(self, imputed: Imputed, space: FeatureSpace) -> Imputed:
         """Add root and joint positions of both frames; the goal's heading is that of its own joints."""
         unturned = torch.zeros(len(self.first), device=self.first.device)
-        values = imputed.values.clone()
-        where = imputed.where.clone()
+        values, where = (part.clone() for part in imputed)
         row = torch.arange(len(self.first), device=self.first.device)
         for pose, half_turn, frame in (
             # The first pose comes last and wins, should a motion have a single frame.
@@ -190,7 +171,7 @@ class Ends:
         ):
             values[row, frame, :N_POSE] = space.standardised(pose_columns(pose, half_turn))
             where[row, frame, :N_POSE] = True
-        return Imputed(values, where)
+        return values, where
 
 
 def imputed_root(goal: RootGoal, space: FeatureSpace, columns: int) -> Imputed:
@@ -199,41 +180,29 @@ def imputed_root(goal: RootGoal, space: FeatureSpace, columns: int) -> Imputed:
     where = torch.zeros_like(values, dtype=torch.bool)
     values[..., ROOT_XZ] = (goal.xz - space.mean[ROOT_XZ]) / space.std[ROOT_XZ]
     where[..., ROOT_XZ] = goal.wanted[..., None]
-    return Imputed(values, where)
+    return values, where
 
 
 def _ground(pose: Float[Tensor, "batch 22 3"]) -> Float[Tensor, "batch 1 2"]:
     return pose[:, None, Joint.PELVIS, ::2]
 
 
-Imputation = Literal["end", "demo", "evaluation"]
-"""Steps that impute: ``end`` are all steps of both stages, so that the root meets its keyframes exactly. The original
-imputes the trajectory while t ≥ 20 of 1000, the motion while t ≥ 1 (``demo``) or t ≥ 20 (``evaluation``)."""
-
 _THOUSAND = 1000
 _GUIDED_FROM = 20
 _LINE_FROM = 100
-_IMPUTED_FROM: dict[Imputation, tuple[int, int]] = {"end": (0, 0), "demo": (20, 1), "evaluation": (20, 20)}
-"""First steps of the imputation in stage 1 and in stage 2."""
 
 
 @dataclass(frozen=True)
 class GMDSettings:
-    """Settings of sampling; the defaults are those of the evaluation, but for the end of the imputation."""
+    """Settings of sampling; the defaults are those of the original's evaluation."""
 
     guidance: float = 2.5
     """Weight s of the text; 1 takes one network pass a step, anything else two."""
     goal_scale: float = 100.0
     """Weight of the gradient of the goal; 0 computes none."""
-    goal_loss: GoalLoss = "absolute"
-    """``squared`` is the demo's."""
-    imputation: Imputation = "end"
     keyframes: Keyframes = "root"
     steps: int | None = None
     """Steps of the training schedule that each stage takes; None for all of them."""
-    clamp: float = MOST_DEVIATIONS
-    """Limit of the clean estimate of the trajectory, in standard deviations of the data: farther goals are met by
-    the imputed frame alone."""
     bones: Literal["predicted", "initial"] = "predicted"
     """Lengths of the bones: those that the network gives them, or those of the initial pose."""
 
@@ -288,12 +257,11 @@ def sample_trajectory(
     at_keyframes, on_line = (imputed_root(goal, space, N_ROOT) for goal in (keyframes, keyframes.line()))
     guided_from = _step(schedule, _GUIDED_FROM)
     line_from = _step(schedule, _LINE_FROM)
-    imputed_from = _step(schedule, _IMPUTED_FROM[settings.imputation][0])
     state = noise.draw(N_ROOT)
     for i in range(len(chain) - 1, -1, -1):
         index = int(chain.indices[i])
         mean = guided_mean(
-            lambda noisy, step, i=i: clean_of_noise(chain, i, noisy, predict_noise(noisy, step), settings.clamp),
+            lambda noisy, step, i=i: clean_of_noise(chain, i, noisy, predict_noise(noisy, step)),
             chain,
             i,
             state,
@@ -302,11 +270,10 @@ def sample_trajectory(
         )
         # No noise is drawn for the last step; the order of draws is part of the result.
         state = noised(chain, i, mean, noise.draw(N_ROOT)) if i else mean
-        if index >= imputed_from:
-            # Early on the whole straight line is imputed, which leads the trajectory; later its keyframes alone, so
-            # that it may bend.
-            imputed = on_line if index >= line_from else at_keyframes
-            state = imputed_by_noising(chain, i, state, imputed, noise.draw(N_ROOT))
+        # Early on the whole straight line is imputed, which leads the trajectory; later its keyframes alone, so that
+        # it may bend. The original leaves the last steps free, and the root some centimetres beside its keyframes.
+        imputed = on_line if index >= line_from else at_keyframes
+        state = imputed_by_noising(chain, i, state, imputed, noise.draw(N_ROOT))
     return space.restored(state)
 
 
@@ -326,14 +293,12 @@ def sample_motion(
     if settings.keyframes == "pose":
         imputed = ends.impute_poses(imputed, space)
     guided_from = _step(schedule, _GUIDED_FROM)
-    imputed_from = _step(schedule, _IMPUTED_FROM[settings.imputation][1])
     loss = _root_loss(goal, settings, lambda clean: space.restored(space.unprojected(clean)))
     state = noise.draw()
     for i in range(len(chain) - 1, -1, -1):
         index = int(chain.indices[i])
         mean = guided_mean(predict_clean, chain, i, state, loss if index >= guided_from else None, settings.goal_scale)
-        if index >= imputed_from:
-            mean = imputed_in_mean(space, chain, i, state, mean, imputed)
+        mean = imputed_in_mean(space, chain, i, state, mean, imputed)
         state = noised(chain, i, mean, noise.draw()) if i else mean
     return space.restored(space.unprojected(state))
 
@@ -342,7 +307,7 @@ def _root_loss(goal: RootGoal, settings: GMDSettings, restored: Callable[[Tensor
     """The loss of the goal on a clean estimate; None if its gradient has no weight."""
     if not settings.goal_scale:
         return None
-    return lambda clean: goal.loss(restored(clean)[..., ROOT_XZ], settings.goal_loss)
+    return lambda clean: goal.loss(restored(clean)[..., ROOT_XZ])
 
 
 def _step(schedule: CosineSchedule, of_thousand: int) -> int:

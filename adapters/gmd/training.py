@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,20 +11,17 @@ import torch
 from jaxtyping import Bool, Float
 from torch import nn
 
-from prbench.contract import Adapter
 from prbench.representation.features import StatisticsAccumulator
 from prbench_adapters.diffusion.goal_frame import smoothed
 from prbench_adapters.diffusion.model import TextVectors
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.diffusion.training import Draw, losses, scored_losses
 from prbench_adapters.diffusion.training import Objective as DenoiserObjective
-from prbench_adapters.gmd.adapter import GMD
 from prbench_adapters.gmd.model import (
     KIND,
     N_ROOT,
     FeatureSpace,
     GMDConfiguration,
-    GMDModel,
     GMDNetworks,
     TemporalUNet,
     caption_vectors,
@@ -34,7 +30,6 @@ from prbench_adapters.gmd.model import (
     stored_space,
     with_absolute_root,
 )
-from prbench_adapters.gmd.sampling import GMDSettings
 from prbench_adapters.training import MotionBatch
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import origin_of, read_weights, representation_entry, weights_header
@@ -178,11 +173,6 @@ class GMDTraining(TrainingModule):
         tensors |= {"statistics.mean": space.mean, "statistics.std": space.std, "projection": space.projection}
         metadata = weights_header(KIND, self.configuration, representation_entry(self.configuration.representation))
         return tensors, metadata
-
-    def adapter(self, device: str) -> Adapter:
-        """``gmd`` with a copy of the weights as they are now."""
-        model = GMDModel(copy.deepcopy(self.networks).to(device), space=self._space, texts=self.texts)
-        return GMD(model, Path("the networks in training"), GMDSettings())
 
 
 def _mean_squared(

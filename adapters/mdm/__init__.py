@@ -10,19 +10,26 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from prbench_adapters.diffusion.method import IN_TRAINING, TEXT_GUIDANCE, TextSampler
+from prbench.contract import Condition, ConditionBatch, Motions
+from prbench_adapters.diffusion.method import TEXT_GUIDANCE, SingleModelMethod
 
 if TYPE_CHECKING:
-    from prbench_adapters.diffusion.model import MotionModel
     from prbench_adapters.diffusion.tasks import DiffusionTask
 
 DEFAULT_WEIGHTS = "mdm-small"
 
 
-class MDM(TextSampler):
+class MDM(SingleModelMethod):
     """Samples motions from text; every motion starts at the canonical origin and faces +Z."""
 
     name = "mdm"
+    conditions = frozenset({Condition.TEXT})
+
+    def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:  # noqa: ARG002 - each row has its own
+        """Sample one motion for each row."""
+        from prbench_adapters.diffusion.generation import generate
+
+        return generate(self.model, batch, self.settings)
 
 
 def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> MDM:
@@ -57,11 +64,4 @@ def training_task() -> DiffusionTask:
     """Make the task of ``prbench train --method mdm``: text to motion, in pre-training and fine-tuning alike."""
     from prbench_adapters.diffusion.tasks import DiffusionTask
 
-    return DiffusionTask("mdm", goals=(), configurations="prbench_adapters.mdm", validating=_in_training)
-
-
-def _in_training(model: MotionModel) -> MDM:
-    """The method that a training is validated with."""
-    from prbench_adapters.diffusion.generation import SamplingSettings
-
-    return MDM(model, IN_TRAINING, SamplingSettings(guidance=TEXT_GUIDANCE))
+    return DiffusionTask("mdm", goals=(), configurations="prbench_adapters.mdm")

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args
 
-from prbench.contract import Adapter, Condition, ConditionBatch, Motions
+from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import AdapterError
-from prbench_adapters.diffusion.method import GOALS, IN_TRAINING, TEXT_GUIDANCE, TextSampler, require_goals_within_reach
+from prbench_adapters.diffusion.method import GOALS, require_goals_within_reach
 
 if TYPE_CHECKING:
     from prbench_adapters.diffusion.configuration import DenoiserConfiguration
@@ -147,36 +147,10 @@ def load(weights: Path | None, *, options: Mapping[str, str], device: str) -> PR
 
 def training_task() -> DiffusionTask:
     """Make the task of ``prbench train --method pr``: text, initial state and goal. Pre-training may be ``mdm``'s."""
-    from prbench_adapters.diffusion.tasks import DiffusionTask
+    from prbench_adapters.diffusion.tasks import DISTIL, DiffusionTask
 
-    return DiffusionTask(
-        "pr",
-        goals=("pose", "location"),
-        configurations="prbench_adapters.pr",
-        validating=_in_training,
-        distilled=_student_in_training,
-    )
-
-
-def _in_training(model: MotionModel) -> Adapter:
-    """The method that a training is validated with: no noise optimisation, and in pre-training no goal."""
-    from prbench_adapters.diffusion.generation import SamplingSettings
-
-    if model.configuration.goal == "none":
-        return TextSampler(model, IN_TRAINING, SamplingSettings(guidance=TEXT_GUIDANCE))
-    return _sampling(model, SamplingSettings(guidance=_GUIDANCE))
-
-
-def _student_in_training(model: MotionModel) -> Adapter:
-    """The method that a student is validated with: its passes, as ``sampler=one-pass`` takes them."""
-    from prbench_adapters.diffusion.generation import SamplingSettings
-
-    return _sampling(model, SamplingSettings(guidance=_GUIDANCE, sampler="ddim"))
-
-
-def _sampling(model: MotionModel, settings: SamplingSettings) -> PR:
-    condition = next(key for key, kind in GOALS.items() if kind == model.configuration.goal)
-    return PR({condition: TrainedFor(model, IN_TRAINING, Generation(settings))})
+    stages = ("pretrain", "finetune", DISTIL)
+    return DiffusionTask("pr", goals=("pose", "location"), configurations="prbench_adapters.pr", stages=stages)
 
 
 def _load(path: Path, device: str, options: Mapping[str, str], allowed: tuple[Condition, ...]) -> TrainedFor:

@@ -6,6 +6,7 @@ A file has the tables ``[model]`` (read by the task), ``[data]``, ``[training]``
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from importlib import resources
@@ -30,8 +31,6 @@ class DataConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     """Keep the end (it holds the goal), or a random part (for text alone)."""
     mode: Literal["continuous", "reference"] = "continuous"
     """Mode of the representation."""
-    mirrored: bool = False
-    """Show each sequence a second time as a mirror shows it, left and right exchanged."""
 
 
 class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -39,11 +38,7 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
 
     steps: int
     batch_size: int = 64
-    """Size of a batch of each process, in the unit below."""
-    batch_unit: Literal["sequences", "frames"] = "sequences"
-    """Unit of ``batch_size``; frames are counted with their padding."""
-    micro_batches: int = 1
-    """Batches whose gradients are averaged into one step."""
+    """Sequences of a batch of each process."""
     optimiser: Literal["adamw", "muon"] = "adamw"
     """``muon`` moves the matrices that a task names by orthogonal steps (Jordan et al. 2024), twice the learning rate
     long, and everything else by AdamW."""
@@ -60,7 +55,7 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
     ema_warmup: bool = True
     """Average over fewer steps at first: the decay at step n is at most (1 + n) / (10 + n)."""
     precision: Literal["32-true", "bf16-mixed", "auto"] = "32-true"
-    """``auto`` is the quicker one of the two on this machine; the card and ``training.json`` name it."""
+    """``auto`` is bfloat16 on a GPU and float32 on a processor; the card and ``training.json`` name it."""
     seed: int = 0
     save_every: int = 1000
     log_every: int = 50
@@ -68,7 +63,7 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
     """Type of matrices in the saved weights."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch_size", "micro_batches", "save_every", "log_every"):
+        for name in ("steps", "batch_size", "save_every", "log_every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"`{name}` must be 1 or more")
         if not 0 <= self.warmup_steps <= self.steps:
@@ -82,14 +77,12 @@ class OptimisationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fiel
 
 
 class ValidationConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """``[validation]``: losses and metrics on the validation split, while training goes on."""
+    """``[validation]``: losses on the validation split, while training goes on."""
 
     every: int = 0
     """Steps between validations; 0 for none."""
     sequences: int = 64
     """Number of sequences of each dataset: of every recording its share, as ``--limit`` takes them."""
-    condition: Literal["none", "text", "goal-pose", "goal-loc"] | None = None
-    """Condition that the method is given; None for losses alone."""
     batch_size: int = 32
 
 
@@ -113,15 +106,9 @@ def list_configurations(package: str, task: str) -> tuple[str, ...]:
         package: Import name.
         task: Name of the task.
     """
-    files = (entry.name for entry in resources.files(package).iterdir())
-    prefix = f"{task}-"
-    return tuple(
-        sorted(
-            name.removeprefix(prefix).removesuffix(".toml")
-            for name in files
-            if name.startswith(prefix) and name.endswith(".toml")
-        )
-    )
+    names = (entry.name for entry in resources.files(package).iterdir())
+    found = [re.fullmatch(rf"{re.escape(task)}-(.+)\.toml", name) for name in names]
+    return tuple(sorted(match[1] for match in found if match))
 
 
 @foreign_input()
@@ -142,7 +129,11 @@ def load_configuration(
         InputFileError: if the file is no such configuration (naming the key).
     """
     source, content = _find(name, package, task)
-    return resolve(_parsed(source, content), source=source, stage=stage, overrides=overrides)
+    try:
+        tables = tomllib.loads(content.decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputFileError(source, "", expected="valid TOML", found=str(error)) from error
+    return resolve(tables, source=source, stage=stage, overrides=overrides)
 
 
 def resolve(
@@ -170,13 +161,9 @@ def resolve(
     try:
         return msgspec.convert(merged, TrainingConfiguration)
     except msgspec.ValidationError as error:
-        raise InputFileError(
-            source,
-            f"stage {stage}",
-            expected="a training configuration",
-            found=str(error),
-            remedy="`prbench train --method NAME --show-config` prints a complete one.",
-        ) from error
+        remedy = "`prbench train --method NAME --show-config` prints a complete one."
+        expected = "a training configuration"
+        raise InputFileError(source, f"stage {stage}", expected=expected, found=str(error), remedy=remedy) from error
 
 
 def as_toml(configuration: TrainingConfiguration) -> str:
@@ -206,14 +193,6 @@ def _find(name: str, package: str, task: str) -> tuple[Path, bytes]:
         )
     file = f"{task}-{short}.toml"
     return Path(file), resources.files(package).joinpath(file).read_bytes()
-
-
-@foreign_input()
-def _parsed(source: Path, content: bytes) -> dict[str, Any]:
-    try:
-        return tomllib.loads(content.decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputFileError(source, "", expected="valid TOML", found=str(error)) from error
 
 
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

@@ -30,13 +30,12 @@ from prbench_adapters.training.store import (
     cut,
     encoded,
     frame_rate,
-    holds_mirrored,
     open_table,
     parts_of,
     table_store,
 )
 
-Goal = Literal["none", "pose", "location"]
+Goal = Literal["pose", "location"]
 _STD_FLOOR = 0.01
 """Metres, or metres a second: entries that hardly vary are not blown up."""
 
@@ -71,44 +70,6 @@ class MotionItem:
     def goal_joints(self) -> Float[np.ndarray, "22 3"]:
         """The last frame."""
         return self.joints[-1]
-
-
-@dataclass(frozen=True)
-class ConditionStatistics:
-    """Statistics of ``[initial pose 66, initial velocity 66, goal 3 or 66]``, m and m/s; empty without goal."""
-
-    mean: Float[np.ndarray, " size"]
-    std: Float[np.ndarray, " size"]
-
-
-def condition_statistics(items: Iterable[MotionItem], goal: Goal) -> ConditionStatistics:
-    """Statistics over items, one after the other; the standard deviation is floored at 0.01.
-
-    Raises:
-        TableError: if goal locations are asked for and an item has none.
-    """
-    vectors = []
-    for item in items:
-        vector = _condition_vector(item, goal)
-        if np.isnan(vector).any():
-            raise TableError(
-                f"{item.sequence_id}: expected a goal location, found none, because it comes from a text-motion corpus."
-                " Train a goal-conditioned model on sequence tables."
-            )
-        vectors.append(vector)
-    stacked = np.stack(vectors).astype(np.float64)
-    std = np.maximum(stacked.std(axis=0), _STD_FLOOR)
-    return ConditionStatistics(stacked.mean(axis=0).astype(np.float32), std.astype(np.float32))
-
-
-def _condition_vector(item: MotionItem, goal: Goal) -> Float[np.ndarray, " size"]:
-    """The unscaled vector of one item."""
-    if goal == "none":
-        return np.empty(0, dtype=np.float32)
-    # m/s, not metres a frame: tables of another rate give the same vector.
-    velocity = (item.initial_joints - item.previous_joints) * np.float32(item.fps)
-    target = item.goal_joints if goal == "pose" else item.goal_location
-    return np.concatenate([np.ravel(part) for part in (item.initial_joints, velocity, target)])
 
 
 @dataclass(frozen=True)
@@ -215,8 +176,6 @@ class SequenceDataset(Dataset[MotionItem]):
             encoded anew in the canonical frame of its first kept frame, and the frame before that is its predecessor
             (docs/specification/pr-model.md#training).
         mode: Of the representation: ``continuous``, or ``reference`` with the original's quirks.
-        mirrored: Whether each row comes a second time as a mirror shows it. Corpora that bring mirrored copies of their
-            own are not mirrored again.
         seed: Of captions and random crops.
         cache: Folder of the feature stores; prbench's cache folder by default.
         engine: Where rows are encoded for a store that is not there yet; changes no byte of it.
@@ -236,34 +195,41 @@ class SequenceDataset(Dataset[MotionItem]):
         max_frames: int = 241,
         crop: Crop = "end",
         mode: Mode = "continuous",
-        mirrored: bool = False,
         seed: int = 0,
         cache: Path | None = None,
         engine: Engine = _IN_PROCESS,
     ) -> None:
-        _require(split, (*SPLITS, REFIT), "split")
-        _require(crop, ("end", "random"), "crop")
-        _require(mode, ("continuous", "reference"), "mode")
+        for what, value, known in (
+            ("split", split, (*SPLITS, REFIT)),
+            ("crop", crop, ("end", "random")),
+            ("mode", mode, ("continuous", "reference")),
+        ):
+            if value not in known:
+                raise UsageError(f"{what} '{value}' is not known; it is one of {', '.join(known)}.")
         if max_frames < 2:
             raise UsageError(f"max_frames is {max_frames}; an item needs at least 2 frames.")
         given = [tables] if isinstance(tables, SequenceTable | CorpusTable | Path | str) else list(tables)
         opened = [open_table(table) for table in given]
         self.fps = _common_frame_rate(opened, split)
         self.tables: tuple[Table, ...] = tuple(opened)
-        self.max_frames, self.seed = max_frames, seed
+        self.split, self.max_frames, self.seed = split, max_frames, seed
         self.mode: Mode = mode
         self._stores: list[FeatureStore] = []
         left_out: list[LeftOut] = []
+        wanted = DataConfiguration(max_frames=max_frames, crop=crop, mode=mode)
         for table in opened:
-            for part in _filled_parts(table, split):
-                mirrors = mirrored and not holds_mirrored(table)
-                wanted = DataConfiguration(max_frames=max_frames, crop=crop, mode=mode, mirrored=mirrors)
+            parts = parts_of(split)
+            if len(parts) > 1:
+                # Of several splits an empty one is left out (MoGaze has no validation sequences).
+                present = set(table.scalars(columns=["split"])["split"].to_pylist())
+                parts = [part for part in parts if part in present]
+            for part in parts:
                 store, unusable = table_store(table, part, wanted, cache or cache_folder() / "training", engine=engine)
                 self._stores.append(store)
                 left_out += unusable
         self.left_out: tuple[LeftOut, ...] = tuple(left_out)
         """Rows that cannot be encoded, with the reason of each."""
-        self._starts = np.concatenate(([0], np.cumsum([len(store) for store in self._stores])))
+        self._starts = np.cumsum([0, *(len(store) for store in self._stores)])
 
     def __len__(self) -> int:
         return int(self._starts[-1])
@@ -271,10 +237,13 @@ class SequenceDataset(Dataset[MotionItem]):
     def __getitem__(self, index: int | tuple[int, int]) -> MotionItem:
         """The item of a row, drawn for epoch 0, or for the epoch of a pair ``(index, epoch)``."""
         row, epoch = index if isinstance(index, tuple) else (index, 0)
-        store, place = self._at(row)
-        name = store.sequence_id(place)
-        motion = store.motion(place)
-        features = store.features(place)
+        if not -len(self) <= row < len(self):
+            raise IndexError(f"item {row} of {len(self)}")
+        number = int(np.searchsorted(self._starts, row % len(self), side="right")) - 1
+        store = self._stores[number]
+        place = row % len(self) - int(self._starts[number])
+        name = store.sequence_ids[place]
+        motion, features = store.row(place)
         text, *others = store.texts(place)
         if features is None or others:
             # A function of seed, epoch and row alone: workers and resumption change no draw.
@@ -295,8 +264,8 @@ class SequenceDataset(Dataset[MotionItem]):
 
     @cached_property
     def sequence_ids(self) -> tuple[str, ...]:
-        """Ids of all rows; that of a mirrored copy ends with ``#mirrored``."""
-        return tuple(store.sequence_id(row) for store in self._stores for row in range(len(store)))
+        """Ids of all rows."""
+        return tuple(name for store in self._stores for name in store.sequence_ids)
 
     @cached_property
     def texts(self) -> tuple[str, ...]:
@@ -313,20 +282,30 @@ class SequenceDataset(Dataset[MotionItem]):
             accumulator.add(self[index].features)
         return accumulator.result()
 
-    def condition_statistics(self, goal: Goal) -> ConditionStatistics:
+    def condition_statistics(self, goal: Goal) -> tuple[Float[np.ndarray, " size"], Float[np.ndarray, " size"]]:
         """Mean and standard deviation of the condition vector (docs/specification/pr-model.md#network).
+
+        The vector is ``[initial pose 66, initial velocity 66, goal 3 or 66]``, m and m/s; the deviation is floored at
+        0.01.
 
         Raises:
             TableError: if goal locations are asked for and a row has none.
         """
-        return condition_statistics((self[index] for index in range(len(self))), goal)
-
-    def _at(self, row: int) -> tuple[FeatureStore, int]:
-        if not -len(self) <= row < len(self):
-            raise IndexError(f"item {row} of {len(self)}")
-        row %= len(self)
-        index = int(np.searchsorted(self._starts, row, side="right")) - 1
-        return self._stores[index], int(row - self._starts[index])
+        vectors = []
+        for index in range(len(self)):
+            item = self[index]
+            # m/s, not metres a frame: tables of another rate give the same vector.
+            velocity = (item.initial_joints - item.previous_joints) * np.float32(item.fps)
+            target = item.goal_joints if goal == "pose" else item.goal_location
+            if np.isnan(target).any():
+                raise TableError(
+                    f"{item.sequence_id}: expected a goal location, found none, because it comes from a text-motion"
+                    " corpus. Train a goal-conditioned model on sequence tables."
+                )
+            vectors.append(np.concatenate([np.ravel(part) for part in (item.initial_joints, velocity, target)]))
+        stacked = np.stack(vectors).astype(np.float64)
+        std = np.maximum(stacked.std(axis=0), _STD_FLOOR)
+        return stacked.mean(axis=0).astype(np.float32), std.astype(np.float32)
 
 
 def configured_dataset(
@@ -336,7 +315,7 @@ def configured_dataset(
     split: str,
     engine: Engine = _IN_PROCESS,
 ) -> SequenceDataset:
-    """The sequences of a split, as a configuration wants them; only training shows mirrored copies."""
+    """The sequences of a split, as a configuration wants them."""
     wanted = configuration.data
     return SequenceDataset(
         list(tables),
@@ -344,24 +323,9 @@ def configured_dataset(
         max_frames=wanted.max_frames,
         crop=wanted.crop,
         mode=wanted.mode,
-        mirrored=wanted.mirrored and split in ("train", REFIT),
         seed=configuration.training.seed,
         engine=engine,
     )
-
-
-def _require(value: str, known: tuple[str, ...], what: str) -> None:
-    if value not in known:
-        raise UsageError(f"{what} '{value}' is not known; it is one of {', '.join(known)}.")
-
-
-def _filled_parts(table: Table, split: str) -> list[str]:
-    """The splits to read; of several, an empty one is left out (MoGaze has no validation sequences)."""
-    parts = parts_of(split)
-    if len(parts) == 1:
-        return list(parts)
-    present = set(table.scalars(columns=["split"])["split"].to_pylist())
-    return [part for part in parts if part in present]
 
 
 def _common_frame_rate(tables: list[Table], split: str) -> float:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import signal
 import threading
 import time
@@ -25,27 +24,21 @@ import torch
 
 from prbench.errors import MissingExtraError, TrainingError, TrainingStopped, UsageError
 from prbench.randomness import named_generator
-from prbench_adapters.training.configuration import OptimisationConfiguration, TrainingConfiguration
+from prbench_adapters.training.configuration import TrainingConfiguration
 from prbench_adapters.training.report import Describe, Outputs
-from prbench_adapters.training.state import Checkpoints, Row, Tally, TrainingState, learning_rate
+from prbench_adapters.training.state import Row, TrainingState, learning_rate, restore_checkpoint
 from prbench_adapters.training.task import TrainingModule
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
 
-_STARTED_ON_EVERY_NODE = ("SLURM_JOB_ID", "TORCHELASTIC_RUN_ID", "MASTER_ADDR")
-"""Set by srun, by torchrun, or by the user; Lightning Fabric finds the other nodes by them."""
 
-
-def make_fabric(
-    device: str, *, devices: int = 1, nodes: int = 1, precision: str = "32-true", spawn: bool = False
-) -> Fabric:
+def make_fabric(device: str, *, devices: int = 1, precision: str = "32-true", spawn: bool = False) -> Fabric:
     """The Fabric that a training runs on; launch it before anything else.
 
     Args:
         device: ``cpu``, ``cuda``, ``cuda:1``, ``mps``.
-        devices: Processes that train together on this machine, each on a device of its own.
-        nodes: Machines that train together, each with as many processes; the command runs on every one of them.
+        devices: Processes that train together, each on a device of its own.
         precision: ``32-true``, or ``bf16-mixed``: matrix products in bfloat16, weights, losses and sums in float32.
         spawn: Start the processes from functions instead of running the command again (for tests and notebooks).
 
@@ -65,35 +58,6 @@ def make_fabric(
         def convert_input(self, data: Any) -> Any:
             return data
 
-    kind, index = _require_device(device, devices)
-    if nodes > 1:
-        _require_other_nodes(nodes)
-    chosen: Any = [index] if index is not None else devices
-    plugin = HeldPrecision("bf16-mixed", kind) if precision == "bf16-mixed" else Precision()
-    several = "ddp_spawn" if spawn else "ddp"
-    strategy = "auto" if devices * nodes == 1 else several
-    return Fabric(accelerator=kind, devices=chosen, num_nodes=nodes, strategy=strategy, plugins=[plugin])
-
-
-def _require_other_nodes(nodes: int) -> None:
-    """Refuse several machines where nothing says how to find them: the processes would wait for each other for ever.
-
-    Raises:
-        UsageError: with the ways to start them.
-    """
-    if not any(name in os.environ for name in _STARTED_ON_EVERY_NODE):
-        raise UsageError(
-            f"--nodes {nodes}: nothing says where the other machines are. Start the same command on each of them, by"
-            " srun or torchrun, or with MASTER_ADDR and MASTER_PORT (the first machine's) and NODE_RANK (0, 1, …) set."
-        )
-
-
-def _require_device(device: str, devices: int = 1) -> tuple[str, int | None]:
-    """Kind and number of a device.
-
-    Raises:
-        UsageError: if there is no such device, or too few of them.
-    """
     kind, _, number = device.partition(":")
     if kind not in ("cpu", "cuda", "mps") or (number and not number.isdigit()):
         raise UsageError(f"--device: expected cpu, cuda, cuda:1 … or mps, found '{device}'.")
@@ -107,45 +71,33 @@ def _require_device(device: str, devices: int = 1) -> tuple[str, int | None]:
             f" {available or 'no'} such device{'s' if available != 1 else ''} here. Use --device cpu, or install a"
             " build of torch for your GPU and its driver."
         )
-    return kind, int(number) if number else None
-
-
-class StopRequest:
-    """Records whether, and by which signal, the training was asked to stop."""
-
-    signal: int | None = None
-
-    @property
-    def name(self) -> str:
-        """Name of the signal, such as ``SIGTERM``."""
-        return signal.Signals(self.signal).name if self.signal is not None else ""
-
-    def __bool__(self) -> bool:
-        return self.signal is not None
+    plugin = HeldPrecision("bf16-mixed", kind) if precision == "bf16-mixed" else Precision()
+    several = "ddp_spawn" if spawn else "ddp"
+    chosen: Any = [int(number)] if number else devices
+    strategy = "auto" if devices == 1 else several
+    return Fabric(accelerator=kind, devices=chosen, strategy=strategy, plugins=[plugin])
 
 
 @contextlib.contextmanager
-def stop_on_signals() -> Iterator[StopRequest]:
-    """Note SIGTERM and Ctrl-C instead of dying of them; a second one is obeyed at once.
+def stop_on_signals() -> Iterator[list[int]]:
+    """Note SIGTERM and Ctrl-C in a list instead of dying of them; a second one is obeyed at once.
 
-    Outside of the main thread signals cannot be caught, and the request stays empty.
+    Outside of the main thread signals cannot be caught, and the list stays empty.
     """
-    request = StopRequest()
+    asked: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield request
+        yield asked
         return
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
 
     def note(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - what Python hands over
         # The second Ctrl-C comes from somebody who does not want to wait for the step.
-        if request.signal is not None:
+        if asked:
             raise KeyboardInterrupt
-        request.signal = number
+        asked.append(number)
 
+    before = {number: signal.signal(number, note) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
-        for number in before:
-            signal.signal(number, note)
-        yield request
+        yield asked
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -193,7 +145,7 @@ def fit(
         module: In its state before the first step; a checkpoint in ``out`` replaces that state.
         batches: Called once, with the number of batches that were taken before.
         configuration: Everything that decides the result, together with module and batches.
-        out: The training folder: checkpoints, logs, curves, weights and their card.
+        out: The training folder: checkpoints, log, weights and their card.
         fabric: Device, processes and precision, launched; the CPU by default.
         describe: The card for a state.
         validate: Called every ``validation.every`` steps, by the first process.
@@ -208,21 +160,19 @@ def fit(
         StorageError: if a file cannot be written.
     """
     fabric = fabric or make_fabric("cpu", precision=configuration.training.precision)
-    module.seed, module.rank = configuration.training.seed, fabric.global_rank
-    module.calls = configuration.training.steps * configuration.training.micro_batches
+    settings = configuration.training
+    module.seed, module.rank, module.calls = settings.seed, fabric.global_rank, settings.steps
     module.train().to(fabric.device)
-    state = TrainingState.start(module, configuration.training)
+    state = TrainingState.start(module, settings)
     # A checkpoint is everything that the result depends on; logs and weights are made again from it.
-    checkpoints = Checkpoints(out / _CHECKPOINTS)
-    resumed = checkpoints.restore(state)
+    resumed = restore_checkpoint(out / _CHECKPOINTS, state)
     fabric.barrier()  # nobody writes a new checkpoint before everybody has read the old one
     outputs = None
     if fabric.is_global_zero:
-        dtype = configuration.training.weights_dtype
-        outputs = Outputs(out, checkpoints, describe, dtype=dtype, resumed_at=state.step)
+        outputs = Outputs(out, out / _CHECKPOINTS, describe, dtype=settings.weights_dtype, resumed_at=state.step)
     try:
-        with stop_on_signals() as stop, torch.random.fork_rng(devices=[]):
-            session = _Session(state, configuration, fabric, outputs, stop, validate, report)
+        with stop_on_signals() as asked, torch.random.fork_rng(devices=[]):
+            session = _Session(state, configuration, fabric, outputs, asked, validate, report)
             if not resumed:
                 session.save()  # from here on the folder resumes
             session.train(batches)
@@ -230,7 +180,7 @@ def fit(
                 outputs.write_results(state)  # the last session may have been killed before it could
     finally:
         if outputs is not None:
-            outputs.close(state)
+            outputs.log.close()
     return state
 
 
@@ -242,13 +192,9 @@ class _Session:
     configuration: TrainingConfiguration
     fabric: Fabric
     outputs: Outputs | None
-    stop: StopRequest
+    asked: list[int]
     validate: Validate | None
     report: Callable[[Progress], None]
-
-    @property
-    def settings(self) -> OptimisationConfiguration:
-        return self.configuration.training
 
     def train(self, batches: Batches) -> None:
         """Go on to the last step.
@@ -257,12 +203,11 @@ class _Session:
             TrainingStopped: if asked to stop before that.
         """
         state = self.state
-        settings = self.settings
+        settings = self.configuration.training
         # Set up here, after a checkpoint was restored: a process group copies the first process's weights to all.
         network = self.fabric.setup_module(state.module, move_to_device=False)
-        self.validated_at = int(state.validations[-1]["step"]) if state.validations else 0
         self._validated()  # if the session before was stopped instead
-        incoming = iter(batches(state.step * settings.micro_batches))
+        incoming = iter(batches(state.step))
         while state.step < settings.steps:
             started = time.perf_counter()
             self._step(network, incoming)
@@ -279,7 +224,7 @@ class _Session:
                 raise TrainingStopped(
                     f"stopped after step {state.step} of {settings.steps}; everything is saved."
                     " The same command goes on from there.",
-                    signal=self.stop.signal,
+                    signal=self.asked[0] if self.asked else None,
                 )
 
     def save(self) -> None:
@@ -289,25 +234,29 @@ class _Session:
         self.fabric.barrier()
 
     def _due(self, every: int) -> bool:
-        return self.state.step % every == 0 or self.state.step == self.settings.steps
+        return self.state.step % every == 0 or self.state.step == self.configuration.training.steps
+
+    def _rate(self, step: int) -> float:
+        return self.state.module.learning_rate_factor(step) * learning_rate(step, self.configuration.training)
 
     def _step(self, network: Any, incoming: Iterator[Any]) -> None:
-        """One step of the optimiser over ``micro_batches`` batches."""
+        """One step of the optimisers over the next batch."""
         state = self.state
-        settings = self.settings
+        settings = self.configuration.training
         for optimiser in state.optimisers:
             for group in optimiser.param_groups:
-                group["lr"] = self._learning_rate(state.step) * group.get("scale", 1.0)
-        for micro in range(settings.micro_batches):
-            started = time.perf_counter()
-            batch = next(incoming).to(self.fabric.device)
-            state.waited += time.perf_counter() - started
-            number = state.step * settings.micro_batches + micro
-            _seed_dropout(settings.seed, number, self.fabric.global_rank)
-            with self.fabric.no_backward_sync(network, enabled=micro < settings.micro_batches - 1):
-                losses = network(batch, number)
-                self.fabric.backward(losses["loss"] / settings.micro_batches)
-            state.tally.add(losses)
+                group["lr"] = self._rate(state.step) * group.get("scale", 1.0)
+        started = time.perf_counter()
+        batch = next(incoming).to(self.fabric.device)
+        state.waited += time.perf_counter() - started
+        # Dropout draws from torch's global generators; seeded anew, a resumed run drops the same.
+        generator = named_generator("prbench-dropout", settings.seed, state.step, self.fabric.global_rank)
+        torch.manual_seed(int(generator.integers(2**63 - 1)))
+        losses = network(batch, state.step)
+        self.fabric.backward(losses["loss"])
+        for name, loss in losses.items():
+            state.losses[name] = state.losses.get(name, 0.0) + loss.detach()
+        state.batches += 1
         if settings.gradient_clip is not None:
             for group in state.module.gradient_groups():
                 torch.nn.utils.clip_grad_norm_(group, settings.gradient_clip)
@@ -317,9 +266,13 @@ class _Session:
         state.step += 1
         state.average.update(state.step)
 
-    def _learning_rate(self, step: int) -> float:
-        factor = self.state.module.learning_rate_factor(step * self.settings.micro_batches)
-        return factor * learning_rate(step, self.settings)
+    def _reduced(self, values: list[float], how: str) -> list[float]:
+        """Reduce numbers over all processes."""
+        if self.fabric.world_size == 1:
+            return values
+        reduced = self.fabric.all_reduce(torch.tensor(values, device=self.fabric.device), reduce_op=how)
+        assert isinstance(reduced, torch.Tensor)
+        return reduced.tolist()
 
     def _means(self) -> dict[str, float]:
         """Mean losses since the last line of the log, over all processes; waits for the device.
@@ -327,35 +280,27 @@ class _Session:
         Raises:
             TrainingError: if one is not finite.
         """
-        means = self._over_processes(self.state.tally.means())
+        state = self.state
+        own = [float(total) / state.batches for total in state.losses.values()]
+        means = dict(zip(state.losses, self._reduced(own, "mean")))
         for name, value in means.items():
             if not math.isfinite(value):
                 raise TrainingError(
-                    f"'{name}' is {value} at step {self.state.step}: the training has diverged. The checkpoints are"
+                    f"'{name}' is {value} at step {state.step}: the training has diverged. The checkpoints are"
                     " from before; try a lower learning rate or a gradient_clip in another folder."
                 )
         return means
 
-    def _over_processes(self, means: dict[str, float]) -> dict[str, float]:
-        if self.fabric.world_size == 1:
-            return means
-        together = torch.tensor(list(means.values()), device=self.fabric.device)
-        reduced = self.fabric.all_reduce(together, reduce_op="mean")
-        assert isinstance(reduced, torch.Tensor)
-        return dict(zip(means, reduced.tolist()))
-
     def _log(self, means: dict[str, float]) -> Row:
         state = self.state
-        state.tally = Tally()
-        rate = self._learning_rate(state.step - 1)
-        row: Row = {"step": state.step, **means, "learning_rate": rate}
+        state.losses, state.batches = {}, 0
+        row: Row = {"step": state.step, **means, "learning_rate": self._rate(state.step - 1)}
         timing: Row = {"step": state.step, "seconds": state.seconds, "waiting": state.waiting}
         state.rows.append(row)
         state.timings.append(timing)
-        shown = {**row, **timing}
         if self.outputs is not None:
-            self.outputs.add(shown, group="train")
-        return shown
+            self.outputs.add({**row, **timing}, group="train")
+        return {**row, **timing}
 
     def _validated(self) -> Row | None:
         """Validate the averaged weights if it is time; only the first process does, and the others wait."""
@@ -363,10 +308,8 @@ class _Session:
         every = self.configuration.validation.every
         if self.validate is None or not every or not state.step or not self._due(every):
             return None
-        if self.validated_at == state.step:
-            return None
-        self.validated_at, measured = state.step, None
-        if self.outputs is not None:
+        measured = None
+        if self.outputs is not None and (not state.validations or state.validations[-1]["step"] != state.step):
             state.module.eval()
             with state.average.applied():
                 measured = {"step": state.step, **self.validate(state.module)}
@@ -377,16 +320,6 @@ class _Session:
         return measured
 
     def _asked_to_stop(self) -> bool:
-        if self.fabric.world_size == 1:
-            return bool(self.stop)
-        if self.state.step % _STEPS_BETWEEN_QUESTIONS:
+        if self.fabric.world_size > 1 and self.state.step % _STEPS_BETWEEN_QUESTIONS:
             return False
-        asked = torch.tensor(float(bool(self.stop)), device=self.fabric.device)
-        votes = self.fabric.all_reduce(asked, reduce_op="sum")
-        assert isinstance(votes, torch.Tensor)
-        return bool(votes > 0)
-
-
-def _seed_dropout(seed: int, number: int, rank: int) -> None:
-    """Seed torch's global generators, from which dropout draws, for one batch."""
-    torch.manual_seed(int(named_generator("prbench-dropout", seed, number, rank).integers(2**63 - 1)))
+        return self._reduced([float(bool(self.asked))], "sum")[0] > 0

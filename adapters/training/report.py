@@ -1,4 +1,4 @@
-"""What a training says of itself: ``training.json``, the card beside the weights, logs and curves.
+"""What a training says of itself: ``training.json``, the card beside the weights, and the log.
 
 ``training.json`` says what decides the result, so that a folder never mixes two trainings. The card says what the
 weights are, what they were made from, and how far the training came.
@@ -7,8 +7,7 @@ weights are, what they were made from, and how far the training came.
 from __future__ import annotations
 
 import platform
-import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,16 +17,14 @@ import torch
 import prbench
 from prbench.errors import MissingExtraError, StorageError, TrainingError
 from prbench.files.bounded import foreign_input, read_whole
-from prbench.files.storage import atomic_path, read_json, remove_leftovers, write_json
+from prbench.files.storage import read_json, remove_leftovers, write_json
 from prbench.harness.preparation import package_versions
 from prbench.sequences import CorpusTable, SequenceTable
 from prbench.sequences.folds import OPTION
-from prbench.shown import figure_text
-from prbench_adapters.training.batches import WindowsDataset
 from prbench_adapters.training.configuration import TrainingConfiguration
-from prbench_adapters.training.state import Checkpoints, Row, TrainingState
-from prbench_adapters.training.store import parts_of
+from prbench_adapters.training.state import Row, TrainingState, save_checkpoint
 from prbench_adapters.training.weights import write_weights
+from prbench_benchmarks.motion_prediction.table import WindowsTable
 
 RECORD = "training.json"
 SCHEMA_VERSION = 1
@@ -67,36 +64,23 @@ class TrainingRecord(msgspec.Struct, frozen=True, kw_only=True):
     """The validation split was learnt from, too, so that scores on it say nothing."""
 
 
-def table_records(tables: Iterable[SequenceTable | CorpusTable], *, split: str) -> tuple[TableRecord, ...]:
-    """Describe each table for the card, in the order given (the order decides what a seed draws)."""
-    return tuple(
-        TableRecord(
-            dataset=table.info.dataset,
-            title=table.info.title,
-            synthetic=table.info.synthetic,
-            licence=table.info.licence,
-            identity_digest=table.info.identity_digest,
-            content_digest=table.info.content_digest,
-            sequences=sum(table.scalars(split=part, columns=["split"]).num_rows for part in parts_of(split)),
-            fold=table.info.options.get(OPTION) if isinstance(table, SequenceTable) else None,
-        )
-        for table in tables
-    )
+def table_record(table: SequenceTable | CorpusTable | WindowsTable, sequences: int) -> TableRecord:
+    """Describe a table for the card.
 
-
-def window_records(data: WindowsDataset) -> tuple[TableRecord, ...]:
-    """Describe each table of windows for the card; its sequences are the stretches that windows are drawn from."""
-    return tuple(
-        TableRecord(
-            dataset=table.info.dataset,
-            title=table.info.title,
-            synthetic=table.info.synthetic,
-            licence=table.info.licence,
-            identity_digest=table.info.identity_digest,
-            content_digest=table.info.content_digest,
-            sequences=count,
-        )
-        for table, count in zip(data.tables, data.counts, strict=True)
+    Args:
+        table: That is learnt from.
+        sequences: Rows of the split, or stretches that windows are drawn from.
+    """
+    info = table.info
+    return TableRecord(
+        dataset=info.dataset,
+        title=info.title,
+        synthetic=info.synthetic,
+        licence=info.licence,
+        identity_digest=info.identity_digest,
+        content_digest=info.content_digest,
+        sequences=sequences,
+        fold=table.info.options.get(OPTION) if isinstance(table, SequenceTable) else None,
     )
 
 
@@ -119,15 +103,16 @@ def require_same_training(out: Path, record: TrainingRecord) -> None:
     found = read_json(path)
     if not isinstance(found, Mapping):
         raise TrainingError(f"{path}: expected the record of a training. Choose another folder for --out.")
-    difference = _first_difference(
-        _flat(msgspec.to_builtins(record)), _flat({"refit": False, **found})
-    )  # no key up to 0.7.0
-    if difference is not None:
-        key, now, then = difference
-        raise TrainingError(
-            f"{out}: holds another training: '{key}' is {then} there, but {now} was asked for."
-            " Repeat the command of that training to go on with it, or choose another folder for --out."
-        )
+    asked = _flat(msgspec.to_builtins(record))
+    there = _flat({"refit": False, **found})  # trainings up to 0.7.0 lack the key
+    for key in dict.fromkeys((*asked, *there)):
+        now = asked.get(key, "nothing")
+        then = there.get(key, "nothing")
+        if now != then and key not in _MAY_CHANGE:
+            raise TrainingError(
+                f"{out}: holds another training: '{key}' is {then} there, but {now} was asked for."
+                " Repeat the command of that training to go on with it, or choose another folder for --out."
+            )
 
 
 def write_record(out: Path, record: TrainingRecord) -> None:
@@ -155,16 +140,6 @@ def read_record(out: Path) -> TrainingRecord:
         raise TrainingError(f"{path}: not a valid {RECORD}: {error}. Train again in another folder.") from error
 
 
-def _first_difference(asked: Mapping[str, str], found: Mapping[str, str]) -> tuple[str, str, str] | None:
-    """The first key, as asked and as found, whose value differs; None if all agree."""
-    for key in dict.fromkeys((*asked, *found)):
-        now = asked.get(key, "nothing")
-        then = found.get(key, "nothing")
-        if now != then and key not in _MAY_CHANGE:
-            return key, now, then
-    return None
-
-
 def _flat(value: Any, prefix: str = "") -> dict[str, str]:
     """Nested tables and lists as one level of dotted keys, values as JSON."""
     if isinstance(value, Mapping):
@@ -186,6 +161,7 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
         threads: Torch's threads, on which the last bits depend on a CPU.
     """
     steps = record.configuration.training.steps
+    name = torch.cuda.get_device_name(device) if device.type == "cuda" else platform.machine()
     return {
         "card_version": _CARD_VERSION,
         "prbench": prbench.__version__,
@@ -195,7 +171,7 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
         "steps": state.step,
         "parameters": sum(parameter.numel() for parameter in state.average.parameters.values()),
         "averaged": record.configuration.training.ema > 0,
-        "device": _device_in_words(device),
+        "device": f"{device.type} ({name})",
         "devices": record.devices,
         "threads": threads,
         "packages": package_versions(_PACKAGES),
@@ -203,19 +179,9 @@ def training_card(record: TrainingRecord, state: TrainingState, device: torch.de
         "data": msgspec.to_builtins(record.data),
         "refit": record.refit,
         "initial_weights_sha256": record.initial_weights_sha256,
-        "learned_from": list(state.module.learned_from()),
+        "learned_from": list(state.module.origin),
         "learning_curve": thinned(state.rows, _CURVE_POINTS),
         "validation": state.validations,
-    }
-
-
-def training_times(state: TrainingState) -> dict[str, Any]:
-    """Return how long a training took, which no two trainings have in common."""
-    return {
-        "steps": state.step,
-        "seconds": round(state.seconds, 1),
-        "waiting_fraction": round(state.waiting, 4),
-        "timings": thinned(state.timings, _CURVE_POINTS),
     }
 
 
@@ -228,120 +194,11 @@ def thinned(rows: list[Row], points: int) -> list[Row]:
     return [rows[place] for place in places]
 
 
-def _device_in_words(device: torch.device) -> str:
-    """``cpu (x86_64)``, or the name of the GPU."""
-    if device.type == "cuda":
-        return f"cuda ({torch.cuda.get_device_name(device)})"
-    return f"{device.type} ({platform.machine()})"
-
-
-_CURVES = "curves.png"
-_SECONDS_BETWEEN_PICTURES = 120.0  # drawing takes a second
-_NOT_DRAWN = ("step", "seconds", "waiting")  # times differ between equal trainings; TensorBoard shows them
-_LINEAR = ("learning_rate",)
-_Curve = tuple[list[float | int], list[float | int]]
 WEIGHTS = "weights.safetensors"
 _CARD = "weights.json"
-TIMES = "timing.json"
+_TIMES = "timing.json"
 Describe = Callable[[TrainingState], dict[str, Any]]
 """Maps a state to its card."""
-
-
-class TrainingLog:
-    """Writes the rows of a training as they come.
-
-    Args:
-        out: The training folder.
-        resumed_at: Steps that were done before; what an earlier session logged after them is dropped.
-
-    Raises:
-        MissingExtraError: if TensorBoard is not installed.
-    """
-
-    def __init__(self, out: Path, *, resumed_at: int) -> None:
-        self.out = out
-        folder = out / "tensorboard"
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ModuleNotFoundError as error:
-            raise MissingExtraError("tensorboard", "train", "the log of a training") from error
-        self._writer = SummaryWriter(str(folder), purge_step=resumed_at + 1 if resumed_at else None)
-        self._drawn_at = time.monotonic()
-
-    def add(self, row: Row, *, group: str) -> None:
-        """Log one row; ``group`` comes before the names, as in ``train/loss``."""
-        step = int(row["step"])
-        for name, value in row.items():
-            if name != "step":
-                self._writer.add_scalar(f"{group}/{name}", value, step)
-
-    def draw(self, state: TrainingState) -> None:
-        """Write the curves so far as ``curves.png``."""
-        self._drawn_at = time.monotonic()
-        if state.rows:
-            draw_curves(self.out / _CURVES, state.rows, state.validations)
-
-    def draw_now_and_then(self, state: TrainingState) -> None:
-        """Flush the log; draw the curves if that was long ago."""
-        self._writer.flush()
-        if time.monotonic() - self._drawn_at > _SECONDS_BETWEEN_PICTURES:
-            self.draw(state)
-
-    def close(self, state: TrainingState) -> None:
-        """Draw the curves a last time and finish the files."""
-        self._writer.close()
-        self.draw(state)
-
-
-def draw_curves(path: Path, rows: list[Row], validations: list[Row]) -> None:
-    """One small plot for each thing measured, against steps; losses on a logarithmic scale where they allow it.
-
-    Raises:
-        StorageError: if the picture cannot be written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullLocator
-
-    plots = _plots(rows, validations)
-    losses = set(rows[0]).difference(_NOT_DRAWN, _LINEAR) if rows else set()
-    columns = min(3, len(plots))
-    lines = -(-len(plots) // columns)
-    figure = Figure(figsize=(4.2 * columns, 2.8 * lines))
-    edge = 0.55 / (2.8 * lines)  # fixed margins: computed ones take most of the drawing
-    figure.subplots_adjust(left=0.16 / columns, right=0.985, bottom=edge, top=1 - edge / 2, wspace=0.25, hspace=0.45)
-    FigureCanvasAgg(figure)
-    for place, (name, curves) in enumerate(plots.items()):
-        axes = figure.add_subplot(lines, columns, place + 1)
-        for label, (steps, values) in curves.items():
-            axes.plot(steps, values, label=figure_text(label), linewidth=1, marker="." if len(steps) < 30 else None)
-        if name in losses and all(value > 0 for _, values in curves.values() for value in values):
-            axes.set_yscale("log")
-            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-            axes.yaxis.set_major_formatter("{x:g}")
-            axes.yaxis.set_minor_locator(NullLocator())
-        axes.set_title(figure_text(name), fontsize=9)
-        axes.set_xlabel("step", fontsize=8)
-        axes.tick_params(labelsize=7)
-        axes.grid(alpha=0.3)
-        if len(curves) > 1:
-            axes.legend(fontsize=7)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=110, format="png")
-
-
-def _plots(rows: list[Row], validations: list[Row]) -> dict[str, dict[str, _Curve]]:
-    """Name of the measurement → who measured it → steps and values; training and validation share their plots."""
-    plots: dict[str, dict[str, _Curve]] = {}
-    for label, source in (("training", rows), ("validation", validations)):
-        for row in source:
-            for name in row:
-                if name not in _NOT_DRAWN:
-                    steps, values = plots.setdefault(name, {}).setdefault(label, ([], []))
-                    steps.append(row["step"])
-                    values.append(row[name])
-    # The loss first, the others by name: rows of a checkpoint have their names in another order than new ones.
-    return dict(sorted(plots.items(), key=lambda plot: (plot[0] != "loss", plot[0])))
 
 
 class Outputs:
@@ -349,26 +206,33 @@ class Outputs:
 
     Args:
         out: The training folder.
-        checkpoints: Of that folder.
+        checkpoints: Folder of the checkpoints.
         describe: The card for a state.
         dtype: Of the matrices in the weights file.
-        resumed_at: Steps that were done before this session.
+        resumed_at: Steps that were done before this session; what an earlier one logged after them is dropped.
+
+    Raises:
+        MissingExtraError: if TensorBoard is not installed.
     """
 
     def __init__(
         self,
         out: Path,
-        checkpoints: Checkpoints,
+        checkpoints: Path,
         describe: Describe,
         *,
         dtype: Literal["float32", "float16"],
         resumed_at: int,
     ) -> None:
-        for name in (WEIGHTS, _CARD, TIMES, _CURVES):
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ModuleNotFoundError as error:
+            raise MissingExtraError("tensorboard", "train", "the log of a training") from error
+        for name in (WEIGHTS, _CARD, _TIMES):
             remove_leftovers(out / name)
         self.out, self.checkpoints, self.describe = out, checkpoints, describe
         self.dtype: Literal["float32", "float16"] = dtype
-        self.log = TrainingLog(out, resumed_at=resumed_at)
+        self.log = SummaryWriter(str(out / "tensorboard"), purge_step=resumed_at + 1 if resumed_at else None)
 
     def save(self, state: TrainingState) -> None:
         """Write everything: first the checkpoint, from which all the rest can be made again.
@@ -377,11 +241,11 @@ class Outputs:
             StorageError: if a file cannot be written.
         """
         # If the process dies here, the next one writes the results again from the checkpoint.
-        self.checkpoints.save(state)
+        save_checkpoint(self.checkpoints, state)
         self.write_results(state)
 
     def write_results(self, state: TrainingState) -> None:
-        """Write the averaged weights with their card, the times, and now and then the curves.
+        """Write the averaged weights with their card, and how long the training took.
 
         Raises:
             StorageError: if a file cannot be written.
@@ -389,13 +253,17 @@ class Outputs:
         with state.average.applied():
             tensors, metadata = state.module.weights()
             write_weights(self.out / WEIGHTS, tensors, metadata, self.describe(state), dtype=self.dtype)
-        write_json(self.out / TIMES, training_times(state))
-        self.log.draw_now_and_then(state)
-
-    def close(self, state: TrainingState) -> None:
-        """Draw the curves and finish the log."""
-        self.log.close(state)
+        times = {
+            "steps": state.step,
+            "seconds": round(state.seconds, 1),
+            "waiting_fraction": round(state.waiting, 4),
+            "timings": thinned(state.timings, _CURVE_POINTS),
+        }
+        write_json(self.out / _TIMES, times)
+        self.log.flush()
 
     def add(self, row: Row, *, group: str) -> None:
-        """Log what was measured."""
-        self.log.add(row, group=group)
+        """Log what was measured; ``group`` comes before the names, as in ``train/loss``."""
+        for name, value in row.items():
+            if name != "step":
+                self.log.add_scalar(f"{group}/{name}", value, int(row["step"]))

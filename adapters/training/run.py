@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import platform
-import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import torch
-from torch import nn
 
 from prbench.engine import Engine, InProcess, close_engine
 from prbench.errors import TrainingStopped, UsageError
-from prbench.files.storage import cache_folder, read_json, sole_writer, write_json
+from prbench.files.storage import sole_writer
 from prbench.harness.methods.installed import load_task
 from prbench.sequences.dataset_info import FILE_NAME as DATASET_FILE
 from prbench.sequences.folds import fold_table, parse_fold
@@ -31,81 +28,21 @@ from prbench_adapters.training.configuration import (
 from prbench_adapters.training.dataset import SequenceDataset, configured_dataset
 from prbench_adapters.training.loop import Progress, fit, make_fabric, silent
 from prbench_adapters.training.report import (
-    RECORD,
     WEIGHTS,
     TrainingRecord,
-    read_record,
     require_same_training,
-    table_records,
+    table_record,
     training_card,
-    window_records,
     write_record,
 )
-from prbench_adapters.training.state import Row, TrainingState
-from prbench_adapters.training.store import REFIT
+from prbench_adapters.training.state import Row
+from prbench_adapters.training.store import REFIT, parts_of
 from prbench_adapters.training.task import TrainingData, TrainingModule, TrainingTask, WindowsTask
 from prbench_adapters.training.validation import Validation
 from prbench_adapters.training.weights import read_weights
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
-
-Precision = Literal["32-true", "bf16-mixed"]
-
-_ROWS = 2048
-_WIDTH = 128
-"""Sizes of a small network's layer over a batch."""
-_SECONDS = 0.5
-_PRECISIONS: tuple[Precision, Precision] = ("32-true", "bf16-mixed")
-
-
-def chosen_precision(wanted: Literal["32-true", "bf16-mixed", "auto"], *, device: str, out: Path) -> Precision:
-    """Return the precision to train in.
-
-    Args:
-        wanted: ``auto`` for the quicker one on this machine.
-        device: ``cpu``, ``cuda`` …
-        out: The training folder; a training that goes on keeps its precision.
-    """
-    if wanted != "auto":
-        return wanted
-    if (out / RECORD).is_file():
-        earlier = read_record(out).configuration.training.precision
-        return "32-true" if earlier == "auto" else earlier
-    if not device.startswith("cpu"):
-        return "bf16-mixed"  # every GPU that trains such networks has units for it
-    kept = cache_folder() / "precision.json"
-    machine = f"{platform.node()}/{platform.machine()}/{torch.__version__}/{torch.get_num_threads()}"
-    known = read_json(kept) if kept.is_file() else {}
-    known = dict(known) if isinstance(known, dict) else {}
-    if known.get(machine) not in _PRECISIONS:
-        known[machine] = quicker_precision()
-        write_json(kept, known)
-    return known[machine]
-
-
-def quicker_precision() -> Precision:
-    """Train a layer on the processor for a second, half of it in each precision, and return the quicker one."""
-    layer = nn.Sequential(nn.Linear(_WIDTH, 3 * _WIDTH), nn.GELU(), nn.Linear(3 * _WIDTH, _WIDTH))
-    rows = torch.ones((_ROWS, _WIDTH))
-    seconds = {precision: _seconds_a_step(layer, rows, precision) for precision in _PRECISIONS}
-    return min(_PRECISIONS, key=lambda precision: seconds[precision])
-
-
-def _seconds_a_step(layer: nn.Module, rows: torch.Tensor, precision: Precision) -> float:
-    def step() -> None:
-        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=precision == "bf16-mixed"):
-            made = layer(rows)
-        made.float().square().mean().backward()
-
-    step()  # the first one chooses kernels and reserves memory
-    steps = 0
-    started = time.perf_counter()
-    while time.perf_counter() - started < _SECONDS:
-        step()
-        steps = steps + 1
-    return (time.perf_counter() - started) / steps
-
 
 _DEFAULT_CONFIGURATION = "small"
 _IN_PROCESS = InProcess()
@@ -136,9 +73,7 @@ class TrainRequest:
     """Weights to start from."""
     device: str = "cpu"
     devices: int = 1
-    """Processes that train together on each machine."""
-    nodes: int = 1
-    """Machines that train together; the same command runs on each, and ``out`` lies where all of them see it."""
+    """Processes that train together."""
     threads: int = 1
     """Torch's threads in each process; on a CPU the last bits of the weights depend on it."""
     workers: int = 0
@@ -171,10 +106,13 @@ def train(
             " --set validation.every=0."
         )
     torch.set_num_threads(request.threads)
-    precision = chosen_precision(configuration.training.precision, device=request.device, out=request.out)
+    precision = configuration.training.precision
+    if precision == "auto":
+        # Every GPU that trains such networks has units for bfloat16; not every processor is quicker with it.
+        precision = "32-true" if request.device.startswith("cpu") else "bf16-mixed"
     training = msgspec.structs.replace(configuration.training, precision=precision)
     configuration = msgspec.structs.replace(configuration, training=training)
-    fabric = make_fabric(request.device, devices=request.devices, nodes=request.nodes, precision=precision)
+    fabric = make_fabric(request.device, devices=request.devices, precision=precision)
     fabric.launch()
     torch.set_num_threads(request.threads)  # launching several processes sets one of its own
     return run(request, task, stage, configuration, fabric, report, engine=engine)
@@ -235,37 +173,47 @@ def _run(
     report: Callable[[Progress], None],
     engine: Engine,
 ) -> TrainedNetwork | None:
+    settings = configuration.training
+    validation = None
     with fabric.rank_zero_first():  # the first makes what is cached, the others find it
         data = _data(request, task, configuration, engine)
         if isinstance(data, WindowsDataset):
-            records = window_records(data)
+            records = [table_record(table, count) for table, count in zip(data.tables, data.counts, strict=True)]
         else:
-            records = table_records(data.tables, split=_split(request))
+            rows = [table.scalars(columns=["split"])["split"].to_pylist() for table in data.tables]
+            parts = parts_of(data.split)
+            counts = [sum(split in parts for split in splits) for splits in rows]
+            records = [table_record(table, count) for table, count in zip(data.tables, counts, strict=True)]
         record = TrainingRecord(
             method=request.method,
             stage=stage,
             configuration=configuration,
-            data=records,
+            data=tuple(records),
             initial_weights_sha256=read_weights(request.initial).digest if request.initial else None,
-            devices=request.devices * request.nodes,
+            devices=request.devices,
             refit=request.refit,
         )
         require_same_training(request.out, record)
         module = _module(request, task, stage, configuration, data)
-        validation = _validation(data, configuration, engine) if fabric.is_global_zero else None
+        if fabric.is_global_zero and configuration.validation.every:
+            if isinstance(data, WindowsDataset):
+                validation = Validation.of_windows(data, configuration)
+            else:
+                validation = Validation.prepare(data.tables, configuration, engine=engine)
     close_engine(engine)  # its workers have nothing more to do
     fabric.barrier()  # nobody may find the folder half made
     if fabric.is_global_zero:
         write_record(request.out, record)  # now that everything fits together
 
-    def describe(state: TrainingState) -> dict[str, Any]:
-        return training_card(record, state, fabric.device, request.threads)
-
     def batches(start: int) -> Iterable[Any]:
-        return _batches(data, configuration, fabric, start, request.workers)
+        rank, world_size = fabric.global_rank, fabric.world_size
+        order = LengthBatches(data, settings.batch_size, settings.seed, rank, world_size, start)
+        return load_batches(data, order, workers=request.workers, pinned=fabric.device.type == "cuda")
 
     def validate(module: TrainingModule) -> Row:
-        return validation.measure(module, fabric.device, fabric.autocast()) if validation is not None else {}
+        assert validation is not None
+        with fabric.autocast():  # the precision of the training
+            return validation.measure(module, fabric.device)
 
     try:
         state = fit(
@@ -274,7 +222,7 @@ def _run(
             configuration,
             request.out,
             fabric=fabric,
-            describe=describe,
+            describe=lambda state: training_card(record, state, fabric.device, request.threads),
             validate=validate,
             report=report,
         )
@@ -291,40 +239,25 @@ def _data(
     request: TrainRequest, task: TrainingTask, configuration: TrainingConfiguration, engine: Engine
 ) -> SequenceDataset | WindowsDataset:
     """The split that is learnt from: sequences, or windows for a task that chooses some."""
-    if not hasattr(task, "window_choice"):
-        return configured_dataset(_folders(request), configuration, split=_split(request), engine=engine)
-    if request.fold is not None:
-        raise UsageError(
-            "--fold: windows have no folds of participants; leave participants out with"
-            " --set 'model.windows.left_out=[\"P1\"]'."
-        )
-    choice = cast(WindowsTask, task).window_choice(configuration.model)
-    return WindowsDataset(request.data, split=_split(request), choice=choice, seed=configuration.training.seed)
-
-
-def _validation(
-    data: SequenceDataset | WindowsDataset, configuration: TrainingConfiguration, engine: Engine
-) -> Validation | None:
-    if isinstance(data, WindowsDataset):
-        return Validation.of_windows(data, configuration)
-    return Validation.prepare(data.tables, configuration, engine=engine)
-
-
-def _folders(request: TrainRequest) -> tuple[Path, ...]:
-    """The tables to learn from: those that were named, or a fold of each."""
-    if request.fold is None:
-        return request.data
-    parse_fold(request.fold)
-    for folder in request.data:
-        if not (folder / DATASET_FILE).is_file():
+    split = REFIT if request.refit else "train"
+    if hasattr(task, "window_choice"):
+        if request.fold is not None:
             raise UsageError(
-                f"--fold: {folder} holds no {DATASET_FILE}; only built datasets have folds of participants."
+                "--fold: windows have no folds of participants; leave participants out with"
+                " --set 'model.windows.left_out=[\"P1\"]'."
             )
-    return tuple(fold_table(folder, request.fold).folder for folder in request.data)
-
-
-def _split(request: TrainRequest) -> str:
-    return REFIT if request.refit else "train"
+        choice = cast(WindowsTask, task).window_choice(configuration.model)
+        return WindowsDataset(request.data, split=split, choice=choice, seed=configuration.training.seed)
+    folders = request.data
+    if request.fold is not None:
+        parse_fold(request.fold)
+        for folder in folders:
+            if not (folder / DATASET_FILE).is_file():
+                raise UsageError(
+                    f"--fold: {folder} holds no {DATASET_FILE}; only built datasets have folds of participants."
+                )
+        folders = tuple(fold_table(folder, request.fold).folder for folder in folders)
+    return configured_dataset(folders, configuration, split=split, engine=engine)
 
 
 def _module(
@@ -335,32 +268,10 @@ def _module(
     data: SequenceDataset | WindowsDataset,
 ) -> TrainingModule:
     """The task's module, initialised from the seed alone."""
-    initial = request.initial
-    model = configuration.model
+    given = data
+    if isinstance(data, SequenceDataset):
+        given = TrainingData(data, mode=configuration.data.mode, max_frames=configuration.data.max_frames, fps=data.fps)
     # What a process drew before must not decide the initial weights.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(configuration.training.seed)
-        if isinstance(data, WindowsDataset):
-            return cast(WindowsTask, task).build(model, data=data, initial=initial, stage=stage)
-        given = TrainingData(data, mode=configuration.data.mode, max_frames=configuration.data.max_frames, fps=data.fps)
-        return task.build(model, data=given, initial=initial, stage=stage)
-
-
-def _batches(
-    data: SequenceDataset | WindowsDataset,
-    configuration: TrainingConfiguration,
-    fabric: Fabric,
-    start: int,
-    workers: int,
-) -> Iterable[Any]:
-    settings = configuration.training
-    order = LengthBatches(
-        data,
-        settings.batch_size,
-        settings.seed,
-        fabric.global_rank,
-        fabric.world_size,
-        start,
-        unit=settings.batch_unit,
-    )
-    return load_batches(data, order, workers=workers, pinned=fabric.device.type == "cuda")
+        return task.build(configuration.model, data=cast(Any, given), initial=request.initial, stage=stage)

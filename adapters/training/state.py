@@ -29,7 +29,6 @@ from prbench_adapters.training.task import TrainingModule
 
 _MUON_SCALE = 2.0
 """Length of Muon's steps against AdamW's; tried with small P&R models (docs/methods/pr.md#training)."""
-_MOMENTS = ("step", "exp_avg", "exp_avg_sq", "momentum_buffer")
 Row = dict[str, float | int]
 """One line of the log: ``step`` and what was measured there, by name."""
 
@@ -45,7 +44,6 @@ class WeightAverage:
 
     def __init__(self, module: nn.Module, decay: float, *, warmup: bool = True) -> None:
         self.decay, self.warmup = decay, warmup
-        # The parameters that require gradients, by name.
         self.parameters = {name: parameter for name, parameter in module.named_parameters() if parameter.requires_grad}
         self.averages = {name: parameter.detach().clone() for name, parameter in self.parameters.items()}
 
@@ -76,25 +74,6 @@ class WeightAverage:
 
 
 @dataclass
-class Tally:
-    """Sums since the last line of the log, so that a line means the same in a resumed run."""
-
-    losses: dict[str, torch.Tensor | float] = field(default_factory=dict)
-    """Kept on their device: reading them would make a GPU wait."""
-    batches: int = 0
-
-    def add(self, losses: dict[str, torch.Tensor]) -> None:
-        """Count the losses of one batch."""
-        for name, loss in losses.items():
-            self.losses[name] = self.losses.get(name, 0.0) + loss.detach()
-        self.batches += 1
-
-    def means(self) -> dict[str, float]:
-        """Mean of every loss."""
-        return {name: float(total) / self.batches for name, total in self.losses.items()}
-
-
-@dataclass
 class TrainingState:
     """A training between two steps."""
 
@@ -108,7 +87,10 @@ class TrainingState:
     """Spent in training, all sessions together; validation and saving apart."""
     waited: float = 0.0
     """Seconds of these without a batch to work on."""
-    tally: Tally = field(default_factory=Tally)
+    losses: dict[str, torch.Tensor | float] = field(default_factory=dict)
+    """Sums since the last line of the log; kept on their device, because reading them would make a GPU wait."""
+    batches: int = 0
+    """Batches in these sums."""
     rows: list[Row] = field(default_factory=list)
     """The log so far; holds no times, so that two undisturbed trainings have the same."""
     timings: list[Row] = field(default_factory=list)
@@ -124,25 +106,15 @@ class TrainingState:
             raise UsageError("training.optimiser: this task names no matrices for muon. Use adamw.")
         apart = {id(matrix) for matrix in matrices}
         others = [parameter for parameter in average.parameters.values() if id(parameter) not in apart]
+        common = {"lr": settings.learning_rate, "weight_decay": settings.weight_decay}
+        fused = all(parameter.device.type in ("cpu", "cuda") for parameter in others)
         optimisers: list[torch.optim.Optimizer] = [
-            torch.optim.AdamW(
-                others,
-                lr=settings.learning_rate,
-                betas=settings.betas,
-                weight_decay=settings.weight_decay,
-                fused=all(parameter.device.type in ("cpu", "cuda") for parameter in others),
-            )
+            torch.optim.AdamW(others, betas=settings.betas, fused=fused, **common)
         ]
         if matrices:
-            group = {"params": matrices, "scale": _MUON_SCALE}
             # Scaled so that a step changes an entry as much as one of AdamW at the same rate would.
-            muon = torch.optim.Muon(
-                [group],
-                lr=settings.learning_rate,
-                weight_decay=settings.weight_decay,
-                adjust_lr_fn="match_rms_adamw",
-            )
-            optimisers.append(muon)
+            group = {"params": matrices, "scale": _MUON_SCALE}
+            optimisers.append(torch.optim.Muon([group], adjust_lr_fn="match_rms_adamw", **common))
         return cls(module, tuple(optimisers), average)
 
     @property
@@ -152,12 +124,9 @@ class TrainingState:
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Trained parameters and buffers, their averages and their moments, by name; frozen parameters stay out."""
-        module = self.module
-        tensors = {}
-        frozen = {name for name, parameter in module.named_parameters() if not parameter.requires_grad}
-        for name, tensor in module.state_dict().items():
-            if name not in frozen:
-                tensors[f"module.{name}"] = tensor
+        frozen = {name for name, parameter in self.module.named_parameters() if not parameter.requires_grad}
+        own = self.module.state_dict()
+        tensors = {f"module.{name}": tensor for name, tensor in own.items() if name not in frozen}
         for name, parameter in self.average.parameters.items():
             tensors[f"average.{name}"] = self.average.averages[name]
             for optimiser in self.optimisers:
@@ -183,20 +152,14 @@ class TrainingState:
             )
         for name in wanted:
             own[name].copy_(tensors[name])
-        for name, parameter in self.average.parameters.items():
-            moments = {
-                key: tensors[f"optimiser.{key}.{name}"].to(parameter.device, copy=True)
-                for key in _MOMENTS
-                if f"optimiser.{key}.{name}" in tensors
-            }
-            if moments:
-                self._optimiser_of(parameter).state[parameter] = moments
-
-    def _optimiser_of(self, parameter: nn.Parameter) -> torch.optim.Optimizer:
+        names = {id(parameter): name for name, parameter in self.average.parameters.items()}
         for optimiser in self.optimisers:
-            if any(parameter is own for group in optimiser.param_groups for own in group["params"]):
-                return optimiser
-        raise AssertionError("every trained parameter has an optimiser")
+            for parameter in (parameter for group in optimiser.param_groups for parameter in group["params"]):
+                name = names[id(parameter)]
+                for moment in ("step", "exp_avg", "exp_avg_sq", "momentum_buffer"):
+                    kept = tensors.get(f"optimiser.{moment}.{name}")
+                    if kept is not None:
+                        optimiser.state[parameter][moment] = kept.to(parameter.device, copy=True)
 
 
 def learning_rate(step: int, settings: OptimisationConfiguration) -> float:
@@ -214,98 +177,64 @@ def learning_rate(step: int, settings: OptimisationConfiguration) -> float:
     return settings.learning_rate * 0.5 * (1 + math.cos(math.pi * progress))
 
 
-KEPT = 2
+_KEPT = 2
 _TENSORS = "tensors.safetensors"
 _STATE = "state.json"
 _TIMING = "timing.json"
-_NAME = re.compile(r"step-(\d{9})")
 
 
-class Checkpoints:
-    """The checkpoints of one training folder."""
+def save_checkpoint(folder: Path, state: TrainingState) -> None:
+    """Write a checkpoint, then delete the old ones.
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def steps(self) -> list[int]:
-        """Steps that there is a checkpoint of, ascending."""
-        names = (_NAME.fullmatch(path.name) for path in self.folder.glob("step-*") if path.is_dir())
-        return sorted(int(match[1]) for match in names if match)
-
-    def save(self, state: TrainingState) -> None:
-        """Write a checkpoint, then delete the old ones.
-
-        Raises:
-            StorageError: if it cannot be written; the earlier ones stay.
-        """
-        tensors = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in state.tensors().items()}
-        with atomic_folder(self._path(state.step)) as temporary:
-            safetensors.torch.save_file(tensors, temporary / _TENSORS)
-            write_json(temporary / _STATE, _described(state))
-            # Apart from the state, so that the states of two equal trainings have equal bytes.
-            write_json(temporary / _TIMING, _timing(state))
-        self._remove_old()
-
-    def _remove_old(self) -> None:
-        for step in self.steps()[:-KEPT]:
-            remove_folder(self._path(step))
-
-    @foreign_input()
-    def restore(self, state: TrainingState) -> bool:
-        """Put the newest checkpoint into ``state``; false if there is none.
-
-        Raises:
-            InputFileError: if it is damaged.
-            TrainingError: if it is of another network.
-        """
-        for left in self.folder.glob(".step-*"):
-            shutil.rmtree(left, ignore_errors=True)  # half-written by a process that was killed
-        self._remove_old()  # one that was killed between its newest checkpoint and this
-        steps = self.steps()
-        if not steps:
-            return False
-        folder = self._path(steps[-1])
-        try:
-            require_size(folder / _TENSORS, largest=LARGEST_UNPACKED)
-            tensors = safetensors.torch.load_file(folder / _TENSORS)
-        except (SafetensorError, OSError) as error:
-            raise InputFileError(
-                folder / _TENSORS,
-                "",
-                expected="a checkpoint",
-                found=str(error),
-                remedy=f"Delete the folder {folder}; the one before it is used then.",
-            ) from error
-        described = read_json(folder / _STATE)
-        if not isinstance(described, dict) or "step" not in described:
-            raise TrainingError(f"{folder / _STATE}: expected the state of a training. Delete the folder {folder}.")
-        state.step = described["step"]
-        state.tally = Tally(**described["tally"])
-        state.rows, state.validations = described["rows"], described["validations"]
-        # Up to version 0.5.0 the times stood in the state.
-        timing = read_json(folder / _TIMING) if (folder / _TIMING).is_file() else described
-        state.seconds = timing["seconds"]
-        state.waited = timing["waited"]
-        state.timings = timing.get("timings", [])
-        state.load_tensors(tensors)
-        return True
-
-    def _path(self, step: int) -> Path:
-        return self.folder / f"step-{step:09d}"
+    Raises:
+        StorageError: if it cannot be written; the earlier ones stay.
+    """
+    tensors = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in state.tensors().items()}
+    losses = {name: float(total) for name, total in state.losses.items()}
+    with atomic_folder(folder / f"step-{state.step:09d}") as temporary:
+        safetensors.torch.save_file(tensors, temporary / _TENSORS)
+        tally = {"losses": losses, "batches": state.batches}
+        described = {"step": state.step, "tally": tally, "rows": state.rows, "validations": state.validations}
+        write_json(temporary / _STATE, described)
+        # Apart from the state, so that the states of two equal trainings have equal bytes.
+        write_json(temporary / _TIMING, {"seconds": state.seconds, "waited": state.waited, "timings": state.timings})
+    _newest(folder)
 
 
-def _described(state: TrainingState) -> dict[str, object]:
-    return {
-        "step": state.step,
-        "tally": {
-            "losses": {name: float(total) for name, total in state.tally.losses.items()},
-            "batches": state.tally.batches,
-        },
-        "rows": state.rows,
-        "validations": state.validations,
-    }
+def _newest(folder: Path) -> Path | None:
+    """Delete all checkpoints but the newest ones, and return the last."""
+    found = sorted(path for path in folder.glob("step-*") if re.fullmatch(r"step-\d{9}", path.name) and path.is_dir())
+    for path in found[:-_KEPT]:
+        remove_folder(path)
+    return found[-1] if found else None
 
 
-def _timing(state: TrainingState) -> dict[str, object]:
-    """Describe what differs between two trainings that are the same in all else."""
-    return {"seconds": state.seconds, "waited": state.waited, "timings": state.timings}
+@foreign_input()
+def restore_checkpoint(checkpoints: Path, state: TrainingState) -> bool:
+    """Put the newest checkpoint of a folder into ``state``; false if there is none.
+
+    Raises:
+        InputFileError: if it is damaged.
+        TrainingError: if it is of another network.
+    """
+    for left in checkpoints.glob(".step-*"):
+        shutil.rmtree(left, ignore_errors=True)  # half-written by a process that was killed
+    folder = _newest(checkpoints)
+    if folder is None:
+        return False
+    try:
+        require_size(folder / _TENSORS, largest=LARGEST_UNPACKED)
+        tensors = safetensors.torch.load_file(folder / _TENSORS)
+    except (SafetensorError, OSError) as error:
+        remedy = f"Delete the folder {folder}; the one before it is used then."
+        raise InputFileError(folder / _TENSORS, "", expected="a checkpoint", found=str(error), remedy=remedy) from error
+    described = read_json(folder / _STATE)
+    if not isinstance(described, dict) or "step" not in described:
+        raise TrainingError(f"{folder / _STATE}: expected the state of a training. Delete the folder {folder}.")
+    timing = read_json(folder / _TIMING)
+    state.step = described["step"]
+    state.losses, state.batches = described["tally"]["losses"], described["tally"]["batches"]
+    state.rows, state.validations = described["rows"], described["validations"]
+    state.seconds, state.waited, state.timings = timing["seconds"], timing["waited"], timing["timings"]
+    state.load_tensors(tensors)
+    return True

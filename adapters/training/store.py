@@ -1,6 +1,6 @@
 """Rows of tables as motions, and the feature store: features of a table, computed once and memory-mapped from then on.
 
-Motions are cut and mirrored without leaving the canonical frame. One Arrow IPC file per table, split and way of
+Motions are cut without leaving the canonical frame. One Arrow IPC file per table, split and way of
 encoding lies in prbench's cache folder. It opens in milliseconds, every process that reads it shares its pages, and an
 item is a view of it. Files may be deleted at any time: what is missing is made again.
 """
@@ -8,10 +8,9 @@ item is a view of it. Files may be deleted at any time: what is missing is made 
 from __future__ import annotations
 
 import hashlib
-import re
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Literal
@@ -27,17 +26,15 @@ from prbench.errors import InputFileError, TableError
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import atomic_path, in_turn, read_json, sole_writer, text_digest, write_json
 from prbench.geometry.skeleton import N_JOINTS, Joint, canonical_frame, invert_rigid, transform_points
-from prbench.representation import N_FEATURES, Mode, check_joints, encode, mirror
-from prbench.sequences import CorpusTable, SequenceChunk, SequenceTable
+from prbench.representation import N_FEATURES, Mode, check_joints, encode
+from prbench.sequences import CorpusTable, SequenceTable
 from prbench.sequences.dataset_info import CORPUS_FILE
 from prbench.sequences.schema import table_parts
 from prbench.sequences.sequence import column
 from prbench_adapters.training.configuration import DataConfiguration
 
-_LEFT_RIGHT = re.compile(r"\b(left|right)", re.IGNORECASE)
 _SHORTEST_ACROSS = 1e-6  # metres
 Table = SequenceTable | CorpusTable
-_MOTION = ("joints", "previous_joints", "next_joints")
 
 
 @dataclass(frozen=True)
@@ -116,29 +113,6 @@ def encoded(motion: Motion, mode: Mode, *, name: str) -> Float[np.ndarray, "n 26
     return encode(motion.joints, next_joints=motion.next_joints, mode=mode, source=name, upright=False)
 
 
-def mirrored(motion: Motion) -> Motion:
-    """The motion as a mirror shows it: x negated, left and right limbs exchanged; still in its canonical frame."""
-    return Motion(
-        joints=mirror(motion.joints),
-        previous_joints=mirror(motion.previous_joints),
-        next_joints=mirror(motion.next_joints),
-        goal_location=motion.goal_location * np.array([-1, 1, 1], dtype=np.float32),
-    )
-
-
-def mirrored_text(text: str) -> str:
-    """A caption with its words left and right exchanged, capital letters kept."""
-
-    def exchanged(match: re.Match[str]) -> str:
-        word = match[1]
-        other = "right" if word.lower() == "left" else "left"
-        if word.isupper():
-            return other.upper()
-        return other.capitalize() if word[0].isupper() else other
-
-    return _LEFT_RIGHT.sub(exchanged, text)
-
-
 @dataclass(frozen=True)
 class Row:
     """One row of a table, as training uses it."""
@@ -164,23 +138,23 @@ def open_table(table: Table | Path | str) -> Table:
 
 def read_rows(table: Table, split: str) -> Iterator[list[Row]]:
     """The rows of a split in the order of the table, some hundred at a time."""
-    own = ("captions",) if isinstance(table, CorpusTable) else ("text", "goal_location")
-    for chunk in table.chunks(split=split, columns=[*own, *_MOTION]):
-        corpus = isinstance(table, CorpusTable)
-        joints = chunk.joints
-        offsets = chunk.offsets
+    corpus = isinstance(table, CorpusTable)
+    own = ("captions",) if corpus else ("text", "goal_location")
+    for chunk in table.chunks(split=split, columns=[*own, "joints", "previous_joints", "next_joints"]):
         before = chunk.poses("previous_joints")
         after = chunk.poses("next_joints")
-        goals = np.full((len(chunk), 3), np.nan) if corpus else chunk.vectors("goal_location")
-        texts = _captions(chunk) if corpus else [(text,) for text in chunk.strings("text")]
-        yield [
-            Row(
-                name,
-                texts[i],
-                Motion(joints[offsets[i] : offsets[i + 1]], before[i], after[i], goals[i].astype(np.float32)),
-            )
-            for i, name in enumerate(chunk.sequence_ids)
-        ]
+        if corpus:
+            goals = np.full((len(chunk), 3), np.nan)
+            captions = chunk.batch.column("captions").to_pylist()
+            texts = [tuple(caption["text"] for caption in row) for row in captions]
+        else:
+            goals = chunk.vectors("goal_location")
+            texts = [(text,) for text in chunk.strings("text")]
+        rows = []
+        for i, name in enumerate(chunk.sequence_ids):
+            joints = chunk.joints[chunk.offsets[i] : chunk.offsets[i + 1]]
+            rows.append(Row(name, texts[i], Motion(joints, before[i], after[i], goals[i].astype(np.float32))))
+        yield rows
 
 
 REFIT = "train+validation"
@@ -212,31 +186,19 @@ def frame_rate(table: Table, split: str) -> float:
     return float(rates[0])
 
 
-def holds_mirrored(table: Table) -> bool:
-    """Return True for a corpus that brings mirrored copies of its own."""
-    return isinstance(table, CorpusTable) and bool(np.any(table.scalars(columns=["mirrored"])["mirrored"].to_numpy()))
-
-
-def _captions(chunk: SequenceChunk) -> list[tuple[str, ...]]:
-    captions = chunk.batch.column("captions").to_pylist()
-    return [tuple(caption["text"] for caption in row) for row in captions]
-
-
 _POSE = pa.list_(pa.float32(), 3 * N_JOINTS)
-
-STORE = pa.schema(
-    [
-        pa.field("sequence_id", pa.string(), nullable=False),
-        pa.field("texts", pa.list_(pa.string()), nullable=False),
-        pa.field("n_frames", pa.int32(), nullable=False),
-        pa.field("joints", pa.list_(_POSE), nullable=False),
-        pa.field("previous_joints", _POSE, nullable=False),
-        pa.field("next_joints", _POSE, nullable=False),
-        pa.field("goal_location", pa.list_(pa.float32(), 3), nullable=False),
-        pa.field("features", pa.list_(pa.list_(pa.float32(), N_FEATURES)), nullable=False),
-    ]
-)
+_COLUMNS = {
+    "sequence_id": pa.string(),
+    "texts": pa.list_(pa.string()),
+    "n_frames": pa.int32(),
+    "joints": pa.list_(_POSE),
+    "previous_joints": _POSE,
+    "next_joints": _POSE,
+    "goal_location": pa.list_(pa.float32(), 3),
+    "features": pa.list_(pa.list_(pa.float32(), N_FEATURES)),
+}
 """One row a motion. One that is longer than an item may be has no features, because each of its crops has its own."""
+_SCHEMA = pa.schema([pa.field(name, kind, nullable=False) for name, kind in _COLUMNS.items()])
 
 
 class FeatureStore:
@@ -244,100 +206,60 @@ class FeatureStore:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._open()
+        with pa.memory_map(str(path)) as source:  # the batches keep the mapping alive
+            self.table = pa.ipc.open_file(source).read_all()
+        self._blocks = [_arrays(batch) for batch in self.table.to_batches()]
+        self._starts = np.cumsum([0, *(len(block["n_frames"]) for block in self._blocks)])
+        self.n_frames: Int[np.ndarray, " rows"] = self.table["n_frames"].to_numpy().astype(np.int64)
+        self.sequence_ids: list[str] = self.table["sequence_id"].to_pylist()
 
     def __len__(self) -> int:
         return len(self.n_frames)
 
-    def sequence_id(self, row: int) -> str:
-        """The id of a row; that of a mirrored copy ends with ``#mirrored``."""
-        block, place = self._at(row)
-        return block.batch.column("sequence_id")[place].as_py()
-
     def texts(self, row: int) -> tuple[str, ...]:
         """All captions of a row."""
-        block, place = self._at(row)
-        return tuple(block.batch.column("texts")[place].as_py())
+        return tuple(self.table["texts"][row].as_py())
 
-    def motion(self, row: int) -> Motion:
-        """The whole motion of a row: views of the file, not to be written to."""
-        block, place = self._at(row)
-        return Motion(
-            joints=block.joints[block.joint_offsets[place] : block.joint_offsets[place + 1]],
-            previous_joints=block.previous_joints[place],
-            next_joints=block.next_joints[place],
-            goal_location=block.goal_location[place],
-        )
+    def row(self, row: int) -> tuple[Motion, Float[np.ndarray, "n 263"] | None]:
+        """The whole motion of a row and its features, which are None for one that has to be cut first.
 
-    def features(self, row: int) -> Float[np.ndarray, "n 263"] | None:
-        """Features of a row, a view of the file; None for a motion that has to be cut first."""
-        block, place = self._at(row)
-        start, stop = block.feature_offsets[place : place + 2]
-        return block.features[start:stop] if stop > start else None
-
-    def _open(self) -> None:
-        with pa.memory_map(str(self.path)) as source:  # the batches keep the mapping alive
-            reader = pa.ipc.open_file(source)
-            self._blocks = [_Block.of(reader.get_batch(i)) for i in range(reader.num_record_batches)]
-        counts = [block.batch.num_rows for block in self._blocks]
-        self._starts = np.concatenate(([0], np.cumsum(counts)))
-        # An empty store has no blocks, and concatenate needs at least one array.
-        lengths = [block.batch.column("n_frames").to_numpy() for block in self._blocks]
-        self.n_frames: Int[np.ndarray, " rows"] = np.concatenate([np.empty(0, np.int32), *lengths]).astype(np.int64)
-
-    def _at(self, row: int) -> tuple[_Block, int]:
-        if not 0 <= row < len(self):
-            raise IndexError(f"row {row} of {len(self)}")
+        Both are views of the file, not to be written to.
+        """
         index = int(np.searchsorted(self._starts, row, side="right")) - 1
-        return self._blocks[index], int(row - self._starts[index])
+        block = self._blocks[index]
+        place = row - int(self._starts[index])
+        parts = {}
+        for name in ("joints", "features"):
+            first, last = block[f"{name}_offsets"][place : place + 2]
+            parts[name] = block[name][first:last]
+        others = {name: block[name][place] for name in ("previous_joints", "next_joints", "goal_location")}
+        features = parts["features"]
+        return Motion(joints=parts["joints"], **others), features if len(features) else None
 
-    def __getstate__(self) -> dict[str, Path]:
-        return {"path": self.path}
+    def __getstate__(self) -> Path:
+        return self.path
 
-    def __setstate__(self, state: dict[str, Path]) -> None:
-        self.path = state["path"]
-        self._open()
-
-
-@dataclass(frozen=True)
-class _Block:
-    """The arrays of one record batch: views of the mapped file."""
-
-    batch: pa.RecordBatch
-    joints: np.ndarray
-    joint_offsets: np.ndarray
-    features: np.ndarray
-    feature_offsets: np.ndarray
-    previous_joints: np.ndarray
-    next_joints: np.ndarray
-    goal_location: np.ndarray
-
-    @classmethod
-    def of(cls, batch: pa.RecordBatch) -> _Block:
-        joints = batch.column("joints")
-        features = batch.column("features")
-        return cls(
-            batch,
-            _values(joints.values).reshape(-1, N_JOINTS, 3),
-            joints.offsets.to_numpy(),
-            _values(features.values),
-            features.offsets.to_numpy(),
-            _values(batch.column("previous_joints")).reshape(-1, N_JOINTS, 3),
-            _values(batch.column("next_joints")).reshape(-1, N_JOINTS, 3),
-            _values(batch.column("goal_location")),
-        )
+    def __setstate__(self, path: Path) -> None:
+        self.__init__(path)
 
 
-def _values(vectors: pa.FixedSizeListArray) -> np.ndarray:
-    return vectors.values.to_numpy(zero_copy_only=True).reshape(-1, vectors.type.list_size)
+def _arrays(batch: pa.RecordBatch) -> dict[str, np.ndarray]:
+    """The arrays of one record batch by name: views of the mapped file."""
+    arrays = {"n_frames": batch.column("n_frames").to_numpy()}
+    for name in ("joints", "previous_joints", "next_joints", "goal_location", "features"):
+        vectors = batch.column(name)
+        if name in ("joints", "features"):
+            arrays[f"{name}_offsets"] = vectors.offsets.to_numpy()
+            vectors = vectors.values
+        values = vectors.values.to_numpy(zero_copy_only=True).reshape(-1, vectors.type.list_size)
+        arrays[name] = values.reshape(-1, N_JOINTS, 3) if vectors.type == _POSE else values
+    return arrays
 
 
 Crop = Literal["end", "random"]
 
 _IN_PROCESS = InProcess()
-_VERSION = "1"  # of what is kept; raise it when cutting, mirroring or the columns change
-_ABANDONED_S = 3600.0
-"""A half-written file that nobody wrote to for so long was left by a process that was killed."""
+_VERSION = "1"  # of what is kept; raise it when cutting or the columns change
 
 
 class LeftOut(msgspec.Struct, frozen=True):
@@ -345,6 +267,14 @@ class LeftOut(msgspec.Struct, frozen=True):
 
     sequence_id: str
     reason: str
+
+
+class _Notes(msgspec.Struct, frozen=True):
+    """Notes on a store, kept beside its rows."""
+
+    files: list[tuple[int, int]]
+    """Size and time of change of the table's files when the store was made."""
+    left_out: tuple[LeftOut, ...]
 
 
 def table_store(
@@ -366,28 +296,28 @@ def table_store(
         TableError: if the rows are not those that the table's own description promises, or none of them can be used.
         StorageError: if the store cannot be written.
     """
-    path = cache / f"{_key(table, split, encoding)}.arrow"
+    # Whatever decides the features is part of the name, so that a stale store is never opened.
+    decisive = (split, encoding.mode, encoding.max_frames, encoding.crop)
+    digest = text_digest(_VERSION, _representation_digest(), table.info.content_digest, *map(str, decisive))
+    path = cache / f"{table.info.dataset}-{split}-{digest[:24]}.arrow"
+    part = "clips" if isinstance(table, CorpusTable) else "sequences"
+    stats = [file.stat() for file in table_parts(table.folder, part)]
+    files = [(stat.st_size, stat.st_mtime_ns) for stat in stats]
     found = _opened(path)
     if found is None:
         # Make the store and its notes, unless another process has made them while this one waited for it.
         with in_turn(path), sole_writer(path.with_suffix(".json")):
             found = _opened(path)
             if found is None:
-                _make(table, split, encoding, path, engine)
+                _ = table.content  # refuses a table whose rows are not those of its own description
+                left_out = _make(table, split, encoding, path, engine)
+                write_json(path.with_suffix(".json"), msgspec.to_builtins(_Notes(files, left_out)))
                 found = _opened(path)
         assert found is not None, "what was just made can be opened"
     notes, store = found
-    if notes.files != _files(table):
-        _require_unchanged(table)  # another copy of the same table is welcome
+    if notes.files != files:
+        _ = table.content  # another copy of the same table is welcome
     return store, notes.left_out
-
-
-class _Notes(msgspec.Struct, frozen=True):
-    """Notes on a store, kept beside its rows."""
-
-    files: list[tuple[int, int]]
-    """Size and time of change of the table's files when the store was made."""
-    left_out: tuple[LeftOut, ...]
 
 
 def _opened(path: Path) -> tuple[_Notes, FeatureStore] | None:
@@ -399,18 +329,6 @@ def _opened(path: Path) -> tuple[_Notes, FeatureStore] | None:
         return None
 
 
-def _files(table: Table) -> list[tuple[int, int]]:
-    name = "clips" if isinstance(table, CorpusTable) else "sequences"
-    return [(path.stat().st_size, path.stat().st_mtime_ns) for path in table_parts(table.folder, name)]
-
-
-def _key(table: Table, split: str, encoding: DataConfiguration) -> str:
-    parts = (split, encoding.mode, encoding.max_frames, encoding.crop, encoding.mirrored)
-    # Whatever decides the features is part of the name, so that a stale store is never opened.
-    digest = text_digest(_VERSION, _representation_digest(), table.info.content_digest, *map(str, parts))
-    return f"{table.info.dataset}-{split}-{digest[:24]}"
-
-
 def _representation_digest() -> str:
     """Digest of the source files of the representation: features that other code made are never taken over."""
     digest = hashlib.sha256()
@@ -420,26 +338,12 @@ def _representation_digest() -> str:
     return digest.hexdigest()
 
 
-def _require_unchanged(table: Table) -> None:
-    """Refuse a table whose rows are not those of its own description.
-
-    Raises:
-        TableError: naming it.
-    """
-    _ = table.content
-
-
-def _make(table: Table, split: str, encoding: DataConfiguration, path: Path, engine: Engine) -> None:
-    files = _files(table)
-    _require_unchanged(table)
-    # Delete what killed processes left half-written; other processes may be writing theirs right now.
-    for left in path.parent.glob(".*.partial.arrow") if path.parent.is_dir() else ():
-        if time.time() - left.stat().st_mtime > _ABANDONED_S:
-            left.unlink(missing_ok=True)
+def _make(table: Table, split: str, encoding: DataConfiguration, path: Path, engine: Engine) -> tuple[LeftOut, ...]:
+    """Write the store, and return the rows that are not in it."""
     left_out: list[LeftOut] = []
     kept = 0
-    with atomic_path(path) as temporary, pyarrow.ipc.new_file(str(temporary), STORE) as writer:
-        for batch, unusable in engine.map(_Encoder(encoding), read_rows(table, split)):
+    with atomic_path(path) as temporary, pyarrow.ipc.new_file(str(temporary), _SCHEMA) as writer:
+        for batch, unusable in engine.map(partial(_encoded_rows, encoding=encoding), read_rows(table, split)):
             left_out += unusable
             if batch.num_rows:
                 writer.write_batch(batch)
@@ -450,59 +354,40 @@ def _make(table: Table, split: str, encoding: DataConfiguration, path: Path, eng
                 f"{table.folder}: expected rows of split '{split}' to train on,"
                 f" found {len(left_out)} that cannot be used.{example}"
             )
-        write_json(path.with_suffix(".json"), msgspec.to_builtins(_Notes(files, tuple(left_out))))
+    return tuple(left_out)
 
 
-@dataclass(frozen=True)
-class _Encoder:
-    """Encodes some rows of a table; goes to a worker as it is."""
-
-    encoding: DataConfiguration
-
-    def __call__(self, rows: list[Row]) -> tuple[pa.RecordBatch, list[LeftOut]]:
-        """Return the rows of the store, and those that cannot be used."""
-        left_out: list[LeftOut] = []
-        return _encoded_rows(rows, self.encoding, left_out), left_out
-
-
-def _encoded_rows(rows: list[Row], encoding: DataConfiguration, left_out: list[LeftOut]) -> pa.RecordBatch:
-    """The rows of the store for some rows of a table; those that cannot be used are noted instead."""
-    stored: list[tuple[Row, np.ndarray]] = []
-    for row in rows:
-        try:
-            stored += [(each, _features(each, encoding)) for each in _versions(row, encoding)]
-        except InputFileError as error:
-            left_out.append(LeftOut(row.sequence_id, str(error)))
-    motions = [row.motion for row, _ in stored]
-    columns: dict[str, list] = {
-        "sequence_id": [row.sequence_id for row, _ in stored],
-        "texts": [list(row.texts) for row, _ in stored],
-        "n_frames": [motion.n_frames for motion in motions],
-        "joints": [motion.joints.reshape(motion.n_frames, -1) for motion in motions],
-        "previous_joints": [motion.previous_joints for motion in motions],
-        "next_joints": [motion.next_joints for motion in motions],
-        "goal_location": [motion.goal_location for motion in motions],
-        "features": [features for _, features in stored],
-    }
-    return pa.RecordBatch.from_arrays([column(columns[field.name], field.type) for field in STORE], schema=STORE)
-
-
-def _versions(row: Row, encoding: DataConfiguration) -> list[Row]:
-    """The row as items will show it, cut to its end where that is asked for, and its mirrored copy."""
-    motion = row.motion
+def _encoded_rows(rows: list[Row], encoding: DataConfiguration) -> tuple[pa.RecordBatch, list[LeftOut]]:
+    """The rows of the store for some rows of a table, and those that cannot be used."""
+    left_out: list[LeftOut] = []
+    columns: dict[str, list] = {name: [] for name in _COLUMNS}
     longest = encoding.max_frames
-    if motion.n_frames > longest and encoding.crop == "end":
-        row = Row(row.sequence_id, row.texts, cut(motion, motion.n_frames - longest, longest, name=row.sequence_id))
-    if not encoding.mirrored:
-        return [row]
-    texts = tuple(mirrored_text(text) for text in row.texts)
-    return [row, Row(f"{row.sequence_id}#mirrored", texts, mirrored(row.motion))]
-
-
-def _features(row: Row, encoding: DataConfiguration) -> np.ndarray:
-    """Features of a motion that is not longer than an item may be; none of a longer one, whose crops are encoded."""
-    if row.motion.n_frames <= encoding.max_frames:
-        return encoded(row.motion, encoding.mode, name=row.sequence_id)
-    check_joints(row.motion.joints, source=row.sequence_id, upright=False)
-    check_headings(row.motion.joints, name=row.sequence_id)  # any of its frames may become the first
-    return np.empty((0, N_FEATURES), dtype=np.float32)
+    for row in rows:
+        name = row.sequence_id
+        motion = row.motion
+        try:
+            if motion.n_frames > longest and encoding.crop == "end":
+                motion = cut(motion, motion.n_frames - longest, longest, name=name)
+            if motion.n_frames <= longest:
+                features = encoded(motion, encoding.mode, name=name)
+            else:
+                check_joints(motion.joints, source=name, upright=False)
+                check_headings(motion.joints, name=name)  # any of its frames may become the first
+                features = np.empty((0, N_FEATURES), dtype=np.float32)
+        except InputFileError as error:
+            left_out.append(LeftOut(name, str(error)))
+            continue
+        stored = {
+            "sequence_id": name,
+            "texts": list(row.texts),
+            "n_frames": motion.n_frames,
+            "joints": motion.joints.reshape(motion.n_frames, -1),
+            "previous_joints": motion.previous_joints,
+            "next_joints": motion.next_joints,
+            "goal_location": motion.goal_location,
+            "features": features,
+        }
+        for key, value in stored.items():
+            columns[key].append(value)
+    arrays = [column(columns[name], kind) for name, kind in _COLUMNS.items()]
+    return pa.RecordBatch.from_arrays(arrays, schema=_SCHEMA), left_out

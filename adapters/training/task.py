@@ -21,7 +21,6 @@ from prbench.errors import UsageError
 from prbench.randomness import named_generator
 
 if TYPE_CHECKING:
-    from prbench.contract import Adapter
     from prbench_adapters.training.batches import WindowChoice, WindowsDataset
     from prbench_adapters.training.dataset import MotionBatch, SequenceDataset
 
@@ -84,8 +83,7 @@ class TrainingModule(nn.Module):
     origin: tuple[str, ...] = ()
     """Lines for the card: initial weights, text encoder, whatever else the weights build upon."""
     calls: int = 1
-    """Number of calls of :meth:`forward` in the whole training, validation apart: modules that train one network after
-    the other take the time of their phases from."""
+    """Steps of the whole training: modules that train one network after the other take their phases from it."""
 
     def forward(self, batch: MotionBatch, step: int) -> dict[str, torch.Tensor]:
         """Losses of one batch: scalars by name.
@@ -108,14 +106,6 @@ class TrainingModule(nn.Module):
         (:mod:`prbench_adapters.training.weights`). Frozen parts that have weights of their own stay out.
         """
         raise NotImplementedError
-
-    def adapter(self, device: str) -> Adapter | None:  # noqa: ARG002 - for those that have one
-        """The method that generates with the weights as they are now, for validation; None if there is none."""
-        return None
-
-    def learned_from(self) -> tuple[str, ...]:
-        """Lines for the card about what the weights build upon."""
-        return self.origin
 
     def learning_rate_factor(self, step: int) -> float:  # noqa: ARG002 - for those that have phases of their own
         """Factor on the learning rate of the configuration, for the optimiser's step that begins with this call."""

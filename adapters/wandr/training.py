@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +12,6 @@ import msgspec
 import torch
 from jaxtyping import Bool, Float, Int
 
-from prbench.contract import Adapter
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import Joint
 from prbench.representation.encoding import MIRRORED_JOINTS
@@ -22,7 +20,6 @@ from prbench_adapters.kinematics import rest_offsets, root_orientation
 from prbench_adapters.training import MotionBatch, collate
 from prbench_adapters.training.task import TrainingData, TrainingModule, split_model_table
 from prbench_adapters.training.weights import Weights, origin_of, read_weights
-from prbench_adapters.wandr.adapter import WANDR
 from prbench_adapters.wandr.network import (
     JOINTS,
     KIND,
@@ -391,11 +388,6 @@ class WandrTraining(TrainingModule):
     def weights(self) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         """The network with its statistics, and the header of its file."""
         return contents(self.network)
-
-    def adapter(self, device: str) -> Adapter:
-        """``wandr`` with a copy of the weights as they are now."""
-        network = copy.deepcopy(self.network).to(device).eval().requires_grad_(False)
-        return WANDR(network if device.startswith("mps") else network.double(), Path("the network in training"))
 
 
 FREE_TO_CHANGE = frozenset({"dropout", "original_deviation", "most_speed"})

@@ -263,10 +263,6 @@ class EvaluatorTraining(TrainingModule):
         }
         return tensors, metadata
 
-    def learned_from(self) -> tuple[str, ...]:
-        """The text vectors and the initial weights."""
-        return self.origin
-
     def gradient_groups(self) -> tuple[tuple[nn.Parameter, ...], ...]:
         """Each network's gradient is clipped by its own norm."""
         networks = (self.movement, self.decoder, self.motion, self.text)

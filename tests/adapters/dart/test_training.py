@@ -233,7 +233,7 @@ def test_fine_tuning_keeps_statistics_and_may_keep_the_vae(data, batch, tmp_path
     assert torch.equal(after.latent_std, before.latent_std)
     assert not after.moment(0).vae
     assert torch.equal(after.vae.decoder_head.weight, before.vae.decoder_head.weight)
-    assert "before.safetensors" in after.learned_from()[1]
+    assert "before.safetensors" in after.origin[1]
     assert _build(data, initial=path).latent_std.item() == 0  # measured anew, because the VAE changes
     with pytest.raises(InputFileError, match=r"configuration\.layers: expected 3.*Add --set model\.layers=2"):
         _build(data, initial=path, layers=3)
@@ -259,7 +259,6 @@ def test_what_does_not_fit_is_refused(model, message, data):
 
 @pytest.mark.parametrize("stopped_after", [2, 4])
 def test_a_stopped_training_goes_on_to_the_same_bits_in_either_phase(data, tmp_path, monkeypatch, stopped_after):
-    monkeypatch.setattr("prbench_adapters.training.report.draw_curves", lambda *arguments: None)
     settings = OptimisationConfiguration(steps=6, learning_rate=1e-3, ema=0.9, save_every=9, log_every=1)
     configuration = TrainingConfiguration(model={}, training=settings)
 

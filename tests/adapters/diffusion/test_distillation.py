@@ -156,7 +156,7 @@ def test_the_file_is_one_of_an_ordinary_model_of_few_steps_that_names_its_teache
     assert configuration.diffusion_steps == 2
     own = network(configuration).state_dict()
     assert {name for name in tensors if name.startswith("denoiser.")} == {f"denoiser.{name}" for name in own}
-    (line,) = (line for line in module.learned_from() if line.startswith("distilled from"))
+    (line,) = (line for line in module.origin if line.startswith("distilled from"))
     assert "teacher.safetensors, sha256 " in line
     assert line.endswith("of 6 diffusion steps; network passes a motion: 2")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from dataclasses import fields, replace
 from itertools import chain, islice
 
@@ -14,7 +13,7 @@ import torch
 
 from prbench.errors import UsageError
 from prbench_adapters.training import LengthBatches, MotionBatch, SequenceDataset, collate
-from prbench_adapters.training.batches import WaitingClock, load_batches
+from prbench_adapters.training.batches import load_batches
 from tests.adapters.training.tables import corpus_table, sequence_table
 
 
@@ -73,20 +72,6 @@ def test_fewer_workers_than_none_are_refused(data):
         load_batches(data, LengthBatches(data, 4), workers=-1)
 
 
-def test_the_clock_tells_waiting_from_work():
-    def slow():
-        for _ in range(3):
-            time.sleep(0.03)
-            yield None
-
-    clock = WaitingClock()
-    assert clock.fraction == 0.0
-    for _ in clock.timed(slow()):
-        time.sleep(0.01)
-    assert clock.waited >= 0.09
-    assert 0.5 < clock.fraction < 0.95
-
-
 def test_loading_data_needs_no_lightning():
     code = "import sys, prbench_adapters.training.batches; sys.exit(any('lightning' in name for name in sys.modules))"
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -111,18 +96,14 @@ def lengths():
     return np.random.default_rng(3).integers(40, 241, size=1000)
 
 
-@pytest.mark.parametrize("unit", ["sequences", "frames"])
-def test_a_run_goes_on_at_any_step(lengths, unit):
-    size = {"sequences": 16, "frames": 16 * 241}[unit]
-    whole = planned(lengths, size, 5, unit=unit, n=150)
+def test_a_run_goes_on_at_any_step(lengths):
+    whole = planned(lengths, 16, 5, n=150)
     for start in (1, 61, 62, 63, 125, 149):
-        assert planned(lengths, size, 5, unit=unit, n=1, start_step=start) == whole[start : start + 1]
+        assert planned(lengths, 16, 5, n=1, start_step=start) == whole[start : start + 1]
 
 
-@pytest.mark.parametrize("unit", ["sequences", "frames"])
-def test_processes_share_a_step_without_a_common_item(lengths, unit):
-    size = {"sequences": 8, "frames": 8 * 241}[unit]
-    first, second = (planned(lengths, size, 5, rank, 2, unit=unit, n=30) for rank in (0, 1))
+def test_processes_share_a_step_without_a_common_item(lengths):
+    first, second = (planned(lengths, 8, 5, rank, 2, n=30) for rank in (0, 1))
     seen = [set(chain(*batches)) for batches in (first, second)]
     assert not seen[0] & seen[1]
     assert all(len(one) == len(other) for one, other in zip(first, second))
@@ -148,10 +129,8 @@ def test_another_seed_gives_another_order(lengths):
     assert planned(lengths, 16, 5) != planned(lengths, 16, 6)
 
 
-@pytest.mark.parametrize("unit", ["sequences", "frames"])
-def test_little_padding_is_trained(lengths, unit):
-    size = {"sequences": 16, "frames": 16 * 241}[unit]
-    batches = [lengths[[index for index, _ in batch]] for batch in planned(lengths, size, 5, unit=unit)]
+def test_little_padding_is_trained(lengths):
+    batches = [lengths[[index for index, _ in batch]] for batch in planned(lengths, 16, 5)]
     padded = sum(len(batch) * batch.max() for batch in batches)
     assert 1 - sum(batch.sum() for batch in batches) / padded < 0.06  # 30 % in random order
 
@@ -160,12 +139,6 @@ def test_batches_of_long_and_of_short_items_come_in_any_order(lengths):
     longest = [lengths[[index for index, _ in batch]].max() for batch in planned(lengths, 16, 5)]
     steps = np.sign(np.diff(longest))
     assert 10 < (steps > 0).sum() < 30
-
-
-def test_batches_by_frames_never_hold_more(lengths):
-    for batch in planned(lengths, 2000, 5, unit="frames", n=200):
-        chosen = lengths[[index for index, _ in batch]]
-        assert len(chosen) * chosen.max() <= 2000
 
 
 def test_a_small_set_is_shown_several_times_with_new_draws():
@@ -180,8 +153,3 @@ def test_a_small_set_is_shown_several_times_with_new_draws():
 def test_numbers_out_of_range_are_refused(lengths, arguments, message):
     with pytest.raises(UsageError, match=message):
         planned(lengths, *arguments)
-
-
-def test_a_batch_of_frames_that_holds_no_item_is_refused(lengths):
-    with pytest.raises(UsageError, match="longest item"):
-        planned(lengths, 200, unit="frames")

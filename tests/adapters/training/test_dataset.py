@@ -12,7 +12,6 @@ from prbench.errors import TableError, UsageError
 from prbench.geometry.skeleton import Joint, facing_yaw
 from prbench.representation import canonicalise, encode
 from prbench_adapters.training.dataset import SequenceDataset
-from prbench_adapters.training.store import mirrored_text
 from tests.adapters.training.tables import CAPTIONS, corpus_table, sequence_table
 
 
@@ -142,22 +141,6 @@ def test_rows_of_another_split_are_never_seen(table, cache):
     assert not seen["train"] & seen["test"]
 
 
-def test_a_mirrored_copy_stands_behind_its_row(table, corpus, cache):
-    plain, data = SequenceDataset(table, cache=cache), SequenceDataset(table, mirrored=True, cache=cache)
-    assert len(data) == 2 * len(plain)
-    item, copy = data[0], data[1]
-    np.testing.assert_array_equal(item.joints, plain[0].joints)
-    assert copy.sequence_id == f"{item.sequence_id}#mirrored"
-    np.testing.assert_array_equal(copy.joints[:, Joint.LEFT_WRIST] * (-1, 1, 1), item.joints[:, Joint.RIGHT_WRIST])
-    np.testing.assert_array_equal(copy.goal_location * (-1, 1, 1), item.goal_location)
-    assert facing_yaw(copy.joints[0]) == pytest.approx(-facing_yaw(item.joints[0]), abs=1e-6)
-    assert "a person turns right" in SequenceDataset(corpus, mirrored=True, cache=cache).texts
-
-
-def test_a_mirrored_caption_swaps_left_and_right():
-    assert mirrored_text("Left, RIGHT, leftmost and bright") == "Right, LEFT, rightmost and bright"
-
-
 def test_a_row_that_cannot_be_encoded_is_left_out_and_told(tmp_path):
     def broken(row):
         if row.split != "train" or row.sequence_id != first:
@@ -192,15 +175,15 @@ def test_statistics_are_those_of_all_frames(table, cache):
 @pytest.mark.parametrize(("goal", "size"), [("pose", 198), ("location", 135)])
 def test_condition_statistics_are_in_metres_per_second_and_floored(table, cache, goal, size):
     data = SequenceDataset(table, max_frames=40, cache=cache)  # all are cut, so all start over the origin
-    found = data.condition_statistics(goal)
+    mean, std = data.condition_statistics(goal)
     items = [data[index] for index in range(len(data))]
-    assert found.mean.shape == found.std.shape == (size,)
+    assert mean.shape == std.shape == (size,)
     velocity = np.stack([(item.initial_joints[5] - item.previous_joints[5]) * 20 for item in items])
-    np.testing.assert_allclose(found.mean[66 + 15 : 66 + 18], velocity.mean(axis=0), atol=1e-5)
-    np.testing.assert_allclose(found.std[66 + 15 : 66 + 18], np.maximum(velocity.std(axis=0), 0.01), rtol=1e-4)
+    np.testing.assert_allclose(mean[66 + 15 : 66 + 18], velocity.mean(axis=0), atol=1e-5)
+    np.testing.assert_allclose(std[66 + 15 : 66 + 18], np.maximum(velocity.std(axis=0), 0.01), rtol=1e-4)
     last = np.stack([item.goal_joints[21] if goal == "pose" else item.goal_location for item in items])
-    np.testing.assert_allclose(found.mean[-3:], last.mean(axis=0), atol=1e-5)
-    assert found.std[[0, 2]].tolist() == pytest.approx([0.01, 0.01])
+    np.testing.assert_allclose(mean[-3:], last.mean(axis=0), atol=1e-5)
+    assert std[[0, 2]].tolist() == pytest.approx([0.01, 0.01])
 
 
 def test_a_corpus_has_no_goal_locations_to_learn(corpus, cache):

@@ -11,7 +11,7 @@ import torch
 from safetensors.torch import load_file
 
 from prbench.errors import TrainingError, TrainingStopped, UsageError
-from prbench.files.storage import read_json, write_json
+from prbench.files.storage import read_json
 from prbench_adapters.training.configuration import (
     OptimisationConfiguration,
     TrainingConfiguration,
@@ -19,18 +19,12 @@ from prbench_adapters.training.configuration import (
 )
 from prbench_adapters.training.loop import Progress, fit
 from prbench_adapters.training.weights import read_weights
-from tests.adapters.training.toy import Toy, random_batch, random_batches, rows_of, toy
+from tests.adapters.training.toy import Toy, random_batch, random_batches, toy
 
 SETTINGS = OptimisationConfiguration(
     steps=7, learning_rate=1e-2, schedule="cosine", warmup_steps=2, weight_decay=0.01, gradient_clip=0.5,
-    micro_batches=2, ema=0.9, save_every=3, log_every=4,
+    ema=0.9, save_every=3, log_every=4,
 )  # fmt: skip
-
-
-@pytest.fixture(autouse=True)
-def no_pictures(monkeypatch):
-    """Curves have tests of their own and would take most of the time here."""
-    monkeypatch.setattr("prbench_adapters.training.report.draw_curves", lambda *arguments: None)
 
 
 def configuration(**changes):
@@ -42,7 +36,7 @@ def signalled_in(step: int, number: signal.Signals):
 
     def batches(start: int):
         for place, batch in enumerate(random_batches(start), start=start):
-            if place == 2 * (step - 1):
+            if place == step - 1:
                 signal.raise_signal(number)
             yield batch
 
@@ -54,18 +48,6 @@ def final_files(out):
     checkpoint = sorted((out / "checkpoints").iterdir())[-1]
     rows = read_json(checkpoint / "state.json")["rows"]
     return (out / "weights.safetensors").read_bytes(), (checkpoint / "tensors.safetensors").read_bytes(), rows
-
-
-def test_a_checkpoint_of_version_0_5_0_with_times_in_its_state_goes_on(tmp_path):
-    with pytest.raises(TrainingStopped):
-        fit(toy(), signalled_in(5, signal.SIGTERM), configuration(), tmp_path)
-    checkpoint = tmp_path / "checkpoints" / "step-000000005"
-    times = read_json(checkpoint / "timing.json")
-    write_json(checkpoint / "state.json", {**read_json(checkpoint / "state.json"), "seconds": 40.0, "waited": 10.0})
-    (checkpoint / "timing.json").unlink()
-    state = fit(toy(), random_batches, configuration(), tmp_path)
-    assert 40.0 < state.seconds < 50.0
-    assert times["seconds"] < 40.0
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +131,7 @@ def test_ctrl_c_saves_and_has_its_own_exit_code(tmp_path):
 
 def test_one_plain_step_is_what_adamw_does_by_hand(tmp_path):
     settings = configuration(
-        steps=1, micro_batches=1, schedule="constant", warmup_steps=0, weight_decay=0.0, gradient_clip=None, ema=0.0
+        steps=1, schedule="constant", warmup_steps=0, weight_decay=0.0, gradient_clip=None, ema=0.0
     )
     by_hand, trained = toy(dropout=0.0), toy(dropout=0.0)
     by_hand(random_batch(0), 0)["loss"].backward()
@@ -159,29 +141,6 @@ def test_one_plain_step_is_what_adamw_does_by_hand(tmp_path):
         # After one step both moments are the gradient, so AdamW moves every weight by the learning rate.
         expected = parameter - 1e-2 * parameter.grad / (parameter.grad.abs() + 1e-8)
         torch.testing.assert_close(trained.network.get_parameter(name), expected, rtol=0, atol=1e-6)
-
-
-def test_micro_batches_of_one_length_train_like_one_batch(tmp_path):
-    def halves(start: int):
-        assert start == 0
-        for batch in random_batches(0):
-            yield rows_of(batch, slice(0, 2))
-            yield rows_of(batch, slice(2, 4))
-
-    class Noiseless(Toy):
-        def forward(self, batch, step):
-            error = (self.network(batch.features) - batch.features).square()
-            return {"loss": error.mean()}
-
-    def made():
-        torch.manual_seed(0)
-        return Noiseless(6, dropout=0.0)
-
-    whole, parts = made(), made()
-    fit(whole, random_batches, configuration(micro_batches=1), tmp_path / "whole")
-    fit(parts, halves, configuration(micro_batches=2), tmp_path / "parts")
-    for name, parameter in whole.network.named_parameters():
-        torch.testing.assert_close(parts.network.get_parameter(name), parameter, rtol=1e-4, atol=1e-5)
 
 
 def test_frozen_parameters_are_neither_trained_nor_in_the_checkpoint(tmp_path):
@@ -208,7 +167,7 @@ def test_a_loss_that_is_not_finite_stops_the_training_before_it_is_saved(tmp_pat
     class Diverging(Toy):
         def forward(self, batch, step):
             losses = super().forward(batch, step)
-            return {**losses, "loss": losses["loss"] * (float("nan") if step >= 6 else 1.0)}
+            return {**losses, "loss": losses["loss"] * (float("nan") if step >= 3 else 1.0)}
 
     with pytest.raises(TrainingError, match="'loss' is nan at step 4"):
         fit(Diverging(6), random_batches, configuration(), tmp_path)
@@ -262,10 +221,10 @@ def test_a_validation_that_a_stop_came_before_is_made_up_for(tmp_path):
 
 
 def test_a_module_knows_how_often_it_will_be_called_and_may_scale_the_learning_rate(tmp_path):
-    """Seven steps of two batches; the module halves the rate from its eighth call on."""
+    """Seven steps; the module halves the rate from its fifth call on."""
     module = toy()
-    module.learning_rate_factor = lambda step: 0.5 if step >= 8 else 1.0
+    module.learning_rate_factor = lambda step: 0.5 if step >= 4 else 1.0
     state = fit(module, random_batches, configuration(schedule="constant", warmup_steps=0, log_every=1), tmp_path)
-    assert module.calls == 14
+    assert module.calls == 7
     assert [row["learning_rate"] for row in state.rows] == pytest.approx([1e-2] * 4 + [5e-3] * 3)
     assert state.optimisers[0].param_groups[0]["lr"] == pytest.approx(5e-3)

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from prbench.errors import UsageError
 from prbench.files.storage import read_json, write_json
 from prbench_adapters.training.configuration import OptimisationConfiguration, TrainingConfiguration
 from prbench_adapters.training.dataset import MotionBatch
 from prbench_adapters.training.loop import fit, make_fabric
 from prbench_adapters.training.task import TrainingModule
-from tests.adapters.training.tables import sequence_table
 from tests.adapters.training.toy import random_batch, rows_of
 
 CONFIGURATION = TrainingConfiguration(
@@ -84,33 +78,3 @@ def test_two_processes_end_with_the_weights_of_one_with_all_the_data(tmp_path):
     assert [row["loss"] for row in rows] == pytest.approx([row["loss"] for row in state.rows], rel=1e-4)
     checkpoint = load_file(tmp_path / "together" / "checkpoints" / "step-000000005" / "tensors.safetensors")
     assert torch.equal(checkpoint["module.network.weight"], first)
-
-
-def test_several_machines_that_nobody_started_are_refused(monkeypatch):
-    for name in ("SLURM_JOB_ID", "TORCHELASTIC_RUN_ID", "MASTER_ADDR"):
-        monkeypatch.delenv(name, raising=False)
-    with pytest.raises(UsageError, match=r"--nodes 2: nothing says where the other machines are.*srun or torchrun"):
-        make_fabric("cpu", nodes=2)
-
-
-def _start(out: Path, data: Path, *arguments: str, **environment: str) -> subprocess.Popen:
-    command = [sys.executable, "-m", "prbench", "train", "--method", "pr", "--config", "smoke", "--stage", "finetune"]
-    command += ["--data", str(data), "--set", "training.steps=2", "--out", str(out), *arguments]
-    return subprocess.Popen(command, env={**os.environ, **environment}, stdout=subprocess.DEVNULL)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not torch.distributed.is_available(), reason="this build of torch has no process groups")
-def test_two_machines_end_in_the_bytes_of_one_with_two_devices(tmp_path):
-    """Two commands that find each other by an address stand for two machines."""
-    sequence_table(tmp_path / "table", n=60)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free.getsockname()[1])}
-    machines = [
-        _start(tmp_path / "two", tmp_path / "table", "--nodes", "2", NODE_RANK=rank, **address) for rank in ("0", "1")
-    ]
-    assert [machine.wait() for machine in machines] == [0, 0]
-    assert _start(tmp_path / "one", tmp_path / "table", "--devices", "2").wait() == 0
-    for name in ("weights.safetensors", "training.json"):
-        assert (tmp_path / "two" / name).read_bytes() == (tmp_path / "one" / name).read_bytes()

@@ -10,11 +10,9 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import nn
 
-from prbench.contract import Condition, ConditionBatch, Motions
 from prbench.errors import UsageError
 from prbench_adapters.training.dataset import MotionBatch
 from prbench_adapters.training.task import TrainingData, TrainingModule
@@ -22,17 +20,6 @@ from prbench_adapters.training.weights import read_weights
 
 SIGNAL_VARIABLE = "PRBENCH_TOY_SIGNAL"
 """``7:SIGKILL`` sends that signal to the process when batch 7 is computed."""
-
-
-class StandStill:
-    """Holds the initial pose."""
-
-    name = "stand-still"
-    conditions = frozenset({Condition.GOAL_LOCATION})
-
-    def generate(self, batch: ConditionBatch, *, seed: int) -> Motions:
-        assert batch.initial_joints is not None
-        return Motions(np.repeat(batch.initial_joints[:, None], int(batch.n_frames.max()), axis=1), batch.n_frames)
 
 
 class Toy(TrainingModule):
@@ -59,11 +46,7 @@ class Toy(TrainingModule):
         tensors = {f"toy.{name}": tensor for name, tensor in self.network.state_dict().items()}
         return tensors, {"kind": "toy", "configuration": f'{{"width":{self.width}}}'}
 
-    def adapter(self, device: str) -> StandStill:
-        return StandStill()
-
-    def learned_from(self) -> tuple[str, ...]:
-        return ("nothing much",)
+    origin = ("nothing much",)
 
 
 @dataclass(frozen=True)

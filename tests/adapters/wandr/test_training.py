@@ -348,7 +348,7 @@ def test_fine_tuning_goes_on_from_weights_and_keeps_their_statistics(data, tmp_p
         torch.equal(a, b) for a, b in zip(before.state_dict().values(), after.state_dict().values(), strict=True)
     )
     assert after.network.configuration.original_deviation
-    assert "before.safetensors" in after.learned_from()[0]
+    assert "before.safetensors" in after.origin[0]
     with pytest.raises(InputFileError, match=r"configuration\.layers: expected 4.*Add --set model\.layers=3"):
         _build(data, initial=path, layers=4)
 

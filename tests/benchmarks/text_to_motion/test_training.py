@@ -128,7 +128,7 @@ def test_two_stages_hand_over_the_movement_encoder(build, batch, saved):
     tensors, metadata = second.weights()
     assert metadata["kind"] == "t2m-evaluator"
     assert {name.partition(".")[0] for name in tensors} == {"movement", "motion", "text", "statistics"}
-    assert any("autoencoder.safetensors" in line for line in second.learned_from())
+    assert any("autoencoder.safetensors" in line for line in second.origin)
 
 
 def test_statistics_are_weighted_for_the_evaluator_and_handed_over(build, data, saved):
