@@ -13,7 +13,6 @@ from prbench.errors import InputFileError, UsageError
 from prbench_adapters import pr
 from prbench_adapters.diffusion.configuration import DenoiserConfiguration, EncodedCondition
 from prbench_adapters.diffusion.denoiser import FrameDenoiser
-from prbench_adapters.diffusion.generation import SamplingSettings
 from prbench_adapters.diffusion.model import network
 from prbench_adapters.diffusion.sampling import CosineSchedule, sample_ddim
 from prbench_adapters.diffusion.tasks import Distillation, student_of, teacher_walks
@@ -159,15 +158,6 @@ def test_the_file_is_one_of_an_ordinary_model_of_few_steps_that_names_its_teache
     (line,) = (line for line in module.origin if line.startswith("distilled from"))
     assert "teacher.safetensors, sha256 " in line
     assert line.endswith("of 6 diffusion steps; network passes a motion: 2")
-
-
-def test_validation_takes_the_passes_alone(data, teacher):
-    adapter = _student(data, teacher, 2).adapter("cpu")
-    assert isinstance(adapter, pr.PR)
-    (trained,) = adapter.models.values()
-    settings = trained.generation.settings
-    assert isinstance(settings, SamplingSettings)
-    assert (settings.sampler, settings.steps, settings.guidance) == ("ddim", None, 1.0)
 
 
 @pytest.mark.parametrize(
