@@ -177,7 +177,6 @@ _RECORDING = "Apartment_release_synthetic_seed0_seq000_M1292"
 _HEAVY = {
     "build-dataset all --out",
     "synthesize --out",
-    "synthesize --gallery",
     "run --view",
     "audit --out",
     "run --method all --out",
@@ -231,7 +230,6 @@ WRITING = (
         lambda _, out: ("synthesize", "adt", "--table", "--count", 1, "--events", 2, "--out", out),
     ),
     Writing("synthesize nymeria --out", lambda _, out: ("synthesize", "nymeria", "--count", 1, "--out", out)),
-    Writing("synthesize --gallery", lambda _, out: ("synthesize", "adt", "--gallery", out), "g.png"),
     Writing(
         "build-dataset --out, a shard",
         lambda given, out: (*_sharded(given)["table"], "--shard", "1/2", "--out", out),

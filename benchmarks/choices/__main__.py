@@ -10,13 +10,13 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from prbench.checking.verify_synthetic import match_events, on_clock
+from prbench.checking.verify_synthetic import match_events, true_events
 from prbench.curation import BuildOptions, CurationOptions, build_from_sources
 from prbench.curation.curate import curate_recording
 from prbench.curation.options import DEFAULTS
@@ -28,7 +28,6 @@ from prbench.protocol.manifests import BenchmarkProtocol, load_manifest, load_pr
 from prbench.protocol.own_protocol import FILE_NAME
 from prbench.recording import Recording
 from prbench.sequences import SequenceTable
-from prbench.synthetic.layouts import layout_for
 
 PRESET = "adt"
 RECORDINGS = 40
@@ -130,24 +129,17 @@ def main() -> None:
     acted: dict[str, Recording] = {}
     sources = [CachedSource(synthetic_source(staging, index), acted) for index in range(count)]
     # Map the id of each sequence of version 2 to the time at which its person means to look at the goal.
-    layout = layout_for(staging.preset)
-    looks = {}
+    planned = {}
     for index in range(count):
         performance = staging.perform(index)
-        offset = layout.clock_start(performance) - float(performance.times[0])
-        true = [
-            on_clock(replace(event, object_id=layout.object_id(event.object_id)), offset)
-            for event in layout.events(performance)
-        ]
         recording = staging.sense(performance)
         acted[recording.recording_id] = recording
         curated = curate_recording(recording, load_manifest(staging.preset), load_protocol())
-        for match in match_events(true, curated.events):
+        for match in match_events(true_events(staging.preset, performance), curated.events):
             if match.true is None or match.found is None or match.true.prime_planned is None:
                 continue
             if match.found.sequence_id is not None:
-                looks[match.found.sequence_id] = match.true.prime_planned
-    planned = looks
+                planned[match.found.sequence_id] = match.true.prime_planned
     print(_line("variant", *ABOUT, *SHOWN))
     print(_line(*["---"] * (1 + len(ABOUT) + len(SHOWN))))
     first: dict[str, float] = {}

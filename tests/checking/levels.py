@@ -7,11 +7,40 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from prbench.checking.verify_synthetic import LEVELS, SensorLevel, Verification
+from prbench.checking.verify_synthetic import Verification, staged_matches, verification
+from prbench.harness.synthetic_table import Staging
 from prbench.protocol.manifests import load_manifest
 
 _SLACK = 1e-4
 """Seconds by which clocks and rounding may move a sample."""
+
+
+@dataclass(frozen=True)
+class SensorLevel:
+    """One of the conditions under which curation is checked."""
+
+    name: str
+    noise: float
+    provoked: bool
+    """True if provocations are on, at their default share (docs/specification/synthetic-recordings.md#provocations)."""
+
+
+LEVELS = (
+    SensorLevel("ideal sensors", 0.0, provoked=False),
+    SensorLevel("default noise", 1.0, provoked=False),
+    SensorLevel("default noise, provocations", 1.0, provoked=True),
+    SensorLevel("twice the noise, provocations", 2.0, provoked=True),
+)
+
+
+def verify_level(
+    level: SensorLevel, *, preset: str = "adt", recordings: int, seed: int, n_events: int = 10
+) -> Verification:
+    """Act out recordings, sense them, curate them, and compare with what was acted out."""
+    staging = Staging(preset, seed, "default", n_events, level.noise, None if level.provoked else ())
+    matches = [match for index in range(recordings) for match in staged_matches(staging, index)]
+    return verification(matches, recordings=recordings)
+
 
 MOSTLY_SLOW = [
     pytest.param(level, id=level.name, marks=[pytest.mark.slow] if level is not LEVELS[2] else []) for level in LEVELS

@@ -65,9 +65,6 @@ def test_recall_precision_and_errors_by_hand() -> None:
     assert result.timing.bias == pytest.approx(0.4 / 3)
     assert result.timing.median == pytest.approx(0.1)
     assert result.prime.largest == pytest.approx(0.1)
-    assert result.location.median == pytest.approx(0.01)
-    assert result.confusion["sequence → not_found"] == 1
-    assert result.confusion["not_an_event → sequence"] == 1
 
 
 def test_priming_recall_and_false_primes_have_their_own_denominators() -> None:
@@ -88,27 +85,24 @@ def test_thin_and_lost_events_and_what_was_found_of_them_count_nowhere_else() ->
         [found(10.2), found(20.3, outcome="tracking_lost", stage="location"), found(40)],
     )
     result = verification(matches, recordings=1)
-    assert (result.true_events, result.found_events, result.thin) == (1, 1, 1)
-    assert result.lost == {"found": 0, "reported": 1, "missed": 1}
+    assert (result.true_events, result.thin, result.precision) == (1, 1, 1.0)
     assert result.timing.largest == 0.0
 
 
-def test_hands_are_right_wrong_or_unknown_and_may_contradict_their_own_wrists() -> None:
-    near, far = np.array([0.1, 0.0, 0.0]), np.array([0.5, 0.0, 0.0])
+def test_hands_are_right_wrong_or_unknown() -> None:
     matches = match_events(
         [true(10), true(20), true(30, hand="right"), true(40)],
-        [found(10), found(20, hand=None), found(30, left_wrist=far, right_wrist=near), found(40, left_wrist=near)],
+        [found(10), found(20, hand=None), found(30), found(40)],
     )
-    counts = verification(matches, recordings=1).hands
-    assert (counts.right, counts.wrong, counts.unknown, counts.contradicted) == (2, 1, 1, 1)
+    assert verification(matches, recordings=1).hands == {"right": 2, "wrong": 1, "unknown": 1}
 
 
-def test_every_sequence_that_is_missing_is_listed_with_what_decided() -> None:
+def test_every_sequence_that_is_missing_is_listed_with_its_outcome() -> None:
     unseen = {"prime": None, "outcome": "not_primed", "stage": "priming"}
     matches = match_events([true(10), true(20), true(30), true(40, thin=True)], [found(10), found(20, **unseen)])
     result = verification(matches, recordings=1)
     assert result.expected_sequences == 3
-    assert [miss.text for miss in result.missed_sequences] == ["e (pick): not_primed at priming", "e (pick): not_found"]
+    assert result.missed_sequences == ("e (pick): not_primed", "e (pick): not_found")
 
 
 def test_what_is_no_event_must_not_be_found() -> None:

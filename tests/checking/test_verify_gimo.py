@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.checking.verify_synthetic import verify_level, verify_tree
+from prbench.checking.verify_synthetic import verify_tree
 from prbench.curation import build_dataset, curate_recording
 from prbench.harness.synthetic_table import Staging, build_synthetic_table
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
-from tests.checking.levels import MOSTLY_SLOW, limits
+from tests.checking.levels import MOSTLY_SLOW, limits, verify_level
 from tests.synthetic.behaviour import TARGETS
 
 SEED = 301
@@ -31,7 +31,7 @@ def test_native_files_give_what_the_recording_exit_gives(tmp_path) -> None:
     synthesize_tree("gimo", tmp_path / "tree", recordings=1, seed=SEED, n_events=3, provocations={})
     result = verify_tree(tmp_path / "tree", dataset="gimo")
     assert (result.recall, result.precision) == (1.0, 1.0)
-    assert result.matched + result.thin == 3
+    assert result.true_events + result.thin == 3
     assert result.timing.largest < 1 / 30
     build_dataset("gimo", tmp_path / "tree", tmp_path / "native")
     build_synthetic_table("gimo", 1, SEED, tmp_path / "direct", n_events=3, provocations={})

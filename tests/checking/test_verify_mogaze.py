@@ -6,20 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from prbench.checking.verify_synthetic import (
-    LEVELS,
-    SensorLevel,
-    StagedComparison,
-    Staging,
-    verify_level,
-    verify_tree,
-)
+from prbench.checking.verify_synthetic import Staging, staged_matches, verify_tree
 from prbench.curation import build_dataset
 from prbench.harness.synthetic_table import build_synthetic_table
 from prbench.protocol.published import Spread
 from prbench.sequences import SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
-from tests.checking.levels import MOSTLY_SLOW, limits
+from tests.checking.levels import LEVELS, MOSTLY_SLOW, SensorLevel, limits, verify_level
 from tests.synthetic.behaviour import TARGETS, SequenceStatistics
 
 RECORDINGS, EVENTS, SEED = 2, 6, 301
@@ -37,7 +30,7 @@ def test_events_and_primes_are_found_within_the_limits(level: SensorLevel) -> No
 
 @pytest.mark.parametrize("tag", ["pass_by", "touch", "nudge", "hinge", "two_handed", "contained", "too_near", "lost"])
 def test_a_provocation_comes_to_what_it_should(tag: str) -> None:
-    matches = StagedComparison(Staging("mogaze", SEED, n_events=3, provocations=((tag, 0.6),)))(0)
+    matches = staged_matches(Staging("mogaze", SEED, n_events=3, provocations=((tag, 0.6),)), 0)
     assert not [match for match in matches if match.true is None], "nothing is found besides"
     provoked = [match for match in matches if match.true is not None and match.true.tag == tag and not match.true.thin]
     assert [m.outcome for m in provoked] == [m.expected.replace("not_an_event", "not_found") for m in provoked]

@@ -8,14 +8,11 @@ import msgspec
 import pytest
 
 from prbench.checking.verify_synthetic import (
-    LEVELS,
-    SensorLevel,
-    StagedComparison,
     Staging,
     Verification,
     match_events,
+    staged_matches,
     verification,
-    verify_level,
     verify_tree,
 )
 from prbench.curation import build_dataset, curate_recording
@@ -23,7 +20,7 @@ from prbench.harness.synthetic_table import build_synthetic_table
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
-from tests.checking.levels import MOSTLY_SLOW, limits
+from tests.checking.levels import LEVELS, MOSTLY_SLOW, SensorLevel, limits, verify_level
 
 RECORDINGS, SEED = 3, 301
 
@@ -55,7 +52,7 @@ def test_events_and_primes_are_found_within_the_limits(level: SensorLevel) -> No
     ],
 )
 def test_a_provocation_comes_to_what_it_should(tag: str, outcomes: set[str]) -> None:
-    matches = StagedComparison(Staging("adt", SEED, n_events=6, provocations=((tag, 0.6),)))(0)
+    matches = staged_matches(Staging("adt", SEED, n_events=6, provocations=((tag, 0.6),)), 0)
     provoked = [m for m in matches if m.true is not None and m.true.tag == tag and not m.true.thin]
     assert provoked, "the performance holds none"
     assert [m.outcome for m in provoked] == [m.expected.replace("not_an_event", "not_found") for m in provoked]
@@ -64,7 +61,7 @@ def test_a_provocation_comes_to_what_it_should(tag: str, outcomes: set[str]) -> 
 
 
 def test_lost_tracks_are_placed_or_reported() -> None:
-    matches = StagedComparison(Staging("adt", SEED, n_events=6, provocations=(("lost", 0.6),)))(1)
+    matches = staged_matches(Staging("adt", SEED, n_events=6, provocations=(("lost", 0.6),)), 1)
     lost = [m for m in matches if m.true is not None and m.true.tag == "lost"]
     assert lost
     assert all(m.found is not None for m in lost)

@@ -39,7 +39,6 @@ NAMED_ONLY = (
     ["analyse", "errors"],
     ["doctor"],
     ["view"],
-    ["synthesize", "--gallery"],
     ["explain", "--draw"],
     ["export-release"],
     ["run"],
