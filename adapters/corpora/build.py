@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 
@@ -20,7 +20,7 @@ from prbench.engine import Engine, InProcess, is_out_of_memory
 from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, PrbenchError
 from prbench.files.storage import require_replaceable, sole_writer, text_digest
-from prbench.protocol.manifests import Manifest, digest_of, load_protocol
+from prbench.protocol.manifests import digest_of, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.sequences import parts
 from prbench.sequences.corpus import (
@@ -59,14 +59,8 @@ class GroupReceipt(msgspec.Struct, frozen=True, kw_only=True):
     frames: int
 
 
-@dataclass(frozen=True)
-class FinishedGroup:
-    """A part and where it lies."""
-
-    folder: Path
-    receipt: GroupReceipt
-    reused: bool
-    """True if an earlier, interrupted build had made it."""
+_Finished = tuple[Path, GroupReceipt, bool]
+"""A part, where it lies, and True if an earlier, interrupted build had made it."""
 
 
 @dataclass(frozen=True)
@@ -78,173 +72,91 @@ class CorpusJob:
     stop_on_error: bool
     work: Path
 
-    def __call__(self, group: RecordingGroup) -> FinishedGroup:
+    def __call__(self, group: RecordingGroup) -> _Finished:
         """Make the part of one group."""
-        folder, digest = self._folder(group)
-        entries = parts.read_receipt(folder)
-        if entries is not None:
-            receipt = msgspec.convert(entries, GroupReceipt)
-            if all(record.status != "failed" for record in receipt.records):  # a failure may have passed: try again
-                return FinishedGroup(folder, receipt, reused=True)
-        done = [self._read(recording) for recording in group.recordings]
-        return FinishedGroup(folder, self._write(folder, group, digest, done), reused=False)
+        return self._made(group, None)
 
-    def if_full(self, group: RecordingGroup, error: PrbenchError) -> FinishedGroup:
+    def if_full(self, group: RecordingGroup, error: PrbenchError) -> _Finished:
         """Make the part of a group for which the memory does not suffice: nothing of it is read, and it says why."""
-        folder, digest = self._folder(group)
-        done = [self._failed(recording, error) for recording in group.recordings]
-        return FinishedGroup(folder, self._write(folder, group, digest, done), reused=False)
+        return self._made(group, error)
 
-    def _folder(self, group: RecordingGroup) -> tuple[Path, str]:
-        """Return the folder of the part, and the digest of its input."""
+    def _made(self, group: RecordingGroup, full: PrbenchError | None) -> _Finished:
         try:
             digest = group.input_digest()
         except (OSError, InputFileError) as error:
             digest = text_digest("unreadable", type(error).__name__)
-        return parts.part_folder(self.work, group.name, digest, self._settings_of(group)), digest
-
-    def _settings_of(self, group: RecordingGroup) -> str:
-        """Splits, participants and reasons to skip come from files that the recordings share, or from the manifest."""
+        # Splits, participants and reasons to skip come from files that the recordings share, or from the manifest.
         known = [
             text
             for recording in group.recordings
             for text in (*map(str, vars(recording.identity).values()), recording.skip_reason or "")
         ]
-        return text_digest(self.settings, *known)
-
-    def _write(
-        self, folder: Path, group: RecordingGroup, digest: str, done: list[tuple[ReadRecording, CorpusRecord]]
-    ) -> GroupReceipt:
+        folder = parts.part_folder(self.work, group.name, digest, text_digest(self.settings, *known))
+        entries = parts.read_receipt(folder)
+        if entries is not None and full is None:
+            receipt = msgspec.convert(entries, GroupReceipt)
+            if all(record.status != "failed" for record in receipt.records):  # a failure may have passed: try again
+                return folder, receipt, True
+        done = [self._read(recording, full) for recording in group.recordings]
         clips = [clip for read, _ in done for clip in sorted(read.clips, key=lambda clip: clip.sequence_id)]
+        records = tuple(record for _, record in done)
         batches = {
             "clips": clip_batch(clips),
             "annotations": annotation_batch(row for read, _ in done for row in read.annotations),
-            "recordings": corpus_recording_batch(record for _, record in done),
+            "recordings": corpus_recording_batch(records),
         }
         receipt = GroupReceipt(
             name=group.name,
             input_digest=digest,
-            records=tuple(record for _, record in done),
+            records=records,
             clips=len(clips),
             captions=sum(len(clip.captions) for clip in clips),
             approximate_clips=sum(clip.approximate for clip in clips),
             frames=sum(clip.n_frames for clip in clips),
         )
         parts.write_part(folder, batches, parts.plain(receipt))
-        return receipt
+        return folder, receipt, False
 
-    def _read(self, recording: CorpusRecording) -> tuple[ReadRecording, CorpusRecord]:
-        if recording.skip_reason is not None:
-            return _left_out(recording, "skipped", recording.skip_reason)
+    def _read(self, recording: CorpusRecording, full: PrbenchError | None) -> tuple[ReadRecording, CorpusRecord]:
+        identity = recording.identity
+        read = ReadRecording((), (), 0.0, clock_method="none")
+        status = "read"
+        message = ""
         try:
-            read = recording.read()
+            if full is not None:
+                raise full
+            if recording.skip_reason is None:
+                read = recording.read()
+                message = read.message
+            else:
+                status = "skipped"
+                message = recording.skip_reason
         except Exception as error:
-            if is_out_of_memory(error):
+            if full is None and is_out_of_memory(error):
                 raise  # the engine tries again when nothing else is done beside it
             # Whatever one recording does, the others go on; its message reaches the user with the build's report.
-            return self._failed(recording, error)
-        outcomes = Counter(row.outcome for row in read.annotations)
-        return read, _record(recording, read, outcomes, "read", read.message)
-
-    def _failed(self, recording: CorpusRecording, error: Exception) -> tuple[ReadRecording, CorpusRecord]:
-        known = isinstance(error, PrbenchError)
-        name = recording.identity.recording_id
-        if self.stop_on_error:
-            if known:
-                raise error
-            raise PrbenchError(f"{name}: unexpected {type(error).__name__}: {quoted(error)}") from error
-        message = str(error) if known else f"unexpected {type(error).__name__}: {quoted(error)}"
-        return _left_out(recording, "failed", recording.without_places(message))
-
-
-def describe(
-    dataset: str,
-    manifest: Manifest | None,
-    described: Mapping[str, str],
-    options: CorpusOptions,
-    receipts: Sequence[GroupReceipt],
-) -> CorpusInfo:
-    """Provenance of a build; its two digests are filled in when the tables are written."""
-    synthetic = dataset.startswith(SYNTHETIC_PREFIX)
-    protocol = load_protocol()
-    outcomes = Counter[str]()
-    for receipt in receipts:
-        for record in receipt.records:
-            outcomes.update(record.outcomes)
-    real = None if synthetic else manifest
-    statuses = Counter(record.status for receipt in receipts for record in receipt.records)
-    return CorpusInfo(
-        schema_version=CORPUS_SCHEMA_VERSION,
-        protocol_version=protocol.version,
-        protocol_digest=protocol.digest,
-        dataset=dataset,
-        title=_title(manifest, synthetic=synthetic),
-        synthetic=synthetic,
-        prbench_version=prbench.__version__,
-        manifest_digest="" if manifest is None else digest_of(manifest),
-        input_digest=text_digest(*(text for receipt in receipts for text in (receipt.name, receipt.input_digest))),
-        options={
-            "recordings": options.recordings,
-            "limit": "all" if options.limit is None else str(options.limit),
-            **described,
-        },
-        counts=CorpusCounts(
-            recordings_found=sum(statuses.values()),
-            recordings_read=statuses["read"],
-            recordings_failed=statuses["failed"],
-            recordings_skipped=statuses["skipped"],
-            annotations=sum(outcomes.values()),
-            clips=sum(receipt.clips for receipt in receipts),
-            captions=sum(receipt.captions for receipt in receipts),
-            approximate_clips=sum(receipt.approximate_clips for receipt in receipts),
-            frames=sum(receipt.frames for receipt in receipts),
-        ),
-        outcomes={outcome: outcomes[outcome] for outcome in ANNOTATION_OUTCOMES},
-        quarantine=tuple(
-            QuarantinedRecording(recording_id=record.recording_id, status=record.status, message=record.message)
-            for receipt in receipts
-            for record in receipt.records
-            if record.status != "read"
-        ),
-        identity_digest="",
-        content_digest="",
-        licence="MIT (invented by prbench, no recorded person)" if real is None else real.licence,
-        redistribution="yes" if real is None else real.redistribution,
-        homepage="" if real is None else real.homepage,
-        citation="" if real is None else real.citation.strip(),
-    )
-
-
-def _title(manifest: Manifest | None, *, synthetic: bool) -> str:
-    if manifest is None:
-        return "Invented people and what they do"
-    return f"Invented recordings in the layout of {manifest.title}" if synthetic else manifest.title
-
-
-def _left_out(
-    recording: CorpusRecording, status: Literal["failed", "skipped"], message: str
-) -> tuple[ReadRecording, CorpusRecord]:
-    nothing = ReadRecording((), (), 0.0, clock_method="none")
-    return nothing, _record(recording, nothing, Counter(), status, message)
-
-
-def _record(
-    recording: CorpusRecording, read: ReadRecording, outcomes: Counter[str], status: str, message: str
-) -> CorpusRecord:
-    identity = recording.identity
-    return CorpusRecord(
-        recording_id=identity.recording_id,
-        participant_id=identity.participant_id,
-        split=identity.split,
-        split_group=identity.split_group,
-        duration=read.duration,
-        outcomes=dict(outcomes),
-        clock_method=read.clock_method,
-        clock_quality=read.clock_quality,
-        status=status,
-        message=message,
-        measured=dict(read.measured),
-    )
+            known = isinstance(error, PrbenchError)
+            message = str(error) if known else f"unexpected {type(error).__name__}: {quoted(error)}"
+            if self.stop_on_error:
+                if known:
+                    raise
+                raise PrbenchError(f"{identity.recording_id}: {message}") from error
+            status = "failed"
+            message = recording.without_places(message)
+        record = CorpusRecord(
+            recording_id=identity.recording_id,
+            participant_id=identity.participant_id,
+            split=identity.split,
+            split_group=identity.split_group,
+            duration=read.duration,
+            outcomes=dict(Counter(row.outcome for row in read.annotations)),
+            clock_method=read.clock_method,
+            clock_quality=read.clock_quality,
+            status=status,
+            message=message,
+            measured=dict(read.measured),
+        )
+        return read, record
 
 
 _IN_PROCESS = InProcess()
@@ -284,12 +196,11 @@ def build_corpus(
     out = Path(out).expanduser().absolute()
     require_replaceable(out, CORPUS_FILE, kind="corpus")
     corpus = corpus_for(name)
-    described = corpus.described(options)
+    corpus.described(options)  # refuses unknown options before anything is searched
     groups = find_groups(corpus, None if root is None else Path(root), options)
     with sole_writer(out), parts.working_in_parts(out):
-        finished = _make_parts(corpus, described, groups, parts.work_folder(out), options, engine, progress)
-        dataset = groups[0].recordings[0].identity.dataset
-        return _write_corpus(dataset, corpus, described, finished, out, options)
+        finished = _make_parts(corpus, groups, parts.work_folder(out), options, engine, progress)
+        return _write_corpus(groups[0].recordings[0].identity.dataset, corpus, finished, out, options)
 
 
 def build_corpus_shard(
@@ -318,20 +229,20 @@ def build_corpus_shard(
     """
     out = Path(out).expanduser().absolute()
     corpus = corpus_for(name)
-    described = corpus.described(options)
+    corpus.described(options)
     groups = find_groups(corpus, None if root is None else Path(root), options)
     record = ShardRecord(
         kind="corpus",
         number=shard.number,
         count=shard.count,
-        settings=_shard_settings(name, groups[0].recordings[0].identity.dataset, options),
+        settings=_shard_settings(corpus, groups[0].recordings[0].identity.dataset, options),
         plan=tuple(group.name for group in groups),
     )
     mine = [groups[place] for place in shard.places(len(groups))]
     with making_shard(out, record) as work:
-        finished = _make_parts(corpus, described, mine, work, options, engine, progress)
-        finish_shard(out, record, [part.folder for part in finished])
-    return ShardReport(out, shard, len(groups), _records(finished), _reused(finished))
+        finished = _make_parts(corpus, mine, work, options, engine, progress)
+        finish_shard(out, record, [folder for folder, _, _ in finished])
+    return ShardReport(out, shard, len(groups), *_records(finished))
 
 
 def merge_corpus_shards(
@@ -350,84 +261,122 @@ def merge_corpus_shards(
         RecordingsWouldBeLost: see :func:`build_corpus`.
     """
     folder, record = shards[0]
-    name = record.settings["corpus"]
+    corpus = corpus_for(record.settings["corpus"])
     dataset = record.settings["dataset"]
     options = dataclasses.replace(msgspec.convert(record.settings["options"], CorpusOptions), replace=replace)
-    require_settings(folder, record, _shard_settings(name, dataset, options))
-    corpus = corpus_for(name)
+    require_settings(folder, record, _shard_settings(corpus, dataset, options))
     out = out.expanduser().absolute()
     require_replaceable(out, CORPUS_FILE, kind="corpus")
     with sole_writer(out):
-        finished = [
-            FinishedGroup(part, msgspec.convert(entries, GroupReceipt), reused=False)
-            for part, entries in shard_parts(shards)
-        ]
-        return _write_corpus(dataset, corpus, corpus.described(options), finished, out, options)
+        finished = [(part, msgspec.convert(entries, GroupReceipt), False) for part, entries in shard_parts(shards)]
+        return _write_corpus(dataset, corpus, finished, out, options)
 
 
-def _shard_settings(name: str, dataset: str, options: CorpusOptions) -> dict[str, Any]:
+def _shard_settings(corpus: Corpus, dataset: str, options: CorpusOptions) -> dict[str, Any]:
     """Return what decides a corpus beside its recordings, as JSON knows it."""
-    corpus = corpus_for(name)
     return {
-        "corpus": name,
+        "corpus": corpus.name,
         "dataset": dataset,
         "options": msgspec.to_builtins(dataclasses.replace(options, replace=False, on_error="skip")),
-        "manifest": "" if corpus.manifest is None else digest_of(corpus.manifest),
+        "manifest": _manifest_digest(corpus),
         "protocol": load_protocol().digest,
     }
 
 
+def _manifest_digest(corpus: Corpus) -> str:
+    return "" if corpus.manifest is None else digest_of(corpus.manifest)
+
+
 def _make_parts(
     corpus: Corpus,
-    described: dict[str, str],
     groups: Sequence[RecordingGroup],
     work: Path,
     options: CorpusOptions,
     engine: Engine,
     progress: Progress | None,
-) -> list[FinishedGroup]:
+) -> list[_Finished]:
     """Make the parts of some groups, in their order."""
-    settings = _settings(described, "" if corpus.manifest is None else digest_of(corpus.manifest))
+    chosen = [text for item in sorted(corpus.described(options).items()) for text in item]
+    settings = text_digest(_manifest_digest(corpus), load_protocol().digest, *chosen)
     job = CorpusJob(settings, options.on_error == "fail", work)
     finished = []
     done = 0
     total = sum(len(group.recordings) for group in groups)
     for part in engine.map(job, groups, if_full=job.if_full):
         finished.append(part)
-        done += len(part.receipt.records)
+        done += len(part[1].records)
         if progress is not None:
-            progress(done, total, part.receipt.name)
+            progress(done, total, part[1].name)
     return finished
 
 
 def _write_corpus(
-    dataset: str,
-    corpus: Corpus,
-    described: dict[str, str],
-    finished: Sequence[FinishedGroup],
-    out: Path,
-    options: CorpusOptions,
+    dataset: str, corpus: Corpus, finished: Sequence[_Finished], out: Path, options: CorpusOptions
 ) -> BuildReport[CorpusInfo, CorpusRecord]:
     """Write the corpus of all parts of a build."""
-    info = describe(dataset, corpus.manifest, described, options, [part.receipt for part in finished])
-    folders = [part.folder for part in finished]
+    protocol = load_protocol()
+    manifest = corpus.manifest
+    synthetic = dataset.startswith(SYNTHETIC_PREFIX)
+    real = None if synthetic else manifest
+    title = "Invented people and what they do"
+    if manifest is not None:
+        title = f"Invented recordings in the layout of {manifest.title}" if synthetic else manifest.title
+    receipts = [receipt for _, receipt, _ in finished]
+    records, reused = _records(finished)
+    statuses = Counter(record.status for record in records)
+    outcomes = Counter[str]()
+    for record in records:
+        outcomes.update(record.outcomes)
+    info = CorpusInfo(
+        schema_version=CORPUS_SCHEMA_VERSION,
+        protocol_version=protocol.version,
+        protocol_digest=protocol.digest,
+        dataset=dataset,
+        title=title,
+        synthetic=synthetic,
+        prbench_version=prbench.__version__,
+        manifest_digest=_manifest_digest(corpus),
+        input_digest=text_digest(*(text for receipt in receipts for text in (receipt.name, receipt.input_digest))),
+        options={
+            "recordings": options.recordings,
+            "limit": "all" if options.limit is None else str(options.limit),
+            **corpus.described(options),
+        },
+        counts=CorpusCounts(
+            recordings_found=len(records),
+            recordings_read=statuses["read"],
+            recordings_failed=statuses["failed"],
+            recordings_skipped=statuses["skipped"],
+            annotations=sum(outcomes.values()),
+            clips=sum(receipt.clips for receipt in receipts),
+            captions=sum(receipt.captions for receipt in receipts),
+            approximate_clips=sum(receipt.approximate_clips for receipt in receipts),
+            frames=sum(receipt.frames for receipt in receipts),
+        ),
+        outcomes={outcome: outcomes[outcome] for outcome in ANNOTATION_OUTCOMES},
+        quarantine=tuple(
+            QuarantinedRecording(recording_id=record.recording_id, status=record.status, message=record.message)
+            for record in records
+            if record.status != "read"
+        ),
+        identity_digest="",  # this and the next are filled in when the tables are written
+        content_digest="",
+        licence="MIT (invented by prbench, no recorded person)" if real is None else real.licence,
+        redistribution="yes" if real is None else real.redistribution,
+        homepage="" if real is None else real.homepage,
+        citation="" if real is None else real.citation.strip(),
+    )
+    folders = [folder for folder, _, _ in finished]
     tables = {table: parts.read_batches(folders, table) for table in CORPUS_TABLES}
     # Last of all: until here an earlier corpus stands as it was.
     info = write_corpus(out, info, tables, replace=options.replace)
-    return BuildReport(out, info, _records(finished), _reused(finished))
+    return BuildReport(out, info, records, reused)
 
 
-def _records(finished: Sequence[FinishedGroup]) -> tuple[CorpusRecord, ...]:
-    return tuple(record for part in finished for record in part.receipt.records)
-
-
-def _reused(finished: Sequence[FinishedGroup]) -> int:
-    return sum(len(part.receipt.records) for part in finished if part.reused)
-
-
-def _settings(described: dict[str, str], manifest_digest: str) -> str:
-    chosen = [text for item in sorted(described.items()) for text in item]
-    return text_digest(manifest_digest, load_protocol().digest, *chosen)
+def _records(finished: Sequence[_Finished]) -> tuple[tuple[CorpusRecord, ...], int]:
+    """All recordings, and how many of them an interrupted build had made."""
+    records = tuple(record for _, receipt, _ in finished for record in receipt.records)
+    return records, sum(len(receipt.records) for _, receipt, reused in finished if reused)
 
 
 def plan_corpus(name: str, root: Path | str | None, options: CorpusOptions = _DEFAULTS) -> BuildPlan:
@@ -437,16 +386,15 @@ def plan_corpus(name: str, root: Path | str | None, options: CorpusOptions = _DE
         UsageError: for an unknown corpus or option.
         InputFileError: if there is nothing to read.
     """
-    root = None if root is None else Path(root)
     corpus = corpus_for(name)
-    # Options that the build would refuse are refused here, too.
-    corpus.described(options)
-    recordings = [each for group in find_groups(corpus, root, options) for each in group.recordings]
-    costs = [each.cost for each in recordings if each.skip_reason is None]
+    corpus.described(options)  # options that the build would refuse are refused here, too
+    groups = find_groups(corpus, None if root is None else Path(root), options)
+    recordings = [each for group in groups for each in group.recordings]
+    read = [each for each in recordings if each.skip_reason is None]
     return BuildPlan(
         recordings=tuple(each.identity.recording_id for each in recordings),
         skipped=tuple(each.identity.recording_id for each in recordings if each.skip_reason is not None),
-        input_bytes=sum(cost.input_bytes for cost in costs),
-        estimated_seconds=sum(cost.seconds for cost in costs),
-        estimated_disk_bytes=round(sum(cost.disk_bytes for cost in costs)),
+        input_bytes=sum(each.input_bytes for each in read),
+        estimated_seconds=sum(each.cost[0] for each in read),
+        estimated_disk_bytes=round(sum(each.cost[1] for each in read)),
     )

@@ -11,7 +11,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +19,8 @@ from jaxtyping import Float
 from prbench.errors import InputFileError, PrbenchError, UsageError
 from prbench.files.storage import text_digest
 from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
-from prbench.protocol.manifests import Manifest, load_protocol
+from prbench.protocol.manifests import Manifest, load_manifest, load_protocol
+from prbench.readers import ReaderOptions, described_options, parse_options
 from prbench.sequences.corpus import Annotation, Clip
 from prbench.sequences.sequence import FrameSource
 
@@ -69,13 +70,6 @@ class ClipLimits:
     shortest: int
     longest: int
 
-    @classmethod
-    def of(cls, options: CorpusOptions, thresholds: dict[str, float]) -> ClipLimits:
-        """Take the limits from the options, else from the manifest: a longest clip of 12 s at 20 fps has 241 frames."""
-        fps = options.rate
-        longest = options.max_frames or int(thresholds["longest_clip"] * fps + 1e-6) + 1
-        return cls(fps, int(thresholds["shortest_clip"] * fps + 1e-6), longest)
-
 
 @dataclass(frozen=True)
 class RecordingIdentity:
@@ -87,16 +81,6 @@ class RecordingIdentity:
     participant_id: str
     split: str
     split_group: str
-
-
-@dataclass(frozen=True)
-class Cost:
-    """The cost of one recording, for the dry run; rates were measured on synthetic files, one core."""
-
-    input_bytes: int
-    seconds: float
-    disk_bytes: float
-    """Bytes of its rows in the table and in the parts that the table is made from."""
 
 
 @dataclass(frozen=True)
@@ -114,36 +98,46 @@ class ReadRecording:
     measured: tuple[tuple[str, str], ...] = ()
 
 
-@runtime_checkable
-class CorpusRecording(Protocol):
+@dataclass(frozen=True)
+class CorpusRecording:
     """One recording that can be read, here or in another process; instances are picklable."""
 
-    @property
-    def identity(self) -> RecordingIdentity:
-        """Name, participant and split."""
-        ...
+    identity: RecordingIdentity
+    limits: ClipLimits
+    root: Path | None
+    """The dataset's folder; None for what is generated."""
+    skip_reason: str | None
+    """The reason why the recording must not be read; None for all that are fine."""
+    bytes_a_second: ClassVar[float]
+    """Rate of reading, measured on synthetic files with one core; for the dry run."""
+    table_share: ClassVar[float]
+    """Bytes of its rows, in the table and in the parts that the table is made from, a byte of input."""
 
     @property
-    def skip_reason(self) -> str | None:
-        """The reason why the recording must not be read; None for all that are fine."""
-        ...
+    def input_bytes(self) -> int:
+        """Bytes of all input files."""
+        raise NotImplementedError
 
     @property
-    def cost(self) -> Cost:
-        """About what reading it takes."""
-        ...
+    def cost(self) -> tuple[float, float]:
+        """About what reading it takes: seconds, and bytes on the disk."""
+        return self.input_bytes / self.bytes_a_second, self.input_bytes * self.table_share
 
     def input_digest(self) -> str:
         """Digest of everything that reading depends on, apart from the options."""
-        ...
+        raise NotImplementedError
 
     def read(self) -> ReadRecording:
         """Read it."""
-        ...
+        raise NotImplementedError
 
     def without_places(self, message: str) -> str:
-        """A message without the folders of this machine."""
-        ...
+        """A message without the dataset's folder and the one around it: equal inputs give equal corpora anywhere."""
+        if self.root is not None:
+            root = self.root.expanduser().resolve()
+            for folder in (root, root.parent):
+                message = message.replace(f"{folder}{os.sep}", "")
+        return message
 
 
 @dataclass(frozen=True)
@@ -158,22 +152,55 @@ class RecordingGroup:
         return text_digest(*(recording.input_digest() for recording in self.recordings if not recording.skip_reason))
 
 
-@runtime_checkable
-class Corpus(Protocol):
+class Corpus:
     """One kind of corpus."""
+
+    name: str
+    options: type[ReaderOptions] = ReaderOptions
+    """The corpus' own options."""
+    rates: str
+    """Says which rates there are, for the message; :attr:`native_rate` must be a multiple of them."""
+    native_rate: float
 
     @property
     def manifest(self) -> Manifest | None:
         """Origin and licence; None for what prbench itself invents."""
-        ...
+        return load_manifest(self.name)
+
+    def chosen(self, options: CorpusOptions) -> Any:
+        """The corpus' own options.
+
+        Raises:
+            UsageError: for an option that it does not know.
+        """
+        return parse_options(self.options, dict(options.source), dataset=self.name)
+
+    def limits(self, options: CorpusOptions) -> ClipLimits:
+        """Lengths from the options, else from the manifest: a longest clip of 12 s at 20 fps has 241 frames.
+
+        Raises:
+            UsageError: for a rate that the corpus cannot give.
+        """
+        fps = options.rate
+        if (self.native_rate / fps) % 1.0 > 1e-9:
+            raise UsageError(f"--fps: {self.rates}, found {fps:g}.")
+        thresholds = (self.manifest or load_manifest("nymeria")).thresholds
+        longest = options.max_frames or int(thresholds["longest_clip"] * fps + 1e-6) + 1
+        return ClipLimits(fps, int(thresholds["shortest_clip"] * fps + 1e-6), longest)
 
     def described(self, options: CorpusOptions) -> dict[str, str]:
-        """The corpus' own options as text, without places of this machine.
+        """Rate, lengths and the corpus' own options as text, without places of this machine.
 
         Raises:
             UsageError: for an option that it does not know, or a rate that it cannot give.
         """
-        ...
+        chosen = described_options(self.chosen(options))
+        limits = self.limits(options)
+        return {
+            "fps": f"{limits.fps:g}",
+            "max_frames": str(limits.longest),
+            **{f"reader.{name}": text for name, text in chosen.items()},
+        }
 
     def find(self, root: Path | None, options: CorpusOptions) -> tuple[CorpusRecording, ...]:
         """Find all recordings below a folder.
@@ -182,19 +209,11 @@ class Corpus(Protocol):
             UsageError: for an option that the corpus does not know.
             InputFileError: if there is nothing to read.
         """
-        ...
+        raise NotImplementedError
 
     def group_of(self, recording_id: str) -> str:
-        """Name of the group to which a recording belongs."""
-        ...
-
-
-def without_folders(message: str, root: Path) -> str:
-    """A message without the dataset's folder and the one around it: equal inputs give equal corpora anywhere."""
-    root = root.expanduser().resolve()
-    for folder in (root, root.parent):
-        message = message.replace(f"{folder}{os.sep}", "")
-    return message
+        """Name of the group to which a recording belongs; by default it is worked on alone."""
+        return recording_id
 
 
 def corpus_for(name: str) -> Corpus:
@@ -214,25 +233,33 @@ def find_groups(corpus: Corpus, root: Path | None, options: CorpusOptions) -> tu
     Raises:
         InputFileError: if there is no recording, or none that matches the glob.
     """
-    found = {each.identity.recording_id: each for each in corpus.find(root, options)}
+    found = corpus.find(root, options)
     groups: dict[str, list[CorpusRecording]] = {}
-    for name in _chosen(list(found), options, where=root or "invented people"):
-        groups.setdefault(corpus.group_of(name), []).append(found[name])
+    for recording in chosen_recordings(found, options, where=root or "invented people"):
+        groups.setdefault(corpus.group_of(recording.identity.recording_id), []).append(recording)
     return tuple(RecordingGroup(name, tuple(members)) for name, members in groups.items())
 
 
-def _chosen(names: Sequence[str], options: CorpusOptions, *, where: Path | str) -> list[str]:
-    chosen = sorted(name for name in names if fnmatch.fnmatchcase(name, options.recordings))
+def chosen_recordings(
+    found: Sequence[CorpusRecording], options: CorpusOptions, *, where: Path | str
+) -> list[CorpusRecording]:
+    """Those whose names match the glob of the options, by name, as many as the options want.
+
+    Raises:
+        InputFileError: if there is none; ``where`` they were looked for begins the message.
+    """
+    by_name = {each.identity.recording_id: each for each in found}
+    chosen = sorted(name for name in by_name if fnmatch.fnmatchcase(name, options.recordings))
     if not chosen:
-        shown = ", ".join(sorted(names)[:5]) + (" …" if len(names) > 5 else "")
+        shown = ", ".join(sorted(by_name)[:5]) + (" …" if len(by_name) > 5 else "")
         raise InputFileError(
             where,
             "",
             expected=f"recordings whose name matches '{options.recordings}'",
-            found=f"{len(names)} others: {shown}",
+            found=f"{len(by_name)} others: {shown}",
             remedy="Change the glob of --recordings.",
         )
-    return chosen[: options.limit]
+    return [by_name[name] for name in chosen[: options.limit]]
 
 
 @dataclass(frozen=True)
@@ -253,10 +280,10 @@ class FoundCorpus:
 def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:
     """Look for each corpus in the folder itself, and one folder below where there is nothing."""
     found = []
+    below = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
     for name in CORPUS_MODULES:
         if corpus_for(name).manifest is None:
             continue  # generated on the spot; no folder holds it
-        below = sorted(entry for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("."))
         for folder in (root, *below):
             try:
                 recordings = corpus_for(name).find(folder, CorpusOptions())
@@ -268,43 +295,51 @@ def find_corpora(root: Path) -> tuple[FoundCorpus, ...]:
     return tuple(found)
 
 
-@dataclass(frozen=True)
-class CutMotion:
-    """One clip: canonical frame, metres."""
-
-    joints: Float[np.ndarray, "n 22 3"]
-    previous_joints: Float[np.ndarray, "22 3"]
-    previous_source: FrameSource
-    next_joints: Float[np.ndarray, "22 3"]
-    next_source: FrameSource
-    world_from_canonical: Float[np.ndarray, "4 4"]
-
-
-def cut_motion(motion: Float[np.ndarray, "frames 22 3"], first: int, stride: int, n_frames: int) -> CutMotion:
-    """Every ``stride``-th frame from ``first`` on, in the canonical frame of the first of them.
+def cut_clip(
+    motion: Float[np.ndarray, "frames 22 3"],
+    first: int,
+    stride: int,
+    n_frames: int,
+    *,
+    fps: float,
+    start: float,
+    **given: Any,
+) -> Clip | None:
+    """Every ``stride``-th frame from ``first`` on as a clip, in the canonical frame of the first of them.
 
     Args:
         motion: World frame, Y up, metres, without gaps.
         first: Index of the clip's first frame.
         stride: Frames of the motion for one of the clip.
         n_frames: Frames of the clip.
+        fps: Their rate.
+        start: Time of the first one, seconds on the motion's clock.
+        given: The other columns of the clip.
 
-    Raises:
-        ValueError: if the first pose faces nowhere, so that no canonical frame exists.
+    Returns:
+        None if the first pose faces nowhere, so that no canonical frame exists.
     """
     taken = motion[first : first + stride * (n_frames - 1) + 1 : stride].astype(np.float64)
-    world_from_canonical = canonical_frame(taken)
+    try:
+        world_from_canonical = canonical_frame(taken)
+    except ValueError:
+        return None
     before, previous_source = _neighbour(motion, first - stride, taken)
     # Turned round, the last two frames come first, and their speed is continued outwards.
     after, next_source = _neighbour(motion, first + stride * n_frames, taken[::-1])
     canonical_from_world = invert_rigid(world_from_canonical)
-    return CutMotion(
+    return Clip(
+        fps=fps,
+        n_frames=n_frames,
+        start_time=start,
+        end_time=start + n_frames / fps,
         joints=transform_points(canonical_from_world, taken),
         previous_joints=transform_points(canonical_from_world, before),
         previous_source=previous_source,
         next_joints=transform_points(canonical_from_world, after),
         next_source=next_source,
         world_from_canonical=world_from_canonical,
+        **given,
     )
 
 

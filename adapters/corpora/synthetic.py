@@ -14,8 +14,8 @@ from pathlib import Path
 from prbench.engine import engine_for
 from prbench.errors import UsageError
 from prbench.files.storage import atomic_folder, sole_writer, text_digest, write_json
-from prbench.protocol.manifests import Manifest, load_manifest
-from prbench.readers import SYNTHETIC_PREFIX, ReaderOptions, described_options, parse_options
+from prbench.protocol.manifests import load_manifest
+from prbench.readers import SYNTHETIC_PREFIX, ReaderOptions
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities import identity_of, narrated_recording
 from prbench.synthetic.layouts import defect
@@ -26,14 +26,21 @@ from prbench_adapters.corpora.humanml3d.synthetic import DEFECTS as HUMANML3D_DE
 from prbench_adapters.corpora.nymeria import synthetic as nymeria
 from prbench_adapters.corpora.nymeria.clock import ClockOffset
 from prbench_adapters.corpora.nymeria.format import SUIT_RATE
-from prbench_adapters.corpora.nymeria.source import NymeriaOptions, recording_clips
+from prbench_adapters.corpora.nymeria.source import NymeriaCorpus, NymeriaOptions, recording_clips
 from prbench_adapters.corpora.nymeria.suit import clean_suit, suit_motion
 from prbench_adapters.corpora.nymeria.synthetic import DEFECTS as NYMERIA_DEFECTS
 from prbench_adapters.corpora.nymeria.synthetic import sense_nymeria
-from prbench_adapters.corpora.sources import ClipLimits, CorpusOptions, Cost, ReadRecording, RecordingIdentity
+from prbench_adapters.corpora.sources import (
+    Corpus,
+    CorpusOptions,
+    CorpusRecording,
+    ReadRecording,
+    RecordingIdentity,
+)
 
 DATASET = f"{SYNTHETIC_PREFIX}corpus"
-_COST = Cost(0, 1.2, 0.5e6)
+_COST = (1.2, 0.5e6)  # seconds, and bytes on the disk
+_GENERATOR = str(GENERATOR_VERSION)
 POSE_SOURCE = "invented-xsens"
 
 
@@ -51,23 +58,17 @@ class SyntheticOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, k
 
 
 @dataclass(frozen=True)
-class SyntheticSource:
-    """One recording that is acted out when it is read (see ``CorpusRecording`` in ``sources.py``)."""
+class SyntheticSource(CorpusRecording):
+    """One recording that is acted out when it is read."""
 
     index: int
-    identity: RecordingIdentity
     options: SyntheticOptions
-    limits: ClipLimits
-    skip_reason: None = None
-    cost: Cost = _COST
+    input_bytes = 0
+    cost = _COST
 
     def input_digest(self) -> str:
         """Return the digest of what the recording is made from."""
         return text_digest("corpus", str(GENERATOR_VERSION), str(self.options.seed), str(self.index))
-
-    def without_places(self, message: str) -> str:
-        """Return the message itself: nothing of this machine is in it."""
-        return message
 
     def read(self) -> ReadRecording:
         """Act it out, and cut the clips that its texts describe."""
@@ -75,69 +76,48 @@ class SyntheticSource:
         readings = sense_nymeria(motion, seed=self.options.seed, noise=self.options.noise)
         manifest = load_manifest("nymeria")
         kinds = NymeriaOptions(kinds=self.options.kinds).chosen_kinds
-        clean = clean_suit(readings.recording.suit, manifest.thresholds, path=motion.recording_id)
-        body = suit_motion(
-            clean,
-            manifest.body.joint_mapping,
-            POSE_SOURCE,
-            manifest.body.head_tilt_deg,
-            manifest.thresholds,
-            path=motion.recording_id,
-        )
-        texts = tuple(row for row in readings.recording.narrations if row.kind in kinds)
-        offset = ClockOffset("known", readings.offset)
-        return recording_clips(self.identity, body, texts, offset, self.limits, manifest.thresholds)
+        clean = clean_suit(readings.suit, manifest.thresholds, path=motion.recording_id)
+        body = suit_motion(clean, manifest, path=motion.recording_id, pose_source=POSE_SOURCE)
+        texts = tuple(row for row in readings.narrations if row.kind in kinds)
+        return recording_clips(self.identity, body, texts, ClockOffset("known", readings.offset), self.limits)
 
 
-class SyntheticCorpus:
+class SyntheticCorpus(Corpus):
     """See :class:`prbench_adapters.corpora.sources.Corpus`."""
 
-    @property
-    def manifest(self) -> Manifest | None:
-        """Return None: synthetic people are under nobody's licence."""
-        return None
+    name = "synthetic"
+    options = SyntheticOptions
+    native_rate = SUIT_RATE
+    rates = NymeriaCorpus.rates
+    manifest = None
 
-    def described(self, options: CorpusOptions) -> dict[str, str]:
-        """Return the rate, lengths, seed and generator."""
-        limits = self._limits(options)
-        chosen = self._options(options)
-        return {
-            "fps": f"{limits.fps:g}",
-            "max_frames": str(limits.longest),
-            "generator": str(GENERATOR_VERSION),
-            **{f"reader.{name}": text for name, text in described_options(chosen).items()},
-        }
-
-    def find(self, root: Path | None, options: CorpusOptions) -> tuple[SyntheticSource, ...]:
-        """Return as many recordings as were asked for."""
-        if root is not None:
-            raise UsageError("a synthetic corpus reads no files; leave --root away, or name the corpus of the files.")
-        chosen = self._options(options)
-        limits = self._limits(options)
-        sources = []
-        for index in range(chosen.recordings):
-            identity = identity_of(chosen.seed, index)
-            source = RecordingIdentity(
-                DATASET, identity.recording_id, identity.participant_id, identity.split, identity.participant_id
-            )
-            sources.append(SyntheticSource(index, source, chosen, limits))
-        return tuple(sources)
-
-    def group_of(self, recording_id: str) -> str:
-        """Return the recording itself: recordings do not influence one another."""
-        return recording_id
-
-    def _options(self, options: CorpusOptions) -> SyntheticOptions:
-        chosen = parse_options(SyntheticOptions, dict(options.source), dataset="the synthetic corpus")
+    def chosen(self, options: CorpusOptions) -> SyntheticOptions:
+        """See :class:`prbench_adapters.corpora.sources.Corpus`."""
+        chosen = super().chosen(options)
         if chosen.recordings < 1:
             raise UsageError(f"a synthetic corpus needs at least one recording, not {chosen.recordings}.")
         _ = NymeriaOptions(kinds=chosen.kinds).chosen_kinds  # refuses an unknown kind before anything is generated
         return chosen
 
-    def _limits(self, options: CorpusOptions) -> ClipLimits:
-        if (SUIT_RATE / options.rate) % 1.0 > 1e-9:
-            raise UsageError(f"--fps must divide the suit's 240 Hz (20, 24, 30, 40 …), found {options.rate:g}.")
-        return ClipLimits.of(options, load_manifest("nymeria").thresholds)
+    def described(self, options: CorpusOptions) -> dict[str, str]:
+        """See :class:`prbench_adapters.corpora.sources.Corpus`; the generator, too."""
+        described = super().described(options)
+        return {"fps": described["fps"], "max_frames": described["max_frames"], "generator": _GENERATOR, **described}
+
+    def find(self, root: Path | None, options: CorpusOptions) -> tuple[SyntheticSource, ...]:
+        """Return as many recordings as were asked for."""
+        if root is not None:
+            raise UsageError("a synthetic corpus reads no files; leave --root away, or name the corpus of the files.")
+        chosen = self.chosen(options)
+        limits = self.limits(options)
+        sources = []
+        for index in range(chosen.recordings):
+            person = identity_of(chosen.seed, index)
+            identity = RecordingIdentity(
+                DATASET, person.recording_id, person.participant_id, person.split, person.participant_id
+            )
+            sources.append(SyntheticSource(identity, limits, None, None, index, chosen))
+        return tuple(sources)
 
 
 CORPUS = SyntheticCorpus()
@@ -151,11 +131,8 @@ _WITHOUT_TRAJECTORY = 3
 """Every so many-th sequence comes without the glasses' trajectory."""
 
 
-@dataclass(frozen=True)
-class _Done:
-    recording: WrittenRecording
-    offset: float
-    splits: tuple[tuple[str, str], ...]
+_Done = tuple[WrittenRecording, float, tuple[tuple[str, str], ...]]
+"""A recording, its clocks' offset, and the names under which it was written with their splits."""
 
 
 def synthesize_corpus_tree(
@@ -195,16 +172,16 @@ def synthesize_corpus_tree(
         for result in engine_for(workers).map(write_one, range(recordings)):
             done.append(result)
             if on_written:
-                on_written(result.recording)
-        splits = dict(item for result in done for item in result.splits)
+                on_written(result[0])
+        splits = dict(item for _, _, names in done for item in names)
         if layout == "humanml3d":
             humanml3d.write_lists(root, splits)
         else:
-            write_json(root / _TRUTH_FILE, {result.recording.recording_id: result.offset for result in done})
+            write_json(root / _TRUTH_FILE, {recording.recording_id: offset for recording, offset, _ in done})
         for damage in damages:
-            damage.apply(root, done[0].splits[0][0])
+            damage.apply(root, done[0][2][0][0])
         write_mark(root, layout, seed, "default", splits)
-    return WrittenTree(out, tuple(result.recording for result in done))
+    return WrittenTree(out, tuple(recording for recording, _, _ in done))
 
 
 def _write(index: int, *, layout: str, root: Path, seed: int, noise: float) -> _Done:
@@ -215,11 +192,11 @@ def _write(index: int, *, layout: str, root: Path, seed: int, noise: float) -> _
         readings = sense_nymeria(motion, seed=seed, noise=noise)
         with_trajectory = index % _WITHOUT_TRAJECTORY != _WITHOUT_TRAJECTORY - 1
         nymeria.write_nymeria(readings, root, trajectory=with_trajectory)
-        return _Done(recording, readings.offset, ((motion.recording_id, motion.split),))
+        return recording, readings.offset, ((motion.recording_id, motion.split),)
     splits = []
     for number, captioned in enumerate(humanml3d.captioned_motions(motion)):
         name = f"{index * 100 + number:06d}"
         humanml3d.write_motion(root, name, captioned)
         humanml3d.write_motion(root, f"{MIRROR_PREFIX}{name}", humanml3d.mirrored(captioned))
         splits += [(name, motion.split), (f"{MIRROR_PREFIX}{name}", motion.split)]
-    return _Done(recording, 0.0, tuple(splits))
+    return recording, 0.0, tuple(splits)

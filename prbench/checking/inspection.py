@@ -199,7 +199,7 @@ def _inspect_corpus(found: Any) -> InspectedDataset:
         InspectedRecording(
             each.identity.recording_id,
             "left out" if each.skip_reason else "complete",
-            each.cost.input_bytes,
+            each.input_bytes,
             (each.skip_reason,) if each.skip_reason else (),
         )
         for each in found.recordings

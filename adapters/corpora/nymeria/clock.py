@@ -44,26 +44,8 @@ class ClockOffset:
         return self.method == "start_alignment"
 
 
-@dataclass(frozen=True)
-class _AngularSpeed:
-    """The angular speed of something on a uniform grid."""
-
-    start: float
-    """Seconds, of the first sample."""
-    values: Float[np.ndarray, " n"]
-    """Radians a second."""
-    valid: Bool[np.ndarray, " n"]
-
-
-@dataclass(frozen=True)
-class Peak:
-    """The best agreement of two signals."""
-
-    lag: float
-    """Seconds by which the first signal's clock is ahead of the second's."""
-    height: float
-    second: float
-    """Highest other peak at least one second away."""
+Signal = tuple[float, Float[np.ndarray, "_"], Bool[np.ndarray, "_"]]
+"""Angular speed on a uniform grid: seconds of the first sample, radians a second, and which samples are valid."""
 
 
 def offset_from_file(path: Path, sequence: str) -> ClockOffset | None:
@@ -106,22 +88,20 @@ def offset_by_correlation(
     suit_times = piece.start + np.arange(len(head)) / SUIT_RATE
     suit = angular_speed(suit_times, head, rate)
     glasses = angular_speed(time_us.astype(np.float64) / 1e6, rotation, rate)
-    if suit is None or glasses is None or len(suit.values) + len(glasses.values) > _LONGEST_OF_CORRELATION:
+    if suit is None or glasses is None or len(suit[1]) + len(glasses[1]) > _LONGEST_OF_CORRELATION:
         return None, "the glasses' trajectory is too short or too broken to compare head movements"
-    peak = best_agreement(suit, glasses, rate)
+    lag, height, second = best_agreement(suit, glasses, rate)
     needed = thresholds["correlation_peak"]
     ratio = thresholds["correlation_ratio"]
-    if peak.height < needed or peak.height < ratio * peak.second:
+    if height < needed or height < ratio * second:
         return None, (
-            f"head movements of suit and glasses agree by {peak.height:.2f} only"
-            f" (second peak {peak.second:.2f}; needed {needed:g} and {ratio:g} times the second)"
+            f"head movements of suit and glasses agree by {height:.2f} only"
+            f" (second peak {second:.2f}; needed {needed:g} and {ratio:g} times the second)"
         )
-    return ClockOffset("correlation", peak.lag, round(peak.height, 6)), ""
+    return ClockOffset("correlation", lag, round(height, 6)), ""
 
 
-def angular_speed(
-    times: Float[np.ndarray, " n"], rotation: Float[np.ndarray, "n 4"], rate: float
-) -> _AngularSpeed | None:
+def angular_speed(times: Float[np.ndarray, " n"], rotation: Float[np.ndarray, "n 4"], rate: float) -> Signal | None:
     """Angular speed on a uniform grid; samples next to a gap in the poses are invalid. None below a second."""
     grid = np.arange(times[0], times[-1], 1.0 / rate)
     if len(grid) < rate or len(grid) > _LONGEST_OF_CORRELATION:
@@ -132,26 +112,28 @@ def angular_speed(
     steady = times[right] - times[right - 1] <= LONGEST_POSE_STEP
     valid = steady[:-1] & steady[1:]
     # A speed between two samples belongs to the middle between them.
-    return _AngularSpeed(
-        float(grid[0]) + 0.5 / rate, gaussian_filter1d(np.where(valid, speed, 0.0), _SMOOTHING * rate), valid
-    )
+    return float(grid[0]) + 0.5 / rate, gaussian_filter1d(np.where(valid, speed, 0.0), _SMOOTHING * rate), valid
 
 
-def best_agreement(first: _AngularSpeed, second: _AngularSpeed, rate: float) -> Peak:
+def best_agreement(first: Signal, second: Signal, rate: float) -> tuple[float, float, float]:
     """Normalised correlation over every lag at which at least half of the shorter signal overlaps.
 
     Mean and spread are those of the overlap itself, so that a lag at which the quiet ends meet is not preferred.
+
+    Returns:
+        Seconds by which the first signal's clock is ahead of the second's, the height of that peak, and the height of
+        the highest other peak at least one second away.
     """
     # As long as both together: a shorter transform would wrap one end onto the other.
-    size = 1 << (len(first.values) + len(second.values) - 1).bit_length()
+    size = 1 << (len(first[1]) + len(second[1]) - 1).bit_length()
 
     def correlate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Sum over i of a[i + lag] b[i] for the lags -len(b) + 1 … len(a) - 1."""
         product = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
         return np.concatenate([product[size - len(b) + 1 :], product[: len(a)]])
 
-    masks = first.valid.astype(float), second.valid.astype(float)
-    a, b = (signal.values * mask for signal, mask in zip((first, second), masks, strict=True))
+    masks = first[2].astype(float), second[2].astype(float)
+    a, b = (signal[1] * mask for signal, mask in zip((first, second), masks, strict=True))
     count = np.rint(correlate(*masks))
     enough = count >= _LEAST_OVERLAP * min(mask.sum() for mask in masks)
     n = np.maximum(count, 1.0)
@@ -163,19 +145,14 @@ def best_agreement(first: _AngularSpeed, second: _AngularSpeed, rate: float) -> 
     score = np.where(enough, covariance / np.sqrt(spread_a * spread_b), -1.0)
     best = int(score.argmax())
     away = np.abs(np.arange(len(score)) - best) > _SECOND_PEAK_AWAY * rate
-    # The first score belongs to the lag -len(b) + 1.
-    lag = best - (len(b) - 1) + _parabola(score, best)
-    second_height = float(score[away].max(initial=0.0))
-    return Peak(first.start - second.start + lag / rate, float(score[best]), max(second_height, 0.0))
-
-
-def _parabola(score: np.ndarray, best: int) -> float:
-    """Return the distance of the top from the highest sample, in samples."""
-    if best in (0, len(score) - 1):
-        return 0.0
-    before, top, after = score[best - 1 : best + 2]
-    bend = before - 2.0 * top + after
-    return 0.0 if bend >= 0.0 or min(before, after) <= -1.0 else float(0.5 * (before - after) / bend)
+    # The first score belongs to the lag -len(b) + 1; a parabola through three samples tells where the top is.
+    lag = best - (len(b) - 1)
+    if 0 < best < len(score) - 1:
+        before, top, after = score[best - 1 : best + 2]
+        bend = before - 2.0 * top + after
+        if bend < 0.0 and min(before, after) > -1.0:
+            lag += float(0.5 * (before - after) / bend)
+    return first[0] - second[0] + lag / rate, float(score[best]), float(score[away].max(initial=0.0))
 
 
 def offset_by_starts(
@@ -189,11 +166,8 @@ def offset_by_starts(
     start, end = clean.span
     slack = thresholds["start_slack"]
     offset = start + thresholds["start_lead"] - min(row.start for row in narrations)
-    first, last = (extreme + offset for extreme in _extremes(narrations))
+    first = min(row.start for row in narrations) + offset
+    last = max(row.end for row in narrations) + offset
     if first < start - slack or last > end + slack:
         return None, f"with aligned starts the texts end {last - end:.1f} s after the suit"
     return ClockOffset("start_alignment", offset), ""
-
-
-def _extremes(narrations: Sequence[Narration]) -> tuple[float, float]:
-    return min(row.start for row in narrations), max(row.end for row in narrations)

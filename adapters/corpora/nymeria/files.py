@@ -12,21 +12,18 @@ from pathlib import Path
 from prbench.errors import InputFileError
 from prbench.files.bounded import require_size
 from prbench.readers import SYNTHETIC_PREFIX, InputFile, RecordingFiles, require_marked, synthetic_tree_around
+from prbench.readers.files import require_column_names
 from prbench.readers.found import input_file
 from prbench_adapters.corpora.nymeria import format as nymeria
 from prbench_adapters.corpora.nymeria.format import Narration
 
 SUIT = "suit"
-SMPL = "smpl"
-METADATA = "metadata"
 TRAJECTORY = "trajectory"
 OFFSET = "time_offset"
 """Roles of the files; narrations have the role of their kind."""
 
 _ROLES = {
     nymeria.SUIT_FILE: SUIT,
-    nymeria.SMPL_FILE: SMPL,
-    nymeria.METADATA_FILE: METADATA,
     nymeria.TRAJECTORY_FILE: TRAJECTORY,
     nymeria.OFFSET_FILE: OFFSET,
     **{name: kind for kind, name in nymeria.NARRATION_FILES.items()},
@@ -35,7 +32,7 @@ _INNER_FOLDERS = ("body", "narration", "mps", "slam", nymeria.HEAD_FOLDER)
 
 
 def find_sequences(root: Path) -> tuple[RecordingFiles, ...]:
-    """Find all sequences with a suit, a fit or a text.
+    """Find all sequences with a suit or a text.
 
     A file belongs to the sequence whose name stands in its path, so that trees of one group each (all bodies, all
     narrations) and sequences nested a level deeper are found alike.
@@ -54,7 +51,7 @@ def find_sequences(root: Path) -> tuple[RecordingFiles, ...]:
         if role == TRAJECTORY and nymeria.HEAD_FOLDER not in path.parts:
             continue
         found.setdefault(_sequence_of(path, root), {}).setdefault(role, path)
-    wanted = {SUIT, SMPL, *nymeria.NARRATION_FILES}
+    wanted = {SUIT, *nymeria.NARRATION_FILES}
     sequences = {name: files for name, files in found.items() if wanted & files.keys()}
     if not sequences:
         raise InputFileError(
@@ -133,7 +130,22 @@ def read_narrations(path: Path, kind: str) -> tuple[Narration, ...]:
     if not rows:
         return ()
     header = [name.strip() for name in rows[0][1]]
-    start, end, annotator, answers = _columns(path, header)
+    lower = [name.lower() for name in header]
+    require_column_names(path, lower, (nymeria.START_COLUMN, nymeria.END_COLUMN))
+    # Answers are known by the name that follows "Describe my".
+    answers = [
+        (column, header[column][len(nymeria.ANSWER_PREFIX) :].strip())
+        for column, name in enumerate(lower)
+        if name.startswith(nymeria.ANSWER_PREFIX)
+    ]
+    if not answers:
+        raise InputFileError(
+            path,
+            "header",
+            expected="a column whose name begins with 'Describe my'",
+            found=f"the columns {', '.join(header)}",
+            remedy="This is another file, or another version of the format.",
+        )
     narrations = []
     for number, row in rows[1:]:
         if len(row) < len(header):
@@ -144,9 +156,10 @@ def read_narrations(path: Path, kind: str) -> tuple[Narration, ...]:
                 found=str(len(row)),
                 remedy="The file may be truncated; download it again.",
             )
-        texts = tuple((name, row[column].strip()) for name, column in answers)
-        times = (_seconds(path, number, row[start]), _seconds(path, number, row[end]))
-        narrations.append(Narration(kind, *times, texts, "" if annotator is None else row[annotator].strip()))
+        cells = dict(zip(lower, row, strict=False))
+        times = (_seconds(path, number, cells[name]) for name in (nymeria.START_COLUMN, nymeria.END_COLUMN))
+        texts = tuple((name, row[column].strip()) for column, name in answers)
+        narrations.append(Narration(kind, *times, texts, cells.get(nymeria.ANNOTATOR_COLUMN, "").strip()))
     durations = [row.end - row.start for row in narrations]
     if durations and min(durations) > _LONGEST_DURATION:
         raise InputFileError(
@@ -157,33 +170,6 @@ def read_narrations(path: Path, kind: str) -> tuple[Narration, ...]:
             remedy="These look like milliseconds; divide both columns by 1,000.",
         )
     return tuple(narrations)
-
-
-def _columns(path: Path, header: list[str]) -> tuple[int, int, int | None, list[tuple[str, int]]]:
-    """Columns of start, end, annotator and answers; answers by the name that follows "Describe my"."""
-    lower = [name.lower() for name in header]
-    for name in (nymeria.START_COLUMN, nymeria.END_COLUMN):
-        if name not in lower:
-            raise _missing(path, f"a column '{name}'", header)
-    answers = [
-        (header[column][len(nymeria.ANSWER_PREFIX) :].strip(), column)
-        for column, name in enumerate(lower)
-        if name.startswith(nymeria.ANSWER_PREFIX)
-    ]
-    if not answers:
-        raise _missing(path, "a column whose name begins with 'Describe my'", header)
-    annotator = lower.index(nymeria.ANNOTATOR_COLUMN) if nymeria.ANNOTATOR_COLUMN in lower else None
-    return lower.index(nymeria.START_COLUMN), lower.index(nymeria.END_COLUMN), annotator, answers
-
-
-def _missing(path: Path, expected: str, header: list[str]) -> InputFileError:
-    return InputFileError(
-        path,
-        "header",
-        expected=expected,
-        found=f"the columns {', '.join(header)}",
-        remedy="This is another file, or another version of the format.",
-    )
 
 
 def _seconds(path: Path, number: int, cell: str) -> float:

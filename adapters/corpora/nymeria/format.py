@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,8 +11,8 @@ from jaxtyping import Float, Int
 from prbench.geometry.skeleton import XSENS_SEGMENTS
 
 SUIT_FILE = "xdata.npz"
-SMPL_FILE = "xdata_smpl_neutral.npz"
 METADATA_FILE = "metadata.json"
+"""Written of synthetic people; nothing is read from it."""
 TRAJECTORY_FILE = "closed_loop_trajectory.csv"
 HEAD_FOLDER = "recording_head"
 OFFSET_FILE = "time_offset.json"
@@ -74,16 +74,6 @@ class Narration:
     texts: tuple[tuple[str, str], ...]
     """Name of the answer (what follows "Describe my") and the answer; empty answers are kept."""
     annotator: str = ""
-
-
-@dataclass(frozen=True)
-class NymeriaRecording:
-    """The content of one sequence's files, real or before a synthetic one is written."""
-
-    name: str
-    suit: Suit
-    narrations: tuple[Narration, ...]
-    messages: tuple[str, ...] = field(default=())
 
 
 def participant_of(name: str) -> str:

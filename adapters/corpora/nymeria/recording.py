@@ -7,10 +7,10 @@ world (docs/specification/nymeria.md#head-trajectory-and-gaze).
 
 from __future__ import annotations
 
-import fnmatch
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -28,11 +28,11 @@ from prbench.readers.aria_mps.files import find_gaze_file, read_gaze_angles
 from prbench.readers.aria_mps.trajectory import read_near
 from prbench.recording.streams import BodyStream, GazeStream, PoseStream, Recording
 from prbench_adapters.corpora.nymeria.clock import ClockOffset, offset_by_correlation, offset_from_file
-from prbench_adapters.corpora.nymeria.files import OFFSET, SUIT, TRAJECTORY
+from prbench_adapters.corpora.nymeria.files import OFFSET, TRAJECTORY
 from prbench_adapters.corpora.nymeria.format import SUIT_FILE, SUIT_RATE
 from prbench_adapters.corpora.nymeria.source import CORPUS, NymeriaSource
-from prbench_adapters.corpora.nymeria.suit import CleanSuit, clean_suit, read_suit
-from prbench_adapters.corpora.sources import CorpusOptions
+from prbench_adapters.corpora.nymeria.suit import CleanSuit
+from prbench_adapters.corpora.sources import CorpusOptions, chosen_recordings
 from prbench_benchmarks.motion_prediction.joint_sets import SMPL22
 from prbench_benchmarks.motion_prediction.protocol import PredictionProtocol
 from prbench_benchmarks.motion_prediction.table import CutRun
@@ -42,11 +42,6 @@ _STEP = 0.1  # s between two poses whose turn is compared
 _LEAST_TURN = np.deg2rad(2.0)  # smaller turns tell more of noise than of an axis
 _FEWEST_TURNS = 100
 _LARGEST_RESIDUAL = np.deg2rad(1.0)  # median; users measured 0.09 degrees at the 95th percentile of one file
-
-
-def gaze_file(trajectory: Path) -> Path | None:
-    """The preferred gaze file beside a trajectory (``mps/slam``, ``mps/eye_gaze``); None if there is none."""
-    return find_gaze_file(trajectory.parent.parent / mps.GAZE_FOLDER)
 
 
 def head_from_device(
@@ -133,9 +128,6 @@ def gaze_in_suit_world(
     return directions, valid
 
 
-_NO_TIMES = np.empty(0, dtype=np.int64)
-
-
 @dataclass(frozen=True)
 class SuitRecording:
     """Reads one sequence without its texts; see :class:`prbench_adapters.corpora.nymeria.source.NymeriaSource`."""
@@ -155,13 +147,10 @@ class SuitRecording:
         Raises:
             InputFileError: if a file does not hold what its format promises.
         """
-        manifest = load_manifest("nymeria")
-        path = self.source.found.require(SUIT, f"body/{SUIT_FILE}")
-        clean = clean_suit(read_suit(path), manifest.thresholds, path=path)
-        motion = self.source.body(clean)
+        clean, motion = self.source.suit()
         # All pieces on one time line; what lies between them is a gap.
         pieces = sorted(motion.pieces, key=lambda piece: piece.start)
-        times = np.concatenate([piece.start + np.arange(len(piece.joints)) / piece.rate for piece in pieces])
+        times = np.concatenate([piece.start + np.arange(len(piece.joints)) / SUIT_RATE for piece in pieces])
         if (np.diff(times) <= 0).any():
             raise InputFileError(
                 SUIT_FILE,
@@ -194,40 +183,33 @@ class SuitRecording:
 
     def _gaze_file(self) -> Path | None:
         trajectory = self.source.found.path(TRAJECTORY)
-        return None if trajectory is None else gaze_file(trajectory)
+        return None if trajectory is None else find_gaze_file(trajectory.parent.parent / mps.GAZE_FOLDER)
 
     def _gaze(self, clean: CleanSuit) -> tuple[GazeStream, str]:
         """Gaze in the suit's world; without any, why."""
+        nothing = GazeStream(np.zeros(1), np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.zeros(1, dtype=bool))
+        found = self.source.found
         path = self._gaze_file()
         if path is None:
-            return _no_gaze(), "no gaze file beside a trajectory of the glasses"
+            return nothing, "no gaze file beside a trajectory of the glasses"
         thresholds = load_manifest("nymeria").thresholds
-        trajectory_path = self.source.found.require(TRAJECTORY, "the glasses' trajectory")
-        trajectory = read_near(trajectory_path, _NO_TIMES, thresholds["correlation_rate"])
-        offset, message = self._offset(clean, trajectory.time_us, trajectory.rotation, thresholds)
+        trajectory_path = found.require(TRAJECTORY, "the glasses' trajectory")
+        poses = read_near(trajectory_path, np.zeros(0, dtype=np.int64), thresholds["correlation_rate"])
+        # The user's own offset, or that at which suit and glasses turn alike; texts are not needed for either.
+        own = found.path(OFFSET)
+        offset = None if own is None else offset_from_file(own, found.recording_id)
         if offset is None:
-            return _no_gaze(), message
-        seconds = trajectory.time_us / 1e6
-        mounted, message = head_from_device(clean, offset, seconds, trajectory.rotation)
+            offset, message = offset_by_correlation(clean, poses.time_us, poses.rotation, thresholds)
+        if offset is None:
+            return nothing, message
+        mounted, message = head_from_device(clean, offset, poses.time_us / 1e6, poses.rotation)
         if mounted is None:
-            return _no_gaze(), message
+            return nothing, message
         angles = read_gaze_angles(path)
         times = angles.time_us / 1e6 + offset.seconds
         directions, valid = gaze_in_suit_world(clean, mounted, times, angles)
         # Nothing of motion prediction needs where gaze comes from.
         return GazeStream(times, np.zeros((len(times), 3)), directions, valid), ""
-
-    def _offset(
-        self, clean: CleanSuit, time_us: np.ndarray, rotation: np.ndarray, thresholds: dict[str, float]
-    ) -> tuple[ClockOffset | None, str]:
-        """The user's own offset, or that at which suit and glasses turn alike; texts are not needed for either."""
-        path = self.source.found.path(OFFSET)
-        known = None if path is None else offset_from_file(path, self.source.found.recording_id)
-        return (known, "") if known is not None else offset_by_correlation(clean, time_us, rotation, thresholds)
-
-
-def _no_gaze() -> GazeStream:
-    return GazeStream(np.zeros(1), np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.zeros(1, dtype=bool))
 
 
 @dataclass(frozen=True)
@@ -255,7 +237,7 @@ class NymeriaWindows:
     def settings(self) -> str:
         """See :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`."""
         options = described_options(self.source.options)
-        return text_digest(digest_of(CORPUS.manifest), self.source.identity.split, *map(str, options.items()))
+        return text_digest(digest_of(load_manifest("nymeria")), self.source.identity.split, *map(str, options.items()))
 
     def input_digest(self) -> str:
         """See :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`."""
@@ -290,16 +272,9 @@ def plan_windows(
         raise UsageError(
             f"--joints native: no study of prediction published joints of {dataset}; leave the option out."
         )
-    found = CORPUS.find(root, CorpusOptions(source=reader))
-    chosen = [each for each in found if fnmatch.fnmatchcase(each.identity.recording_id, recordings)]
-    if not chosen:
-        raise InputFileError(
-            root,
-            "",
-            expected=f"recordings whose name matches '{recordings}'",
-            found=f"{len(found)} others",
-            remedy="Change the glob of --recordings.",
-        )
+    wanted = CorpusOptions(source=reader, recordings=recordings)
+    found = CORPUS.find(root, wanted)
+    chosen = cast(list[NymeriaSource], chosen_recordings(found, wanted, where=root))
     chosen = sorted(chosen, key=lambda each: f"{each.identity.recording_id}/")[:limit]
     options = {"joints": SMPL22.name, "recordings": recordings, "limit": str(limit or "all")}
     options |= {f"reader.{name}": text for name, text in described_options(chosen[0].options).items()}

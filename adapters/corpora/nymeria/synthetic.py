@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from prbench.files.storage import atomic_path, write_bytes, write_json
 from prbench.geometry.skeleton import PARENTS, XSENS_SEGMENTS, Y_UP_FROM_Z_UP, Joint, bone_lengths, z_up
@@ -23,10 +23,8 @@ from prbench.synthetic.activities import NarratedMotion
 from prbench.synthetic.layouts import Damage, Defect, change_cells, cut_in_half, removed
 from prbench.synthetic.people.kinematics import matrix_of, quaternion, rotation_quaternion, wobble
 from prbench_adapters.corpora.nymeria import format as nymeria
-from prbench_adapters.corpora.nymeria.format import SUIT_RATE, Narration, NymeriaRecording, Suit
+from prbench_adapters.corpora.nymeria.format import SUIT_RATE, Narration, Suit
 
-_GLASSES_STRIDE = 1
-"""Suit frames for one pose of the glasses: 240 Hz instead of the real 1 kHz, which nothing here needs."""
 _DRIFT = (0.02, 0.005, 0.02)  # m r.m.s., Hz: the suit's world drifts slowly
 _SLIP = (np.deg2rad(0.3), 0.01, 0.05)  # rad r.m.s., Hz: the glasses against the head
 _OFFSET = (0.1, 0.3)  # s, suit clock minus glasses' clock
@@ -44,21 +42,14 @@ _JOINT_OF_SEGMENT = {
 
 
 @dataclass(frozen=True)
-class GlassesPoses:
-    """Poses of the glasses, device clock, Z up."""
-
-    time_us: Int[np.ndarray, " m"]
-    position: Float[np.ndarray, "m 3"]
-    rotation: Float[np.ndarray, "m 4"]
-    """w x y z, device to world."""
-
-
-@dataclass(frozen=True)
 class NymeriaReadings:
     """All that is written of one recording, and the offset that must be found again."""
 
-    recording: NymeriaRecording
-    glasses: GlassesPoses
+    name: str
+    suit: Suit
+    narrations: tuple[Narration, ...]
+    glasses: mps.GlassesPoses
+    """Poses of the glasses, device clock, Z up."""
     offset: float
     """TIME_CODE minus device time, seconds."""
 
@@ -93,35 +84,32 @@ def sense_nymeria(motion: NarratedMotion, *, seed: int, noise: float = 1.0) -> N
         tpose=_calibration_pose(motion),
     )
     device_start = device_start_us / 1e6
+    answers = {
+        kind: [name[len(nymeria.ANSWER_PREFIX) :].strip() for name in names]
+        for kind, names in nymeria.ANSWER_COLUMNS.items()
+    }
     texts = tuple(
         Narration(
             row.kind,
             round(device_start + row.start, 6),
             round(device_start + row.end, 6),
-            tuple(zip(_answers_of(row.kind), row.texts, strict=True)),
+            tuple(zip(answers[row.kind], row.texts, strict=True)),
             "annotator_1",
         )
         for row in motion.narrations
     )
-    recording = NymeriaRecording(motion.recording_id, suit, texts)
-    return NymeriaReadings(
-        recording, _glasses(motion, device_start_us + ticks, generator("slip"), noise), offset_us / 1e6
-    )
-
-
-def _answers_of(kind: str) -> tuple[str, ...]:
-    """Names of the answers of a kind, without "Describe my"."""
-    return tuple(name[len(nymeria.ANSWER_PREFIX) :].strip() for name in nymeria.ANSWER_COLUMNS[kind])
-
-
-def _glasses(motion: NarratedMotion, time_us: np.ndarray, rng: np.random.Generator, noise: float) -> GlassesPoses:
-    """Return the eyes and head of the wearer; the frame of the glasses on the head is of no consequence here."""
+    # The eyes and head of the wearer; the frame of the glasses on the head is of no consequence here.
+    rng = generator("slip")
     slip = [wobble(motion.times, noise * _SLIP[0], *_SLIP[1:], rng) for _ in range(2)]
     on_head = matrix_of(rotation_quaternion(slip[0], slip[1]))
-    turned = _Z_UP_FROM_Y_UP @ matrix_of(motion.head_rotation) @ on_head
-    every = slice(None, None, _GLASSES_STRIDE)
-    position = np.rint(z_up(motion.eye) * _ROUNDED) / _ROUNDED
-    return GlassesPoses(time_us[every], position[every], np.round(quaternion(turned), 8)[every])
+    rotation = quaternion(_Z_UP_FROM_Y_UP @ matrix_of(motion.head_rotation) @ on_head)
+    glasses = mps.GlassesPoses(
+        device_start_us + ticks,
+        np.rint(z_up(motion.eye) * _ROUNDED) / _ROUNDED,
+        np.round(rotation, 8),
+        np.ones(len(ticks)),
+    )
+    return NymeriaReadings(motion.recording_id, suit, texts, glasses, offset_us / 1e6)
 
 
 def _calibration_pose(motion: NarratedMotion) -> Float[np.ndarray, "23 3"]:
@@ -166,11 +154,10 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
     Raises:
         StorageError: if the disk is full or the folder cannot be written.
     """
-    recording = readings.recording
-    folder = root / recording.name
+    folder = root / readings.name
     # Write ``xdata.npz``; equal readings give equal bytes.
     path = folder / "body" / nymeria.SUIT_FILE
-    suit = readings.recording.suit
+    suit = readings.suit
     n = len(suit.time_us)
     arrays = {
         "timestamps_us": suit.time_us,
@@ -185,16 +172,16 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
     with atomic_path(path) as temporary:
         np.savez(temporary, **arrays)
     for kind, name in nymeria.NARRATION_FILES.items():
-        rows = [row for row in recording.narrations if row.kind == kind]
+        rows = [row for row in readings.narrations if row.kind == kind]
         if rows:
             _write_narrations(folder / "narration" / name, kind, rows)
-    parts = recording.name.split("_")
+    parts = readings.name.split("_")
     write_json(
         folder / nymeria.METADATA_FILE,
         {
             "date": parts[0],
             "session_id": parts[1],
-            "fake_name": nymeria.participant_of(recording.name),
+            "fake_name": nymeria.participant_of(readings.name),
             "act_id": parts[-2],
             "uid": parts[-1],
             "script": "invented",
@@ -206,7 +193,7 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
         write_csv(slam / nymeria.TRAJECTORY_FILE, _trajectory_columns(readings.glasses))
 
 
-def _write_narrations(path: Path, kind: str, rows: list[Narration], *, byte_order_mark: bool = True) -> None:
+def _write_narrations(path: Path, kind: str, rows: list[Narration]) -> None:
     """Write one narration file, with the byte order mark that the release has."""
     text = io.StringIO()
     writer = csv.writer(text, quoting=csv.QUOTE_ALL, lineterminator="\r\n")
@@ -214,10 +201,10 @@ def _write_narrations(path: Path, kind: str, rows: list[Narration], *, byte_orde
     for number, row in enumerate(rows):
         times = (f"{row.start:.6f}", f"{row.end:.6f}")
         writer.writerow([number, number, *times, row.annotator, _CREATED, *(answer for _, answer in row.texts)])
-    write_bytes(path, text.getvalue().encode("utf-8-sig" if byte_order_mark else "utf-8"))
+    write_bytes(path, text.getvalue().encode("utf-8-sig"))
 
 
-def _trajectory_columns(glasses: GlassesPoses) -> dict[str, object]:
+def _trajectory_columns(glasses: mps.GlassesPoses) -> dict[str, object]:
     n = len(glasses.time_us)
     return {
         mps.GRAPH_COLUMN: ["00000000-0000-0000-0000-000000000000"] * n,
@@ -226,7 +213,7 @@ def _trajectory_columns(glasses: GlassesPoses) -> dict[str, object]:
         **split_columns(mps.POSITION_COLUMNS, glasses.position),
         **split_columns(_SCALAR_LAST, glasses.rotation[:, [1, 2, 3, 0]]),
         **split_columns(mps.GRAVITY_COLUMNS, np.tile(_GRAVITY, (n, 1))),
-        mps.QUALITY_COLUMN: np.ones(n),
+        mps.QUALITY_COLUMN: glasses.quality,
     }
 
 

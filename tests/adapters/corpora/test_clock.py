@@ -90,20 +90,20 @@ def test_correlation_equals_a_slow_loop_over_lags():
     long = rng.normal(size=400)
     one = angular_speed(np.arange(401) / 100.0, np.tile([1.0, 0, 0, 0], (401, 1)), 100.0)
     assert one is not None
-    first = replace(one, values=long, valid=np.ones(400, dtype=bool))
+    first = (one[0], long, np.ones(400, dtype=bool))
     valid = rng.random(250) > 0.1
-    second = replace(one, start=7.0, values=long[90:340] + 0.3 * rng.normal(size=250), valid=valid)
-    peak = best_agreement(first, second, 100.0)
+    second = (7.0, long[90:340] + 0.3 * rng.normal(size=250), valid)
+    lag_found, height, other = best_agreement(first, second, 100.0)
     scores = {}
     for lag in range(-249, 400):
-        pairs = [(long[i + lag], second.values[i]) for i in range(250) if valid[i] and 0 <= i + lag < 400]
+        pairs = [(long[i + lag], second[1][i]) for i in range(250) if valid[i] and 0 <= i + lag < 400]
         if len(pairs) >= 0.5 * valid.sum():
             scores[lag] = np.corrcoef(np.array(pairs).T)[0, 1]
     best = max(scores, key=lambda lag: scores[lag])
     assert best == 90
-    assert peak.height == pytest.approx(scores[best], abs=1e-9)
-    assert peak.second == pytest.approx(max(value for lag, value in scores.items() if abs(lag - best) > 100), abs=1e-9)
-    assert peak.lag == pytest.approx(first.start - 7.0 + 0.90, abs=0.005)
+    assert height == pytest.approx(scores[best], abs=1e-9)
+    assert other == pytest.approx(max(value for lag, value in scores.items() if abs(lag - best) > 100), abs=1e-9)
+    assert lag_found == pytest.approx(first[0] - 7.0 + 0.90, abs=0.005)
 
 
 def test_a_gap_of_the_glasses_does_not_count_as_standing_still():

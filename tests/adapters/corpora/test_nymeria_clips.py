@@ -10,7 +10,7 @@ from prbench_adapters.corpora.nymeria.clock import ClockOffset
 from prbench_adapters.corpora.nymeria.format import Narration
 from prbench_adapters.corpora.nymeria.source import clips_of
 from prbench_adapters.corpora.nymeria.suit import BodyMotion, MotionPiece
-from prbench_adapters.corpora.sources import ClipLimits, RecordingIdentity, cut_motion
+from prbench_adapters.corpora.sources import ClipLimits, RecordingIdentity, cut_clip
 from tests.adapters.corpora.suits import THRESHOLDS
 from tests.fakes import STANDING, smooth_motion
 
@@ -19,7 +19,7 @@ LIMITS = ClipLimits(20.0, 20, 241)
 
 
 def piece(start: float, seconds: float, name: str = "a") -> MotionPiece:
-    return MotionPiece(start, 240.0, smooth_motion(name, int(seconds * 240) + 1).astype(np.float64))
+    return MotionPiece(start, smooth_motion(name, int(seconds * 240) + 1).astype(np.float64))
 
 
 def row(start: float, end: float, text: str = "C waves.", *, annotator: str = "", kind: str = "atomic_action"):
@@ -27,9 +27,9 @@ def row(start: float, end: float, text: str = "C waves.", *, annotator: str = ""
 
 
 def build(rows, *pieces, offset: float | None = 0.0, limits: ClipLimits = LIMITS):
-    body = BodyMotion(pieces or (piece(100.0, 20.0),), "suit", 20.0, (), ())
+    body = BodyMotion(pieces or (piece(100.0, 20.0),), "suit", 20.0, ())
     clock = None if offset is None else ClockOffset("file", offset)
-    return clips_of(BELONGING, body, rows, clock, limits, THRESHOLDS)
+    return clips_of(BELONGING, body, rows, clock, limits, THRESHOLDS["smallest_coverage"])
 
 
 def outcome(rows, *pieces, **more) -> str:
@@ -71,7 +71,13 @@ def test_the_first_pose_stands_over_the_origin_and_faces_z():
 
 def test_neighbours_outside_of_the_motion_continue_its_speed():
     motion = np.repeat(STANDING[None], 10, axis=0) + 0.1 * np.arange(10)[:, None, None] * [0.0, 0.0, 1.0]
-    cut = cut_motion(motion, 0, 1, 10)
+    columns = {
+        "kind": "k", "captions": (), "text_start": 0.0, "text_end": 0.0, "cut": False, "mirrored": False,
+        "clock_method": "same", "clock_offset": 0.0, "clock_quality": None, "approximate": False,
+        "pose_source": "x", "head_tilt_deg": 0.0,
+    }  # fmt: skip
+    cut = cut_clip(motion, 0, 1, 10, fps=20.0, start=0.0, sequence_id="s", **vars(BELONGING), **columns)
+    assert cut is not None
     np.testing.assert_allclose(cut.previous_joints, cut.joints[0] - [0.0, 0.0, 0.1], atol=1e-12)
     np.testing.assert_allclose(cut.next_joints, cut.joints[-1] + [0.0, 0.0, 0.1], atol=1e-12)
     assert (cut.previous_source, cut.next_source) == ("extrapolated", "extrapolated")

@@ -22,15 +22,13 @@ def clean(suit: Suit):
     return clean_suit(suit, THRESHOLDS, path="xdata.npz")
 
 
-def moved(suit: Suit, mapping=MANIFEST.body.joint_mapping):
-    return suit_motion(clean(suit), mapping, "suit", 20.0, THRESHOLDS, path="xdata.npz")
+def moved(suit: Suit):
+    return suit_motion(clean(suit), MANIFEST, path="xdata.npz")
 
 
-def test_the_published_index_lists_are_the_mappings_by_name():
+def test_the_published_index_list_is_the_mapping_by_name():
     default = [XSENS_SEGMENTS.index(name) for name in MANIFEST.body.joint_mapping]
-    named = [XSENS_SEGMENTS.index(name) for name in MANIFEST.body.other_mappings["named"]]
     assert default == [1, 19, 15, 2, 20, 16, 3, 21, 17, 4, 22, 18, 5, 11, 7, 6, 12, 8, 13, 9, 14, 10]
-    assert named == [0, 19, 15, 1, 20, 16, 2, 21, 17, 3, 22, 18, 5, 11, 7, 6, 12, 8, 13, 9, 14, 10]
 
 
 @pytest.mark.parametrize("shaped", [False, True])
@@ -161,13 +159,4 @@ def test_the_head_tilt_is_measured_on_the_calibration_pose():
     bone = STANDING[Joint.HEAD] - STANDING[Joint.NECK]
     assert measured_head_tilt(suit) == pytest.approx(np.rad2deg(np.arctan2(bone[2], bone[1])), abs=1e-3)
     assert measured_head_tilt(replace(suit, tpose=None)) is None
-    assert moved(replace(suit, tpose=None)).head_tilt_deg == 20.0
-
-
-def test_bones_that_change_are_reported():
-    suit = walking_suit(600)
-    position = suit.position.copy()
-    position[:, XSENS_SEGMENTS.index("L_Hand"), 2] -= np.linspace(0.0, 0.02, 600)
-    report = moved(replace(suit, position=position))
-    assert "bones change their length" in report.messages[0]
-    assert float(dict(report.measured)["bone_length_change_mm"]) > 5.0
+    assert moved(replace(suit, tpose=None)).head_tilt_deg == MANIFEST.body.head_tilt_deg
