@@ -20,12 +20,10 @@ from prbench_adapters.diffusion.generation import choice, number, require_known,
 from prbench_adapters.diffusion.method import bundled_names, bundled_weights, resolve
 from prbench_adapters.diffusion.model import torch_device
 from prbench_adapters.prediction.coefficient_diffusion import held
-from prbench_adapters.prediction.configuration import DiffusionConfiguration
 from prbench_adapters.prediction.records import (
     RECORDS,
     DiffusionRecord,
     PredictorNetwork,
-    PredictorRecord,
     SeenWindows,
     network_of,
 )
@@ -85,8 +83,18 @@ class LearnedPredictor:
         if seen.frame == "last-pose":
             frames = seen.joints.last_pose_frame(batch.observed_joints[:, -1])
         observed = self._observed(batch, seen, invert_each(frames))
-        drawn = self._drawn(loaded.network, observed, batch.key, n_samples=n_samples, seed=seed)
-        joints = drawn[:, :, :, : seen.n_joints]
+        weight = next(loaded.network.parameters())
+        together = max(_MOST_TOGETHER // n_samples, 1)
+        parts = []
+        for first in range(0, len(observed), together):
+            generators = [
+                [sample_generator(seed, key, k) for k in range(n_samples)]
+                for key in batch.key[first : first + together]
+            ]
+            seeds = [[int(each.integers(2**63 - 1)) for each in row] for row in generators]
+            shown = torch.from_numpy(observed[first : first + together]).to(weight)
+            parts.append(loaded.network.predict(shown, seeds).double().cpu().numpy())
+        joints = np.concatenate(parts)[:, :, :, : seen.n_joints]
         if batch.fps != seen.fps:
             last = np.broadcast_to(observed[:, None, -1:, : seen.n_joints], (*joints.shape[:2], 1, *joints.shape[3:]))
             # A quicker rate than the network's begins between the last observed frame and the first predicted one.
@@ -98,46 +106,15 @@ class LearnedPredictor:
     def _observed(
         self, batch: ObservedBatch, seen: SeenWindows, own_from_batch: Float[np.ndarray, "batch 4 4"]
     ) -> Float[np.ndarray, "batch observed nodes 3"]:
-        """The observed nodes in the network's frame and at its rate."""
+        """The observed nodes in the network's frame and at its rate; never a direction of a later frame."""
         # The last observed frame is at 0 at either rate.
         times = np.arange(1 - batch.shape[1], 1) / batch.fps
         own_times = np.arange(1 - seen.observed, 1) / seen.fps
         joints = transform_each(own_from_batch, batch.observed_joints)
         if batch.fps != seen.fps:
             joints = _at_times(joints, times, own_times)
-        if batch.gaze is None:
+        if batch.gaze is None or batch.gaze_valid is None:
             return joints
-        direction = self._direction(batch, own_from_batch, times, own_times)
-        return np.concatenate([joints, direction], axis=2)
-
-    def _drawn(
-        self,
-        network: PredictorNetwork,
-        observed: Float[np.ndarray, "batch observed nodes 3"],
-        key: Sequence[int],
-        *,
-        n_samples: int,
-        seed: int,
-    ) -> Float[np.ndarray, "batch samples predicted nodes 3"]:
-        weight = next(network.parameters())
-        together = max(_MOST_TOGETHER // n_samples, 1)
-        parts = []
-        for first in range(0, len(observed), together):
-            rows = range(first, min(first + together, len(observed)))
-            seeds = [[_sample_seed(seed, key[row], sample) for sample in range(n_samples)] for row in rows]
-            seen = torch.from_numpy(observed[rows.start : rows.stop]).to(weight)
-            parts.append(network.predict(seen, seeds).double().cpu().numpy())
-        return np.concatenate(parts)
-
-    def _direction(
-        self,
-        batch: ObservedBatch,
-        own_from_batch: Float[np.ndarray, "batch 4 4"],
-        times: Float[np.ndarray, " frames"],
-        own_times: Float[np.ndarray, " own_frames"],
-    ) -> Float[np.ndarray, "batch own_frames 1 3"]:
-        """The observed directions in the network's frame and at its rate; never one of a later frame."""
-        assert batch.gaze is not None and batch.gaze_valid is not None  # noqa: PT018
         turned = transform_each(rotations_alone(own_from_batch), batch.gaze)[:, :, None]
         try:
             measured = held(torch.from_numpy(turned), torch.from_numpy(batch.gaze_valid.copy())).numpy()
@@ -146,7 +123,7 @@ class LearnedPredictor:
                 f"{self.name}: {error}. Choose windows with measured gaze, or another condition."
             ) from error
         latest = np.searchsorted(times, own_times + _SAME_TIME, side="right") - 1
-        return measured[:, np.maximum(latest, 0)]
+        return np.concatenate([joints, measured[:, np.maximum(latest, 0)]], axis=2)
 
     def _require_fit(self, batch: ObservedBatch, loaded: Loaded, n_samples: int) -> None:
         seen = loaded.windows
@@ -191,45 +168,32 @@ def load_predictor(name: str, weights: Path | None, *, options: Mapping[str, str
         InputFileError: if a file holds no weights of this method.
         ValueError: for options that are unknown or have impossible values.
     """
-    known = ("precision", "steps", "guidance") if RECORDS[name] is DiffusionRecord else ("precision",)
-    require_known(options, known)
+    is_diffusion = RECORDS[name] is DiffusionRecord
+    require_known(options, ("precision", "steps", "guidance") if is_diffusion else ("precision",))
     precision = _PRECISIONS[choice(options, "precision", tuple(_PRECISIONS))]
     where = torch_device(device)
-    loaded = []
-    for path in _paths(name, weights):
-        file = read_weights(path, kind=name)
-        record = _with_options(file.configuration(RECORDS[name]), options)
-        loaded.append(Loaded(path, record.windows, network_of(file, record).to(where, precision)))
-    return LearnedPredictor(name, loaded)
-
-
-def _paths(name: str, weights: Path | None) -> list[Path]:
     folder = Path(str(files("prbench_adapters"))) / "prediction" / "weights"
-    own = [each for each in bundled_names(folder) if each.startswith(f"{name}-small")]
     if weights is not None:
-        return [resolve(weights, name, folder=folder)]
-    if not own:
+        paths = [resolve(weights, name, folder=folder)]
+    else:
+        paths = [bundled_weights(each, folder) for each in bundled_names(folder) if each.startswith(f"{name}-small")]
+    if not paths:
         raise AdapterError(
             f"{name}: no weights come with this version of prbench. Train some (`prbench train --method {name}"
             " --config small --data WINDOWS… --out DIR`) and give --weights."
         )
-    return [bundled_weights(each, folder) for each in own]
-
-
-def _with_options(record: PredictorRecord, options: Mapping[str, str]) -> PredictorRecord:
-    """The record with another number of sampling steps or guidance, which change no tensor."""
-    if not isinstance(record, DiffusionRecord):
-        return record
-    network = record.network
-    steps = whole_number(options, "steps", most=network.diffusion_steps) or network.sampling_steps
-    changed: DiffusionConfiguration = msgspec.structs.replace(
-        network, sampling_steps=steps, guidance=number(options, "guidance", network.guidance)
-    )
-    return msgspec.structs.replace(record, network=changed)
-
-
-def _sample_seed(seed: int, key: int, sample: int) -> int:
-    return int(sample_generator(seed, key, sample).integers(2**63 - 1))
+    loaded = []
+    for path in paths:
+        file = read_weights(path, kind=name)
+        record = file.configuration(RECORDS[name])
+        if isinstance(record, DiffusionRecord):  # the number of sampling steps and guidance change no tensor
+            network = record.network
+            steps = whole_number(options, "steps", most=network.diffusion_steps) or network.sampling_steps
+            guidance = number(options, "guidance", network.guidance)
+            network = msgspec.structs.replace(network, sampling_steps=steps, guidance=guidance)
+            record = msgspec.structs.replace(record, network=network)
+        loaded.append(Loaded(path, record.windows, network_of(file, record).to(where, precision)))
+    return LearnedPredictor(name, loaded)
 
 
 def _at_times(

@@ -1,14 +1,13 @@
 """BeLFusion: diffusion of behaviours, each of which is then decoded from the last observed frames.
 
 Source: docs/specification/prediction-baselines.md#belfusion. The autoencoders of behaviour, the U-Net over latents, and
-the sampling.
+the sampling. Joints are in metres.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal, TypeVar
+from collections.abc import Iterator
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -20,11 +19,30 @@ from torch.nn.utils.parametrizations import weight_norm
 
 from prbench_adapters.diffusion.denoiser import sinusoid_table
 from prbench_adapters.diffusion.sampling import Chain, ddim_factors
-from prbench_adapters.prediction.recurrent import PoseDecoder, gaussian_kl, last_state, latent_noise
+from prbench_adapters.prediction.recurrent import (
+    Futures,
+    Losses,
+    Observed,
+    PoseDecoder,
+    Seeds,
+    from_zero,
+    gaussian_kl,
+    last_state,
+    latent_noise,
+    require_sizes,
+)
+
+Motion = Float[Tensor, "windows frames joints 3"]
+Behaviour = Float[Tensor, "windows behaviour"]
+Behaviours = Float[Tensor, "windows samples behaviour"]
+Past = Float[Tensor, "windows past"]
+Steps = Int[Tensor, " windows"]
+Image = Float[Tensor, "batch channels height width"]
 
 _GROUPS = 32
 _Resize = Literal["none", "halve", "double"]
-_Layer = TypeVar("_Layer", bound=nn.Module)
+_OFFSET = 1e-4
+_LARGEST_BETA = 0.999
 
 
 class UNetConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -100,13 +118,9 @@ class LatentUNet(nn.Module):
                 self.down.append(nn.ModuleList([_Block(width, width, embedding, "halve")]))
                 skips.append(width)
             inputs = width
-        self.middle = nn.ModuleList(
-            [
-                _Block(inputs, inputs, embedding),
-                _Attention(inputs, configuration.head_channels),
-                _Block(inputs, inputs, embedding),
-            ]
-        )
+        blocks = (_Block, _Attention, _Block)
+        sizes = ((inputs, inputs, embedding), (inputs, configuration.head_channels), (inputs, inputs, embedding))
+        self.middle = nn.ModuleList(block(*size) for block, size in zip(blocks, sizes, strict=True))
         self.up = nn.ModuleList()
         for level, width in reversed(list(enumerate(widths))):
             # A level has as many blocks on the way up as outputs on the way down: its own, and that of the change.
@@ -116,19 +130,13 @@ class LatentUNet(nn.Module):
                     stage.append(_Block(width, width, embedding, "double"))
                 self.up.append(nn.ModuleList(stage))
                 inputs = width
-        self.output = nn.Sequential(
-            nn.GroupNorm(_GROUPS, inputs), nn.SiLU(), _from_zero(nn.Conv2d(inputs, 1, 3, padding=1))
-        )
+        output = from_zero(nn.Conv2d(inputs, 1, 3, padding=1))
+        self.output = nn.Sequential(nn.GroupNorm(_GROUPS, inputs), nn.SiLU(), output)
         table = sinusoid_table(configuration.steps, channels)
         self.register_buffer("sinusoid", torch.cat([table[:, 1::2], table[:, ::2]], dim=1), persistent=False)
         self.sinusoid: Tensor
 
-    def forward(
-        self,
-        noisy: Float[Tensor, "batch latent"],
-        step: Int[Tensor, " batch"],
-        condition: Float[Tensor, "batch condition"],
-    ) -> Float[Tensor, "batch latent"]:
+    def forward(self, noisy: Behaviour, step: Steps, condition: Past) -> Behaviour:
         """Predict; ``step`` is the index in the training schedule."""
         embedding = functional.silu(torch.cat([self.time(self.sinusoid[step]), condition], dim=1))
         shape = self.configuration
@@ -164,12 +172,10 @@ class _Block(nn.Module):
         self.first = nn.Conv2d(inputs, outputs, 3, padding=1)
         self.scale_shift = nn.Linear(embedding, 2 * outputs)
         self.second_norm = nn.GroupNorm(_GROUPS, outputs)
-        self.second = _from_zero(nn.Conv2d(outputs, outputs, 3, padding=1))
+        self.second = from_zero(nn.Conv2d(outputs, outputs, 3, padding=1))
         self.skip = nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
 
-    def forward(
-        self, stream: Float[Tensor, "batch inputs height width"], embedding: Float[Tensor, "batch embedding"]
-    ) -> Float[Tensor, "batch outputs new_height new_width"]:
+    def forward(self, stream: Image, embedding: Tensor) -> Tensor:
         hidden = self.first(self._resized(functional.silu(self.first_norm(stream))))
         scale, shift = self.scale_shift(embedding)[:, :, None, None].chunk(2, dim=1)
         hidden = torch.addcmul(shift, self.second_norm(hidden), 1 + scale)
@@ -191,24 +197,14 @@ class _Attention(nn.Module):
         self.heads = channels // head_channels
         self.norm = nn.GroupNorm(_GROUPS, channels)
         self.query_key_value = nn.Conv1d(channels, 3 * channels, 1)
-        self.output = _from_zero(nn.Conv1d(channels, channels, 1))
+        self.output = from_zero(nn.Conv1d(channels, channels, 1))
 
-    def forward(
-        self,
-        stream: Float[Tensor, "batch channels height width"],
-        embedding: Float[Tensor, "batch embedding"],  # noqa: ARG002 - called like a block
-    ) -> Float[Tensor, "batch channels height width"]:
+    def forward(self, stream: Image, embedding: Tensor) -> Image:  # noqa: ARG002 - called like a block
         """Let each place of the stream look at all others; the embedding of the diffusion step has no part in it."""
         places = self.query_key_value(self.norm(stream).flatten(2))
         query, key, value = places.unflatten(1, (3, self.heads, -1)).movedim(1, 0).transpose(-1, -2)
         attended = functional.scaled_dot_product_attention(query, key, value)
         return stream + self.output(attended.transpose(-1, -2).flatten(1, 2)).view_as(stream)
-
-
-def _from_zero(layer: _Layer) -> _Layer:
-    for parameter in layer.parameters():
-        nn.init.zeros_(parameter)
-    return layer
 
 
 class BehaviourConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -238,13 +234,9 @@ class BehaviourConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=
 
     def __post_init__(self) -> None:
         sizes = ("n_joints", "observed", "predicted", "context", "past", "behaviour", "decoder", "context_width")
-        for name in sizes:
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
+        require_sizes(self, *sizes)
         if self.context > self.observed:
             raise ValueError(f"'context' must be at most the {self.observed} observed frames, found {self.context}")
-        if not self.mlp or min(self.mlp) < 1:
-            raise ValueError(f"'mlp' must be one or more positive widths, found {list(self.mlp)}")
 
     @property
     def values(self) -> int:
@@ -266,11 +258,11 @@ class PastAutoencoder(nn.Module):
         self.encoder = nn.GRU(values, past, batch_first=True)
         self.decoder = PoseDecoder(past, past, past, configuration.mlp, values)
 
-    def code(self, observed: Float[Tensor, "windows frames joints 3"]) -> Float[Tensor, "windows past"]:
+    def code(self, observed: Motion) -> Past:
         """The code of observed frames in metres."""
         return last_state(self.encoder, observed.flatten(2))
 
-    def forward(self, motion: Float[Tensor, "windows frames joints 3"]) -> Float[Tensor, "windows frames joints 3"]:
+    def forward(self, motion: Motion) -> Motion:
         """The first frame as it is, and the others from their code."""
         frames = motion.flatten(2)
         start = frames[:, 0]
@@ -280,22 +272,9 @@ class PastAutoencoder(nn.Module):
             offsets = offsets.cumsum(dim=1)
         return torch.cat([frames[:, :1], start[:, None] + offsets], dim=1).unflatten(-1, (-1, 3))
 
-    def loss(self, motion: Float[Tensor, "windows frames joints 3"]) -> Float[Tensor, ""]:
+    def loss(self, motion: Motion) -> Float[Tensor, ""]:
         """Mean squared error of all frames, m²."""
         return (self(motion) - motion).square().mean()
-
-
-@dataclass(frozen=True)
-class Behaviour:
-    """What a behaviour is drawn from."""
-
-    hidden: Float[Tensor, "windows behaviour"]
-    mean: Float[Tensor, "windows behaviour"]
-    log_deviation: Float[Tensor, "windows behaviour"]
-
-    def draw(self, noise: Float[Tensor, "windows behaviour"]) -> Float[Tensor, "windows behaviour"]:
-        """One behaviour a window, from standard normal noise; published evaluation draws it too."""
-        return self.mean + self.log_deviation.exp() * noise
 
 
 class BehaviourAutoencoder(nn.Module):
@@ -318,17 +297,18 @@ class BehaviourAutoencoder(nn.Module):
         self.auxiliary = nn.GRU(size, width, batch_first=True)
         self.auxiliary_pose = nn.Linear(width, values)
 
-    def encode(self, sequence: Float[Tensor, "windows frames joints 3"]) -> Behaviour:
-        """The behaviour of context and future, in metres."""
+    def encode(self, sequence: Motion) -> tuple[Behaviour, Behaviour]:
+        """Mean and logarithm of the deviation of the behaviour of context and future."""
         hidden = last_state(self.encoder, sequence.flatten(2))
-        return Behaviour(hidden, self.mean(hidden), self.log_deviation(hidden))
+        return self.mean(hidden), self.log_deviation(hidden)
 
-    def decode(
-        self,
-        context: Float[Tensor, "windows context joints 3"],
-        behaviour: Float[Tensor, "windows samples behaviour"],
-    ) -> Float[Tensor, "windows samples predicted joints 3"]:
-        """Futures in metres that go on from the context, which is encoded once a window."""
+    def draw(self, sequence: Motion, noise: Behaviour) -> Behaviour:
+        """One behaviour a window, from standard normal noise; published evaluation draws it too."""
+        mean, log_deviation = self.encode(sequence)
+        return mean + log_deviation.exp() * noise
+
+    def decode(self, context: Motion, behaviour: Behaviours) -> Futures:
+        """Futures that go on from the context, which is encoded once a window."""
         samples = behaviour.shape[1]
         flat = context.flatten(2)
         told = self.context(flat.flatten(1))[:, None].expand(-1, samples, -1)
@@ -337,27 +317,38 @@ class BehaviourAutoencoder(nn.Module):
         offsets = self.offset(self.coupler(steps)[0]).unflatten(0, (-1, samples))
         return (flat[:, None, -1:] + offsets).unflatten(-1, (-1, 3))
 
-    def decode_without_context(
-        self, behaviour: Float[Tensor, "windows behaviour"]
-    ) -> Float[Tensor, "windows frames joints 3"]:
+    def decode_without_context(self, behaviour: Behaviour) -> Motion:
         """What the auxiliary decoder can tell of context and future from the behaviour alone."""
         frames = self.configuration.context + self.configuration.predicted
         steps = behaviour[:, None].expand(-1, frames, -1)
         return self.auxiliary_pose(self.auxiliary(steps)[0]).unflatten(-1, (-1, 3))
 
-    def loss(
-        self, sequence: Float[Tensor, "windows frames joints 3"], noise: Float[Tensor, "windows behaviour"]
-    ) -> dict[str, Float[Tensor, ""]]:
-        """The published loss of encoder and coupler, m²; ``auxiliary`` is that of the auxiliary decoder beside it."""
-        found = self.encode(sequence)
-        behaviour = found.draw(noise)
+    def loss(self, sequence: Motion, noise: Behaviour, *, coupler_alone: bool = False) -> Losses:
+        """The published losses of encoder, coupler and auxiliary decoder in one, m² a window.
+
+        Args:
+            sequence: Context and future.
+            noise: Standard normal.
+            coupler_alone: Encoder and auxiliary decoder stay as they are.
+
+        Returns:
+            ``loss`` and its parts; with ``coupler_alone`` of the reconstruction alone.
+        """
         n = len(sequence)
         context, future = sequence.split([self.configuration.context, self.configuration.predicted], dim=1)
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not coupler_alone):
+            mean, log_deviation = self.encode(sequence)
+            behaviour = mean + log_deviation.exp() * noise
         squared_error = (self.decode(context, behaviour[:, None])[:, 0] - future).square().sum() / n
+        if coupler_alone:
+            return {"loss": squared_error, "squared_error": squared_error}
         # The published program puts the logarithm of the deviation where that of the variance belongs.
-        kl = gaussian_kl(found.mean, found.log_deviation).sum() / n
-        auxiliary = (self.decode_without_context(behaviour) - sequence).square().sum() / n
-        total = squared_error + self.configuration.beta * kl - self.configuration.delta * auxiliary
+        kl = gaussian_kl(mean, log_deviation).sum() / n
+        # The same number as `behaviour`, of whose gradient 1 - delta goes on: the auxiliary decoder learns from its
+        # whole error, and the encoder from what the published program leaves of it, which makes it hide the poses.
+        hidden = behaviour.detach() + (1.0 - self.configuration.delta) * (behaviour - behaviour.detach())
+        auxiliary = (self.decode_without_context(hidden) - sequence).square().sum() / n
+        total = squared_error + self.configuration.beta * kl + auxiliary
         return {"loss": total, "squared_error": squared_error, "kl": kl, "auxiliary": auxiliary}
 
 
@@ -370,12 +361,8 @@ class _ScaledLinear(nn.Module):
         self.scale = nn.Parameter(torch.ones(size))
         self.shift = nn.Parameter(torch.zeros(size))
 
-    def forward(self, hidden: Float[Tensor, "batch size"]) -> Float[Tensor, "batch size"]:
+    def forward(self, hidden: Behaviour) -> Behaviour:
         return self.scale * self.linear(hidden) + self.shift
-
-
-_OFFSET = 1e-4
-_LARGEST_BETA = 0.999
 
 
 def square_root_schedule(steps: int) -> Chain:
@@ -419,48 +406,33 @@ class BeLFusion(nn.Module):
         self.behaviour_min: Tensor
         self.behaviour_max: Tensor
 
-    def condition(self, observed: Float[Tensor, "windows observed joints 3"]) -> Float[Tensor, "windows past"]:
+    def condition(self, observed: Observed) -> Past:
         """The code of the past, ±1 over the training windows."""
         return _scaled(self.past.code(observed), self.past_min, self.past_max)
 
-    def target(
-        self, motion: Float[Tensor, "windows frames joints 3"], noise: Float[Tensor, "windows behaviour"]
-    ) -> Float[Tensor, "windows behaviour"]:
+    def target(self, motion: Motion, noise: Behaviour) -> Behaviour:
         """The behaviour of whole windows, drawn with standard normal noise, ±1 over the training windows."""
-        drawn = self.behaviour.encode(motion[:, self._context_start :]).draw(noise)
+        drawn = self.behaviour.draw(motion[:, self._context_start :], noise)
         return _scaled(drawn, self.behaviour_min, self.behaviour_max)
 
-    def decode(
-        self,
-        observed: Float[Tensor, "windows observed joints 3"],
-        latent: Float[Tensor, "windows samples behaviour"],
-    ) -> Float[Tensor, "windows samples predicted joints 3"]:
-        """Futures in metres of scaled behaviours."""
+    def decode(self, observed: Observed, latent: Behaviours) -> Futures:
+        """Futures of scaled behaviours."""
         behaviour = (latent + 1.0) / 2.0 * (self.behaviour_max - self.behaviour_min) + self.behaviour_min
         return self.behaviour.decode(observed[:, self._context_start :], behaviour)
 
-    def denoised(
-        self,
-        noisy: Float[Tensor, "windows samples behaviour"],
-        step: Int[Tensor, " windows"],
-        condition: Float[Tensor, "windows past"],
-    ) -> Float[Tensor, "windows samples behaviour"]:
+    def denoised(self, noisy: Behaviours, step: Steps, condition: Past) -> Behaviours:
         """Clean behaviours of noisy ones."""
         samples = noisy.shape[1]
         told, steps = condition.repeat_interleave(samples, dim=0), step.repeat_interleave(samples)
         return self.denoiser(noisy.flatten(0, 1), steps, told).unflatten(0, (-1, samples))
 
     def loss(
-        self,
-        motion: Float[Tensor, "windows frames joints 3"],
-        step: Int[Tensor, " windows"],
-        noise: Float[Tensor, "windows samples behaviour"],
-        behaviour_noise: Float[Tensor, "windows behaviour"],
+        self, motion: Motion, step: Steps, noise: Behaviours, behaviour_noise: Behaviour
     ) -> dict[str, Float[Tensor, " windows"]]:
         """Errors of the best of several noises at one step, of each window: of the latent vector and of the future.
 
         Args:
-            motion: Whole windows, metres.
+            motion: Whole windows.
             step: Index in the training schedule, 0 … T - 1.
             noise: Standard normal, for each sample.
             behaviour_noise: Standard normal, for the behaviour that is to be found.
@@ -477,29 +449,19 @@ class BeLFusion(nn.Module):
         return {"loss": latent + self.decoded_weight * decoded, "latent": latent, "decoded": decoded}
 
     @torch.no_grad()
-    def predict(
-        self, observed: Float[Tensor, "windows observed joints 3"], seeds: Sequence[Sequence[int]]
-    ) -> Float[Tensor, "windows samples predicted joints 3"]:
-        """Draw continuations in metres.
-
-        Args:
-            observed: Joints, metres.
-            seeds: A seed for each sample of each window (``prbench.randomness.noise_seed``); nothing else decides
-                about its noise.
-        """
+    def predict(self, observed: Observed, seeds: Seeds) -> Futures:
+        """Draw continuations."""
         start = latent_noise(seeds, self.configuration.behaviour, observed)
         *_, (_, clean) = self.states(start, self.condition(observed))
         return self.decode(observed, clean)
 
     @torch.no_grad()
-    def states(
-        self, start: Float[Tensor, "windows samples behaviour"], condition: Float[Tensor, "windows past"]
-    ) -> Iterator[tuple[Tensor, Tensor]]:
+    def states(self, start: Behaviours, condition: Past) -> Iterator[tuple[Behaviours, Behaviours]]:
         """Walk from noise to behaviours by DDIM (η = 0), the noisiest step first.
 
         Yields:
-            The state after each step, and the clean estimate within ±1 that it was made from, both (windows, samples,
-            behaviour); those of the last step are equal.
+            The state after each step, and the clean estimate within ±1 that it was made from; those of the last step
+            are equal.
         """
         of_clean, of_state = ddim_factors(self.schedule.alphas_cumprod, self.schedule.alphas_cumprod_previous)
         state = start

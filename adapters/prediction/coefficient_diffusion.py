@@ -22,8 +22,25 @@ from prbench_adapters.diffusion.denoiser import sinusoid_table
 from prbench_adapters.diffusion.generation import SequenceNoise
 from prbench_adapters.diffusion.sampling import CosineSchedule
 from prbench_adapters.prediction.configuration import DiffusionConfiguration
+from prbench_adapters.prediction.recurrent import from_zero
 
+Motion = Float[Tensor, "windows frames nodes 3"]
+"""Joints in metres, and perhaps a direction as the last node."""
+Coefficients = Float[Tensor, "windows coefficients values"]
+"""DCT coefficients of each value; value = 3 · node + coordinate."""
+Samples = Float[Tensor, "windows samples coefficients values"]
+Stream = Float[Tensor, "windows samples coefficients width"]
+Graph = Float[Tensor, "batch channels nodes steps"]
+Kept = Bool[Tensor, "windows samples"]
+Noise = Callable[[], Samples]
+"""The next standard normal noise of every sample."""
+_Memory = tuple[Tensor, Tensor]
+"""What a stream is multiplied with for the scores of all heads, (windows, width, heads · coefficients), and the values,
+(windows, heads, coefficients, width / heads)."""
 _SMALLEST = 1e-3  # metres; nothing below it matters, and half precision still holds it
+_SLOPE = 0.2
+_GAZE_CHANNELS = 32
+_KERNEL = 3
 
 
 class Whitening(nn.Module):
@@ -44,7 +61,7 @@ class Whitening(nn.Module):
         """Root mean square along each direction, metres."""
 
     @torch.no_grad()
-    def take(self, coefficients: Float[Tensor, "windows coefficients values"]) -> None:
+    def take(self, coefficients: Coefficients) -> None:
         """Measure directions and spread on coefficients of training windows."""
         flat = coefficients.flatten(0, 1).double()
         directions = torch.linalg.eigh(flat.T @ flat / len(flat)).eigenvectors.flip(1)
@@ -72,33 +89,19 @@ def dct_rows(coefficients: int, frames: int) -> Float[Tensor, "coefficients fram
     return rows
 
 
-def padded(
-    observed: Float[Tensor, "windows observed nodes 3"],
-    frames: int,
-    gaze_valid: Bool[Tensor, "windows observed"] | None = None,
-) -> Float[Tensor, "windows frames nodes 3"]:
+def padded(observed: Motion, frames: int) -> Tensor:
     """The observation, followed by copies of its last frame.
 
-    Args:
-        observed: Joints in metres, and perhaps a direction as the last node.
-        frames: Of the whole window.
-        gaze_valid: Which directions were measured; each other one becomes the last measured one before it, at the
-            start the first measured one. None if all were.
-
     Raises:
-        ValueError: if a window has no measured direction, or is longer than ``frames``.
+        ValueError: if it is longer than ``frames``.
     """
     n = observed.shape[1]
     if n > frames:
         raise ValueError(f"an observation of {n} frames does not fit into a window of {frames}")
-    if gaze_valid is not None:
-        observed = held(observed, gaze_valid)
     return torch.cat([observed, observed[:, -1:].expand(-1, frames - n, -1, -1)], dim=1)
 
 
-def held(
-    observed: Float[Tensor, "windows observed nodes 3"], valid: Bool[Tensor, "windows observed"]
-) -> Float[Tensor, "windows observed nodes 3"]:
+def held(observed: Motion, valid: Bool[Tensor, "windows frames"]) -> Motion:
     """Replace the last node where it was not measured by the last measured one before it, at the start by the first.
 
     Raises:
@@ -134,30 +137,21 @@ class WindowDCT(nn.Module):
         self.rows: Tensor
         self.observed_share: Tensor
 
-    def forward(self, motion: Float[Tensor, "*batch frames nodes 3"]) -> Float[Tensor, "*batch coefficients values"]:
-        """The first coefficients of each value; value = 3 · node + coordinate."""
+    def forward(self, motion: Float[Tensor, "*batch frames nodes 3"]) -> Tensor:
+        """The first coefficients of each value."""
         return self.rows.to(motion.dtype) @ motion.flatten(-2)
 
-    def inverse(
-        self, coefficients: Float[Tensor, "*batch coefficients values"]
-    ) -> Float[Tensor, "*batch frames nodes 3"]:
+    def inverse(self, coefficients: Float[Tensor, "*batch coefficients values"]) -> Tensor:
         """The motion that these coefficients describe; not the original one, whose faster parts are lost."""
         return (self.rows.T.to(coefficients.dtype) @ coefficients).unflatten(-1, (-1, 3))
 
-    def completed(
-        self,
-        coefficients: Float[Tensor, "*batch coefficients values"],
-        known: Float[Tensor, "*#batch coefficients values"],
-    ) -> Float[Tensor, "*batch coefficients values"]:
+    def completed(self, coefficients: Tensor, known: Tensor) -> Tensor:
         """Coefficients of the motion whose observed frames are those of ``known``, and the others its own.
 
         The published programs go back to frames, exchange the observed ones, and transform again. All three are
         linear: x + (D_H D_Hᵀ)(known - x) with the columns D_H of the observed frames.
         """
         return coefficients + self.observed_share.to(coefficients.dtype) @ (known - coefficients)
-
-
-_SLOPE = 0.2
 
 
 class GraphAttention(nn.Module):
@@ -185,7 +179,7 @@ class GraphAttention(nn.Module):
         for parameter in self.parameters():
             nn.init.uniform_(parameter, -bound, bound)
 
-    def forward(self, stream: Float[Tensor, "batch inputs nodes steps"]) -> Float[Tensor, "batch outputs nodes steps"]:
+    def forward(self, stream: Graph) -> Tensor:
         """Apply to every graph by itself."""
         # Features of a step are ordered by node, those of a node by step; channels change fastest in both.
         weights = _attention(stream.permute(0, 3, 2, 1).flatten(2), self.over_steps)
@@ -196,9 +190,7 @@ class GraphAttention(nn.Module):
         return stream + self.bias
 
 
-def _attention(
-    tokens: Float[Tensor, "batch tokens size"], weights: Float[Tensor, "heads 2 size"]
-) -> Float[Tensor, "batch tokens tokens"]:
+def _attention(tokens: Float[Tensor, "batch tokens size"], weights: Float[Tensor, "heads 2 size"]) -> Tensor:
     """Row i: how much token i takes of each token, averaged over the heads; no value projection makes that enough."""
     looking, looked_at = torch.einsum("bts,hps->pbht", tokens, weights)
     scores = functional.leaky_relu(looking[..., :, None] + looked_at[..., None, :], _SLOPE)
@@ -224,7 +216,7 @@ class GraphEncoder(nn.Module):
         self.blocks = nn.ModuleList(_GraphBlock(width, nodes, 2 * steps, heads, dropout) for _ in range(blocks))
         self.end = GraphAttention(width, 3, nodes, steps, heads)
 
-    def forward(self, nodes: Float[Tensor, "batch 3 nodes steps"]) -> Float[Tensor, "batch 3 nodes steps"]:
+    def forward(self, nodes: Graph) -> Graph:
         """Encode; the result is the input and what the layers add to it."""
         stream = self.start(nodes)
         stream = torch.cat([stream, stream], dim=-1)
@@ -240,24 +232,21 @@ class _GraphBlock(nn.Module):
         self.norm = nn.LayerNorm([width, nodes, steps])
         self.dropout = nn.Dropout(dropout)
 
-    def forward(self, stream: Float[Tensor, "batch width nodes steps"]) -> Float[Tensor, "batch width nodes steps"]:
+    def forward(self, stream: Graph) -> Graph:
         return stream + self.dropout(torch.tanh(self.norm(self.attention(stream))))
 
 
-_GAZE_CHANNELS = 32
-_KERNEL = 3
-
-
-class GazeEncoder(nn.Sequential):
+def gaze_encoder(coefficients: int) -> nn.Sequential:
     """Convolutions over the coefficients of a direction: (batch, 3, L) to (batch, 3, L), within ±1."""
-
-    def __init__(self, coefficients: int) -> None:
-        layers: list[nn.Module] = []
-        inputs = 3
-        for _ in range(3):
-            layers += [_convolution(inputs, _GAZE_CHANNELS), nn.LayerNorm([_GAZE_CHANNELS, coefficients]), nn.Tanh()]
-            inputs = _GAZE_CHANNELS
-        super().__init__(*layers, _convolution(inputs, 3), nn.Tanh())
+    layers: list[nn.Module] = []
+    inputs = 3
+    for outputs in (_GAZE_CHANNELS, _GAZE_CHANNELS, _GAZE_CHANNELS, 3):
+        layers.append(nn.Conv1d(inputs, outputs, _KERNEL, padding=_KERNEL // 2, padding_mode="replicate"))
+        if outputs != 3:
+            layers.append(nn.LayerNorm([outputs, coefficients]))
+        layers.append(nn.Tanh())
+        inputs = outputs
+    return nn.Sequential(*layers)
 
 
 class ConditionEncoder(nn.Module):
@@ -277,16 +266,14 @@ class ConditionEncoder(nn.Module):
             self.pose = GraphEncoder(joints, steps, width, heads, 1, configuration.encoder_dropout)
         self.gaze: nn.Module = nn.Identity()
         if configuration.gaze and configuration.gaze_encoder:
-            self.gaze = GazeEncoder(steps)
+            self.gaze = gaze_encoder(steps)
         self.fusion: nn.Module = nn.Identity()
         if configuration.fusion == "graph-attention":
             blocks = configuration.fusion_blocks
             self.fusion = GraphEncoder(nodes, steps, width, heads, blocks, configuration.fusion_dropout)
 
-    def forward(
-        self, coefficients: Float[Tensor, "windows coefficients values"]
-    ) -> Float[Tensor, "windows coefficients values"]:
-        """Encode the coefficients of padded observations; values are 3 · node + coordinate, gaze the last node."""
+    def forward(self, coefficients: Coefficients) -> Coefficients:
+        """Encode the coefficients of padded observations, gaze being the last node."""
         nodes = self.nodes(coefficients)
         joints = self.configuration.n_joints
         features = self.pose(nodes[:, :, :joints])
@@ -294,9 +281,7 @@ class ConditionEncoder(nn.Module):
             features = torch.cat([features, self.gaze(nodes[:, :, joints])[:, :, None]], dim=2)
         return self.flat(self.fusion(features))
 
-    def nodes(
-        self, coefficients: Float[Tensor, "windows coefficients values"]
-    ) -> Float[Tensor, "windows 3 nodes steps"]:
+    def nodes(self, coefficients: Coefficients) -> Graph:
         """Coordinates, nodes and coefficients as axes.
 
         The legacy layout takes the same numbers in the order in which they lie in memory, so that axes are mixed.
@@ -306,20 +291,11 @@ class ConditionEncoder(nn.Module):
             return coefficients.reshape(len(coefficients), 3, shape.nodes, shape.coefficients)
         return coefficients.unflatten(-1, (shape.nodes, 3)).permute(0, 3, 2, 1)
 
-    def flat(self, nodes: Float[Tensor, "windows 3 nodes steps"]) -> Float[Tensor, "windows steps values"]:
+    def flat(self, nodes: Graph) -> Coefficients:
         """The way back from :meth:`nodes`."""
         if self.configuration.legacy_layout:
             return nodes.reshape(len(nodes), self.configuration.coefficients, self.configuration.values)
         return nodes.permute(0, 3, 2, 1).flatten(2)
-
-
-def _convolution(inputs: int, outputs: int) -> nn.Conv1d:
-    return nn.Conv1d(inputs, outputs, _KERNEL, padding=_KERNEL // 2, padding_mode="replicate")
-
-
-_Memory = tuple[Tensor, Tensor]
-"""What a stream is multiplied with for the scores of all heads, (windows, width, heads · coefficients), and the values,
-(windows, heads, coefficients, width / heads)."""
 
 
 @dataclass(frozen=True)
@@ -348,18 +324,13 @@ class CoefficientDenoiser(nn.Module):
         self.condition = nn.Linear(rows * values, width)
         self.time = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.blocks = nn.ModuleList(_Block(configuration) for _ in range(configuration.layers))
-        self.output = _from_zero(nn.Linear(width, values))
+        self.output = from_zero(nn.Linear(width, values))
         table = sinusoid_table(configuration.diffusion_steps, width)
         # The published programs have all cosines in front of all sines.
         self.register_buffer("sinusoid", torch.cat([table[:, 1::2], table[:, ::2]], dim=1), persistent=False)
         self.sinusoid: Tensor
 
-    def forward(
-        self,
-        noisy: Float[Tensor, "windows samples coefficients values"],
-        step: Int[Tensor, " steps"],
-        prepared: PreparedCondition,
-    ) -> Float[Tensor, "windows samples coefficients values"]:
+    def forward(self, noisy: Samples, step: Int[Tensor, " steps"], prepared: PreparedCondition) -> Samples:
         """Predict the noise.
 
         Args:
@@ -379,11 +350,7 @@ class CoefficientDenoiser(nn.Module):
                 stream = stream + skips.pop()
         return self.output(stream)
 
-    def prepare(
-        self,
-        condition: Float[Tensor, "windows coefficients values"],
-        kept: Bool[Tensor, "windows samples"] | None = None,
-    ) -> PreparedCondition:
+    def prepare(self, condition: Coefficients, kept: Kept | None = None) -> PreparedCondition:
         """Compute what the condition contributes to every pass.
 
         Args:
@@ -394,7 +361,8 @@ class CoefficientDenoiser(nn.Module):
         vector = self.condition(condition.flatten(1))[:, None]
         if kept is not None:
             vector = vector * kept[..., None]
-        return PreparedCondition(vector, tuple(cast(_Block, block).memory(condition) for block in self.blocks))
+        crosses = [cast(_Block, block).cross for block in self.blocks]
+        return PreparedCondition(vector, tuple(None if each is None else each.memory(condition) for each in crosses))
 
 
 class _Block(nn.Module):
@@ -409,34 +377,22 @@ class _Block(nn.Module):
         self.attention_style = _Stylisation(width, dropout)
         self.cross = _CrossAttention(configuration) if configuration.cross_attention else None
         self.expand = nn.Linear(width, configuration.feed_forward)
-        self.contract = _from_zero(nn.Linear(configuration.feed_forward, width))
+        self.contract = from_zero(nn.Linear(configuration.feed_forward, width))
         self.feed_forward_dropout = nn.Dropout(dropout)
         self.feed_forward_style = _Stylisation(width, dropout)
 
-    def forward(
-        self,
-        stream: Float[Tensor, "windows samples coefficients width"],
-        time: Float[Tensor, "rows samples_or_1 width"],
-        memory: _Memory | None,
-    ) -> Float[Tensor, "windows samples coefficients width"]:
+    def forward(self, stream: Stream, time: Tensor, memory: _Memory | None) -> Stream:
         """Apply to every sample by itself; ``time`` is SiLU(step + condition)."""
         parts = self.query_key_value(self.norm(stream)).unflatten(-1, (3, self.heads, -1)).movedim(-3, 0)
         query, key, value = parts.transpose(-3, -2).flatten(1, 2)
-        attended = functional.scaled_dot_product_attention(query, key, value, dropout_p=self._dropping)
+        dropping = self.dropout if self.training else 0.0
+        attended = functional.scaled_dot_product_attention(query, key, value, dropout_p=dropping)
         attended = attended.transpose(1, 2).flatten(2).view_as(stream)
         stream = stream + self.attention_style(attended, time)
         if self.cross is not None and memory is not None:
             stream = stream + self.cross(stream, time, memory)
         hidden = self.feed_forward_dropout(functional.gelu(self.expand(stream)))
         return stream + self.feed_forward_style(self.contract(hidden), time)
-
-    def memory(self, condition: Float[Tensor, "windows coefficients values"]) -> _Memory | None:
-        """Compute keys and values of the condition; None without cross-attention."""
-        return None if self.cross is None else self.cross.memory(condition)
-
-    @property
-    def _dropping(self) -> float:
-        return self.dropout if self.training else 0.0
 
 
 class _CrossAttention(nn.Module):
@@ -452,12 +408,7 @@ class _CrossAttention(nn.Module):
         self.key_value = nn.Linear(values, 2 * width, bias=False)
         self.style = _Stylisation(width, configuration.dropout)
 
-    def forward(
-        self,
-        stream: Float[Tensor, "windows samples coefficients width"],
-        time: Float[Tensor, "rows samples_or_1 width"],
-        memory: _Memory,
-    ) -> Float[Tensor, "windows samples coefficients width"]:
+    def forward(self, stream: Stream, time: Tensor, memory: _Memory) -> Stream:
         """Look at the coefficients of the condition, from each coefficient of each sample.
 
         Args:
@@ -470,7 +421,7 @@ class _CrossAttention(nn.Module):
         shares = functional.dropout(scores.softmax(dim=-1), self.dropout, self.training)
         return self.style((shares @ values).transpose(1, 2).flatten(2).view_as(stream), time)
 
-    def memory(self, condition: Float[Tensor, "windows coefficients values"]) -> _Memory:
+    def memory(self, condition: Coefficients) -> _Memory:
         both = self.key_value(self.condition_norm(condition)).unflatten(-1, (2, self.heads, -1))
         key, value = both.movedim(-3, 0).transpose(-3, -2)
         # A score is (W h) · k = h · (Wᵀ k): queries, which every sample and step would need, are never made.
@@ -487,25 +438,11 @@ class _Stylisation(nn.Module):
         self.scale_shift = nn.Linear(width, 2 * width)
         self.norm = nn.LayerNorm(width)
         self.dropout = nn.Dropout(dropout)
-        self.output = _from_zero(nn.Linear(width, width))
+        self.output = from_zero(nn.Linear(width, width))
 
-    def forward(
-        self,
-        stream: Float[Tensor, "windows samples coefficients width"],
-        time: Float[Tensor, "rows samples_or_1 width"],
-    ) -> Float[Tensor, "windows samples coefficients width"]:
+    def forward(self, stream: Stream, time: Tensor) -> Stream:
         scale, shift = self.scale_shift(time)[:, :, None].chunk(2, dim=-1)
         return self.output(self.dropout(functional.silu(torch.addcmul(shift, self.norm(stream), 1 + scale))))
-
-
-def _from_zero(layer: nn.Linear) -> nn.Linear:
-    nn.init.zeros_(layer.weight)
-    nn.init.zeros_(layer.bias)
-    return layer
-
-
-_Noise = Callable[[], Float[Tensor, "windows samples coefficients values"]]
-"""The next standard normal noise of every sample."""
 
 
 class CoefficientDiffusion(nn.Module):
@@ -525,30 +462,26 @@ class CoefficientDiffusion(nn.Module):
         self.whitening = Whitening(*sizes) if configuration.whitened else None
         self.schedule = CosineSchedule(configuration.diffusion_steps)
 
-    def condition(
-        self, observed: Float[Tensor, "windows coefficients values"]
-    ) -> Float[Tensor, "windows coefficients values"]:
+    def condition(self, observed: Coefficients) -> Coefficients:
         """Encode the coefficients of padded observations for the denoiser; without an encoder they stay as they are."""
         return observed if self.encoder is None else self.encoder(observed)
 
     def loss(
         self,
-        motion: Float[Tensor, "windows frames nodes 3"],
+        motion: Motion,
         step: Int[Tensor, " windows"],
-        noise: Float[Tensor, "windows coefficients values"],
+        noise: Coefficients,
         kept: Bool[Tensor, " windows"] | None = None,
-        gaze_valid: Bool[Tensor, "windows observed"] | None = None,
     ) -> Float[Tensor, ""]:
         """Mean squared error of the predicted noise, or velocity.
 
         Args:
-            motion: Whole windows: joints in metres, and the direction as the last node if the model has one.
+            motion: Whole windows, with the direction as the last node if the model has one.
             step: Index in the training schedule; from 1, as the published programs never draw 0.
             noise: Standard normal.
             kept: Which windows keep their condition; None if all do.
-            gaze_valid: Which observed directions were measured (:func:`~.window_dct.padded`).
         """
-        known = self.transform(padded(motion[:, : self.configuration.observed], motion.shape[1], gaze_valid))
+        known = self.transform(padded(motion[:, : self.configuration.observed], motion.shape[1]))
         condition = self.condition(known)
         clean = self.transform(motion)
         if self.configuration.residual:
@@ -564,19 +497,13 @@ class CoefficientDiffusion(nn.Module):
         return (predicted[:, 0] - wanted).square().mean()
 
     @torch.no_grad()
-    def predict(
-        self,
-        observed: Float[Tensor, "windows observed nodes 3"],
-        seeds: Sequence[Sequence[int]],
-        gaze_valid: Bool[Tensor, "windows observed"] | None = None,
-    ) -> Float[Tensor, "windows samples predicted nodes 3"]:
+    def predict(self, observed: Motion, seeds: Sequence[Sequence[int]]) -> Float[Tensor, "windows samples _ nodes 3"]:
         """Draw continuations of observations; the model must be in evaluation mode.
 
         Args:
-            observed: Joints in metres, and the direction as the last node if the model has one.
+            observed: With the direction as the last node if the model has one.
             seeds: A seed for each sample of each window (``prbench.randomness.noise_seed``). Nothing else decides
                 about its noise, so five samples are the first five of fifty.
-            gaze_valid: Which directions were measured (:func:`~.window_dct.padded`).
 
         Returns:
             The frames after the observed ones, with the direction that was predicted too.
@@ -604,11 +531,9 @@ class CoefficientDiffusion(nn.Module):
             draws = [sequence_generator(seed).spawn(1)[0].random() for seed in flat]
             chosen = torch.tensor(draws, device=observed.device) < configuration.condition_kept_sampling
             kept = chosen.unflatten(0, (-1, samples))
-        known = self.transform(padded(observed, configuration.frames, gaze_valid))
+        known = self.transform(padded(observed, configuration.frames))
         condition = self.condition(known)
-        offset = torch.zeros_like(known)
-        if self.configuration.residual:
-            offset = known
+        offset = known if configuration.residual else torch.zeros_like(known)
         *_, state = self.states(known - offset, condition, noise, kept)
         if self.whitening is not None:
             state = self.whitening.inverse(state)
@@ -616,21 +541,15 @@ class CoefficientDiffusion(nn.Module):
         return self.transform.inverse(final)[:, :, configuration.observed :]
 
     @torch.no_grad()
-    def residuals(
-        self, motion: Float[Tensor, "windows frames nodes 3"]
-    ) -> Float[Tensor, "windows coefficients values"]:
+    def residuals(self, motion: Motion) -> Coefficients:
         """Coefficients of the difference of whole windows to their padded observation, metres."""
         known = padded(motion[:, : self.configuration.observed], motion.shape[1])
         return self.transform(motion) - self.transform(known)
 
     @torch.no_grad()
     def states(
-        self,
-        known: Float[Tensor, "windows coefficients values"],
-        condition: Float[Tensor, "windows coefficients values"],
-        noise: _Noise,
-        kept: Bool[Tensor, "windows samples"] | None = None,
-    ) -> Iterator[Float[Tensor, "windows samples coefficients values"]]:
+        self, known: Coefficients, condition: Coefficients, noise: Noise, kept: Kept | None = None
+    ) -> Iterator[Samples]:
         """Walk from noise to clean coefficients by DDIM (η = 0), completed by the observation after every step.
 
         Args:
@@ -659,21 +578,15 @@ class CoefficientDiffusion(nn.Module):
             of_state = math.sqrt(cleaner / level)
             of_noise = math.sqrt(1.0 - cleaner) - of_state * math.sqrt(1.0 - level)
             state = of_state * state + of_noise * predicted
-            state = self._completed(state, math.sqrt(cleaner) * known[:, None], math.sqrt(1.0 - cleaner) * noise())
+            # The observed frames are put back, as noisy as the state is. Which are known is a matter of metres.
+            fresh = math.sqrt(1.0 - cleaner) * noise()
+            noisy_known = math.sqrt(cleaner) * known[:, None]
+            if self.whitening is None:
+                state = self.transform.completed(state, noisy_known + fresh)
+            else:
+                noisy_known = noisy_known + self.whitening.inverse(fresh)
+                state = self.whitening(self.transform.completed(self.whitening.inverse(state), noisy_known))
             yield state
-
-    def _completed(
-        self,
-        state: Float[Tensor, "windows samples coefficients values"],
-        known: Float[Tensor, "windows #samples coefficients values"],
-        noise: Float[Tensor, "windows samples coefficients values"],
-    ) -> Float[Tensor, "windows samples coefficients values"]:
-        """Put back the observed frames, as noisy as the state is."""
-        if self.whitening is None:
-            return self.transform.completed(state, known + noise)
-        # Which frames are known is a matter of metres.
-        noisy_known = known + self.whitening.inverse(noise)
-        return self.whitening(self.transform.completed(self.whitening.inverse(state), noisy_known))
 
     def moves(self) -> Iterator[tuple[int, float, float]]:
         """Each step, the noisiest first: its index, ᾱ there, and ᾱ of the index that it leads to.

@@ -26,9 +26,8 @@ def _task(name: str) -> PredictorTask:
     """Make the task that ``prbench train --method NAME`` trains."""
     from prbench_adapters.prediction import training
 
-    stages = {"belfusion": training.STAGES_OF_BELFUSION}.get(name, (training.TRAIN,))
-    builders = {"cvae": training.cvae, "dlow": training.dlow, "belfusion": training.belfusion}
-    return training.PredictorTask(name, builders.get(name, training.diffusion), stages)
+    stages = training.STAGES_OF_BELFUSION if name == "belfusion" else (training.TRAIN,)
+    return training.PredictorTask(name, stages)
 
 
 load_belfusion = partial(_load, "belfusion")

@@ -1,12 +1,13 @@
 """The recurrent predictors CVAE and DLow, and the perceptrons and states that they share with BeLFusion.
 
-Source: docs/specification/prediction-baselines.md#common.
+Source: docs/specification/prediction-baselines.md#common. Joints are in metres.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -16,17 +17,60 @@ from torch import Tensor, nn
 
 from prbench.randomness import sequence_generator
 
+Observed = Float[Tensor, "windows observed joints 3"]
+Future = Float[Tensor, "windows predicted joints 3"]
+Futures = Float[Tensor, "windows samples predicted joints 3"]
+Latent = Float[Tensor, "windows latent"]
+Latents = Float[Tensor, "windows samples latent"]
+Losses = dict[str, Float[Tensor, ""]]
+"""Scalars by name; ``loss`` is minimised."""
+Seeds = Sequence[Sequence[int]]
+"""A seed for each sample of each window; nothing else decides about its noise."""
+Layer = TypeVar("Layer", bound=nn.Module)
+_SMALLEST_VARIANCE = 1e-12
+_VALUES_OF_HUMANEVA = 42
 
-class Perceptron(nn.Sequential):
+
+def perceptron(sizes: Sequence[int]) -> nn.Sequential:
     """Linear layers with a tanh behind each, the last one too."""
+    return nn.Sequential(*(layer for ends in pairwise(sizes) for layer in (nn.Linear(*ends), nn.Tanh())))
 
-    def __init__(self, sizes: Sequence[int]) -> None:
-        super().__init__(*(layer for ends in pairwise(sizes) for layer in (nn.Linear(*ends), nn.Tanh())))
+
+def from_zero(layer: Layer) -> Layer:
+    """Return the layer with all of its parameters set to zero."""
+    for parameter in layer.parameters():
+        nn.init.zeros_(parameter)
+    return layer
 
 
 def last_state(layer: nn.GRU | nn.LSTM, sequence: Float[Tensor, "batch frames size"]) -> Float[Tensor, "batch state"]:
     """The state that a sequence leaves in a recurrent layer; batch first."""
     return layer(sequence)[0][:, -1]
+
+
+def latent_noise(seeds: Seeds, size: int, like: Tensor) -> Float[Tensor, "windows samples size"]:
+    """Standard normal noise, each sample's from its own seed and nothing else; of the type and device of ``like``."""
+    draws = [[sequence_generator(seed).standard_normal(size, dtype=np.float32) for seed in row] for row in seeds]
+    return torch.from_numpy(np.array(draws)).to(like)
+
+
+def gaussian_kl(mean: Tensor, log_variance: Tensor) -> Tensor:
+    """Kullback-Leibler divergence of a diagonal Gaussian from the standard one over the last axis, nats."""
+    return -0.5 * (1.0 + log_variance - mean.square() - log_variance.exp()).sum(dim=-1)
+
+
+def require_sizes(configuration: msgspec.Struct, *names: str) -> None:
+    """Refuse sizes below 1, and a perceptron without or with empty layers.
+
+    Raises:
+        ValueError: naming the size.
+    """
+    for name in names:
+        if getattr(configuration, name) < 1:
+            raise ValueError(f"'{name}' must be at least 1, found {getattr(configuration, name)}")
+    mlp = getattr(configuration, "mlp", (1,))
+    if not mlp or min(mlp) < 1:
+        raise ValueError(f"'mlp' must be one or more positive widths, found {list(mlp)}")
 
 
 class PoseDecoder(nn.Module):
@@ -42,19 +86,13 @@ class PoseDecoder(nn.Module):
 
     def __init__(self, code: int, start: int, state: int, mlp: Sequence[int], values: int) -> None:
         super().__init__()
-        self.first_state = Perceptron([start, *mlp, state])
+        self.first_state = perceptron([start, *mlp, state])
         self.cell = nn.GRUCell(code + values, state)
-        self.mlp = Perceptron([state, *mlp])
+        self.mlp = perceptron([state, *mlp])
         self.output = nn.Linear(mlp[-1], values)
 
-    def forward(
-        self,
-        code: Float[Tensor, "batch code"],
-        start: Float[Tensor, "batch start"],
-        pose: Float[Tensor, "batch values"],
-        frames: int,
-    ) -> Float[Tensor, "batch frames values"]:
-        """Outputs of ``frames`` frames; ``pose`` is what stands before the first."""
+    def forward(self, code: Tensor, start: Tensor, pose: Tensor, frames: int) -> Float[Tensor, "batch frames values"]:
+        """Outputs of ``frames`` frames from (batch, numbers) each; ``pose`` is what stands before the first."""
         state = self.first_state(start)
         poses = []
         for _ in range(frames):
@@ -62,25 +100,6 @@ class PoseDecoder(nn.Module):
             pose = self.output(self.mlp(state))
             poses.append(pose)
         return torch.stack(poses, dim=1)
-
-
-def latent_noise(seeds: Sequence[Sequence[int]], size: int, like: Tensor) -> Float[Tensor, "windows samples size"]:
-    """Standard normal noise, each sample's from its own seed and nothing else.
-
-    Args:
-        seeds: One for each sample of each window.
-        size: Numbers of a latent vector.
-        like: Tensor whose type and device the noise gets.
-    """
-    draws = [[sequence_generator(seed).standard_normal(size, dtype=np.float32) for seed in row] for row in seeds]
-    return torch.from_numpy(np.array(draws)).to(like)
-
-
-def gaussian_kl(
-    mean: Float[Tensor, "*batch size"], log_variance: Float[Tensor, "*batch size"]
-) -> Float[Tensor, "*batch"]:
-    """Kullback-Leibler divergence of a diagonal Gaussian from the standard one, nats."""
-    return -0.5 * (1.0 + log_variance - mean.square() - log_variance.exp()).sum(dim=-1)
 
 
 class CVAEConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -101,11 +120,7 @@ class CVAEConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     """Weight of the divergence from the prior: 0.01 as on HumanEva, 0.1 as on H36M."""
 
     def __post_init__(self) -> None:
-        for name in ("n_joints", "predicted", "state", "latent"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"'{name}' must be at least 1, found {getattr(self, name)}")
-        if not self.mlp or min(self.mlp) < 1:
-            raise ValueError(f"'mlp' must be one or more positive widths, found {list(self.mlp)}")
+        require_sizes(self, "n_joints", "predicted", "state", "latent")
         if self.first_frame < 0 or self.beta < 0:
             raise ValueError(f"'first_frame' and 'beta' must not be negative: {self.first_frame}, {self.beta}")
 
@@ -128,27 +143,19 @@ class CVAE(nn.Module):
         values, state, mlp = configuration.values, configuration.state, configuration.mlp
         self.past = nn.GRU(values, state, batch_first=True)
         self.future = nn.GRU(values, state, batch_first=True)
-        self.posterior = Perceptron([2 * state, *mlp])
+        self.posterior = perceptron([2 * state, *mlp])
         self.mean = nn.Linear(mlp[-1], configuration.latent)
         self.log_variance = nn.Linear(mlp[-1], configuration.latent)
         self.decoder = PoseDecoder(state + configuration.latent, state, state, mlp, values)
 
-    def posterior_of(
-        self,
-        observed: Float[Tensor, "windows observed joints 3"],
-        future: Float[Tensor, "windows predicted joints 3"],
-    ) -> tuple[Float[Tensor, "windows latent"], Float[Tensor, "windows latent"]]:
-        """Mean and logarithm of the variance of the latent vector, given past and future in metres."""
+    def posterior_of(self, observed: Observed, future: Future) -> tuple[Latent, Latent]:
+        """Mean and logarithm of the variance of the latent vector, given past and future."""
         states = [last_state(self.past, observed.flatten(2)), last_state(self.future, future.flatten(2))]
         hidden = self.posterior(torch.cat(states, dim=1))
         return self.mean(hidden), self.log_variance(hidden)
 
-    def decode(
-        self,
-        observed: Float[Tensor, "windows observed joints 3"],
-        latent: Float[Tensor, "windows samples latent"],
-    ) -> Float[Tensor, "windows samples predicted joints 3"]:
-        """Futures in metres; the past is encoded once a window, all samples are decoded together."""
+    def decode(self, observed: Observed, latent: Latents) -> Futures:
+        """Futures; the past is encoded once a window, all samples are decoded together."""
         samples = latent.shape[1]
         flat = observed.flatten(2)
         past = last_state(self.past, flat).repeat_interleave(samples, dim=0)
@@ -158,23 +165,11 @@ class CVAE(nn.Module):
         return poses.unflatten(-1, (-1, 3)).unflatten(0, (-1, samples))
 
     @torch.no_grad()
-    def predict(
-        self, observed: Float[Tensor, "windows observed joints 3"], seeds: Sequence[Sequence[int]]
-    ) -> Float[Tensor, "windows samples predicted joints 3"]:
-        """Draw continuations in metres.
-
-        Args:
-            observed: Joints, metres.
-            seeds: A seed for each sample of each window; nothing else decides about its noise.
-        """
+    def predict(self, observed: Observed, seeds: Seeds) -> Futures:
+        """Draw continuations."""
         return self.decode(observed, latent_noise(seeds, self.configuration.latent, observed))
 
-    def loss(
-        self,
-        observed: Float[Tensor, "windows observed joints 3"],
-        future: Float[Tensor, "windows predicted joints 3"],
-        noise: Float[Tensor, "windows latent"],
-    ) -> dict[str, Float[Tensor, ""]]:
+    def loss(self, observed: Observed, future: Future, noise: Latent) -> Losses:
         """The loss of the reconstruction from a latent vector drawn with ``noise``, standard normal.
 
         Returns:
@@ -190,10 +185,6 @@ class CVAE(nn.Module):
         kl = gaussian_kl(mean, log_variance).sum() / n
         total = squared_error + self.configuration.first_frame * first_frame + self.configuration.beta * kl
         return {"loss": total, "squared_error": squared_error, "first_frame": first_frame, "kl": kl}
-
-
-_SMALLEST_VARIANCE = 1e-12
-_VALUES_OF_HUMANEVA = 42
 
 
 class DLowConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -216,10 +207,9 @@ class DLowConfiguration(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     """Whether the distance grows with the numbers of a pose; the published program has one for each data set."""
 
     def __post_init__(self) -> None:
+        require_sizes(self, "state")
         if self.n_samples < 2:
             raise ValueError(f"'n_samples' must be at least 2, so that samples can differ, found {self.n_samples}")
-        if self.state < 1 or not self.mlp or min(self.mlp) < 1:
-            raise ValueError(f"'state' and 'mlp' must be positive widths, found {self.state} and {list(self.mlp)}")
         if not self.scale > 0:
             raise ValueError(f"'scale' must be positive, found {self.scale}")
 
@@ -239,34 +229,24 @@ class DLow(nn.Module):
         self.cvae = cvae.requires_grad_(False)
         values, size = cvae.configuration.values, configuration.n_samples * cvae.configuration.latent
         self.past = nn.GRU(values, configuration.state, batch_first=True)
-        self.mlp = Perceptron([configuration.state, *configuration.mlp])
+        self.mlp = perceptron([configuration.state, *configuration.mlp])
         self.scales = nn.Linear(configuration.mlp[-1], size)
         self.shifts = nn.Linear(configuration.mlp[-1], size)
 
-    def maps(
-        self, observed: Float[Tensor, "windows observed joints 3"]
-    ) -> tuple[Float[Tensor, "windows samples latent"], Float[Tensor, "windows samples latent"]]:
+    def maps(self, observed: Observed) -> tuple[Latents, Latents]:
         """Scale a and shift b of each sample's map."""
         hidden = self.mlp(last_state(self.past, observed.flatten(2)))
         shape = (self.configuration.n_samples, self.cvae.configuration.latent)
         return self.scales(hidden).unflatten(-1, shape), self.shifts(hidden).unflatten(-1, shape)
 
-    def decode(
-        self, observed: Float[Tensor, "windows observed joints 3"], noise: Float[Tensor, "windows latent"]
-    ) -> Float[Tensor, "windows samples predicted joints 3"]:
-        """All K futures in metres of one noise vector a window."""
+    def decode(self, observed: Observed, noise: Latent) -> Futures:
+        """All K futures of one noise vector a window."""
         scale, shift = self.maps(observed)
         return self.cvae.decode(observed, scale * noise[:, None] + shift)
 
     @torch.no_grad()
-    def predict(
-        self, observed: Float[Tensor, "windows observed joints 3"], seeds: Sequence[Sequence[int]]
-    ) -> Float[Tensor, "windows samples predicted joints 3"]:
-        """Draw all K continuations of each window, metres.
-
-        Args:
-            observed: Joints, metres.
-            seeds: K seeds for each window, of which the first decides: one noise vector makes all samples.
+    def predict(self, observed: Observed, seeds: Seeds) -> Futures:
+        """Draw all K continuations of each window; of K seeds the first decides: one noise vector makes all samples.
 
         Raises:
             ValueError: for another number of samples than K.
@@ -278,12 +258,7 @@ class DLow(nn.Module):
         noise = latent_noise([row[:1] for row in seeds], self.cvae.configuration.latent, observed)
         return self.decode(observed, noise[:, 0])
 
-    def loss(
-        self,
-        observed: Float[Tensor, "windows observed joints 3"],
-        future: Float[Tensor, "windows predicted joints 3"],
-        noise: Float[Tensor, "windows latent"],
-    ) -> dict[str, Float[Tensor, ""]]:
+    def loss(self, observed: Observed, future: Future, noise: Latent) -> Losses:
         """Divergence from the prior, similarity of the samples, and error of the best one; ``loss`` is their sum."""
         scale, shift = self.maps(observed)
         predicted = self.cvae.decode(observed, scale * noise[:, None] + shift).flatten(2)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import torch
@@ -32,12 +31,21 @@ from prbench_adapters.prediction.records import (
     SeenWindows,
     contents,
 )
-from prbench_adapters.prediction.recurrent import CVAE, CVAEConfiguration, DLow, DLowConfiguration, gaussian_kl
+from prbench_adapters.prediction.recurrent import CVAE, CVAEConfiguration, DLow, DLowConfiguration, Losses
 from prbench_adapters.training.batches import WindowBatch, WindowChoice, WindowsDataset
 from prbench_adapters.training.task import TrainingModule, split_model_table
 from prbench_adapters.training.weights import Weights, origin_of, read_weights
 from prbench_benchmarks.motion_prediction.batch import Condition
 
+TRAIN = "train"
+STAGES_OF_BELFUSION = ("autoencoders", "diffusion")
+Motion = Float[Tensor, "windows frames nodes 3"]
+"""Whole windows: joints in metres, and the direction as the last node if there is one."""
+_Struct = TypeVar("_Struct", bound=msgspec.Struct)
+_VALIDATION_SAMPLES = 5
+_TOGETHER = 64
+_MOST_WINDOWS = 4096
+"""Windows that statistics are taken from, spread evenly over the training split."""
 _SIDES = (("left", "right"), ("right", "left"), ("l", "r"), ("r", "l"))
 
 
@@ -62,12 +70,8 @@ def mirror_partners(names: Sequence[str]) -> tuple[int, ...]:
 
 
 def augmented(
-    motion: Float[Tensor, "windows frames nodes 3"],
-    partners: Sequence[int],
-    *,
-    turn: Float[Tensor, " windows"],
-    mirrored: Bool[Tensor, " windows"],
-) -> Float[Tensor, "windows frames nodes 3"]:
+    motion: Motion, partners: Sequence[int], *, turn: Float[Tensor, " windows"], mirrored: Bool[Tensor, " windows"]
+) -> Motion:
     """Windows as they would have been seen turned, or in a mirror.
 
     Args:
@@ -83,13 +87,6 @@ def augmented(
     cosine, sine = turn.cos()[:, None, None], turn.sin()[:, None, None]
     x, y, z = motion.unbind(-1)
     return torch.stack([cosine * x + sine * z, y, cosine * z - sine * x], dim=-1)
-
-
-Losses = dict[str, Tensor]
-"""Scalars by name; ``loss`` is minimised."""
-RecordT = TypeVar("RecordT", bound=Record)
-NetworkT = TypeVar("NetworkT", bound=nn.Module)
-_VALIDATION_SAMPLES = 5
 
 
 class RateCourse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -118,24 +115,32 @@ class RateCourse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return factor
 
 
-class PredictorTraining(TrainingModule, ABC, Generic[RecordT, NetworkT]):
-    """A network with its losses; subclasses say what these are.
+class PredictorTraining(TrainingModule):
+    """A network with its losses.
 
     Args:
         kind: Of the weights file.
         record: For its header.
         network: In its state before the first step.
+        losses: Returns the losses of whole windows by name, given this module, the windows, a generator and the step.
         course: Of the learning rate.
         origin: Lines for the card about what the weights build upon.
     """
 
     def __init__(
-        self, kind: str, record: RecordT, network: NetworkT, course: RateCourse, origin: tuple[str, ...] = ()
+        self,
+        kind: str,
+        record: Record,
+        network: nn.Module,
+        losses: Callable[[PredictorTraining, Motion, torch.Generator, int], Losses],
+        course: RateCourse,
+        origin: tuple[str, ...] = (),
     ) -> None:
         super().__init__()
         self.kind = kind
         self.record = record
         self.network = network
+        self.losses = losses
         self.course = course
         self.origin = origin
         self._partners = mirror_partners(record.windows.joints.names)
@@ -150,17 +155,18 @@ class PredictorTraining(TrainingModule, ABC, Generic[RecordT, NetworkT]):
         """
         generator = self.generator(step)
         motion = self.shown(batch)
-        if step >= 0:
-            motion = self._augmented(motion, generator)
-        losses = self.losses(motion, generator, step)
-        return losses if step >= 0 else losses | self.errors(motion, step)
-
-    @abstractmethod
-    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> Losses:
-        """Return the losses of whole windows by name."""
+        if step < 0:
+            return self.losses(self, motion, generator, step) | self._errors(motion, step)
+        count = len(motion)
+        mirrored = torch.rand(count, generator=generator) < 0.5
+        turn = 2.0 * math.pi * torch.rand(count, generator=generator)
+        if self.record.windows.frame == "last-pose":
+            turn = torch.zeros(count)  # every body faces the same way
+        motion = augmented(motion, self._partners, turn=turn.to(motion), mirrored=mirrored.to(motion.device))
+        return self.losses(self, motion, generator, step)
 
     @torch.no_grad()
-    def errors(self, motion: Float[Tensor, "windows frames nodes 3"], step: int) -> Losses:
+    def _errors(self, motion: Motion, step: int) -> Losses:
         """Errors of drawn futures of the joints."""
         network = self.network
         if not isinstance(network, PredictorNetwork):
@@ -180,7 +186,7 @@ class PredictorTraining(TrainingModule, ABC, Generic[RecordT, NetworkT]):
             "still_ade": still.mean(),
         }
 
-    def shown(self, batch: WindowBatch) -> Float[Tensor, "windows frames nodes 3"]:
+    def shown(self, batch: WindowBatch) -> Motion:
         """The windows of a batch, with directions that were not measured replaced by measured ones."""
         if batch.direction_valid is None:
             return batch.motion
@@ -195,145 +201,74 @@ class PredictorTraining(TrainingModule, ABC, Generic[RecordT, NetworkT]):
         """Follow the course."""
         return self.course.at(step / self.calls)
 
-    def mirrored(self, motion: Float[Tensor, "windows frames nodes 3"]) -> Float[Tensor, "windows frames nodes 3"]:
-        """The windows as a mirror shows them."""
-        count = len(motion)
-        everywhere = torch.ones(count, dtype=torch.bool, device=motion.device)
-        return augmented(motion, self._partners, turn=motion.new_zeros(count), mirrored=everywhere)
-
-    def _augmented(self, motion: Tensor, generator: torch.Generator) -> Tensor:
-        count = len(motion)
-        mirrored = torch.rand(count, generator=generator) < 0.5
-        turn = 2.0 * math.pi * torch.rand(count, generator=generator)
-        if self.record.windows.frame == "last-pose":
-            turn = torch.zeros(count)  # every body faces the same way
-        return augmented(motion, self._partners, turn=turn.to(motion), mirrored=mirrored.to(motion.device))
-
-    @staticmethod
-    def _normal(shape: Sequence[int], generator: torch.Generator, like: Tensor) -> Tensor:
-        return torch.randn(tuple(shape), generator=generator).to(like)
-
-
-class DiffusionTraining(PredictorTraining[DiffusionRecord, CoefficientDiffusion]):
-    """GazeMoDiff or HumanMAC: the mean squared error of predicted noise."""
-
-    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> Losses:  # noqa: ARG002
-        """Error of the noise at a random step of each window; step 0 is never drawn, as published."""
-        shape = self.record.network
-        count = len(motion)
-        index = torch.randint(1, shape.diffusion_steps, (count,), generator=generator).to(motion.device)
-        kept = (torch.rand(count, generator=generator) < shape.condition_kept).to(motion.device)
-        noise = self._normal((count, shape.coefficients, shape.values), generator, motion)
-        return {"loss": self.network.loss(motion, index, noise, kept)}
-
     def hidden_matrices(self) -> tuple[nn.Parameter, ...]:
-        """The matrices of the denoiser's blocks."""
+        """The matrices of the blocks of a denoiser of coefficients."""
+        if not isinstance(self.network, CoefficientDiffusion):
+            return ()
         return tuple(each for each in self.network.denoiser.blocks.parameters() if each.ndim == 2)
 
-
-class CVAETraining(PredictorTraining[CVAERecord, CVAE]):
-    """CVAE: reconstruction, first frame and divergence."""
-
-    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> Losses:  # noqa: ARG002
-        """The reconstruction of the future from a latent vector that was drawn for it."""
-        observed = self.record.windows.observed
-        noise = self._normal((len(motion), self.record.network.latent), generator, motion)
-        return self.network.loss(motion[:, :observed], motion[:, observed:], noise)
-
-
-class DLowTraining(PredictorTraining[DLowRecord, DLow]):
-    """DLow: K futures that are diverse, one of them near the recorded one, from likely latent vectors."""
-
-    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> Losses:  # noqa: ARG002
-        """The losses of the K futures of one noise vector a window."""
-        observed = self.record.windows.observed
-        noise = self._normal((len(motion), self.record.cvae.latent), generator, motion)
-        return self.network.loss(motion[:, :observed], motion[:, observed:], noise)
+    def spread(self, data: WindowsDataset) -> Iterator[Motion]:
+        """Yield windows of the training split, spread over it, each followed by its mirror."""
+        places = data.spread(-(-_MOST_WINDOWS // len(data.tables)))
+        for first in range(0, len(places), _TOGETHER):
+            motion = self.shown(data.collate([data[place] for place in places[first : first + _TOGETHER]]))
+            yield motion
+            everywhere = torch.ones(len(motion), dtype=torch.bool, device=motion.device)
+            yield augmented(motion, self._partners, turn=motion.new_zeros(len(motion)), mirrored=everywhere)
 
 
-class AutoencoderTraining(PredictorTraining[AutoencodersRecord, Autoencoders]):
+def _normal(generator: torch.Generator, like: Tensor, *shape: int) -> Tensor:
+    return torch.randn(shape, generator=generator).to(like)
+
+
+def diffusion_losses(module: PredictorTraining, motion: Motion, generator: torch.Generator, step: int) -> Losses:  # noqa: ARG001
+    """GazeMoDiff and HumanMAC: error of the noise at a random step of each window; 0 is never drawn, as published."""
+    shape = module.network.configuration
+    count = len(motion)
+    index = torch.randint(1, shape.diffusion_steps, (count,), generator=generator).to(motion.device)
+    kept = (torch.rand(count, generator=generator) < shape.condition_kept).to(motion.device)
+    noise = _normal(generator, motion, count, shape.coefficients, shape.values)
+    return {"loss": module.network.loss(motion, index, noise, kept)}
+
+
+def latent_losses(module: PredictorTraining, motion: Motion, generator: torch.Generator, step: int) -> Losses:  # noqa: ARG001
+    """CVAE and DLow: the losses of the futures of one noise vector a window."""
+    observed = module.record.windows.observed
+    cvae = module.network.cvae if isinstance(module.network, DLow) else module.network
+    noise = _normal(generator, motion, len(motion), cvae.configuration.latent)
+    return module.network.loss(motion[:, :observed], motion[:, observed:], noise)
+
+
+def autoencoder_losses(frozen_from: float) -> Callable[[PredictorTraining, Motion, torch.Generator, int], Losses]:
     """BeLFusion's autoencoders together: they share no parameter, so that one loss trains both.
 
     Args:
-        record: For the header.
-        network: In its state before the first step.
-        course: Of the learning rate.
-        frozen_from: Share of the training after which the behaviour's encoder and the auxiliary decoder stay as they
-            are, and the coupler alone learns.
+        frozen_from: Share of the training after which the coupler alone learns of the behaviour's networks.
     """
 
-    def __init__(
-        self, record: AutoencodersRecord, network: Autoencoders, course: RateCourse, *, frozen_from: float
-    ) -> None:
-        super().__init__(AUTOENCODERS, record, network, course)
-        self.frozen_from = frozen_from
-
-    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> Losses:
-        """Errors of both reconstructions, the divergence, and what the auxiliary decoder finds in the behaviour."""
-        shape = self.record.network
-        behaviour = self.network.behaviour
-        past = self.network.past.loss(motion[:, : shape.observed])
+    def losses(module: PredictorTraining, motion: Motion, generator: torch.Generator, step: int) -> Losses:
+        shape = module.network.configuration
+        past = module.network.past.loss(motion[:, : shape.observed])
+        noise = _normal(generator, motion, len(motion), shape.behaviour)
         sequence = motion[:, shape.observed - shape.context :]
-        noise = self._normal((len(motion), shape.behaviour), generator, motion)
-        if step >= self.frozen_from * self.calls:
-            with torch.no_grad():
-                drawn = behaviour.encode(sequence).draw(noise)
-            error = self._reconstruction(sequence, drawn)
-            return {"loss": past + error, "past": past, "squared_error": error}
-        found = behaviour.encode(sequence)
-        drawn = found.draw(noise)
-        error = self._reconstruction(sequence, drawn)
-        kl = gaussian_kl(found.mean, found.log_deviation).sum() / len(motion)
-        # The same number as `drawn`, of whose gradient 1 - delta goes on: the auxiliary decoder learns from its whole
-        # error, and the encoder from what the published program leaves of it, which makes it hide the poses.
-        hidden = drawn.detach() + (1.0 - shape.delta) * (drawn - drawn.detach())
-        auxiliary = (behaviour.decode_without_context(hidden) - sequence).square().sum() / len(motion)
-        total = past + error + shape.beta * kl + auxiliary
-        return {"loss": total, "past": past, "squared_error": error, "kl": kl, "auxiliary": auxiliary}
+        found = module.network.behaviour.loss(sequence, noise, coupler_alone=step >= frozen_from * module.calls)
+        return found | {"loss": past + found["loss"], "past": past}
 
-    def _reconstruction(
-        self, sequence: Float[Tensor, "windows frames nodes 3"], drawn: Float[Tensor, "windows behaviour"]
-    ) -> Float[Tensor, ""]:
-        """Squared error of the future that a behaviour makes of its context, m² a window."""
-        context, future = sequence.split([self.record.network.context, self.record.network.predicted], dim=1)
-        decoded = self.network.behaviour.decode(context, drawn[:, None])[:, 0]
-        return (decoded - future).square().sum() / len(sequence)
+    return losses
 
 
-class BeLFusionTraining(PredictorTraining[BeLFusionRecord, BeLFusion]):
-    """BeLFusion's diffusion of behaviours: the best of several noises.
+def belfusion_losses(noises: int) -> Callable[[PredictorTraining, Motion, torch.Generator, int], Losses]:
+    """BeLFusion's diffusion of behaviours: errors of the best of some noises at one step for each window."""
 
-    Args:
-        record: For the header.
-        network: In its state before the first step, with trained autoencoders and their ranges.
-        course: Of the learning rate.
-        origin: Lines for the card about the autoencoders.
-        noises: How many are tried for each window.
-    """
-
-    def __init__(
-        self, record: BeLFusionRecord, network: BeLFusion, course: RateCourse, origin: tuple[str, ...], *, noises: int
-    ) -> None:
-        super().__init__("belfusion", record, network, course, origin)
-        self.noises = noises
-
-    def losses(self, motion: Float[Tensor, "windows frames nodes 3"], generator: torch.Generator, step: int) -> Losses:  # noqa: ARG002
-        """Errors of the clean behaviour and of the future that is decoded from it, at one step for each window."""
-        size = self.record.behaviour.behaviour
+    def losses(module: PredictorTraining, motion: Motion, generator: torch.Generator, step: int) -> Losses:  # noqa: ARG001
+        size = module.network.configuration.behaviour
         count = len(motion)
-        index = torch.randint(self.record.network.steps, (count,), generator=generator).to(motion.device)
-        noise = self._normal((count, self.noises, size), generator, motion)
-        behaviour_noise = self._normal((count, size), generator, motion)
-        loss = self.network.loss(motion, index, noise, behaviour_noise)
+        index = torch.randint(len(module.network.schedule), (count,), generator=generator).to(motion.device)
+        noise = _normal(generator, motion, count, noises, size)
+        loss = module.network.loss(motion, index, noise, _normal(generator, motion, count, size))
         return {name: values.mean() for name, values in loss.items()}
 
-
-TRAIN = "train"
-STAGES_OF_BELFUSION = ("autoencoders", "diffusion")
-_Struct = TypeVar("_Struct", bound=msgspec.Struct)
-_TOGETHER = 64
-_MOST_WINDOWS = 4096
-"""Windows that statistics are taken from, spread evenly over the training split."""
+    return losses
 
 
 class Phases(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -353,25 +288,10 @@ class BestOfNoises(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 @dataclass(frozen=True)
-class Request:
-    """What a builder makes a module from."""
-
-    name: str
-    model: dict[str, Any]
-    """The table ``[model]`` without ``windows`` and ``rate``."""
-    seen: SeenWindows
-    course: RateCourse
-    data: WindowsDataset
-    initial: Path | None
-    stage: str
-
-
-@dataclass(frozen=True)
 class PredictorTask:
     """A training task that is fed windows (:class:`prbench_adapters.training.task.WindowsTask`)."""
 
     name: str
-    builder: Callable[[Request], TrainingModule]
     stages: tuple[str, ...] = (TRAIN,)
     configurations: str = "prbench_adapters.prediction"
 
@@ -385,7 +305,7 @@ class PredictorTask:
 
     def build(
         self, model: Mapping[str, Any], *, data: WindowsDataset, initial: Path | None, stage: str
-    ) -> TrainingModule:
+    ) -> PredictorTraining:
         """Make the network in its state before the first step.
 
         Args:
@@ -400,147 +320,124 @@ class PredictorTask:
         """
         course = _converted(model.get("rate", {}), RateCourse, "model.rate")
         sizes = {key: value for key, value in model.items() if key not in ("windows", "rate")}
-        return self.builder(Request(self.name, sizes, SeenWindows.of(data), course, data, initial, stage))
+        seen = SeenWindows.of(data)
+        if self.name == "dlow":
+            return _dlow(sizes, seen, course, initial)
+        if self.name == "belfusion" and stage == STAGES_OF_BELFUSION[0]:
+            own = {"n_joints": seen.nodes, "observed": seen.observed, "predicted": seen.predicted}
+            network, phases = split_model_table({**sizes, **own}, BehaviourConfiguration, Phases)
+            record = AutoencodersRecord(windows=seen, network=network)
+            losses = autoencoder_losses(phases.frozen_from)
+            return PredictorTraining(AUTOENCODERS, record, record.build(), losses, course)
+        if self.name == "belfusion":
+            return _belfusion(sizes, seen, course, initial, data)
+        losses = diffusion_losses
+        if self.name == "cvae":  # a direction counts as one more joint
+            own = {"n_joints": seen.nodes, "predicted": seen.predicted}
+            record = CVAERecord(windows=seen, network=_converted({**sizes, **own}, CVAEConfiguration, "model"))
+            losses = latent_losses
+        else:
+            record = DiffusionRecord(windows=seen, network=_diffusion(self.name, sizes, seen))
+        network = record.build()
+        origin: tuple[str, ...] = ()
+        if initial is not None:
+            start = read_weights(initial, kind=self.name)
+            start.require_same(record, apart_from=())
+            start.load_into(network, "network")
+            origin = origin_of(start)
+        module = PredictorTraining(self.name, record, network, losses, course, origin)
+        if isinstance(network, CoefficientDiffusion) and network.whitening is not None and not origin:
+            network.whitening.take(torch.cat([network.residuals(motion) for motion in module.spread(data)]))
+        return module
 
 
-def diffusion(request: Request) -> DiffusionTraining:
+def _diffusion(name: str, model: dict[str, Any], seen: SeenWindows) -> DiffusionConfiguration:
     """GazeMoDiff and HumanMAC: ``preset`` is one of the published configurations, other keys differ from it."""
-    changes = dict(request.model)
-    name = changes.pop("preset", request.name)
-    own = [each for each in PRESETS if each.startswith("humanmac") is (request.name == "humanmac")]
-    if name not in own:
-        raise UsageError(f"model.preset: expected one of {', '.join(own)}, found '{name}'.")
-    seen = request.seen
-    if name == "no-gaze" and seen.condition is not Condition.POSE:
+    chosen = model.pop("preset", name)
+    own = [each for each in PRESETS if each.startswith("humanmac") is (name == "humanmac")]
+    if chosen not in own:
+        raise UsageError(f"model.preset: expected one of {', '.join(own)}, found '{chosen}'.")
+    if chosen == "no-gaze" and seen.condition is not Condition.POSE:
         raise UsageError("model.preset: 'no-gaze' knows the body alone; add --set model.windows.condition=pose.")
-    given = {"n_joints", "gaze", "observed", "predicted"} & set(changes)
+    given = {"n_joints", "gaze", "observed", "predicted"} & set(model)
     if given:
         raise UsageError(f"model.{min(given)}: follows from the windows and their condition; leave it out.")
     # The condition decides about the direction, so that `pose+head` is the head-for-gaze variant of any preset.
-    base = preset(name, n_joints=seen.n_joints)
+    base = preset(chosen, n_joints=seen.n_joints)
     size = {"gaze": seen.direction, "observed": seen.observed, "predicted": seen.predicted}
-    network = _converted({**msgspec.to_builtins(base), **changes, **size}, DiffusionConfiguration, "model")
-    record = DiffusionRecord(windows=seen, network=network)
-    model = record.build()
-    origin = _started(request, model, record)
-    module = DiffusionTraining(request.name, record, model, request.course, origin)
-    if model.whitening is not None and not origin:
-        model.whitening.take(torch.cat([model.residuals(motion) for motion in _motions(module, request.data)]))
-    return module
+    return _converted({**msgspec.to_builtins(base), **model, **size}, DiffusionConfiguration, "model")
 
 
-def cvae(request: Request) -> CVAETraining:
-    """CVAE; a direction counts as one more joint."""
-    seen = request.seen
-    sizes = {"n_joints": seen.nodes, "predicted": seen.predicted}
-    record = CVAERecord(windows=seen, network=_converted({**request.model, **sizes}, CVAEConfiguration, "model"))
-    model = record.build()
-    origin = _started(request, model, record)
-    return CVAETraining(request.name, record, model, request.course, origin)
-
-
-def dlow(request: Request) -> DLowTraining:
-    """DLow's sampler for a trained CVAE, which ``--init`` names.
-
-    Raises:
-        UsageError: without one.
-        InputFileError: if the file is none, or was trained on other windows.
-    """
-    start = _required(request, "cvae", "a trained CVAE", "prbench train --method cvae --data WINDOWS… --out DIR")
-    old = start.configuration(CVAERecord)
-    record = DLowRecord(
-        windows=request.seen, network=_converted(request.model, DLowConfiguration, "model"), cvae=old.network
-    )
-    _require_same_windows(request, start, old.windows)
+def _dlow(model: dict[str, Any], seen: SeenWindows, course: RateCourse, initial: Path | None) -> PredictorTraining:
+    """DLow's sampler for a trained CVAE, which ``--init`` names."""
+    command = "prbench train --method cvae --data WINDOWS… --out DIR"
+    start, old = _started("dlow", initial, seen, "cvae", CVAERecord, "a trained CVAE", command)
+    network = _converted(model, DLowConfiguration, "model")
+    record = DLowRecord(windows=seen, network=network, cvae=old.network)
     decoder = CVAE(old.network)
     start.load_into(decoder, "network")
-    model = record.build()
-    model.cvae.load_state_dict(decoder.state_dict())
-    return DLowTraining(request.name, record, model, request.course, origin_of(start))
+    sampler = record.build()
+    sampler.cvae.load_state_dict(decoder.state_dict())
+    return PredictorTraining("dlow", record, sampler, latent_losses, course, origin_of(start))
 
 
-def belfusion(request: Request) -> AutoencoderTraining | BeLFusionTraining:
-    """BeLFusion's stages: its autoencoders, then the diffusion of behaviours, for which ``--init`` names them."""
-    if request.stage == STAGES_OF_BELFUSION[0]:
-        seen = request.seen
-        sizes = {"n_joints": seen.nodes, "observed": seen.observed, "predicted": seen.predicted}
-        network, phases = split_model_table({**request.model, **sizes}, BehaviourConfiguration, Phases)
-        record = AutoencodersRecord(windows=seen, network=network)
-        return AutoencoderTraining(record, record.build(), request.course, frozen_from=phases.frozen_from)
+def _belfusion(
+    model: dict[str, Any], seen: SeenWindows, course: RateCourse, initial: Path | None, data: WindowsDataset
+) -> PredictorTraining:
+    """BeLFusion's diffusion of behaviours of trained autoencoders, which ``--init`` names."""
     command = "prbench train --method belfusion --stage autoencoders --data WINDOWS… --out DIR"
-    start = _required(request, AUTOENCODERS, "BeLFusion's trained autoencoders", command)
-    old = start.configuration(AutoencodersRecord)
-    _require_same_windows(request, start, old.windows)
-    table = {**request.model, "condition": old.network.past}
+    what = "BeLFusion's trained autoencoders"
+    start, old = _started("belfusion", initial, seen, AUTOENCODERS, AutoencodersRecord, what, command)
+    table = {**model, "condition": old.network.past}
     unet, objective = split_model_table(table, UNetConfiguration, BestOfNoises)
-    record = BeLFusionRecord(
-        windows=request.seen, network=unet, behaviour=old.network, decoded_weight=objective.decoded_weight
-    )
+    record = BeLFusionRecord(windows=seen, network=unet, behaviour=old.network, decoded_weight=objective.decoded_weight)
     try:
-        model = record.build()
+        network = record.build()
     except ValueError as error:
         raise UsageError(f"[model]: {error}.") from error
     trained = Autoencoders(old.network)
     start.load_into(trained, "network")
-    model.past.load_state_dict(trained.past.state_dict())
-    model.behaviour.load_state_dict(trained.behaviour.state_dict())
-    module = BeLFusionTraining(record, model, request.course, origin_of(start), noises=objective.noises)
-    _take_ranges(module, request.data)
+    network.past.load_state_dict(trained.past.state_dict())
+    network.behaviour.load_state_dict(trained.behaviour.state_dict())
+    losses = belfusion_losses(objective.noises)
+    module = PredictorTraining("belfusion", record, network, losses, course, origin_of(start))
+    _take_ranges(module, network, data)
     return module
 
 
 @torch.no_grad()
-def _take_ranges(module: BeLFusionTraining, data: WindowsDataset) -> None:
+def _take_ranges(module: PredictorTraining, model: BeLFusion, data: WindowsDataset) -> None:
     """Set the ranges that codes and behaviours are scaled by to those of the training windows and of their mirrors."""
-    model = module.network
-    seen = module.record.windows
+    shape = model.configuration
     past = []
     behaviour = []
     generator = torch.Generator().manual_seed(0)
-    for motion in _motions(module, data):
-        past.append(model.past.code(motion[:, : seen.observed]))
-        noise = torch.randn(len(motion), module.record.behaviour.behaviour, generator=generator)
-        sequence = motion[:, seen.observed - module.record.behaviour.context :]
-        behaviour.append(model.behaviour.encode(sequence).draw(noise))
+    for motion in module.spread(data):
+        past.append(model.past.code(motion[:, : shape.observed]))
+        noise = torch.randn(len(motion), shape.behaviour, generator=generator)
+        behaviour.append(model.behaviour.draw(motion[:, shape.observed - shape.context :], noise))
     for name, values in (("past", torch.cat(past)), ("behaviour", torch.cat(behaviour))):
         getattr(model, f"{name}_min").copy_(values.amin(dim=0))
         getattr(model, f"{name}_max").copy_(values.amax(dim=0))
 
 
-def _motions(module: DiffusionTraining | BeLFusionTraining, data: WindowsDataset) -> Iterator[torch.Tensor]:
-    """Yield windows of the training split, spread over it, each followed by its mirror."""
-    places = data.spread(-(-_MOST_WINDOWS // len(data.tables)))
-    for first in range(0, len(places), _TOGETHER):
-        motion = module.shown(data.collate([data[place] for place in places[first : first + _TOGETHER]]))
-        yield motion
-        yield module.mirrored(motion)
-
-
-def _started(request: Request, model: torch.nn.Module, record: Record) -> tuple[str, ...]:
-    """Put initial weights of the same method in place, if some were given."""
-    if request.initial is None:
-        return ()
-    start = read_weights(request.initial, kind=request.name)
-    start.require_same(record, apart_from=())
-    start.load_into(model, "network")
-    return origin_of(start)
-
-
-def _required(request: Request, kind: str, what: str, command: str) -> Weights:
-    if request.initial is None:
-        raise UsageError(f"--init: {request.name} builds upon {what}. Train one first (`{command}`) and name its file.")
-    return read_weights(request.initial, kind=kind)
-
-
-def _require_same_windows(request: Request, start: Weights, old: SeenWindows) -> None:
-    for name in SeenWindows.__struct_fields__:
-        now = getattr(request.seen, name)
-        then = getattr(old, name)
+def _started(
+    name: str, initial: Path | None, seen: SeenWindows, kind: str, record: type[_Struct], what: str, command: str
+) -> tuple[Weights, _Struct]:
+    """Read what a method builds upon, and refuse what was trained on other windows."""
+    if initial is None:
+        raise UsageError(f"--init: {name} builds upon {what}. Train one first (`{command}`) and name its file.")
+    start = read_weights(initial, kind=kind)
+    old = start.configuration(record)
+    for field in SeenWindows.__struct_fields__:
+        now = getattr(seen, field)
+        then = getattr(old.windows, field)  # type: ignore[attr-defined]  # every record has windows
         if now != then:
             raise UsageError(
-                f"{start.path}: was trained on windows with {name} {then}, these have {now}. Train it again on these,"
+                f"{start.path}: was trained on windows with {field} {then}, these have {now}. Train it again on these,"
                 " or change model.windows."
             )
+    return start, old
 
 
 def _converted(table: object, kind: type[_Struct], where: str) -> _Struct:

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from prbench.randomness import noise_seed
-from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion, PreparedCondition, padded
+from prbench_adapters.prediction.coefficient_diffusion import CoefficientDiffusion, PreparedCondition, held, padded
 from prbench_adapters.prediction.configuration import PRESETS, preset
 
 TINY = {
@@ -94,10 +94,10 @@ def test_gaze_that_was_not_measured_leaves_no_trace():
     other = observed.clone()
     other[:, [0, 7, 14], -1] = 9.0
     seeds = _seeds(2, 1)
-    assert torch.equal(model.predict(observed, seeds, valid), model.predict(other, seeds, valid))
+    assert torch.equal(model.predict(held(observed, valid), seeds), model.predict(held(other, valid), seeds))
     valid[1] = False
     with pytest.raises(ValueError, match="window 1 of the batch has no valid gaze"):
-        model.predict(observed, seeds, valid)
+        held(observed, valid)
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from prbench_adapters.diffusion.sampling import CosineSchedule
-from prbench_adapters.prediction.coefficient_diffusion import WindowDCT, dct_rows, padded
+from prbench_adapters.prediction.coefficient_diffusion import WindowDCT, dct_rows, held, padded
 
 
 def test_rows_of_constant_and_rising_values():
@@ -45,7 +45,7 @@ def test_completion_equals_the_exchange_of_frames():
 
 def test_padding_repeats_the_last_frame_and_the_last_measured_gaze():
     observed = torch.arange(4.0).view(1, 4, 1, 1).expand(1, 4, 2, 3)
-    filled = padded(observed, 6, torch.tensor([[False, True, False, False]]))
+    filled = padded(held(observed, torch.tensor([[False, True, False, False]])), 6)
     assert filled[0, :, 0, 0].tolist() == [0, 1, 2, 3, 3, 3]
     assert filled[0, :, 1, 0].tolist() == [1] * 6
     with pytest.raises(ValueError, match="4 frames does not fit into a window of 3"):
