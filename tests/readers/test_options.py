@@ -17,19 +17,19 @@ def test_defaults_describe_themselves_without_places_of_this_machine(dataset) ->
 
 
 def test_texts_become_values_of_their_kind() -> None:
-    options = reader_for("mogaze", {"legacy_gaze": "true", "joint_mapping": "named"}).options
-    assert described_options(options)["legacy_gaze"] == "true"
-    assert described_options(options)["joint_mapping"] == "named"
+    options = reader_for("gimo", {"meshes": "true", "target": "cube"}).options
+    assert described_options(options)["meshes"] == "true"
+    assert described_options(options)["target"] == "cube"
 
 
 def test_a_misspelt_name_is_answered_with_the_nearest_one() -> None:
-    with pytest.raises(UsageError, match="Did you mean 'legacy_gaze'"):
-        reader_for("mogaze", {"legacy_gase": "true"})
+    with pytest.raises(UsageError, match="Did you mean 'include_excluded'"):
+        reader_for("mogaze", {"include_exluded": "true"})
 
 
 def test_a_wrong_value_is_answered_with_the_allowed_ones() -> None:
-    with pytest.raises(UsageError, match="boxes is one of: point, cube"):
-        reader_for("hd-epic", {"boxes": "sphere"})
+    with pytest.raises(UsageError, match="target is one of: point, cube"):
+        reader_for("gimo", {"target": "sphere"})
 
 
 def test_a_file_is_described_by_its_content_and_not_by_its_place(tmp_path) -> None:

@@ -12,7 +12,7 @@ from prbench.readers.extents import Extent
 from prbench.readers.found import RecordingFiles
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.files import extents, find_recordings, read_readings
-from prbench.readers.mogaze.to_recording import JointMapping, published_tracks, recording_from_mogaze
+from prbench.readers.mogaze.to_recording import published_tracks, recording_from_mogaze
 from prbench.recording import Recording
 from prbench.recording.streams import PublishedTrack
 
@@ -22,10 +22,6 @@ __all__ = ["READER", "MogazeOptions", "MogazeReader", "find_recordings", "read_r
 class MogazeOptions(ReaderOptions, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Options of the reader of MoGaze."""
 
-    joint_mapping: JointMapping = "anatomical"
-    """Mapping of the 21 links to the 22 joints: where a body has them, or (``named``) as the links are called."""
-    legacy_gaze: bool = False
-    """Gaze by the formula of the dataset's own player, which subtracts the goggles' position once more."""
     meshes: bool = False
     """Load the meshes of ``scene.xml`` as occluders."""
     include_excluded: bool = False
@@ -70,14 +66,7 @@ class MogazeReader:
         manifest = load_manifest("mogaze")
         found.require_usable(manifest.why_bad(found.recording_id))
         readings = read_readings(found, manifest, meshes=self.options.meshes)
-        recording = recording_from_mogaze(
-            readings,
-            manifest,
-            dataset=found.dataset,
-            joint_mapping=self.options.joint_mapping,
-            legacy_gaze=self.options.legacy_gaze,
-        )
-        return readings, recording
+        return readings, recording_from_mogaze(readings, manifest, dataset=found.dataset)
 
     def extents(self, found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:
         """See :class:`prbench.readers.KnowsEnds`."""

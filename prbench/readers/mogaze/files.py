@@ -9,10 +9,8 @@ import itertools
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path, PurePosixPath
 
 import h5py
@@ -21,18 +19,20 @@ from jaxtyping import Float, Int
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
-from prbench.files.bounded import foreign_input, require_size
+from prbench.files.bounded import foreign_input, require, require_size
 from prbench.limits import HARMLESS_SIZE, HIGHEST_COMPRESSION, LARGEST_ARRAYS, LARGEST_UNPACKED
 from prbench.protocol.manifests import Manifest, load_manifest
 from prbench.readers import read_synthetic_tree
 from prbench.readers.extents import Extent
-from prbench.readers.found import InputFile, RecordingFiles, input_file, is_present, names_in
+from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.mogaze import format as mogaze
 from prbench.recording import Recording
 
 _SHOWN = 8
 """Names that a message lists."""
 _COPY_AGAIN = "The file may be truncated; copy or download it again."
+_OTHER_FILE = "Is this the right file?"
+_MOST_DIGITS = 19  # of the id of a body
 
 
 @contextmanager
@@ -51,43 +51,29 @@ def opened(path: Path) -> Iterator[h5py.File]:
         raise InputFileError(path, "", expected="a complete HDF5 file", found=found, remedy=_COPY_AGAIN) from error
 
 
+def _entry(path: Path, parent: h5py.Group, name: str, kind: type, called: str) -> h5py.Dataset | h5py.Group:
+    """What stands under a name in this very file; a link that leads elsewhere is never followed."""
+    link = parent.get(name, getlink=True)
+    elsewhere = link is not None and not isinstance(link, h5py.HardLink)
+    found = f"a link ({type(link).__name__})"
+    require(path, (not elsewhere, f"{parent.name}, '{name}'", "numbers in this file", found, ""))
+    entry = parent.get(name)
+    require(path, (isinstance(entry, kind), parent.name or "", f"{called} '{name}'", _listed(parent), _OTHER_FILE))
+    return entry
+
+
+def _listed(names: Iterable[str]) -> str:
+    first = list(itertools.islice(names, _SHOWN + 1))
+    return ", ".join(first[:_SHOWN]) + (" …" if len(first) > _SHOWN else "") or "nothing"
+
+
 def dataset(path: Path, parent: h5py.Group, name: str) -> h5py.Dataset:
     """One dataset of a file or group.
 
     Raises:
         InputFileError: if it is missing, listing what is there, or lies in another file.
     """
-    entry = _entry(path, parent, name)
-    if isinstance(entry, h5py.Dataset):
-        return entry
-    raise InputFileError(
-        path, parent.name or "", expected=f"a dataset '{name}'", found=_names(parent), remedy="Is this the right file?"
-    )
-
-
-def group(path: Path, file: h5py.File, name: str) -> h5py.Group:
-    """One group of a file.
-
-    Raises:
-        InputFileError: if it is missing, listing what is there, or lies in another file.
-    """
-    entry = _entry(path, file, name)
-    if isinstance(entry, h5py.Group):
-        return entry
-    raise InputFileError(path, "", expected=f"a group '{name}'", found=_names(file), remedy="Is this the right file?")
-
-
-def _entry(path: Path, parent: h5py.Group, name: str) -> object:
-    """Return what stands under a name in this very file; a link that leads elsewhere is never followed."""
-    link = parent.get(name, getlink=True)
-    if link is not None and not isinstance(link, h5py.HardLink):
-        found = f"a link ({type(link).__name__})"
-        raise InputFileError(path, f"{parent.name}, '{name}'", expected="numbers in this file", found=found)
-    return parent.get(name)
-
-
-def _names(parent: h5py.Group) -> str:
-    return ", ".join(itertools.islice(parent, _SHOWN)) + (" …" if len(parent) > _SHOWN else "") or "nothing"
+    return _entry(path, parent, name, h5py.Dataset, "a dataset")
 
 
 def stored_values(path: Path, entry: h5py.Dataset) -> np.ndarray:
@@ -96,19 +82,15 @@ def stored_values(path: Path, entry: h5py.Dataset) -> np.ndarray:
     Raises:
         InputFileError: if it declares more than its stored bytes can hold, or its values lie in other files.
     """
-    if entry.external or entry.is_virtual:
-        raise InputFileError(path, entry.name or "", expected="values in this file", found="values in other files")
+    where = entry.name or ""
+    is_here = not entry.external and not entry.is_virtual
+    require(path, (is_here, where, "values in this file", "values in other files", ""))
     stored = entry.id.get_storage_size()
     largest = min(LARGEST_ARRAYS, max(HARMLESS_SIZE, HIGHEST_COMPRESSION * stored))
     at_once = max(math.prod(shape) for shape in (entry.shape or (), entry.chunks or ()))
-    if at_once * entry.dtype.itemsize > largest:
-        raise InputFileError(
-            path,
-            entry.name or "",
-            expected=f"at most {largest:,} bytes of values, for {stored:,} that are stored",
-            found=f"shape {entry.shape} of {entry.dtype}",
-            remedy=_COPY_AGAIN,
-        )
+    fits = at_once * entry.dtype.itemsize <= largest
+    expected = f"at most {largest:,} bytes of values, for {stored:,} that are stored"
+    require(path, (fits, where, expected, f"shape {entry.shape} of {entry.dtype}", _COPY_AGAIN))
     return entry[...]
 
 
@@ -118,74 +100,45 @@ def numbers(path: Path, entry: h5py.Dataset, *, columns: int) -> Float[np.ndarra
     Raises:
         InputFileError: if it is of another shape or kind.
     """
-    if entry.ndim != 2 or entry.shape[1] < columns or entry.dtype.kind not in "fiu":
-        raise InputFileError(
-            path,
-            entry.name or "",
-            expected=f"rows of at least {columns} numbers",
-            found=f"shape {entry.shape}, type {entry.dtype}",
-            remedy="Is this the right file?",
-        )
+    is_table = entry.ndim == 2 and entry.shape[1] >= columns and entry.dtype.kind in "fiu"
+    found = f"shape {entry.shape}, type {entry.dtype}"
+    require(path, (is_table, entry.name or "", f"rows of at least {columns} numbers", found, _OTHER_FILE))
     return stored_values(path, entry).astype(np.float64)
 
 
-def attribute(path: Path, entry: h5py.Dataset, name: str) -> np.ndarray:
-    """One attribute as an array.
-
-    Raises:
-        InputFileError: if it is missing, listing what is there.
-    """
-    if name not in entry.attrs:
-        raise InputFileError(
-            path,
-            f"attributes of {entry.name}",
-            expected=f"'{name}'",
-            found=", ".join(itertools.islice(entry.attrs, _SHOWN)) or "none",
-            remedy="Copy or download the file again.",
-        )
+def _attribute(path: Path, entry: h5py.Dataset, name: str) -> np.ndarray:
+    """One attribute as an array; refused if it is missing, empty or too large."""
+    where = f"attributes of {entry.name}"
+    require(path, (name in entry.attrs, where, f"'{name}'", _listed(entry.attrs), _COPY_AGAIN))
     stored = entry.attrs.get_id(name)
-    if stored.shape is None:
-        raise InputFileError(path, f"attribute '{name}'", expected="values", found="none", remedy=_COPY_AGAIN)
-    if math.prod(stored.shape or ()) * stored.dtype.itemsize > HARMLESS_SIZE:
-        found = f"shape {stored.shape}"
-        raise InputFileError(path, f"attribute '{name}'", expected=f"at most {HARMLESS_SIZE:,} bytes", found=found)
+    where = f"attribute '{name}'"
+    size = math.prod(stored.shape or ()) * stored.dtype.itemsize
+    require(
+        path,
+        (stored.shape is not None, where, "values", "none", _COPY_AGAIN),
+        (size <= HARMLESS_SIZE, where, f"at most {HARMLESS_SIZE:,} bytes", f"shape {stored.shape}", ""),
+    )
     return np.atleast_1d(np.asarray(entry.attrs[name]))
 
 
-def number_attribute(path: Path, entry: h5py.Dataset, name: str) -> Float[np.ndarray, "..."]:
-    """One attribute as numbers.
-
-    Raises:
-        InputFileError: see :func:`attribute`, or if it holds anything else.
-    """
-    found = attribute(path, entry, name)
-    if found.dtype.kind not in "fiu":
-        raise InputFileError(path, f"attribute '{name}'", expected="numbers", found=str(found.dtype))
-    return found.astype(np.float64)
+def _number_attribute(path: Path, entry: h5py.Dataset, name: str) -> Float[np.ndarray, " n"]:
+    found = _attribute(path, entry, name)
+    require(path, (found.dtype.kind in "fiu", f"attribute '{name}'", "numbers", found.dtype, ""))
+    return found.astype(np.float64).ravel()
 
 
-def words(values: np.ndarray | Sequence[object]) -> list[str]:
+def _words(values: np.ndarray | Sequence[object]) -> list[str]:
     """Texts, whether the file holds them as bytes (padded or not) or as strings."""
     return [
         value.decode("utf-8", "replace").rstrip("\0") if isinstance(value, bytes) else str(value) for value in values
     ]
 
 
-_MOST_DIGITS = 19  # of the id of a body
-
-
-@dataclass(frozen=True)
-class SceneBody:
-    """One body of the scene."""
-
-    name: str
-    mesh: Path | None
-    """None where the scene names none, or none of that name lies in the dataset's folder."""
-
-
 @foreign_input()
-def read_scene(path: Path) -> dict[int, SceneBody]:
-    """Bodies by id.
+def read_scene(path: Path) -> dict[int, tuple[str, Path | None]]:
+    """Names and meshes of the bodies, by id.
+
+    A mesh is None where the scene names none, or none of that name lies in the dataset's folder.
 
     Raises:
         InputFileError: if the file is no XML, or a body lacks id or name.
@@ -194,24 +147,18 @@ def read_scene(path: Path) -> dict[int, SceneBody]:
         require_size(path, largest=HARMLESS_SIZE)
         root = ET.parse(path).getroot()
     except ET.ParseError as error:
-        raise InputFileError(
-            path, "", expected="XML", found=str(error), remedy="Copy or download the file again."
-        ) from error
+        raise InputFileError(path, "", expected="XML", found=str(error), remedy=_COPY_AGAIN) from error
     bodies = {}
     for number, entry in enumerate(root.iter("body"), start=1):
         key = entry.get("id", "")
         name = entry.get("name", "").strip()
-        if not key.isdecimal() or len(key) > _MOST_DIGITS or not name:
-            raise InputFileError(
-                path,
-                f"body {number}",
-                expected="an integer id and a name",
-                found=f"id '{key}' and name '{name}'",
-                remedy="Copy or download the file again; without it the bodies get their names by their order.",
-            )
+        is_named = key.isdecimal() and len(key) <= _MOST_DIGITS and name != ""
+        found = f"id '{key}' and name '{name}'"
+        remedy = "Copy or download the file again; without it the bodies get their names by their order."
+        require(path, (is_named, f"body {number}", "an integer id and a name", found, remedy))
         mesh = entry.find("meshfile")
         source = "" if mesh is None else mesh.get("src", "")
-        bodies[int(key)] = SceneBody(name, find_mesh(path.parent, source) if source else None)
+        bodies[int(key)] = (name, find_mesh(path.parent, source) if source else None)
     return bodies
 
 
@@ -238,34 +185,20 @@ def read_mesh(path: Path) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 
     Raises:
         InputFileError: if the file holds no triangles.
     """
-    status = path.stat()
-    return _read_mesh(path, status.st_size, status.st_mtime_ns)
-
-
-@lru_cache(maxsize=64)
-def _read_mesh(path: Path, _size: int, _changed: int) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
     import trimesh  # late: 0.3 s that copies without meshes need not wait for
 
+    expected = "a mesh of triangles"
+    remedy = "Copy or download the file again, or remove it: the size of the object is then taken from a table."
     try:
         require_size(path)
         mesh = trimesh.load_mesh(path, process=False)
         vertices = np.array(mesh.vertices, dtype=np.float64)
         faces = np.array(mesh.faces, dtype=np.int64)
     except (ValueError, IndexError, KeyError, AttributeError, TypeError) as error:
-        raise _no_mesh(path, f"'{error}'") from error
-    if len(faces) == 0 or not np.isfinite(vertices).all():
-        raise _no_mesh(path, f"{len(faces)} triangles and {len(vertices)} corners")
+        raise InputFileError(path, "", expected=expected, found=f"'{error}'", remedy=remedy) from error
+    is_mesh = len(faces) > 0 and np.isfinite(vertices).all()
+    require(path, (is_mesh, "", expected, f"{len(faces)} triangles and {len(vertices)} corners", remedy))
     return vertices, faces
-
-
-def _no_mesh(path: Path, found: str) -> InputFileError:
-    return InputFileError(
-        path,
-        "",
-        expected="a mesh of triangles",
-        found=found,
-        remedy="Copy or download the file again, or remove it: the size of the object is then taken from a table.",
-    )
 
 
 SCENE = "scene"
@@ -290,69 +223,53 @@ def find_recordings(root: Path | str, *, include_excluded: bool = False) -> tupl
     if root.is_file() and (match := _FILE_NAME.fullmatch(root.name)):
         found = find_recordings(root.parent, include_excluded=include_excluded)
         return tuple(recording for recording in found if recording.recording_id == match["id"])
-    if not root.is_dir():
-        raise InputFileError(root, "", expected="a folder of MoGaze recordings", found="no such folder")
-    folder = root if _parts_in(root) else root / "mogaze"
-    parts = _parts_in(folder) if folder.is_dir() else {}
-    if not parts:
-        raise InputFileError(
-            root,
-            "",
-            expected="recordings of MoGaze: files like p1_1_human_data.hdf5",
-            found=names_in(root),
-            remedy="Give the folder that the archive unpacks to (mogaze).",
-        )
+    folder = existing_folder(root, "a folder of MoGaze recordings")
+    parts: dict[str, list[InputFile]] = {}
+    for folder in (root, root / "mogaze"):
+        matches = [_FILE_NAME.fullmatch(path.name) for path in sorted(folder.glob("*.hdf5"))]
+        for match in filter(None, matches):
+            parts.setdefault(match["id"], []).append(input_file(match["part"], folder / match[0]))
+        if parts:
+            break
+    expected = "recordings of MoGaze: files like p1_1_human_data.hdf5"
+    remedy = "Give the folder that the archive unpacks to (mogaze)."
+    require(root, (len(parts) > 0, "", expected, names_in(root), remedy))
     tree = read_synthetic_tree(folder)
     dataset, splits = ("mogaze", {}) if tree is None else (f"{SYNTHETIC_PREFIX}mogaze", tree.split)
     excluded = {} if include_excluded else load_manifest("mogaze").excluded
-    shared = _shared_files(folder)
+    # The scene and the meshes that it names; of a damaged scene the file alone.
+    shared = []
+    scene = folder / mogaze.SCENE_FILE
+    if is_present(scene):
+        shared.append(input_file(SCENE, scene))
+        try:
+            meshes = sorted({mesh for _, mesh in read_scene(scene).values() if mesh is not None})
+        except InputFileError:
+            meshes = []
+        shared += [input_file(f"{_MESH_PREFIX}{mesh.relative_to(folder).as_posix()}", mesh) for mesh in meshes]
     return tuple(
         RecordingFiles(dataset, name, folder, (*files, *shared), split=splits.get(name), skip_reason=excluded.get(name))
         for name, files in sorted(parts.items())
     )
 
 
-def _parts_in(folder: Path) -> dict[str, list[InputFile]]:
-    parts: dict[str, list[InputFile]] = {}
-    for path in sorted(folder.iterdir()):
-        match = _FILE_NAME.fullmatch(path.name)
-        if match:
-            parts.setdefault(match["id"], []).append(input_file(match["part"], path))
-    return parts
-
-
-def _shared_files(folder: Path) -> tuple[InputFile, ...]:
-    """The scene and the meshes that it names; of a damaged scene the file alone."""
-    path = folder / mogaze.SCENE_FILE
-    if not is_present(path):
-        return ()
-    try:
-        meshes = {body.mesh for body in read_scene(path).values() if body.mesh is not None}
-    except InputFileError:
-        meshes = set()
-    return (
-        input_file(SCENE, path),
-        *(input_file(f"{_MESH_PREFIX}{mesh.relative_to(folder).as_posix()}", mesh) for mesh in sorted(meshes)),
-    )
-
-
 def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
     """The streams of one recording: frames at one rate, all from frame 0; labels begin and end with nothing in hand."""
-    return tuple(stream for file in found.files if (stream := _extent(file)) is not None)
-
-
-def _extent(file: InputFile) -> Extent | None:
     human, objects, gaze, segments = mogaze.PARTS
     streams = {human: "body", objects: "objects", gaze: "gaze", segments: "labels"}
-    if file.role not in streams:
-        return None
-    try:
-        with opened(file.path) as content:
-            last = _last_label(content) if file.role == segments else _last_frame(content)
-    except (InputFileError, KeyError):
-        return None  # reading says what is wrong with it
-    seconds = None if last is None else last / mogaze.RATE
-    return Extent(streams[file.role], file.path.name, 0.0, seconds, tells_span=file.role != segments)
+    extents = []
+    for file in found.files:
+        if file.role not in streams:
+            continue
+        try:
+            with opened(file.path) as content:
+                last = _last_label(content) if file.role == segments else _last_frame(content)
+        except (InputFileError, KeyError):
+            continue  # reading says what is wrong with it
+        seconds = None if last is None else last / mogaze.RATE
+        tells_span = file.role != segments
+        extents.append(Extent(streams[file.role], file.path.name, 0.0, seconds, tells_span=tells_span))
+    return tuple(extents)
 
 
 def _last_frame(content: h5py.File) -> int | None:
@@ -387,128 +304,119 @@ def read_readings(found: RecordingFiles, manifest: Manifest, *, meshes: bool = F
     Raises:
         InputFileError: if a file is missing or damaged, or the files are not of one recording.
     """
-    paths = {part: found.require(part, f"{found.recording_id}_{part}.hdf5") for part in mogaze.PARTS}
-    human, objects, gaze, segmentations = (paths[part] for part in mogaze.PARTS)
+    human, objects, gaze, segmentations = (
+        found.require(part, f"{found.recording_id}_{part}.hdf5") for part in mogaze.PARTS
+    )
     with opened(human) as file:
         entry = dataset(human, file, mogaze.HUMAN_DATASET)
         table = numbers(human, entry, columns=len(mogaze.STATE_COLUMNS))
-        names = words(attribute(human, entry, mogaze.COLUMNS_ATTRIBUTE))
-        keys = words(attribute(human, entry, mogaze.FIXED_KEYS_ATTRIBUTE))
-        values = number_attribute(human, entry, mogaze.FIXED_VALUES_ATTRIBUTE).ravel()
+        columns = _words(_attribute(human, entry, mogaze.COLUMNS_ATTRIBUTE))
+        keys = _words(_attribute(human, entry, mogaze.FIXED_KEYS_ATTRIBUTE))
+        values = _number_attribute(human, entry, mogaze.FIXED_VALUES_ATTRIBUTE)
         participant = str(entry.attrs.get(mogaze.PARTICIPANT_ATTRIBUTE, ""))
-    if len(names) != table.shape[1]:
-        raise InputFileError(
-            human,
-            mogaze.COLUMNS_ATTRIBUTE,
-            expected=f"a name for each of the {table.shape[1]} columns",
-            found=f"{len(names)} names",
-            remedy="Copy or download the file again.",
-        )
-    _require(human, mogaze.COLUMNS_ATTRIBUTE, mogaze.STATE_COLUMNS, names)
     fixed = dict(zip(keys, values.tolist(), strict=False))
-    _require(human, mogaze.FIXED_KEYS_ATTRIBUTE, sorted(mogaze.MODEL_OFFSETS), list(fixed))
-    if len(table) < 2:
-        raise InputFileError(
-            human, _named_dataset(mogaze.HUMAN_DATASET), expected="frames of a body", found=f"{len(table)}"
-        )
-    state, fixed, participant = table[:, [names.index(name) for name in mogaze.STATE_COLUMNS]], fixed, participant
+    named = f"a name for each of the {table.shape[1]} columns"
+    has_names = len(columns) == table.shape[1]
+    require(human, (has_names, mogaze.COLUMNS_ATTRIBUTE, named, f"{len(columns)} names", _COPY_AGAIN))
+    for where, wanted, present in (
+        (mogaze.COLUMNS_ATTRIBUTE, mogaze.STATE_COLUMNS, columns),
+        (mogaze.FIXED_KEYS_ATTRIBUTE, sorted(mogaze.MODEL_OFFSETS), list(fixed)),
+    ):
+        missing = [f"'{name}'" for name in wanted if name not in present]
+        expected = " and ".join([*missing[:1], *([f"{len(missing) - 1} more"] if len(missing) > 1 else [])])
+        others = f"{len(present)} others: {', '.join(present[:6])} …" if present else "nothing"
+        remedy = "Without it the body cannot be placed; copy or download the file again."
+        require(human, (not missing, where, expected, others, remedy))
+    where = f"dataset '{mogaze.HUMAN_DATASET}'"
+    require(human, (len(table) >= 2, where, "frames of a body", len(table), ""))
+    state = table[:, [columns.index(name) for name in mogaze.STATE_COLUMNS]]
+
+    with opened(gaze) as file:
+        entry = dataset(gaze, file, mogaze.GAZE_DATASET)
+        gaze_rows = numbers(gaze, entry, columns=mogaze.FEWEST_GAZE_COLUMNS)
+        calibration = _number_attribute(gaze, entry, mogaze.CALIBRATION_ATTRIBUTE)
+    is_turn = len(calibration) == 4 and abs(np.linalg.norm(calibration) - 1) < 0.01
+    shown = np.array2string(calibration, precision=3)
+    require(gaze, (is_turn, mogaze.CALIBRATION_ATTRIBUTE, "a quaternion of length 1", shown, _COPY_AGAIN))
+
     poses = _read_poses(objects)
     scene_file = found.path(SCENE)
     scene = {} if scene_file is None else read_scene(scene_file)
     # Bodies by id: the scene's, else by their order, else without a name of their own.
-    if scene:
-        bodies = {key: scene.get(key, SceneBody(f"body_{key}", None)) for key in poses}
-    else:
-        names = mogaze.BODIES_WITHOUT_SCENE if len(poses) == len(mogaze.BODIES_WITHOUT_SCENE) else ()
-        bodies = {key: SceneBody(names[index] if names else f"body_{key}", None) for index, key in enumerate(poses)}
-    if all(body.name != mogaze.GOGGLES for body in bodies.values()):
-        raise InputFileError(
-            objects,
-            mogaze.OBJECT_GROUP,
-            expected=f"a body that {mogaze.SCENE_FILE} calls '{mogaze.GOGGLES}'",
-            found=", ".join(f"{key} ({body.name})" for key, body in bodies.items()) or "no body",
-            remedy=f"Gaze starts at the goggles. Put {mogaze.SCENE_FILE} of the dataset beside the file.",
-        )
-    naming = "" if scene else f"no {mogaze.SCENE_FILE}: the bodies have their names by the order of their keys"
-    with opened(gaze) as file:
-        entry = dataset(gaze, file, mogaze.GAZE_DATASET)
-        table = numbers(gaze, entry, columns=mogaze.FEWEST_GAZE_COLUMNS)
-        calibration = number_attribute(gaze, entry, mogaze.CALIBRATION_ATTRIBUTE).ravel()
-    if len(calibration) != 4 or not abs(np.linalg.norm(calibration) - 1) < 0.01:
-        raise InputFileError(
-            gaze,
-            mogaze.CALIBRATION_ATTRIBUTE,
-            expected="a quaternion of length 1",
-            found=np.array2string(calibration, precision=3),
-            remedy="Copy or download the file again.",
-        )
-    points, confidence, calibration = table[:, mogaze.GAZE_POINT], table[:, -1], calibration
-    lengths = {"human_data": len(state), "gaze_data": len(points)}
+    bodies: dict[int, tuple[str, Path | None]] = {key: (f"body_{key}", None) for key in poses}
+    if not scene and len(poses) == len(mogaze.BODIES_WITHOUT_SCENE):
+        bodies = {key: (name, None) for key, name in zip(poses, mogaze.BODIES_WITHOUT_SCENE, strict=True)}
+    bodies |= {key: body for key, body in scene.items() if key in poses}
+    has_goggles = any(name == mogaze.GOGGLES for name, _ in bodies.values())
+    expected = f"a body that {mogaze.SCENE_FILE} calls '{mogaze.GOGGLES}'"
+    named = ", ".join(f"{key} ({name})" for key, (name, _) in bodies.items()) or "no body"
+    remedy = f"Gaze starts at the goggles. Put {mogaze.SCENE_FILE} of the dataset beside the file."
+    require(objects, (has_goggles, mogaze.OBJECT_GROUP, expected, named, remedy))
+    messages = [] if scene else [f"no {mogaze.SCENE_FILE}: the bodies have their names by the order of their keys"]
+
+    # All streams share one frame index, and are cut to the shortest.
+    lengths = {"human_data": len(state), "gaze_data": len(gaze_rows)}
     lengths |= {f"object_data, body {key}": len(rows) for key, rows in poses.items()}
-    n, unequal = _common_length(found, lengths)
+    short = min(lengths, key=lambda name: lengths[name])
+    long = max(lengths, key=lambda name: lengths[name])
+    n = lengths[short]
+    require(
+        found.folder / found.recording_id,
+        (
+            lengths[long] - n <= mogaze.LONGEST_LENGTH_DIFFERENCE * lengths[long],
+            "",
+            "streams of one length: they share one frame index",
+            f"{n} frames of {short}, {lengths[long]} of {long}",
+            "One of the files is truncated or belongs to another recording; copy or download them again.",
+        ),
+    )
+    if lengths[long] - n > mogaze.UNREMARKABLE_LENGTH_DIFFERENCE:
+        messages.append(f"cut to {n} frames of {short}; {long} has {lengths[long]}")
     match = _PARTICIPANT.fullmatch(found.recording_id)
     return mogaze.MogazeReadings(
         recording_id=found.recording_id,
         participant_id=match[1] if match else participant or found.recording_id,
         state=state[:n],
         fixed=fixed,
-        bodies=tuple(_body(key, poses[key][:n], body, manifest, meshes=meshes) for key, body in sorted(bodies.items())),
-        gaze_points=points[:n],
-        gaze_confidence=confidence[:n],
+        bodies=tuple(
+            _body(key, poses[key][:n], *body, manifest, meshes=meshes) for key, body in sorted(bodies.items())
+        ),
+        gaze_points=gaze_rows[:n, mogaze.GAZE_POINT],
+        gaze_confidence=gaze_rows[:n, -1],
         calibration=calibration,
         segments=_read_segments(segmentations),
-        messages=tuple(text for text in (naming, unequal) if text),
+        messages=tuple(messages),
     )
-
-
-def _named_dataset(name: str) -> str:
-    return f"dataset '{name}'"
-
-
-def _require(path: Path, where: str, wanted: tuple[str, ...] | list[str], present: list[str]) -> None:
-    missing = [name for name in wanted if name not in present]
-    if missing:
-        raise InputFileError(
-            path,
-            where,
-            expected=f"'{missing[0]}'" + (f" and {len(missing) - 1} more" if len(missing) > 1 else ""),
-            found=f"{len(present)} others: {', '.join(present[:6])} …" if present else "nothing",
-            remedy="Without it the body cannot be placed; copy or download the file again.",
-        )
 
 
 def _read_poses(path: Path) -> dict[int, Float[np.ndarray, "n 7"]]:
     """Position and quaternion (x y z w) of each tracked body by id, in the order of the file."""
     poses: dict[int, Float[np.ndarray, "n 7"]] = {}
     with opened(path) as file:
-        bodies = group(path, file, mogaze.OBJECT_GROUP)
+        bodies = _entry(path, file, mogaze.OBJECT_GROUP, h5py.Group, "a group")
         for key in map(str, bodies):
             match = _BODY_KEY.fullmatch(key)
-            if match is None or int(match[1]) in poses:
-                raise InputFileError(
-                    path,
-                    f"{mogaze.OBJECT_GROUP}/{key}",
-                    expected="a key that ends with an integer id, each id once",
-                    found=f"'{key}'",
-                    remedy="Is this the right file?",
-                )
-            poses[int(match[1])] = numbers(path, dataset(path, bodies, key), columns=7)[:, :7]
+            number = -1 if match is None else int(match[1])
+            where = f"{mogaze.OBJECT_GROUP}/{key}"
+            expected = "a key that ends with an integer id, each id once"
+            require(path, (number >= 0 and number not in poses, where, expected, f"'{key}'", _OTHER_FILE))
+            poses[number] = numbers(path, dataset(path, bodies, key), columns=7)[:, :7]
     return poses
 
 
 def _body(
-    key: int, rows: Float[np.ndarray, "n 7"], body: SceneBody, manifest: Manifest, *, meshes: bool
+    key: int, rows: Float[np.ndarray, "n 7"], name: str, mesh: Path | None, manifest: Manifest, *, meshes: bool
 ) -> mogaze.MogazeBody:
-    vertices, faces = (None, None) if body.mesh is None else read_mesh(body.mesh)
+    vertices, faces = (None, None) if mesh is None else read_mesh(mesh)
     if vertices is not None:
         box_min = vertices.min(axis=0)
         box_max = vertices.max(axis=0)
     else:
         point = ((0.0, 0.0),) * 3
-        box_min, box_max = np.array(manifest.object_extents.get(mogaze.kind_of_body(body.name), point)).T
+        box_min, box_max = np.array(manifest.object_extents.get(mogaze.kind_of_body(name), point)).T
     return mogaze.MogazeBody(
         body_id=key,
-        name=body.name,
+        name=name,
         position=rows[:, :3],
         rotation=rows[:, 3:],
         box_min=box_min,
@@ -522,33 +430,9 @@ def _read_segments(path: Path) -> tuple[mogaze.Segment, ...]:
     with opened(path) as file:
         rows = stored_values(path, dataset(path, file, mogaze.SEGMENT_DATASET))
     names = rows.dtype.names or ()
-    if len(names) < 3:
-        raise InputFileError(
-            path,
-            _named_dataset(mogaze.SEGMENT_DATASET),
-            expected="rows of start, end and label",
-            found=str(rows.dtype),
-            remedy="Is this the right file?",
-        )
+    where = f"dataset '{mogaze.SEGMENT_DATASET}'"
+    require(path, (len(names) >= 3, where, "rows of start, end and label", rows.dtype, _OTHER_FILE))
     start, end, label = (rows[name] for name in names[:3])
     return tuple(
-        mogaze.Segment(int(first), int(last), text) for first, last, text in zip(start, end, words(label), strict=True)
+        mogaze.Segment(int(first), int(last), text) for first, last, text in zip(start, end, _words(label), strict=True)
     )
-
-
-def _common_length(found: RecordingFiles, lengths: dict[str, int]) -> tuple[int, str]:
-    """The shortest stream's length, and a remark where the streams differ by more than two frames."""
-    short = min(lengths, key=lambda name: lengths[name])
-    long = max(lengths, key=lambda name: lengths[name])
-    difference = lengths[long] - lengths[short]
-    if difference > mogaze.LONGEST_LENGTH_DIFFERENCE * lengths[long]:
-        raise InputFileError(
-            found.folder / found.recording_id,
-            "",
-            expected="streams of one length: they share one frame index",
-            found=f"{lengths[short]} frames of {short}, {lengths[long]} of {long}",
-            remedy="One of the files is truncated or belongs to another recording; copy or download them again.",
-        )
-    if difference <= mogaze.UNREMARKABLE_LENGTH_DIFFERENCE:
-        return lengths[short], ""
-    return lengths[short], f"cut to {lengths[short]} frames of {short}; {long} has {lengths[long]}"

@@ -66,28 +66,22 @@ def is_furniture(name: str) -> bool:
 
 
 def gaze_directions(
-    goggles_position: Float[np.ndarray, "n 3"],
     goggles_rotation: Float[np.ndarray, "n 3 3"],
     calibration: Float[np.ndarray, "3 3"],
     points: Float[np.ndarray, "n 3"],
-    *,
-    legacy: bool = False,
 ) -> Float[np.ndarray, "n 3"]:
     """Unit gaze directions in the dataset's world (docs/specification/mogaze.md#head-pose-and-gaze-ray).
 
     Args:
-        goggles_position: Metres.
         goggles_rotation: Goggles to world.
         calibration: Eye tracker's camera to goggles.
         points: Gaze points in the camera's frame, millimetres; one behind it (z < 0) is mirrored first.
-        legacy: Subtract the goggles' position once more, as the dataset's own player does: 0.05 to 0.5 degrees off.
 
     Returns:
         NaN where an input is NaN or the point is the origin.
     """
     ahead = np.where(points[:, 2:] < 0, -points, points)
-    turned = (goggles_rotation @ calibration @ ahead[:, :, None])[:, :, 0]
-    aimed = turned - goggles_position if legacy else turned
+    aimed = (goggles_rotation @ calibration @ ahead[:, :, None])[:, :, 0]
     length = np.linalg.norm(aimed, axis=1, keepdims=True)
     return np.divide(aimed, length, out=np.full_like(aimed, np.nan), where=length > 0)
 

@@ -5,8 +5,7 @@ Readers call this with what the files hold, synthetic recordings with what their
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Literal
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,7 +17,6 @@ from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.format import NULL_LABEL, RATE, Segment
 from prbench.recording.streams import (
     SIDES,
-    Action,
     AnnotatedEvent,
     BodyStream,
     GazeStream,
@@ -34,58 +32,66 @@ from prbench.recording.streams import (
     wrists_at,
 )
 
-JointMapping = Literal["anatomical", "named"]
-"""``anatomical``: the manifest's default; or one of its other mappings."""
 _UNIT_TOLERANCE = 0.1
 _TO_WORLD = Y_UP_FROM_Z_UP[:3, :3]
 _MILLIMETRES = 1000.0
 _ROUNDING = 1e-9  # s
 
 
-def recording_from_mogaze(
-    readings: mogaze.MogazeReadings,
-    manifest: Manifest,
-    *,
-    dataset: str,
-    joint_mapping: JointMapping = "anatomical",
-    legacy_gaze: bool = False,
-) -> Recording:
+def recording_from_mogaze(readings: mogaze.MogazeReadings, manifest: Manifest, *, dataset: str) -> Recording:
     """Streams in the world from native readings.
 
     Args:
         readings: Content of the native files.
-        manifest: Joint mappings, thresholds, pose source and head tilt.
+        manifest: Joint mapping, thresholds, pose source and head tilt.
         dataset: Name that the recording carries: the manifest's, or ``synthetic-`` before it.
-        joint_mapping: How the 22 joints are made of the 21 links.
-        legacy_gaze: See :func:`prbench.readers.mogaze.format.gaze_directions`.
     """
     times = np.arange(len(readings.state)) / mogaze.RATE
-    # The wearer's body, the world that it stands in, and the rotations of its head link.
     links, turned = mogaze.forward_kinematics(readings.state, mogaze.link_offsets(readings.fixed))
-    named = manifest.body.joint_mapping if joint_mapping == "anatomical" else manifest.body.other_mappings["named"]
-    native_joints = mogaze.body_joints(links, named)
+    native_joints = mogaze.body_joints(links, manifest.body.joint_mapping)
     plausible = plausible_body_frames(times, native_joints)
-    # Toes of implausible frames would tell a floor that is not there.
-    world_from_source = _world_from_source(links[plausible], manifest)
+    remarks = []
+
+    # Z up to Y up; the floor is moved to 0 where the lowest toes tell that it lies elsewhere. Toes of implausible
+    # frames would tell a floor that is not there.
+    world_from_source = np.eye(4)
+    world_from_source[:3, :3] = _TO_WORLD
+    if plausible.any():
+        toes = [mogaze.LINKS.index(name) for name in ("lToe", "rToe")]
+        lowest = float(np.percentile(links[plausible][:, toes, 2].min(axis=1), 1.0))
+        if abs(lowest) > manifest.thresholds["floor_tolerance"]:
+            world_from_source[1, 3] = -lowest
+            remarks.append(f"the lowest toes are at {lowest:.2f} m: the floor is moved there")
     joints = hold_neighbours(transform_points(world_from_source, native_joints), plausible)
-    head_link = turned[:, mogaze.LINKS.index("head")]
-    body, world_from_source, head_link = BodyStream(times, joints, plausible), world_from_source, head_link
-    goggles = next(each for each in readings.bodies if each.name == mogaze.GOGGLES)
+    body = BodyStream(times, joints, plausible)
+
     # The goggles' poses, turned as the head is: the goggles' own axes mean nothing.
+    goggles = next(each for each in readings.bodies if each.name == mogaze.GOGGLES)
     tracked = seen(goggles.position, goggles.rotation)
     position = hold_neighbours(transform_points(world_from_source, goggles.position), tracked)
+    head_link = turned[:, mogaze.LINKS.index("head")]
     known = np.isfinite(head_link).all(axis=(1, 2))
     face = np.array(mogaze.HEAD_FROM_CPF)
     turned = np.where(np.reshape(known, (-1, 1, 1)), head_link, _TO_WORLD.T @ face.T)
     rotation = Rotation.from_matrix(_TO_WORLD @ turned @ face)
     head = PoseStream(times, position, rotation.as_quat(canonical=True, scalar_first=True), tracked & known)
-    directions, usable, in_metres = _gaze(readings, goggles, manifest, legacy=legacy_gaze)
-    gaze = GazeStream(times, head.position, directions, usable)
+    directions, usable, in_metres = _gaze(readings, goggles, manifest)
     bodies = [each for each in readings.bodies if each is not goggles]
     tracks = tuple(_track(times, each, world_from_source) for each in bodies)
     events, skipped = annotated_events(readings.segments, tracks, body, int(manifest.thresholds["rest_window"]))
-    # Tell the user about options that change what the recording means.
-    mapping = (f"joint mapping '{joint_mapping}' instead of 'anatomical'",) if joint_mapping != "anatomical" else ()
+
+    # Tell the user what is unusual about these readings.
+    if not plausible.all():
+        remarks.append(f"{int((~plausible).sum())} of {len(plausible)} body frames are implausible and invalid")
+    if not head.valid.all():
+        remarks.append(f"the goggles or the head are lost in {int((~head.valid).sum())} of {len(times)} frames")
+    if not usable.all():
+        remarks.append(f"{int((~usable).sum())} of {len(usable)} gaze samples are invalid")
+    if in_metres:
+        remarks.append("the gaze points are taken for metres: their median length is below 20")
+    unknown = [track.name for track in tracks if (track.box_min == track.box_max).all()]
+    if unknown:
+        remarks.append(f"no mesh and no known size, so a point instead of a box: {', '.join(unknown)}")
     return Recording(
         dataset=dataset,
         recording_id=readings.recording_id,
@@ -93,7 +99,7 @@ def recording_from_mogaze(
         pose_source=manifest.body.pose_source,
         head_tilt_deg=manifest.body.head_tilt_deg,
         span=(0.0, float(times[-1])),
-        gaze=gaze,
+        gaze=GazeStream(times, head.position, directions, usable),
         camera=head,
         head=head,
         body=body,
@@ -110,25 +116,8 @@ def recording_from_mogaze(
             if each.vertices is not None and each.faces is not None
         ),
         world_from_source=world_from_source,
-        messages=(
-            *readings.messages,
-            *_remarks(world_from_source, body, head, gaze, tracks, in_metres=in_metres),
-            *skipped,
-            *((*mapping, "gaze by the formula of the dataset's player") if legacy_gaze else mapping),
-        ),
+        messages=(*readings.messages, *remarks, *skipped),
     )
-
-
-def _world_from_source(links: Float[np.ndarray, "n 21 3"], manifest: Manifest) -> Float[np.ndarray, "4 4"]:
-    """Z up to Y up; the floor is moved to 0 where the lowest toes tell that it lies elsewhere."""
-    world_from_source = np.eye(4)
-    world_from_source[:3, :3] = _TO_WORLD
-    toes = [mogaze.LINKS.index(name) for name in ("lToe", "rToe")]
-    if len(links):
-        lowest = float(np.percentile(links[:, toes, 2].min(axis=1), 1.0))
-        if abs(lowest) > manifest.thresholds["floor_tolerance"]:
-            world_from_source[1, 3] = -lowest
-    return world_from_source
 
 
 def seen(position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"]) -> Bool[np.ndarray, " n"]:
@@ -138,7 +127,7 @@ def seen(position: Float[np.ndarray, "n 3"], rotation: Float[np.ndarray, "n 4"])
 
 
 def _gaze(
-    readings: mogaze.MogazeReadings, goggles: mogaze.MogazeBody, manifest: Manifest, *, legacy: bool
+    readings: mogaze.MogazeReadings, goggles: mogaze.MogazeBody, manifest: Manifest
 ) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"], bool]:
     """Directions in the world, which of them are valid, and whether the gaze points are metres."""
     tracked = seen(goggles.position, goggles.rotation)
@@ -151,11 +140,9 @@ def _gaze(
     if tracked.any():
         # The files hold quaternions as x y z w, which is SciPy's own order.
         native[tracked] = mogaze.gaze_directions(
-            goggles.position[tracked],
             Rotation.from_quat(goggles.rotation[tracked]).as_matrix(),
             Rotation.from_quat(readings.calibration).as_matrix(),
             points[tracked] * (_MILLIMETRES if in_metres else 1.0),
-            legacy=legacy,
         )
     measured = confident & np.isfinite(native).all(axis=1)
     source, recent = held_index(measured, int(manifest.thresholds["gaze_hold"] * mogaze.RATE + _ROUNDING))
@@ -190,33 +177,6 @@ def _track(
         box_max=body.box_max,
         movable=not mogaze.is_furniture(body.name),
     )
-
-
-def _remarks(
-    world_from_source: Float[np.ndarray, "4 4"],
-    body: BodyStream,
-    head: PoseStream,
-    gaze: GazeStream,
-    tracks: tuple[ObjectTrack, ...],
-    *,
-    in_metres: bool,
-) -> tuple[str, ...]:
-    """Tell the user what is unusual about these readings."""
-    remarks = []
-    if world_from_source[1, 3]:
-        remarks.append(f"the lowest toes are at {-world_from_source[1, 3]:.2f} m: the floor is moved there")
-    if not body.valid.all():
-        remarks.append(f"{int((~body.valid).sum())} of {len(body.valid)} body frames are implausible and invalid")
-    if not head.valid.all():
-        remarks.append(f"the goggles or the head are lost in {int((~head.valid).sum())} of {len(head.valid)} frames")
-    if not gaze.valid.all():
-        remarks.append(f"{int((~gaze.valid).sum())} of {len(gaze.valid)} gaze samples are invalid")
-    if in_metres:
-        remarks.append("the gaze points are taken for metres: their median length is below 20")
-    unknown = [track.name for track in tracks if (track.box_min == track.box_max).all()]
-    if unknown:
-        remarks.append(f"no mesh and no known size, so a point instead of a box: {', '.join(unknown)}")
-    return tuple(remarks)
 
 
 def annotated_events(
@@ -266,21 +226,38 @@ def annotated_events(
         remarks.append(f"{kept[0].label} is in hand when the recording begins: no pick")
     if kept and kept[-1].end >= n_frames - 1:
         remarks.append(f"{kept[-1].label} is in hand when the recording ends: no put")
-    carries, remarks = kept, tuple(remarks)
-    last = len(body.times) - 1
+    last = n_frames - 1
     events = []
-    for number, carry in enumerate(carries):
+    for number, carry in enumerate(kept):
         track = by_name[carry.label]
+        later = kept[number + 1 :]
+        ends = []
         if carry.start > 0:
-            place = _resting_before(track, carry.start)
-            events.append(_event(f"{number}/pick", "pick", track, carry.start, place, body))
+            ends.append(("pick", carry.start, _resting_before(track, carry.start)))
         if carry.end < last:
-            later = carries[number + 1 :]
             next_movement = min((other.start for other in later), default=last + 1)
             moved_again = min((other.start for other in later if other.label == carry.label), default=last + 1)
-            place = _resting_after(track, carry.end, min(carry.end + rest_window, next_movement), moved_again)
-            events.append(_event(f"{number}/put", "put", track, carry.end, place, body))
-    return tuple(events), remarks
+            stop = min(carry.end + rest_window, next_movement)
+            ends.append(("put", carry.end, _resting_after(track, carry.end, stop, moved_again)))
+        for action, frame, (position, rotation) in ends:
+            low, high = track.world_box(position[None], rotation[None])
+            centre = (low[0] + high[0]) / 2
+            hand = reaching_hand(wrists_at((), body, frame / RATE), centre)
+            events.append(
+                AnnotatedEvent(
+                    native_key=f"{number}/{action}",
+                    action=action,
+                    object_id=track.object_id,
+                    object_name=track.name,
+                    event_time=frame / RATE,
+                    location=centre,
+                    box_min=low[0],
+                    box_max=high[0],
+                    hand=None if hand is None else hand.side,
+                    hand_source=None if hand is None else hand.source,
+                )
+            )
+    return tuple(events), tuple(remarks)
 
 
 def _why_bad(segment: Segment, labels: dict[str, ObjectTrack], n_frames: int) -> str:
@@ -315,31 +292,6 @@ def _resting_after(track: ObjectTrack, frame: int, stop: int, moved_again: int) 
     return np.median(track.position[window], axis=0), turned.as_quat(canonical=True, scalar_first=True)
 
 
-def _event(
-    key: str,
-    action: Action,
-    track: ObjectTrack,
-    frame: int,
-    place: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]],
-    body: BodyStream,
-) -> AnnotatedEvent:
-    low, high = track.world_box(place[0][None], place[1][None])
-    centre = (low[0] + high[0]) / 2
-    hand = reaching_hand(wrists_at((), body, frame / RATE), centre)
-    return AnnotatedEvent(
-        native_key=key,
-        action=action,
-        object_id=track.object_id,
-        object_name=track.name,
-        event_time=frame / RATE,
-        location=centre,
-        box_min=low[0],
-        box_max=high[0],
-        hand=None if hand is None else hand.side,
-        hand_source=None if hand is None else hand.source,
-    )
-
-
 _STEP = 4
 """120 frames a second become 30."""
 FEWEST_GAZE = 0.8
@@ -365,7 +317,14 @@ def published_tracks(
     joints = hold_neighbours(transform_points(recording.world_from_source, links), body.valid)
     confident = recording.gaze.valid & (readings.gaze_confidence >= least_confidence)
     tracks = []
-    for name, segment in _named(readings.segments):
+    number = 0
+    previous = ""
+    for segment in sorted(readings.segments, key=lambda each: each.start):
+        repeated = segment.label == previous == NULL_LABEL
+        previous = segment.label
+        if segment.end <= segment.start or repeated:
+            continue
+        number += 1
         frames = np.arange(max(segment.start, 0), min(segment.end + 1, len(joints)), _STEP)
         measured = confident[frames]
         if not len(frames) or measured.mean() < FEWEST_GAZE:
@@ -374,7 +333,7 @@ def published_tracks(
         kept = frames[first : last + 1]
         tracks.append(
             PublishedTrack(
-                name=name,
+                name=f"{'pick' if segment.label == NULL_LABEL else 'place'}_{number:03d}",
                 published_split="",
                 times=kept / mogaze.RATE,
                 joints=joints[kept],
@@ -386,17 +345,3 @@ def published_tracks(
             )
         )
     return tuple(tracks)
-
-
-def _named(segments: tuple[mogaze.Segment, ...]) -> Iterator[tuple[str, mogaze.Segment]]:
-    """Segments in the order of time with the study's names, without repetitions."""
-    number = 0
-    previous = ""
-    for segment in sorted(segments, key=lambda each: each.start):
-        repeated = segment.label == previous == mogaze.NULL_LABEL
-        previous = segment.label
-        if segment.end <= segment.start or repeated:
-            continue
-        number += 1
-        kind = "pick" if segment.label == mogaze.NULL_LABEL else "place"
-        yield f"{kind}_{number:03d}", segment

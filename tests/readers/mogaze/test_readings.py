@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from prbench.curation import BuildOptions, build_dataset
-from prbench.errors import InputFileError, RecordingUnusable, UsageError
+from prbench.errors import InputFileError, RecordingUnusable
 from prbench.readers import reader_for
 from prbench.readers.mogaze import format as mogaze
 from prbench.readers.mogaze.files import extents, find_mesh, read_mesh, read_scene
@@ -293,15 +293,8 @@ def test_recordings_with_known_defects_are_skipped_with_their_reason(root, tmp_p
         reader_for("mogaze").read(found)
 
 
-def test_options_reach_the_recording(root) -> None:
-    assert any("'named'" in text for text in _read(root, joint_mapping="named").messages)
-    assert any("player" in text for text in _read(root, legacy_gaze="true").messages)
-    with pytest.raises(UsageError, match="Did you mean 'legacy_gaze'"):
-        reader_for("mogaze", {"legacy_gase": "true"})
-
-
 def test_scene_of_the_layout_is_read_back(root) -> None:
-    assert {key: entry.name for key, entry in read_scene(root / "scene.xml").items()} == NAMES
+    assert {key: name for key, (name, _) in read_scene(root / "scene.xml").items()} == NAMES
 
 
 def test_a_synthetic_tree_is_recognised_from_the_folder_above_it(root) -> None:

@@ -228,26 +228,10 @@ def test_a_floor_elsewhere_is_moved_to_zero() -> None:
 
 def test_metres_give_the_same_gaze_and_a_word() -> None:
     points = np.tile((0.1, 0.2, 1.0), (N, 1))
-    for legacy in (False, True):
-        metres = _recording(replace(still_life(), gaze_points=points), legacy_gaze=legacy)
-        millimetres = _recording(replace(still_life(), gaze_points=points * 1000), legacy_gaze=legacy)
-        assert metres.gaze.direction == pytest.approx(millimetres.gaze.direction)
-        assert any("metres" in message for message in metres.messages)
-
-
-def test_the_player_s_formula_is_a_recorded_option() -> None:
-    plain, legacy = _recording(still_life()), _recording(still_life(), legacy_gaze=True)
-    aimed = np.array((0.0, 0.0, 1000.0)) - (0.0, 1.6, 0.1)
-    assert legacy.gaze.direction[0] == pytest.approx(aimed / np.linalg.norm(aimed))
-    assert plain.gaze.direction[0] != pytest.approx(legacy.gaze.direction[0], abs=1e-4)
-    assert "gaze by the formula of the dataset's player" in legacy.messages
-
-
-def test_the_other_joint_mapping_is_a_recorded_option() -> None:
-    named = _recording(still_life(), joint_mapping="named")
-    assert named.body is not None
-    assert named.body.joints[0, Joint.PELVIS, 1] == pytest.approx(STANDING_HEIGHT)
-    assert any("'named'" in message for message in named.messages)
+    metres = _recording(replace(still_life(), gaze_points=points))
+    millimetres = _recording(replace(still_life(), gaze_points=points * 1000))
+    assert metres.gaze.direction == pytest.approx(millimetres.gaze.direction)
+    assert any("metres" in message for message in metres.messages)
 
 
 def test_moving_and_turning_the_world_moves_and_turns_the_events() -> None:
