@@ -404,8 +404,15 @@ def _laid_out(
             )
     notes += _notes(table)
     title = load_tables().titles[number]
-    laid_out = Table(number=number, title=title, columns=_COLUMNS, dataset=table.info.dataset)
-    return laid_out.filled(blocks, notes, part=part)
+    return Table(
+        number=number,
+        title=title,
+        columns=_COLUMNS,
+        blocks=tuple(blocks),
+        dataset=table.info.dataset,
+        part=part,
+        notes=tuple(notes),
+    )
 
 
 def _notes(table: WindowsTable) -> list[str]:
@@ -479,4 +486,5 @@ def _values_of_conditions(dataset: str, scores: Mapping[str, Scores]) -> Table:
         text = {"method": method, "windows": anchor, "metric": metric, "told": step, "p": p_value}
         rows.append(Row(text=text, cells=(cell,)))
     title = "What the head and gaze are worth"
-    return Table(title=title, columns=_VALUE_COLUMNS, dataset=dataset).filled([Block(rows=tuple(rows), signed=True)])
+    blocks = (Block(rows=tuple(rows), signed=True),)
+    return Table(title=title, columns=_VALUE_COLUMNS, dataset=dataset, blocks=blocks)

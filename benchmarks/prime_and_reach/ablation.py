@@ -6,7 +6,7 @@ left, and rows that share a training or a run share its folder. A row that fails
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,7 +14,8 @@ import msgspec
 
 from prbench.board import collect_runs, make_leaderboard
 from prbench.board.collect import Check
-from prbench.board.tables import DatasetTable, TableRow, of_all_methods
+from prbench.board.export import part_title, table_notes
+from prbench.board.tables import TableRow, of_all_methods
 from prbench.contract import Condition
 from prbench.engine import Engine
 from prbench.errors import PrbenchError, StorageError, TrainingStopped, UsageError
@@ -23,21 +24,17 @@ from prbench.harness.methods.installed import load_task
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder.record import FILE_NAME as RUN
-from prbench.metrics import MAIN_METRICS
 from prbench.protocol.published import DATASETS, load_published, published_table
+from prbench.tables import Block, Column, Row, Table
 from prbench_adapters.training.ablations import Ablation, load_ablations, overrides
 from prbench_adapters.training.report import WEIGHTS, read_record
 from prbench_adapters.training.run import TrainRequest, resolved, train
-from prbench_benchmarks.prime_and_reach.study.document import DASH, StudyBlock, StudyTable, StudyValue
 from prbench_benchmarks.prime_and_reach.study.methods import (
-    measured_cells,
+    METRIC_COLUMNS,
+    measured_row,
     measured_title,
-    measured_values,
-    part_title,
-    published_value,
-    table_notes,
+    published_rows,
 )
-from prbench_benchmarks.prime_and_reach.table_two.layout import metric_title
 
 TABLES = tuple(dict.fromkeys(row.table for row in load_ablations()))
 """Tables of ablations, as the study numbers them."""
@@ -47,7 +44,11 @@ PAPER = "paper"
 _RUNS = "runs"
 _FEW_ITERATIONS = {"iterations": "2", "ddim-steps": "2"}
 """Options of an optimisation at smoke size."""
-_CONDITION = Condition.GOAL_LOCATION
+_COLUMNS = (
+    Column(key="condition", title="Condition", text=True),
+    Column(key="method", title="Variant", text=True),
+    *METRIC_COLUMNS,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,29 +105,23 @@ class AblationRequest:
         return options
 
 
-@dataclass(frozen=True)
-class AblationReport:
-    """What is there when the command ends."""
-
-    folder: Path
-    runs: tuple[Path, ...]
-    failed: dict[str, str]
-    """Maps rows that failed to the reason."""
-
-
 Say = Callable[[str], None]
 """Called with a line for every step that begins."""
 
 
-def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> AblationReport:
+def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> tuple[list[Path], dict[str, str]]:
     """Pre-train, fine-tune and run each row; what is finished is not done again.
+
+    Returns:
+        The run folders, and the reason for each row that failed.
 
     Raises:
         StorageError: if a file cannot be written.
         TrainingStopped: after SIGTERM or Ctrl-C; everything was saved.
     """
     failed: dict[str, str] = {}
-    runs = []
+    runs: list[Path] = []
+    same = {"configuration": request.configuration, "device": request.device, "threads": request.threads}
     for row in request.rows:
         try:
             initial = None
@@ -134,16 +129,28 @@ def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> Ablat
                 prior = request.folder / row.prior_name
                 say(f"pre-training for '{row.variant}': {prior}")
                 data = (request.corpora[row.pretraining],) if row.pretraining in request.corpora else request.data
-                initial = _train(request, "mdm", "pretrain", data, prior, overrides(row.pretrained_model))
+                changes = overrides(row.pretrained_model)
+                initial = train(
+                    TrainRequest(method="mdm", stage="pretrain", data=data, out=prior, overrides=changes, **same)
+                ).weights
             trained = request.folder / row.training_name
             say(f"fine-tuning '{row.variant}': {trained}")
-            weights = _train(request, "pr", "finetune", request.data, trained, overrides(row.model), initial)
+            learnt = TrainRequest(
+                method="pr",
+                stage="finetune",
+                data=request.data,
+                out=trained,
+                overrides=overrides(row.model),
+                initial=initial,
+                **same,
+            )
+            weights = train(learnt).weights
             out = request.folder / _RUNS / row.run_name
             say(f"running '{row.variant}': {out}")
             run_method(
                 RunRequest(
                     method="pr",
-                    condition=_CONDITION,
+                    condition=Condition.GOAL_LOCATION,
                     data=request.data,
                     weights=weights,
                     options=request.options_of(row),
@@ -161,37 +168,13 @@ def run_ablation(request: AblationRequest, *, engine: Engine, say: Say) -> Ablat
         except Exception as error:  # one row, of days perhaps, must not cost the others
             failed[row.variant] = str(error) if isinstance(error, PrbenchError) else f"{type(error).__name__}: {error}"
             say(f"failed: {row.variant}: {failed[row.variant]}")
-    return AblationReport(request.folder, tuple(dict.fromkeys(runs)), failed)
-
-
-def _train(
-    request: AblationRequest,
-    method: str,
-    stage: str,
-    data: tuple[Path, ...],
-    out: Path,
-    settings: tuple[tuple[str, str], ...],
-    initial: Path | None = None,
-) -> Path:
-    return train(
-        TrainRequest(
-            method=method,
-            stage=stage,
-            data=data,
-            out=out,
-            configuration=request.configuration,
-            overrides=settings,
-            initial=initial,
-            device=request.device,
-            threads=request.threads,
-        )
-    ).weights
+    return list(dict.fromkeys(runs)), failed
 
 
 # The table of what is there.
 
 
-def ablation_table(number: str, folder: Path, check: Check | None, *, with_published: bool) -> list[StudyTable]:
+def ablation_table(number: str, folder: Path, check: Check | None, *, with_published: bool) -> list[Table]:
     """Make a table of ablations from a folder that ``prbench study ITEM --train`` has filled, a part for each dataset.
 
     Args:
@@ -201,54 +184,50 @@ def ablation_table(number: str, folder: Path, check: Check | None, *, with_publi
         with_published: Show the study's rows in a block of their own.
 
     Raises:
-        UsageError: if there is no such table.
         RunError: if there is no run of it in the folder, or one was edited.
     """
-    if number not in TABLES:
-        raise UsageError(f"no ablations in table '{number}'; those of the study are: {', '.join(TABLES)}.")
     rows = [row for row in load_ablations() if row.table == number]
     names = {row.run_name for row in rows}
     runs = [folder / _RUNS / name for name in sorted(names) if (folder / _RUNS / name / RUN).is_file()]
     board = make_leaderboard(collect_runs(runs or [folder / _RUNS], check=check))
-    return [_part(number, rows, table, folder, with_published=with_published) for table in of_all_methods(board.tables)]
-
-
-def _part(
-    number: str, rows: Sequence[Ablation], table: DatasetTable, folder: Path, *, with_published: bool
-) -> StudyTable:
-    by_name = {row.entry.run: row for row in table.rows}
-    found = [(row, by_name[row.run_name]) for row in rows if row.run_name in by_name]
-    stamps = {row.variant: training_stamp(row, run, folder) for row, run in found}
-    lines = tuple((row.condition, row.variant, *measured_cells(run)) for row, run in found)
-    missing = tuple(
-        (row.condition, row.variant, *(DASH for _ in MAIN_METRICS)) for row in rows if row.run_name not in by_name
-    )
-    blocks = [StudyBlock(measured_title(table), lines), StudyBlock("Not run, or not finished", missing)]
-    values = [
-        StudyValue(**{**vars(value), "condition": row.condition, "variant": row.variant,
-                      "note": "; ".join(part for part in (stamps[row.variant], value.note) if part)})
-        for row, run in found
-        for value in measured_values(run, table)
-    ]  # fmt: skip
-    if with_published:
-        blocks += _published_blocks(number)
-        values += list(_published_values(number))
-    return StudyTable(
-        number=number,
-        title=published_table(number).title,
-        dataset=table.dataset,
-        part=part_title(table),
-        header=("Condition", "Variant", *(metric_title(info) for info in MAIN_METRICS)),
-        blocks=tuple(block for block in blocks if block.rows),
-        values=tuple(values),
-        text_columns=2,
-        stamp=_shared_stamp(stamps.values()),
-        notes=(
-            *(f"{variant}: {stamp}." for variant, stamp in stamps.items() if stamp),
-            *table_notes(table),
-            *published_table(number).notes,
-        ),
-    )
+    published = []
+    for dataset in DATASETS if with_published else ():
+        numbers = [each for each in load_published(number) if each.dataset == dataset]
+        title = f"Published: Prime and Reach, Table {number}, {dataset}"
+        published.append(Block(title=title, rows=published_rows(numbers, lambda each: each.variant)))
+    parts = []
+    for table in of_all_methods(board.tables):
+        by_name = {row.entry.run: row for row in table.rows}
+        found = [(row, by_name[row.run_name]) for row in rows if row.run_name in by_name]
+        missing = [row for row in rows if row.run_name not in by_name]
+        stamps = {row.variant: training_stamp(row, run, folder) for row, run in found}
+        measured = []
+        for row, run in found:
+            about = {"condition": row.condition, "variant": row.variant, "note": stamps[row.variant]}
+            measured.append(measured_row(run, table, row.condition, row.variant, **about))
+        lines = [Row(text={"condition": row.condition, "method": row.variant}) for row in missing]
+        parts.append(
+            Table(
+                number=number,
+                title=published_table(number).title,
+                dataset=table.dataset,
+                part=part_title(table),
+                columns=_COLUMNS,
+                blocks=(
+                    Block(title=measured_title(table), rows=tuple(measured)),
+                    Block(title="Not run, or not finished", rows=tuple(lines)),
+                    *published,
+                ),
+                # The first stamp stands in the title: one such row already makes a table that says nothing.
+                stamp=next(filter(None, stamps.values()), ""),
+                notes=(
+                    *(f"{variant}: {stamp}." for variant, stamp in stamps.items() if stamp),
+                    *table_notes(table),
+                    *published_table(number).notes,
+                ),
+            )
+        )
+    return parts
 
 
 def training_stamp(row: Ablation, run: TableRow, folder: Path) -> str:
@@ -273,24 +252,3 @@ def training_stamp(row: Ablation, run: TableRow, folder: Path) -> str:
     if options != dict(row.options):
         return "OTHER OPTIONS THAN THE STUDY'S ROW"
     return ""
-
-
-def _shared_stamp(stamps: Iterable[str]) -> str:
-    """Return what stands in the title: the first stamp, since one such row already makes a table that says nothing."""
-    return next((stamp for stamp in stamps if stamp), "")
-
-
-def _published_blocks(number: str) -> list[StudyBlock]:
-    blocks = []
-    numbers = load_published(number)
-    for dataset in (name for name in DATASETS if any(each.dataset == name for each in numbers)):
-        cells: dict[tuple[str, str], dict[str, str]] = {}
-        for each in (each for each in numbers if each.dataset == dataset):
-            cells.setdefault((each.condition, each.variant), {})[each.metric] = each.printed
-        rows = tuple((*key, *(found.get(info.id, DASH) for info in MAIN_METRICS)) for key, found in cells.items())
-        blocks.append(StudyBlock(f"Published: Prime and Reach, Table {number}, {dataset}", rows))
-    return blocks
-
-
-def _published_values(number: str) -> Iterable[StudyValue]:
-    return (published_value(each) for each in load_published(number))

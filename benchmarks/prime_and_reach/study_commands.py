@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import click
 import msgspec
@@ -26,13 +27,10 @@ from prbench.cli.options import (
     workers_option,
 )
 from prbench.cli.places import PlaceType, Remote
-from prbench.cli.terminal import print_table
+from prbench.cli.terminal import print_tables
 from prbench.entry_points import STUDY_ITEMS, load_built_in
 from prbench.errors import RunError, TableError, UsageError
-from prbench_benchmarks.prime_and_reach.study.document import StudyTable
-
-if TYPE_CHECKING:
-    from prbench.tables import FlatTable
+from prbench.tables import Table, require_format, write_tables
 
 
 class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -47,11 +45,9 @@ class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
         folder: With --train, folder of the configuration, with its trainings and runs; null without.
         runs: Run folders that are finished, with --train.
         failed: Maps rows that failed to the reason, with --train.
-        stamps: Maps the parts of the table to what sets their trainings apart from the study's, with --train.
-        prediction: Tables of the study of motion prediction, and what head and gaze are worth.
     """
 
-    tables: list[StudyTable] = []
+    tables: list[Table] = []
     files: list[Path] = []
     out: Path | None = None
     sequences: list[str] = []
@@ -59,34 +55,27 @@ class StudyReport(msgspec.Struct, frozen=True, kw_only=True):
     folder: Path | None = None
     runs: list[Path] = []
     failed: dict[str, str] = {}
-    stamps: dict[str, str] = {}
-    prediction: list[FlatTable] = []
 
 
-def _answer(tables: Sequence[StudyTable], files: Sequence[Path], drawn: Path | None = None) -> Answer:
-    """Write the tables and answer with their numbers."""
-    from prbench_benchmarks.prime_and_reach.study.formats import write_tables
-
+def _answer(
+    tables: Sequence[Table],
+    files: Sequence[Path],
+    drawn: Path | None = None,
+    lines: Sequence[str] = (),
+    *,
+    between: str = " ",
+    **more: Any,
+) -> Answer:
+    """Write the tables, and answer with their numbers, further lines, and the written files."""
     for path in files:
         write_tables(tables, path)
     written = [*([] if drawn is None else [drawn]), *files]
-    return _shown(StudyReport(tables=list(tables), files=written, out=drawn))
-
-
-def _shown(report: StudyReport, lines: Sequence[str] = ()) -> Answer:
-    """Answer with a report: tables block by block with their notes, further lines, and the written files."""
+    report = StudyReport(tables=list(tables), files=written, out=drawn, **more)
 
     def show() -> None:
-        for table in report.tables:
-            print(table.heading)
-            for block in table.blocks:
-                print_table(block.title, table.header, block.rows, numbers=range(table.text_columns, len(table.header)))
-            for line in table.notes:
-                print(f"- {line}")
-        for line in lines:
+        print_tables(report.tables, between=between)
+        for line in (*lines, *(f"written: {path}" for path in written)):
             print(line)
-        for path in report.files:
-            print(f"written: {path}")
 
     return Answer(report, show, exit_code=1 if report.failed else 0)
 
@@ -94,9 +83,6 @@ def _shown(report: StudyReport, lines: Sequence[str] = ()) -> Answer:
 def _number(item: str) -> str:
     """Return the number that a table has in the study, such as ``S3``."""
     return item.removeprefix("table-").upper()
-
-
-# Tables.
 
 
 def _sizes(item: str, folders: tuple[Path, ...], *, out: tuple[Path, ...]) -> Answer:
@@ -117,8 +103,6 @@ def _methods(
     workers: int,
     part: str | None = None,
 ) -> Answer:
-    import dataclasses
-
     from prbench.board import make_leaderboard
     from prbench.sequences import SequenceTable
     from prbench_benchmarks.prime_and_reach.study.methods import methods_table, poses_table
@@ -131,7 +115,7 @@ def _methods(
         known = [table.dataset for table in board.tables]
         if part not in known:
             raise UsageError(f"--part: no run is of '{part}'; those named are of: {', '.join(dict.fromkeys(known))}.")
-        board = dataclasses.replace(board, tables=tuple(table for table in board.tables if table.dataset == part))
+        board = replace(board, tables=tuple(table for table in board.tables if table.dataset == part))
     if item != "table-s1":
         return _answer(methods_table(board, _number(item), with_published=with_published), out)
     # Where the bodies of a table come from is not in its runs: they name the table by the digest of its content.
@@ -155,11 +139,7 @@ def _ablation(
     if len(folders) != 1:
         raise UsageError(f"study {item}: name one DIR, the folder of one configuration, such as ablations/paper.")
     check = run_checker(data, workers).check
-    tables = ablation_table(_number(item), folders[0], check, with_published=with_published)
-    for line in (line for table in tables for line in table.notes):
-        if "unverified, because" in line:
-            note(line)
-    return _answer(tables, out)
+    return _answer(ablation_table(_number(item), folders[0], check, with_published=with_published), out)
 
 
 def _evaluations(item: str, reports: tuple[Path, ...], *, with_published: bool, out: tuple[Path, ...]) -> Answer:
@@ -177,23 +157,11 @@ def _prediction(
     out: tuple[Path, ...],
 ) -> Answer:
     """Score the rows of the study of motion prediction on the first input, windows; the others are finished runs."""
-    from prbench.cli.terminal import print_tables
-    from prbench.tables import FlatTable, write_tables
-
     with progress("scoring") as tell:
         made = load_built_in(STUDY_ITEMS, item)(
             inputs[0], inputs[1:], weights=weights, limit=limit, device=device, seed=seed, progress=tell
         )
-    for path in out:
-        write_tables(made, path)
-    report = StudyReport(prediction=[FlatTable.of(table) for table in made], files=list(out))
-
-    def show() -> None:
-        print_tables(made, between="\n")
-        for path in out:
-            print(f"written: {path}")
-
-    return Answer(report, show)
+    return _answer(made, out, between="\n")
 
 
 def _train(
@@ -205,16 +173,12 @@ def _train(
     humanml3d: Path | None,
     configuration: Path,
     out: tuple[Path, ...],
-    limit: int | None,
-    device: str,
-    threads: int,
-    seed: int,
     workers: int,
+    **settings: Any,
 ) -> Answer:
     """Train and run the rows of a table of ablations, and write it in all formats beside them."""
     from prbench.engine import engine_for
     from prbench_benchmarks.prime_and_reach.ablation import AblationRequest, ablation_table, run_ablation
-    from prbench_benchmarks.prime_and_reach.study.formats import FORMATS, write_tables
 
     if folders or len(out) > 1 or not data:
         raise UsageError(f"study {item} --train: expected --data DIR... and at most one --out DIR, and no DIR else.")
@@ -226,31 +190,16 @@ def _train(
         out=out[0] if out else Path("ablations"),
         corpora={name: folder for name, folder in corpora.items() if folder is not None},
         configuration=str(configuration),
-        device=device,
-        threads=threads,
-        limit=limit,
-        seed=seed,
+        **settings,
     )
-    made = run_ablation(request, engine=engine_for(workers), say=note)
-    files: list[Path] = []
-    tables: list[StudyTable] = []
-    if made.runs:
-        tables = ablation_table(_number(item), made.folder, run_checker(data, workers).check, with_published=True)
-        files = [made.folder / f"{item.replace('-', '_')}{suffix}" for suffix in FORMATS]
-        for path in files:
-            write_tables(tables, path)
-    report = StudyReport(
-        tables=tables,
-        files=files,
-        folder=made.folder,
-        runs=list(made.runs),
-        failed=made.failed,
-        stamps={table.part: table.stamp for table in tables if table.stamp},
-    )
-    return _shown(report, [f"failed: {name}: {reason}" for name, reason in made.failed.items()])
-
-
-# Figures.
+    runs, failed = run_ablation(request, engine=engine_for(workers), say=note)
+    tables = []
+    files = []
+    if runs:
+        tables = ablation_table(_number(item), request.folder, run_checker(data, workers).check, with_published=True)
+        files = [request.folder / f"{item.replace('-', '_')}{suffix}" for suffix in (".csv", ".tex", ".md")]
+    lines = [f"failed: {name}: {reason}" for name, reason in failed.items()]
+    return _answer(tables, files, lines=lines, folder=request.folder, runs=runs, failed=failed)
 
 
 def _distributions(_item: str, folders: tuple[Path, ...], *, out: tuple[Path, ...]) -> Answer:
@@ -267,46 +216,34 @@ def _distributions(_item: str, folders: tuple[Path, ...], *, out: tuple[Path, ..
     return _answer([table_one(tables)], (), out[0])
 
 
-def _breakdown(
-    _item: str,
+def _drawn(
+    item: str,
     runs: tuple[Path, ...],
     *,
     data: tuple[Path, ...],
-    by: str,
     numbers: tuple[Path, ...],
     out: tuple[Path, ...],
     workers: int,
+    by: str = "",
+    variant: str = "",
 ) -> Answer:
     from prbench.engine import engine_for
-    from prbench_benchmarks.prime_and_reach.study.breakdown import break_down, breakdown_table
-    from prbench_benchmarks.prime_and_reach.study.drawing import draw_breakdown
-    from prbench_benchmarks.prime_and_reach.study.genuine import genuine_runs
-
-    scores = break_down(genuine_runs(runs, data, engine_for(workers)), by)
-    draw_breakdown(scores, by, out[0])
-    return _answer([breakdown_table(scores, by)], numbers, out[0])
-
-
-def _sweep(
-    _item: str,
-    runs: tuple[Path, ...],
-    *,
-    data: tuple[Path, ...],
-    variant: str,
-    numbers: tuple[Path, ...],
-    out: tuple[Path, ...],
-    workers: int,
-) -> Answer:
-    from prbench.engine import engine_for
-    from prbench_benchmarks.prime_and_reach.study.drawing import draw_sweep
+    from prbench_benchmarks.prime_and_reach.study.breakdown import breakdown_table
+    from prbench_benchmarks.prime_and_reach.study.charts import draw_breakdown, draw_sweep
     from prbench_benchmarks.prime_and_reach.study.genuine import genuine_runs
     from prbench_benchmarks.prime_and_reach.study.sweep import sweep, sweep_table
 
     engine = engine_for(workers)
-    reading = "onset" if variant == "onset" else "equation"
-    sweeps = [sweep(run, variant=reading, engine=engine) for run in genuine_runs(runs, data, engine)]
-    draw_sweep(sweeps, out[0])
-    return _answer([sweep_table(sweeps)], numbers, out[0])
+    opened = genuine_runs(runs, data, engine)
+    if item == "figure-4":
+        table = breakdown_table(opened, by)
+        draw_breakdown(table, out[0])
+    else:
+        reading = "onset" if variant == "onset" else "equation"
+        sweeps = [sweep(run, variant=reading, engine=engine) for run in opened]
+        draw_sweep(sweeps, out[0])
+        table = sweep_table(sweeps)
+    return _answer([table], numbers, out[0])
 
 
 _PICTURES = {
@@ -341,12 +278,8 @@ def _motions(
         raise UsageError("nothing to draw: the licence of these datasets keeps recorded motion (--permission).")
     draw(scenes, out[0], title=title)
     notices = list(dict.fromkeys(scene.notice for scene in scenes if scene.notice))
-    drawn = [scene.sequence_id for scene in scenes]
-    report = StudyReport(files=[out[0]], out=out[0], sequences=drawn, notices=notices)
-    return _shown(report, [*(f"{scene.sequence_id}: {scene.title}" for scene in scenes), *notices])
-
-
-# The items, and the command.
+    lines = [*(f"{scene.sequence_id}: {scene.title}" for scene in scenes), *notices]
+    return _answer([], (), out[0], lines, sequences=[scene.sequence_id for scene in scenes], notices=notices)
 
 
 class _Item(NamedTuple):
@@ -360,25 +293,26 @@ class _Item(NamedTuple):
 
 
 _OF_RUNS = ("data", "with_published", "out", "workers")
-_DRAWN = ("data", "numbers", "out", "workers")
+_OF_SCORES = ("data", "numbers", "out", "workers")
 _OF_MOTIONS = ("sequences", "limit", "permission", "out")
 _TRAINING = ("data", "nymeria", "humanml3d", "configuration", "out", "limit", "device", "threads", "seed", "workers")
 _PREDICTION = ("weights", "limit", "device", "seed", "out")
-_ITEMS: Mapping[str, _Item] = {
+_ABLATIONS = {
+    "table-3": "ablation of conditions and optimisation, one by one",
+    "table-4": "ablation of the pre-training",
+    "table-s4": "ablation: an encoder or a decoder",
+    "table-s5": "ablation of the loss",
+    "table-s6": "ablation of how initial state and goal enter the memory",
+    "table-s7": "ablation of the diffusion steps",
+}
+_ITEMS = {
     "table-1": _Item("how many sequences, how long, how far people move", "DIR", ("out",), _sizes),
     "table-2": _Item("runs in the layout of the main table, a part a dataset", "RUN", (*_OF_RUNS, "part"), _methods),
     "table-s1": _Item("runs by poses of training and test (weights …-egoallo, …-mocap)", "RUN", _OF_RUNS, _methods),
     "table-s2": _Item("sequences and recordings of each split", "DIR", ("out",), _sizes),
     "table-s3": _Item("models of one dataset each (weights pr-goal-loc-adt)", "RUN", (*_OF_RUNS, "part"), _methods),
     "table-s8": _Item("files of `prbench evaluate-text`", "FILE", ("with_published", "out"), _evaluations),
-    "table-3": _Item("ablation of conditions and optimisation, one by one", "DIR", _OF_RUNS, _ablation, trains=True),
-    "table-4": _Item("ablation of the pre-training", "DIR", _OF_RUNS, _ablation, trains=True),
-    "table-s4": _Item("ablation: an encoder or a decoder", "DIR", _OF_RUNS, _ablation, trains=True),
-    "table-s5": _Item("ablation of the loss", "DIR", _OF_RUNS, _ablation, trains=True),
-    "table-s6": _Item(
-        "ablation of how initial state and goal enter the memory", "DIR", _OF_RUNS, _ablation, trains=True
-    ),
-    "table-s7": _Item("ablation of the diffusion steps", "DIR", _OF_RUNS, _ablation, trains=True),
+    **{name: _Item(title, "DIR", _OF_RUNS, _ablation, trains=True) for name, title in _ABLATIONS.items()},
     "prediction": _Item(
         "motion prediction, Tables 1 to 3 on windows; RUN behind them stand for their rows",
         "DIR",
@@ -387,10 +321,10 @@ _ITEMS: Mapping[str, _Item] = {
     ),
     "figure-1": _Item("recorded sequences with the look that primes the goal", "DIR", _OF_MOTIONS, _motions),
     "figure-2": _Item("recorded sequences of each table", "DIR", _OF_MOTIONS, _motions),
-    "figure-4": _Item("scores by what a sequence asks for (--by)", "RUN", (*_DRAWN, "by"), _breakdown),
+    "figure-4": _Item("scores by what a sequence asks for (--by)", "RUN", (*_OF_SCORES, "by"), _drawn),
     "figure-5": _Item("poses at first frame, prime and reach", "RUN", (*_OF_MOTIONS, "data"), _motions),
     "figure-s2": _Item("where goals lie, how far people move, when they look", "DIR", ("out",), _distributions),
-    "figure-s3": _Item("Prime Success over its distance and window", "RUN", (*_DRAWN, "variant"), _sweep),
+    "figure-s3": _Item("Prime Success over its distance and window", "RUN", (*_OF_SCORES, "variant"), _drawn),
 }
 _HELP = "\n".join(["\b", *(f"{name:<11}{item.inputs + '...':<8} {item.title}" for name, item in _ITEMS.items())])
 
@@ -511,7 +445,6 @@ def study(ctx: click.Context, item: str, inputs: tuple[Path, ...], train: bool, 
         raise UsageError(f"{name}: name {row.inputs}..., which it is made from.")
     # Refuse files of unknown formats before anything is done.
     from prbench.viewing.figures import require_drawable
-    from prbench_benchmarks.prime_and_reach.study.formats import require_format
 
     is_figure = name.startswith("study figure")
     for path in given["numbers"] if is_figure else given["out"]:

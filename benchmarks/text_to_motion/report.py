@@ -14,8 +14,9 @@ import numpy as np
 
 from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import sole_writer, write_json
+from prbench.metrics import exported_unit
 from prbench.protocol.published import load_published, published_table
-from prbench_benchmarks.prime_and_reach.study.document import DASH, StudyBlock, StudyTable, StudyValue
+from prbench.tables import Block, Cell, Column, Row, Table, metric_cell
 from prbench_benchmarks.text_to_motion.generated import Generator
 from prbench_benchmarks.text_to_motion.metrics import METRICS, Measured, Repeated
 
@@ -150,16 +151,16 @@ class WrittenEvaluation(TextEvaluation, frozen=True, kw_only=True):
 
 
 _METRICS = {
-    "r_precision_top_3": ("R Precision Top-3 ↑ (%)", 100.0, "%"),
-    "fid": ("FID ↓", 1.0, ""),
-    "multimodal_distance": ("Multimodal Distance ↓", 1.0, ""),
-    "diversity": ("Diversity ↑", 1.0, ""),
+    "r_precision_top_3": ("R Precision Top-3", "higher", "rate"),
+    "fid": ("FID", "lower", ""),
+    "multimodal_distance": ("Multimodal Distance", "lower", ""),
+    "diversity": ("Diversity", "higher", ""),
 }
-"""The study's four metrics: title, factor to the printed value, unit."""
+"""The study's four metrics: title, direction of the better values, stored unit."""
 _NOT_RECOMPUTED = "as reported by the file; motions are not at hand to hold the numbers against"
 
 
-def table_s8(paths: Sequence[Path], *, with_published: bool) -> StudyTable:
+def table_s8(paths: Sequence[Path], *, with_published: bool) -> Table:
     """Make Table S8 from evaluations.
 
     Args:
@@ -172,18 +173,31 @@ def table_s8(paths: Sequence[Path], *, with_published: bool) -> StudyTable:
     """
     evaluations = {path: TextEvaluation.read(path) for path in paths}
     blocks = []
-    values: list[StudyValue] = []
     for path, found in evaluations.items():
         title = (
             f"{path.name}: {found.dataset}, split {found.split}, {found.clips} clips, evaluator"
             f" {found.evaluator_sha256[:8]} ({found.vectorisation})"
         )
-        blocks.append(StudyBlock(title, tuple(_line(row) for row in found.rows)))
-        values += [value for row in found.rows for value in _values(found, row)]
+        rows = []
+        for row in found.rows:
+            about = {"dataset": found.dataset, "condition": "text", "method": row.source, "sequences": row.motions}
+            cells = []
+            for name, (_, _, unit) in _METRICS.items():
+                measured = row.metrics.get(name)
+                if measured is None:
+                    continue
+                half = measured.half_width
+                bounds = (None, None) if half is None else (measured.mean - half, measured.mean + half)
+                cells.append(metric_cell(name, unit, measured.mean, *bounds, note=_NOT_RECOMPUTED, **about))
+            rows.append(Row(text={"motions": row.source}, cells=tuple(cells)))
+        blocks.append(Block(title=title, rows=tuple(rows)))
     if with_published:
-        blocks.append(StudyBlock("Published: Prime and Reach, Table S8, Nymeria, another evaluator", _published()))
-        values += [
-            StudyValue(
+        rows = {}
+        for number in load_published("S8"):
+            plus_minus = f" ± {number.plus_minus}" if number.plus_minus else ""
+            words, cells = rows.setdefault(number.variant, ({"motions": number.variant}, []))
+            words[number.metric] = f"{number.printed}{plus_minus}"
+            cell = Cell(
                 dataset=number.dataset,
                 condition=number.condition,
                 method=number.method,
@@ -191,65 +205,27 @@ def table_s8(paths: Sequence[Path], *, with_published: bool) -> StudyTable:
                 metric=number.metric,
                 value=number.value,
                 sd=float(number.plus_minus) if number.plus_minus else None,
-                unit=_METRICS[number.metric][2],
+                unit=exported_unit(_METRICS[number.metric][2]),
                 origin=number.source,
                 note=number.note,
             )
-            for number in load_published("S8")
-        ]
-    return StudyTable(
+            cells.append(cell)
+        published = tuple(Row(text=words, cells=tuple(cells)) for words, cells in rows.values())
+        blocks.append(Block(title="Published: Prime and Reach, Table S8, Nymeria, another evaluator", rows=published))
+    columns = [
+        Column(key=name, title=title, better=better, unit=exported_unit(unit))
+        for name, (title, better, unit) in _METRICS.items()
+    ]
+    return Table(
         number="S8",
         title=published_table("S8").title,
-        header=("Motions", *(title for title, _, _ in _METRICS.values())),
+        columns=(Column(key="motions", title="Motions", text=True), *columns),
         blocks=tuple(blocks),
-        values=tuple(values),
         notes=(
-            "± is 1.96 standard errors over repetitions. Numbers of different evaluators never compare.",
+            "Intervals of measured numbers, and ±, are 1.96 standard errors over repetitions. Numbers of different"
+            " evaluators never compare.",
             f"Measured numbers stand {_NOT_RECOMPUTED}.",
             *published_table("S8").notes,
             *(note for found in evaluations.values() for note in found.notes),
         ),
     )
-
-
-def _line(row: ResultRow) -> tuple[str, ...]:
-    return (row.source, *(_cell(row.metrics.get(name), scale) for name, (_, scale, _) in _METRICS.items()))
-
-
-def _cell(found: Repeated | None, scale: float) -> str:
-    if found is None:
-        return DASH
-    mean = f"{scale * found.mean:.2f}"
-    return mean if found.half_width is None else f"{mean} ± {scale * found.half_width:.2f}"
-
-
-def _values(found: TextEvaluation, row: ResultRow) -> list[StudyValue]:
-    values = []
-    for name, (_, scale, unit) in _METRICS.items():
-        measured = row.metrics.get(name)
-        if measured is None:
-            continue
-        half = measured.half_width
-        values.append(
-            StudyValue(
-                dataset=found.dataset,
-                condition="text",
-                method=row.source,
-                metric=name,
-                value=scale * measured.mean,
-                low=None if half is None else scale * (measured.mean - half),
-                high=None if half is None else scale * (measured.mean + half),
-                unit=unit,
-                sequences=row.motions,
-                note=_NOT_RECOMPUTED,
-            )
-        )
-    return values
-
-
-def _published() -> tuple[tuple[str, ...], ...]:
-    rows: dict[str, dict[str, str]] = {}
-    for number in load_published("S8"):
-        plus_minus = f" ± {number.plus_minus}" if number.plus_minus else ""
-        rows.setdefault(number.variant, {})[number.metric] = f"{number.printed}{plus_minus}"
-    return tuple((variant, *(cells.get(name, DASH) for name in _METRICS)) for variant, cells in rows.items())

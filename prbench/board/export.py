@@ -1,14 +1,10 @@
-"""A leaderboard as Markdown, CSV (one number a row, like the published tables) or JSON.
-
-A leaderboard as Markdown: the main metrics, a table a dataset.
-"""
+"""A leaderboard as Markdown, CSV (one number a row, like the published tables) or JSON."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import msgspec
 
@@ -17,7 +13,6 @@ from prbench.board.tables import (
     FEWEST_RANKED,
     DatasetTable,
     Leaderboard,
-    MacroRow,
     MacroTable,
     TableRow,
     hides,
@@ -27,11 +22,21 @@ from prbench.errors import UsageError
 from prbench.harness.benchmark import Benchmark, load_benchmark
 from prbench.harness.run_folder.record import CONTROL, RunRecord
 from prbench.harness.run_folder.summary import EDGE_ARRIVAL, DatasetSummary
-from prbench.metrics import MetricInfo, exported_unit, printed_scale, printed_unit
 from prbench.protocol.manifests import default_benchmark
-from prbench.shown import csv_text, markdown, markdown_code
+from prbench.tables import (
+    Block,
+    Cell,
+    Column,
+    Row,
+    Table,
+    csv_lines,
+    metric_cell,
+    metric_column,
+    note_of,
+)
+from prbench.tables import as_markdown as tables_as_markdown
 
-_CSV_COLUMNS: tuple[str, ...] = (
+_CSV_COLUMNS = (
     "table",
     "dataset",
     "condition",
@@ -55,7 +60,8 @@ _CSV_COLUMNS: tuple[str, ...] = (
     "memory_mebibytes",
     "parameters",
 )
-_TEXT_COLUMNS = ("dataset", "condition", "method", "variant", "metric", "note")
+_FEW = "†"
+FORMATS = ("md", "csv", "json")
 
 
 def export(leaderboard: Leaderboard, format: str) -> str:
@@ -63,128 +69,105 @@ def export(leaderboard: Leaderboard, format: str) -> str:
 
     Args:
         leaderboard: Of :func:`prbench.board.tables.make_leaderboard`.
-        format: ``md``, ``csv`` or ``json``.
+        format: ``md``; ``csv``, with rates in %, and an empty value where Markdown has a dash; or ``json``.
 
     Raises:
         UsageError: for another format.
     """
     if format not in FORMATS:
         raise UsageError(f"unknown format '{format}'; known ones are: {', '.join(FORMATS)}.")
-    return FORMATS[format](leaderboard)
+    if format == "md":
+        return _as_markdown(leaderboard)
+    if format == "csv":
+        return csv_lines(_CSV_COLUMNS, _csv_rows(leaderboard))
+    value = msgspec.to_builtins(as_board(leaderboard))
+    return json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _as_csv(leaderboard: Leaderboard) -> str:
-    """Rates in %, metres and ratios as they are; an empty value where a dash is printed. UTF-8, LF."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, _CSV_COLUMNS, lineterminator="\n")
-    writer.writeheader()
+def measured_cells(row: TableRow, table: DatasetTable, **about: Any) -> tuple[Cell, ...]:
+    """Return all metrics of a run in printed units.
+
+    Args:
+        row: The run.
+        table: It stands in this table.
+        about: Other fields of each cell.
+    """
+    entry = row.entry
+    infos = {info.id: info for info in table.benchmark.metrics}
+    common = {"dataset": table.dataset, "condition": entry.record.condition, "method": entry.method} | about
+    cells = []
+    for metric in entry.summary.metrics:
+        hidden = metric.metric in infos and hides(entry, infos[metric.metric])
+        notes = (
+            *metric.marks,
+            "synthetic" if table.synthetic else "",
+            "" if table.benchmark.about.default else f"benchmark {table.benchmark.name}",
+            f"common {table.sequences} of {table.of} sequences" if table.of else "",
+            f"own protocol {table.protocol}" if table.protocol else "",
+            "" if table.earlier_version is None else f"protocol version {table.earlier_version}",
+            "stands still" if hidden else "",
+            entry.mark,
+            entry.summary.edge_arrivals if EDGE_ARRIVAL in metric.flags else "",
+        )
+        cell = metric_cell(
+            metric.metric,
+            metric.unit,
+            # No value where Markdown prints a dash, so that nobody averages a number that means nothing.
+            None if hidden else metric.mean,
+            metric.low,
+            metric.high,
+            detectable=metric.detectable,
+            sequences=metric.sequences,
+            recordings=metric.recordings,
+            rank=row.ranks.get(metric.metric),
+            best=metric.metric in row.leads,
+            mark=_FEW if "few_recordings" in metric.marks else "",
+            note=note_of(*notes),
+            **({"variant": row.variant} | common),
+        )
+        cells.append(cell)
+    return tuple(cells)
+
+
+def _csv_rows(leaderboard: Leaderboard) -> Iterator[dict[str, Any]]:
     for number, table in enumerate(leaderboard.tables, start=1):
-        writer.writerows(map(_csv_shown, _csv_dataset_rows(str(number), table)))
-    for number, macro in enumerate(leaderboard.macro, start=1):
-        writer.writerows(map(_csv_shown, _csv_macro_rows(f"macro {number}", macro)))
-    return text.getvalue()
-
-
-def _csv_shown(row: dict[str, str]) -> dict[str, str]:
-    """A row whose names no spreadsheet takes for formulas; numbers may begin with a minus."""
-    return row | {name: csv_text(row[name]) for name in _TEXT_COLUMNS}
-
-
-def _csv_dataset_rows(number: str, table: DatasetTable) -> Iterable[dict[str, str]]:
-    infos = _infos(table.benchmark)
-    for row in table.rows:
-        for metric in row.entry.summary.metrics:
-            info = infos.get(metric.metric)
-            scale = printed_scale(metric.unit)
-            hidden = info is not None and hides(row.entry, info)
-            notes = [*metric.marks, *(["synthetic"] if table.synthetic else [])]
-            if not table.benchmark.about.default:
-                notes.append(f"benchmark {table.benchmark.name}")
-            if table.of:
-                notes.append(f"common {table.sequences} of {table.of} sequences")
-            if table.protocol:
-                notes.append(f"own protocol {table.protocol}")
-            if table.earlier_version is not None:
-                notes.append(f"protocol version {table.earlier_version}")
-            if hidden:
-                notes.append("stands still")
-            if row.entry.mark:
-                notes.append(row.entry.mark)
-            if EDGE_ARRIVAL in metric.flags:
-                notes.append(row.entry.summary.edge_arrivals)
-            yield {
-                "table": number,
-                "dataset": table.dataset,
-                "condition": row.entry.record.condition,
-                "method": row.entry.method,
-                "variant": row.variant,
-                "metric": metric.metric,
-                # Empty where Markdown prints a dash, so that nobody averages a number that means nothing.
-                "value": "" if hidden else _csv_number(scale * metric.mean),
-                "unit": exported_unit(metric.unit),
-                "higher_is_better": _csv_direction(info),
-                "low": "" if hidden or metric.low is None else _csv_number(scale * metric.low),
-                "high": "" if hidden or metric.high is None else _csv_number(scale * metric.high),
-                "sequences": str(metric.sequences),
-                "recordings": str(metric.recordings),
-                "detectable": "" if hidden or metric.detectable is None else _csv_number(scale * metric.detectable),
-                "rank": str(row.ranks.get(metric.metric, "")),
+        for row in table.rows:
+            cost = row.entry.cost
+            about = {
+                "table": str(number),
                 "verified": "unverified" if row.entry.unverified else "verified",
-                "note": "; ".join(notes),
                 "kind": row.entry.origin,
-                **_csv_cost(row.entry.cost),
+                "seconds_per_motion": cost.seconds,
+                "passes_per_motion": cost.network_passes,
+                "memory_mebibytes": cost.memory_mebibytes,
+                "parameters": cost.parameters,
             }
-
-
-def _csv_cost(cost: MotionCost) -> dict[str, str]:
-    values = (cost.seconds, cost.network_passes, cost.memory_mebibytes, cost.parameters)
-    columns = ("seconds_per_motion", "passes_per_motion", "memory_mebibytes", "parameters")
-    return {name: "" if value is None else _csv_number(value) for name, value in zip(columns, values, strict=True)}
-
-
-def _csv_macro_rows(number: str, macro: MacroTable) -> Iterable[dict[str, str]]:
-    benchmark = load_benchmark(macro.benchmark)
-    about = ["mean over datasets", *(["synthetic"] if macro.synthetic else [])]
-    if not benchmark.about.default:
-        about.append(f"benchmark {benchmark.name}")
-    infos = _infos(benchmark)
-    if macro.earlier_version is not None:
-        about.append(f"protocol version {macro.earlier_version}")
-    for row in macro.rows:
-        for metric, mean in row.means.items():
-            info = infos[metric]
-            yield dict.fromkeys(_CSV_COLUMNS, "") | {
-                "table": number,
+            yield from (_csv_row(cell, table.benchmark) | about for cell in measured_cells(row, table))
+    for number, macro in enumerate(leaderboard.macro, start=1):
+        benchmark = load_benchmark(macro.benchmark)
+        notes = [
+            "mean over datasets",
+            "synthetic" if macro.synthetic else "",
+            "" if benchmark.about.default else f"benchmark {benchmark.name}",
+            "" if macro.earlier_version is None else f"protocol version {macro.earlier_version}",
+        ]
+        for row, cells in zip(macro.rows, _macro_cells(macro, benchmark)):
+            about = {
+                "table": f"macro {number}",
                 "dataset": "+".join(macro.datasets),
                 "condition": row.condition,
                 "method": row.method,
                 "variant": row.variant,
-                "metric": metric,
-                "value": _csv_number(info.scale * mean.mean),
-                "unit": exported_unit(info.unit),
-                "higher_is_better": _csv_direction(info),
-                "low": "" if mean.low is None else _csv_number(info.scale * mean.low),
-                "high": "" if mean.high is None else _csv_number(info.scale * mean.high),
-                "rank": str(row.ranks.get(metric, "")),
                 "verified": "unverified" if row.unverified else "verified",
-                "note": "; ".join(part for part in (*about, row.mark) if part),
+                "note": note_of(*notes, row.mark),
                 "kind": row.origin,
             }
+            yield from (_csv_row(cell, benchmark) | about for cell in cells if cell.metric in row.means)
 
 
-def _infos(benchmark: Benchmark) -> dict[str, MetricInfo]:
-    return {info.id: info for info in benchmark.metrics}
-
-
-def _csv_direction(info: MetricInfo | None) -> str:
-    direction = info.higher_is_better if info is not None else None
-    return "" if direction is None else str(direction).lower()
-
-
-def _csv_number(value: float) -> str:
-    """Six decimals at most, without an exponent."""
-    text = f"{value:.6f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
+def _csv_row(cell: Cell, benchmark: Benchmark) -> dict[str, Any]:
+    better = {info.id: info.higher_is_better for info in benchmark.metrics}
+    return msgspec.structs.asdict(cell) | {"higher_is_better": better.get(cell.metric)}
 
 
 class BoardRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -267,12 +250,7 @@ def as_board(leaderboard: Leaderboard) -> Board:
         protocol, identity, content, split, selection = table.key
         rows = [
             BoardRow(
-                run=row.entry.run,
-                record=row.entry.record,
-                summary=row.entry.summary,
-                cost=row.entry.cost,
-                origin=row.entry.origin,
-                mark=row.entry.mark,
+                **{name: getattr(row.entry, name) for name in ("run", "record", "summary", "cost", "origin", "mark")},
                 unverified=row.entry.unverified,
                 variant=row.variant,
                 ranks=row.ranks,
@@ -281,17 +259,13 @@ def as_board(leaderboard: Leaderboard) -> Board:
             )
             for row in table.rows
         ]
+        same = ("dataset", "title", "synthetic", "redistribution", "sequences", "recordings")
         shown = BoardTable(
-            dataset=table.dataset,
-            title=table.title,
+            **{name: getattr(table, name) for name in same},
             benchmark=table.benchmark.name,
-            synthetic=table.synthetic,
-            redistribution=table.redistribution,
             split=split,
             digests={"protocol": protocol, "identity": identity, "content": content, "selection": selection},
             own_protocol=table.protocol,
-            sequences=table.sequences,
-            recordings=table.recordings,
             chosen_sequences=table.of or table.sequences,
             left_sequences_out=table.shortest,
             undecided=undecided_lines(table),
@@ -301,88 +275,91 @@ def as_board(leaderboard: Leaderboard) -> Board:
     return Board(tables=tables, macro_means=leaderboard.macro, notes=leaderboard.notes)
 
 
-def _as_json(leaderboard: Leaderboard) -> str:
-    """Sorted keys, two-space indent."""
-    value = msgspec.to_builtins(as_board(leaderboard))
-    return json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-_DASH = "–"
-_FEW = "†"
-
-
-def as_markdown(leaderboard: Leaderboard) -> str:
-    """The whole document."""
+def _as_markdown(leaderboard: Leaderboard) -> str:
+    """Lay out a table a dataset, a table a mean over datasets, and the notes."""
     found = dict.fromkeys(table.benchmark.about.title for table in leaderboard.tables)
     several = len(found) > 1
-    blocks = ["# Leaderboard" if several else f"# {next(iter(found), default_benchmark().title)} leaderboard"]
+    title = "# Leaderboard" if several else f"# {next(iter(found), default_benchmark().title)} leaderboard"
+    keys = [(table.benchmark.name, table.dataset) for table in leaderboard.tables]
+    tables = []
     for table in leaderboard.tables:
-        key = (table.benchmark.name, table.dataset)
-        shared_name = sum((other.benchmark.name, other.dataset) == key for other in leaderboard.tables) > 1
-        metrics = table.benchmark.main_metrics
-        counts = f"{table.sequences} sequences, {table.recordings} recording{'' if table.recordings == 1 else 's'}"
-        if table.of:
-            counts += f" of {table.of} that every method here generated"
-        title = f"## {markdown(table.title)}, {markdown_code(table.dataset)}: {markdown(table.split)}, {counts}"
+        about = [part_title(table)]
         if several:
-            title += f", {table.benchmark.about.title.lower()}"
-        if table.protocol:
-            title += f", own protocol {markdown(table.protocol)}"
+            about.append(table.benchmark.about.title.lower())
         if table.earlier_version is not None:
-            title += f", protocol version {table.earlier_version}"
-        if shared_name:
+            about.append(f"protocol version {table.earlier_version}")
+        if keys.count((table.benchmark.name, table.dataset)) > 1:
             # Two tables of one dataset differ in a digest at most, so their titles have to show digests.
             protocol, identity, content, _, chosen = (part[:8] for part in table.key)
-            title += f" (protocol {protocol}, table {identity}/{content}, chosen {chosen})"
-        header = ["Condition", "Method", "Variant", *(_column(info) for info in metrics), *COST_TITLES, "Kind"]
+            about.append(f"protocol {protocol}, table {identity}/{content}, chosen {chosen}")
         rows = [
-            [
-                "control" if row.entry.record.method.kind == CONTROL else markdown(row.entry.record.condition),
-                _marked(row.entry.method, row.entry.summary.symbols),
-                _variant(row.variant, unverified=bool(row.entry.unverified)),
-                *(_cell(row, info) for info in metrics),
-                *row.entry.cost.cells,
-                markdown(row.entry.origin),
-            ]
+            Row(
+                text={
+                    "condition": "control" if row.entry.record.method.kind == CONTROL else row.entry.record.condition,
+                    "method": _words(row.entry.method, row.entry.summary.symbols),
+                    "variant": note_of(row.variant, "unverified" if row.entry.unverified else ""),
+                    **dict(zip(COST_TITLES, row.entry.cost.cells)),
+                    "kind": row.entry.origin,
+                },
+                cells=measured_cells(row, table),
+            )
             for row in table.rows
         ]
-        blocks += [title, _grid(header, rows, metrics), "\n".join(f"- {line}" for line in _legend(table))]
-    for macro in leaderboard.macro:
-        blocks += _macro_blocks(macro, with_benchmark=several)
+        costs = [Column(key=name, title=name) for name in COST_TITLES]
+        blocks = (Block(rows=tuple(rows)),)
+        columns = _columns(table.benchmark, *costs)
+        tables.append(Table(title=", ".join(about), columns=columns, blocks=blocks, notes=tuple(_legend(table))))
+    tables += [_macro_table(macro, with_benchmark=several) for macro in leaderboard.macro]
     if leaderboard.notes:
-        blocks += ["## Notes", "\n".join(f"- {markdown(note)}" for note in leaderboard.notes)]
-    return "\n\n".join(blocks) + "\n"
+        tables.append(Table(title="Notes", notes=leaderboard.notes))
+    return f"{title}\n\n{tables_as_markdown(tables)}"
 
 
-def _variant(text: str, *, unverified: bool) -> str:
-    return "; ".join(part for part in (markdown(text), "unverified" if unverified else "") if part)
+def part_title(table: DatasetTable) -> str:
+    """Return the data and the rules behind a table in words."""
+    of = f" of {table.of} that every method here generated" if table.of else ""
+    own = f", own protocol {table.protocol}" if table.protocol else ""
+    counts = f"{table.sequences} sequences, {table.recordings} recording{'' if table.recordings == 1 else 's'}"
+    return f"{table.title}, {table.dataset}: {table.split}, {counts}{of}{own}"
 
 
-def _marked(method: str, symbols: str) -> str:
-    return f"{markdown(method)} {symbols}" if symbols else markdown(method)
+def _words(*parts: str) -> str:
+    return " ".join(part for part in parts if part)
 
 
-def _cell(row: TableRow, info: MetricInfo) -> str:
-    """Mean and interval in the printed unit, in bold where it is better than all others of its condition."""
-    metric = row.entry.metric(info.id)
-    if metric is None:
-        return ""
-    if hides(row.entry, info):
-        return _DASH
-    scale = info.scale
-    mean = f"{scale * metric.mean:.2f}"
-    text = f"**{mean}**" if info.id in row.leads else mean
-    if metric.low is not None and metric.high is not None:
-        text += f" [{scale * metric.low:.2f}, {scale * metric.high:.2f}]"
-    return text + (f" {_FEW}" if "few_recordings" in metric.marks else "")
+def _columns(benchmark: Benchmark, *further: Column) -> tuple[Column, ...]:
+    """Return the columns of a board; a metric that a run lacks leaves its cell empty."""
+    return (
+        *(Column(key=title.lower(), title=title, text=True) for title in ("Condition", "Method", "Variant")),
+        *(metric_column(info, missing="") for info in benchmark.main_metrics),
+        *further,
+        Column(key="kind", title="Kind", text=True),
+    )
 
 
 def _legend(table: DatasetTable) -> Iterable[str]:
-    yield "Rates in %, with 95 % intervals over recordings in brackets."
     yield (
         "Cost as the harness measured it on the machine of each run, batched as it was; memory of the device, else of"
         " the process; passes as the method declares them. A dash: not measured."
     )
+    if table.earlier_version is not None:
+        present = table.benchmark.present_rules.version
+        yield (
+            f"Scored under version {table.earlier_version} of the protocol; version {present} is the"
+            " present one, and no number of the two is comparable. Run the methods again to compare them."
+        )
+    yield from table_notes(table)
+    if any(row.ranks for row in table.rows):
+        yield from _groups(table)
+    if table.redistribution == "non-commercial":
+        yield "The data may be used for non-commercial purposes only."
+    elif table.redistribution == "none":
+        yield "The data may not be passed on; this page holds scores only, no recorded motion and no goals."
+
+
+def table_notes(table: DatasetTable) -> Iterable[str]:
+    """Yield what a reader of measured rows has to know, whatever stands beside them."""
+    yield "Rates in %, lengths in m; 95 % intervals over recordings in brackets."
     if table.synthetic:
         yield "These are scores on synthetic data; they say nothing about real people."
     if any("few_recordings" in metric.marks for row in table.rows for metric in row.entry.summary.metrics):
@@ -390,16 +367,10 @@ def _legend(table: DatasetTable) -> Iterable[str]:
     if table.of:
         yield (
             f"Sequences of {table.of} that are longer than a method can generate are left out for all:"
-            f" {', '.join(map(markdown, table.shortest))}."
+            f" {', '.join(table.shortest)}."
         )
     if table.protocol:
-        yield f"Scored under a protocol of the user's own, {markdown(table.protocol)}: no number here is the study's."
-    if table.earlier_version is not None:
-        present = table.benchmark.present_rules.version
-        yield (
-            f"Scored under version {table.earlier_version} of the protocol; version {present} is the"
-            " present one, and no number of the two is comparable. Run the methods again to compare them."
-        )
+        yield f"Scored under a protocol of the user's own, {table.protocol}: no number here is the study's."
     if table.sequences < FEWEST_RANKED:
         yield f"Nothing is ranked: fewer than {FEWEST_RANKED} sequences."
     elif any(row.ranks for row in table.rows):
@@ -407,100 +378,80 @@ def _legend(table: DatasetTable) -> Iterable[str]:
             "Bold: better than every other method under its condition, each by a difference that the data support"
             " (Holm's correction for all pairs and metrics of the condition); controls are not ranked."
         )
-        yield from _groups(table)
-    yield from map(markdown, undecided_lines(table))
+    yield from undecided_lines(table)
     for row in table.rows:
         # Remarks stand under the table, because a cell has no room for a sentence.
         if row.entry.mark:
-            yield f"{markdown(row.entry.method)} {row.entry.mark}."
+            yield f"{row.entry.method} {row.entry.mark}."
         if row.entry.summary.edge_arrivals:
-            yield f"{markdown(row.entry.method)}: {row.entry.summary.edge_arrivals}."
+            yield f"{row.entry.method}: {row.entry.summary.edge_arrivals}."
         if row.entry.summary.unsupported:
             yield (
-                f"{markdown(row.entry.method)}: {row.entry.summary.unsupported} sequences are longer than it can"
-                " generate and were left out; not ranked."
+                f"{row.entry.method}: {row.entry.summary.unsupported} sequences are longer than it can generate and"
+                " were left out; not ranked."
             )
-    reasons = dict.fromkeys(row.entry.unverified for row in table.rows if row.entry.unverified)
-    for reason in reasons:
-        yield f"Unverified: scores that were not held against the motions, because {markdown(reason)}."
-    if table.redistribution == "non-commercial":
-        yield "The data may be used for non-commercial purposes only."
-    elif table.redistribution == "none":
-        yield "The data may not be passed on; this page holds scores only, no recorded motion and no goals."
+    for reason in dict.fromkeys(row.entry.unverified for row in table.rows if row.entry.unverified):
+        yield f"Unverified: scores that were not held against the motions, because {reason}."
 
 
 def _groups(table: DatasetTable) -> Iterable[str]:
     """Yield the metrics of each condition in which the data separate no two methods, and the order of the others."""
     for condition in dict.fromkeys(row.entry.record.condition for row in table.rows if row.ranks):
-        rows = [row for row in table.rows if row.entry.record.condition == condition and row.ranks]
         alike = []
+        ordered = []
         for info in table.benchmark.main_metrics:
-            ranks = {row.ranks[info.id] for row in rows if info.id in row.ranks}
-            if ranks == {1}:
-                alike.append(info.title)
-        if alike:
-            yield f"{markdown(condition)}: the data separate no two methods in {', '.join(alike)}."
-        for info in table.benchmark.main_metrics:
-            if info.title in alike or not any(info.id in row.ranks for row in rows):
-                continue
             groups: dict[int, list[str]] = {}
-            for row in rows:
-                if info.id in row.ranks:
-                    name = " ".join(part for part in (row.entry.method, row.variant) if part)
-                    groups.setdefault(row.ranks[info.id], []).append(markdown(name))
-            parts = [f"{rank}. {', '.join(names)}" for rank, names in sorted(groups.items())]
-            yield f"{markdown(condition)}, {info.title}: {'; '.join(parts)} (methods of one group are not separated)."
+            for row in table.rows:
+                if row.entry.record.condition == condition and info.id in row.ranks:
+                    groups.setdefault(row.ranks[info.id], []).append(_words(row.entry.method, row.variant))
+            if list(groups) == [1]:
+                alike.append(info.title)
+            elif groups:
+                parts = [f"{rank}. {', '.join(names)}" for rank, names in sorted(groups.items())]
+                ordered.append(f"{info.title}: {'; '.join(parts)} (methods of one group are not separated).")
+        if alike:
+            yield f"{condition}: the data separate no two methods in {', '.join(alike)}."
+        yield from (f"{condition}, {line}" for line in ordered)
 
 
-def _macro_blocks(macro: MacroTable, *, with_benchmark: bool) -> list[str]:
+def _macro_table(macro: MacroTable, *, with_benchmark: bool) -> Table:
     benchmark = load_benchmark(macro.benchmark)
-    metrics = benchmark.main_metrics
     word = " (synthetic data among them)" if macro.synthetic else ""
-    title = f"## Mean over datasets: {', '.join(map(markdown, macro.datasets))}{word}"
+    title = f"Mean over datasets: {', '.join(macro.datasets)}{word}"
     if with_benchmark:
         title += f", {benchmark.about.title.lower()}"
     if macro.earlier_version is not None:
         title += f", protocol version {macro.earlier_version}"
-    header = ["Condition", "Method", "Variant", *(_column(info) for info in metrics), "Missing", "Kind"]
     rows = [
-        [
-            "control" if row.is_control else markdown(row.condition),
-            _marked(row.method, row.symbols),
-            _variant(row.variant, unverified=row.unverified),
-            *(_macro_cell(row, info) for info in metrics),
-            ", ".join(map(markdown, row.missing)),
-            markdown(row.origin),
-        ]
-        for row in macro.rows
+        Row(
+            text={
+                "condition": "control" if row.is_control else row.condition,
+                "method": _words(row.method, row.symbols),
+                "variant": note_of(row.variant, "unverified" if row.unverified else ""),
+                "missing": ", ".join(row.missing),
+                "kind": row.origin,
+            },
+            cells=cells,
+        )
+        for row, cells in zip(macro.rows, _macro_cells(macro, benchmark))
     ]
     legend = (
-        "- Every dataset counts alike; in brackets the 95 % interval of the mean. In parentheses: one more than the"
+        "Every dataset counts alike; in brackets the 95 % interval of the mean. In parentheses: one more than the"
         " number of methods of its condition that are better on every dataset by a supported difference; none for"
         " methods without a dataset."
     )
-    return [title, _grid(header, rows, metrics), legend]
+    columns = _columns(benchmark, Column(key="missing", title="Missing", text=True))
+    return Table(title=title, columns=columns, blocks=(Block(rows=tuple(rows)),), notes=(legend,))
 
 
-def _macro_cell(row: MacroRow, info: MetricInfo) -> str:
-    if info.id not in row.means:
-        return _DASH if row.means else ""
-    rank = f" ({row.ranks[info.id]})" if info.id in row.ranks else ""
-    found = row.means[info.id]
-    bounds = ""
-    if found.low is not None and found.high is not None:
-        bounds = f" [{info.scale * found.low:.2f}, {info.scale * found.high:.2f}]"
-    return f"{info.scale * found.mean:.2f}{bounds}{rank}"
-
-
-def _column(info: MetricInfo) -> str:
-    unit = printed_unit(info.unit).strip()
-    return f"{info.title}{info.arrow}{f' ({unit})' if unit else ''}"
-
-
-def _grid(header: Sequence[str], rows: Sequence[Sequence[str]], metrics: Sequence[MetricInfo]) -> str:
-    numbers = {*map(_column, metrics), *COST_TITLES}
-    rule = ["---:" if name in numbers else "---" for name in header]
-    return "\n".join("| " + " | ".join(line) + " |" for line in [header, rule, *rows])
-
-
-FORMATS: dict[str, Callable[[Leaderboard], str]] = {"md": as_markdown, "csv": _as_csv, "json": _as_json}
+def _macro_cells(macro: MacroTable, benchmark: Benchmark) -> Iterator[tuple[Cell, ...]]:
+    """Yield the means of each row; a metric of which another has a mean, but the row has none, is a dash."""
+    for row in macro.rows:
+        cells = []
+        for info in benchmark.main_metrics if row.means else ():
+            found = row.means.get(info.id)
+            bounds = (None, None, None) if found is None else (found.mean, found.low, found.high)
+            rank = row.ranks.get(info.id)
+            mark = "" if rank is None else f"({rank})"
+            cells.append(metric_cell(info.id, info.unit, *bounds, rank=rank, mark=mark))
+        yield tuple(cells)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
@@ -22,7 +22,6 @@ from prbench.cli import options as opt
 from prbench.cli.commands import Answer, Group, command, note, progress, session
 from prbench.cli.summaries import phi_cell
 from prbench.cli.terminal import print_table, shown_width
-from prbench.entry_points import STUDY_ITEMS, load_built_in
 from prbench.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -57,15 +56,11 @@ class BoardReport(msgspec.Struct, frozen=True, kw_only=True):
         format: ``md``, ``csv`` or ``json``: what ``out`` is written in.
         out: The file; null if the leaderboard was printed.
         board: The leaderboard.
-        published: With ``--with-published``: differences to the study's numbers, on real recordings only.
-        not_beside_published: With ``--with-published``: a sentence for each run beside which no number stands.
     """
 
     format: str
     out: Path | None
     board: Board
-    published: list[Any] = []
-    not_beside_published: tuple[str, ...] = ()
 
 
 @command("export", example=EXAMPLE, report=BoardReport)
@@ -74,16 +69,9 @@ class BoardReport(msgspec.Struct, frozen=True, kw_only=True):
     "--format", type=click.Choice(["md", "csv", "json"]), default="md", help="Markdown (default), CSV or JSON."
 )
 @opt.out_file_option("Write the leaderboard to this file instead of printing it.")
-@click.option(
-    "--with-published",
-    is_flag=True,
-    help="Show the study's numbers behind the measured ones, and how far runs on real recordings are from them.",
-)
 @opt.tables_option
 @opt.workers_option()
-def export(
-    runs: tuple[Path, ...], format: str, out: Path | None, with_published: bool, data: tuple[Path, ...], workers: int
-) -> Answer:
+def export(runs: tuple[Path, ...], format: str, out: Path | None, data: tuple[Path, ...], workers: int) -> Answer:
     """Write a leaderboard of finished runs.
 
     RUN are run folders, or folders that hold some.
@@ -94,20 +82,10 @@ def export(
 
     board = boards.make_leaderboard(opt.collected_runs(runs, data, workers, any_benchmark=True))
     text = boards.export(board, format)
-    published: list[Any] = []
-    without: tuple[str, ...] = ()
-    if with_published:
-        text, published, without = load_built_in(STUDY_ITEMS, "published")(text, board, format)
     if out is not None:
         with sole_writer(out):
             write_text(out, text)
-    report = BoardReport(
-        format=format,
-        out=out,
-        board=as_board(board),
-        published=published,
-        not_beside_published=without,
-    )
+    report = BoardReport(format=format, out=out, board=as_board(board))
     return Answer(report, lambda: print(text, end="") if out is None else print(f"leaderboard: {out}"))
 
 

@@ -170,7 +170,7 @@ def test_synthetic_data_are_called_so(tmp_path):
     write_run(tmp_path / "a")
     board = leaderboard(tmp_path)
     assert re.search(
-        r"^## .*\(synthetic\), `synthetic-adt`: test, 80 sequences, 12 recordings$", export(board, "md"), re.M
+        r"^## .*\(synthetic\), synthetic-adt: test, 80 sequences, 12 recordings$", export(board, "md"), re.M
     )
     assert "scores on synthetic data" in export(board, "md")
     assert all("synthetic" in row["note"] for row in csv.DictReader(io.StringIO(export(board, "csv"))))

@@ -9,7 +9,6 @@ import re
 import shutil
 import subprocess
 
-import msgspec
 import pytest
 
 from prbench.errors import UsageError
@@ -180,8 +179,8 @@ def test_words_stand_in_place_of_numbers_and_dashes_where_nothing_is():
 def test_json_has_the_numbers_of_the_csv():
     [found] = json.loads(as_json([table_of(stamp="SMOKE")]))
     assert (found["number"], found["part"], found["stamp"]) == ("2", "adt, 85 sequences", "SMOKE")
-    assert [value["value"] for value in found["values"]] == [40.0, None]
-    assert found["values"][0]["note"] == "SMOKE"
+    row = found["blocks"][0]["rows"][0]
+    assert [cell["value"] for cell in row["cells"]] == [40.0, None]
 
 
 def test_csv_writes_each_type_in_its_own_way():
@@ -193,17 +192,13 @@ def test_the_column_and_the_cell_of_a_metric_have_its_printed_unit():
     prime = next(info for info in METRICS if info.id == "prime_success")
     assert metric_column(prime).heading == "Prime Success ↑ (%)"
     assert metric_column(prime, with_unit=False).heading == "Prime Success ↑"
-    cell = metric_cell(prime, 0.5, 0.25, 0.75, method="pr")
+    cell = metric_cell(prime.id, prime.unit, 0.5, 0.25, 0.75, method="pr")
     assert (cell.value, cell.low, cell.high, cell.unit, cell.method) == (50.0, 25.0, 75.0, "%", "pr")
-    hidden = metric_cell(prime, None, 0.25, 0.75)
+    hidden = metric_cell(prime.id, prime.unit, None, 0.25, 0.75)
     assert (hidden.value, hidden.low) == (None, None)
 
 
-def test_a_declared_table_is_filled_with_blocks_and_notes():
-    declared = msgspec.convert(
-        {"number": "S2", "title": "Sequences", "columns": [{"key": "n", "title": "n", "digits": 0}], "notes": ["One."]},
-        Table,
-    )
-    filled = declared.filled([Block(rows=()), Block(rows=(Row(text={"n": "3"}),))], ["Two."], part="adt")
-    assert (len(filled.blocks), filled.notes) == (1, ("One.", "Two."))
-    assert filled.heading == "Table S2, Sequences: adt"
+def test_blocks_without_rows_are_left_out():
+    table = Table(number="S2", title="Sequences", part="adt", blocks=(Block(rows=()), Block(rows=(Row(text={}),))))
+    assert len(table.blocks) == 1
+    assert table.heading == "Table S2, Sequences: adt"

@@ -6,8 +6,7 @@ neither their means nor their intervals are a comparison of methods.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -16,206 +15,136 @@ import pyarrow.compute as pc
 from prbench.errors import UsageError
 from prbench.geometry.skeleton import Joint
 from prbench.harness.clusters import FEWEST_FOR_TEST
-from prbench.harness.intervals import Estimate, metric_interval
+from prbench.harness.intervals import metric_interval
 from prbench.harness.run_folder.scores import read_scores
-from prbench.metrics import MAIN_METRICS, MetricInfo, exported_unit
+from prbench.metrics import MAIN_METRICS
 from prbench.sequences import SequenceTable
-from prbench_benchmarks.prime_and_reach.study.document import (
-    DASH,
-    MEASURED,
-    SYNTHETIC,
-    StudyBlock,
-    StudyTable,
-    StudyValue,
-    interval_text,
-)
-from prbench_benchmarks.prime_and_reach.study.genuine import GenuineRun
-from prbench_benchmarks.prime_and_reach.study.settings import load_study_settings
-from prbench_benchmarks.prime_and_reach.study.sizes import SYNTHETIC_NOTE
-from prbench_benchmarks.prime_and_reach.table_two.layout import metric_title
+from prbench.tables import Block, Cell, Column, Row, Table, metric_cell
+from prbench_benchmarks.prime_and_reach.study.genuine import GenuineRun, load_study_settings
+from prbench_benchmarks.prime_and_reach.study.methods import METRIC_COLUMNS
+from prbench_benchmarks.prime_and_reach.study.sizes import SYNTHETIC_NOTE, origin_of
 
-_START_COLUMNS = ["goal_location", "joints"]
+_WORDS = {"action": "action", "hand": "hand", "kind": "prime_kind"}
+"""Columns of words that sequences are grouped by."""
+_UNITS = {"distance": "m", "bearing": "deg", "height": "m", "gap": "s"}
+"""Quantities that sequences are grouped by, and their units; the edges stand in ``study.toml``."""
+GROUPINGS = (*_WORDS, *_UNITS)
+"""What sequences can be grouped by."""
 
 
-@dataclass(frozen=True)
-class GroupScore:
-    """One metric of one group of sequences of one run."""
-
-    run: GenuineRun
-    group: str
-    info: MetricInfo
-    estimate: Estimate
-    """As stored: rates from 0 to 1."""
-
-
-def break_down(runs: Sequence[GenuineRun], by: str) -> list[GroupScore]:
-    """Score each group of sequences of each run.
+def breakdown_table(runs: Sequence[GenuineRun], by: str) -> Table:
+    """Score each group of sequences of each run: a row for each group, a block for each run.
 
     Args:
         runs: Whose scores were held against their motions.
-        by: A key of :data:`GROUPINGS`.
+        by: One of :data:`GROUPINGS`.
 
     Raises:
         UsageError: for an unknown grouping.
     """
     if by not in GROUPINGS:
         raise UsageError(f"--by: unknown '{by}'; the groupings are: {', '.join(GROUPINGS)}.")
-    found = []
-    for run in runs:
-        groups = GROUPINGS[by](run.table)
-        rows = run.table.scalars()
-        recording_of = dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
-        scores = read_scores(run.run.dataset(run.record.dataset).scores)
-        hidden = run.run.record.method.motionless
-        for info in MAIN_METRICS:
-            if hidden and info.irrelevant_if_motionless:
-                continue
-            part = scores.filter(pc.field("metric") == info.id)
-            ids = np.array(part["sequence_id"].to_pylist(), dtype=object)
-            values = part["value"].to_numpy()
-            group_of = np.array([groups[name] for name in ids], dtype=object)
-            recordings = np.array([recording_of[name] for name in ids], dtype=object)
-            for group in _ordered(groups, set(group_of)):
-                chosen = group_of == group
-                estimate = metric_interval(info, values[chosen], recordings[chosen].tolist(), ids[chosen].tolist())
-                found.append(GroupScore(run, group, info, estimate))
-    return found
-
-
-def breakdown_table(scores: Sequence[GroupScore], by: str) -> StudyTable:
-    """Make the numbers of Figure 4 a table: a row for each group, a block for each run."""
     blocks = []
-    for run in dict.fromkeys(one.run for one in scores):
+    few: dict[str, None] = {}
+    for run in runs:
         rows = []
-        own = [one for one in scores if one.run is run]
-        for group in dict.fromkeys(one.group for one in own):
-            cells = {one.info.id: one.estimate for one in own if one.group == group}
-            first = next(iter(cells.values()))
-            counts = f"{first.n_sequences} ({first.n_recordings})"
-            rows.append((group, counts, *(_cell(cells.get(info.id), info) for info in MAIN_METRICS)))
+        for group, cells in _scored_groups(run, by).items():
+            if cells[0].recordings < FEWEST_FOR_TEST:
+                few[group] = None
+            rows.append(
+                Row(
+                    text={"group": group, "counts": f"{cells[0].sequences} ({cells[0].recordings})"}, cells=tuple(cells)
+                )
+            )
         word = ", measured on synthetic data" if run.record.synthetic else ""
-        blocks.append(StudyBlock(f"{run.title}{word}", tuple(rows)))
-    synthetic = any(one.run.record.synthetic for one in scores)
-    few = dict.fromkeys(one.group for one in scores if one.estimate.n_recordings < FEWEST_FOR_TEST)
-    return StudyTable(
+        blocks.append(Block(title=f"{run.title}{word}", rows=tuple(rows)))
+    notes = ["Rates in %, lengths in m; 95 % intervals over the recordings of each group in brackets."]
+    if few:
+        notes.append(f"Cannot be decided, with fewer than {FEWEST_FOR_TEST} recordings: {', '.join(few)}.")
+    notes.append("The study prints no numbers for its Figure 4, so that nothing published stands beside.")
+    if any(run.record.synthetic for run in runs):
+        notes.append(SYNTHETIC_NOTE)
+    return Table(
         number="of Figure 4",
         title=f"scores by {by}",
-        header=(by, "Sequences (recordings)", *(metric_title(info) for info in MAIN_METRICS)),
-        blocks=tuple(blocks),
-        values=tuple(_value(one, by) for one in scores),
-        notes=(
-            "Rates in %, lengths in m; 95 % intervals over the recordings of each group in brackets.",
-            *((f"Cannot be decided, with fewer than {FEWEST_FOR_TEST} recordings: {', '.join(few)}.",) if few else ()),
-            "The study prints no numbers for its Figure 4, so that nothing published stands beside.",
-            *((SYNTHETIC_NOTE,) if synthetic else ()),
+        columns=(
+            Column(key="group", title=by, text=True),
+            Column(key="counts", title="Sequences (recordings)"),
+            *METRIC_COLUMNS,
         ),
+        blocks=tuple(blocks),
+        notes=tuple(notes),
     )
 
 
-def _cell(estimate: Estimate | None, info: MetricInfo) -> str:
-    if estimate is None:
-        return DASH
-    low, high = (None if bound is None else info.scale * bound for bound in (estimate.low, estimate.high))
-    return interval_text(info.scale * estimate.mean, low, high)
+def _scored_groups(run: GenuineRun, by: str) -> dict[str, list[Cell]]:
+    """Map each group of sequences that a run has, in printed order, to its metrics."""
+    group_of, names = groups_of(run.table, by)
+    rows = run.table.scalars()
+    recording_of = dict(zip(rows["sequence_id"].to_pylist(), rows["recording_id"].to_pylist(), strict=True))
+    scores = read_scores(run.run.dataset(run.record.dataset).scores)
+    method = run.run.record.method
+    found: dict[str, list[Cell]] = {name: [] for name in names}
+    for info in MAIN_METRICS:
+        if method.motionless and info.irrelevant_if_motionless:
+            continue
+        part = scores.filter(pc.field("metric") == info.id)
+        ids = np.array(part["sequence_id"].to_pylist(), dtype=object)
+        values = part["value"].to_numpy()
+        groups = np.array([group_of[name] for name in ids], dtype=object)
+        recordings = np.array([recording_of[name] for name in ids], dtype=object)
+        for name in names:
+            chosen = groups == name
+            if not chosen.any():
+                continue
+            estimate = metric_interval(info, values[chosen], recordings[chosen].tolist(), ids[chosen].tolist())
+            cell = metric_cell(
+                info.id,
+                info.unit,
+                estimate.mean,
+                estimate.low,
+                estimate.high,
+                dataset=run.record.dataset,
+                condition=run.run.record.condition,
+                method=method.name,
+                variant=f"{by}: {name}",
+                sequences=estimate.n_sequences,
+                recordings=estimate.n_recordings,
+                origin=origin_of(synthetic=run.record.synthetic),
+                note="; ".join(estimate.marks),
+            )
+            found[name].append(cell)
+    return {name: cells for name, cells in found.items() if cells}
 
 
-def _value(one: GroupScore, by: str) -> StudyValue:
-    estimate = one.estimate
-    scale = one.info.scale
-    return StudyValue(
-        dataset=one.run.record.dataset,
-        condition=one.run.run.record.condition,
-        method=one.run.run.record.method.name,
-        variant=f"{by}: {one.group}",
-        metric=one.info.id,
-        value=scale * estimate.mean,
-        low=None if estimate.low is None else scale * estimate.low,
-        high=None if estimate.high is None else scale * estimate.high,
-        unit=exported_unit(one.info.unit),
-        sequences=estimate.n_sequences,
-        recordings=estimate.n_recordings,
-        origin=SYNTHETIC if one.run.record.synthetic else MEASURED,
-        note="; ".join(estimate.marks),
-    )
-
-
-def _ordered(groups: Mapping[str, str], there: set[str]) -> list[str]:
-    """Return the groups that occur: numbers by size, words by name."""
-    names = list(dict.fromkeys(groups.values()))
-    return [name for name in sorted(names, key=_place) if name in there]
-
-
-def _place(group: str) -> tuple[float, str]:
-    first = group.removeprefix("below ").split()[0]
-    try:
-        # "below 1.0" comes before "1.0 to 2.0", which begins with the same number.
-        return float(first) - group.startswith("below "), group
-    except ValueError:
-        return -np.inf, group
-
-
-def _by_column(name: str) -> Callable[[SequenceTable], dict[str, str]]:
-    def groups(table: SequenceTable) -> dict[str, str]:
-        rows = table.scalars()
-        words = [value or "unknown" for value in rows[name].to_pylist()]
-        return dict(zip(rows["sequence_id"].to_pylist(), words, strict=True))
-
-    return groups
-
-
-def _by_gap(table: SequenceTable) -> dict[str, str]:
+def groups_of(table: SequenceTable, by: str) -> tuple[dict[str, str], list[str]]:
+    """Return the group of each sequence of a table, and all groups: numbers by size, words by name."""
     rows = table.scalars()
-    gaps = rows["prime_gap"].to_numpy()
-    edges = load_study_settings().figure_4.gap_edges
-    return dict(zip(rows["sequence_id"].to_pylist(), _binned(gaps, edges, "s"), strict=True))
-
-
-def _by_distance(table: SequenceTable) -> dict[str, str]:
-    ids, offsets, _ = _starts(table)
-    distance = np.hypot(offsets[:, 0], offsets[:, 2])
-    return dict(zip(ids, _binned(distance, load_study_settings().figure_4.distance_edges, "m"), strict=True))
-
-
-def _by_bearing(table: SequenceTable) -> dict[str, str]:
-    ids, offsets, _ = _starts(table)
-    # In the canonical frame the body faces +Z in its first frame.
-    bearing = np.abs(np.rad2deg(np.arctan2(offsets[:, 0], offsets[:, 2])))
-    return dict(zip(ids, _binned(bearing, load_study_settings().figure_4.bearing_edges, "deg"), strict=True))
-
-
-def _by_height(table: SequenceTable) -> dict[str, str]:
-    ids, _, heights = _starts(table)
-    return dict(zip(ids, _binned(heights, load_study_settings().figure_4.height_edges, "m"), strict=True))
-
-
-def _starts(table: SequenceTable) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Ids, offsets from the first frame's pelvis to the goal (n, 3), and heights of the goal (n,); metres."""
-    ids: list[str] = []
-    offsets = []
-    heights = []
-    for chunk in table.chunks(columns=_START_COLUMNS):
-        goal = chunk.vectors("goal_location")
-        ids += chunk.sequence_ids
-        offsets.append(goal - chunk.joints[chunk.offsets[:-1], Joint.PELVIS])
-        heights.append(goal[:, 1])
-    return ids, np.concatenate(offsets), np.concatenate(heights)
-
-
-def _binned(values: np.ndarray, edges: Sequence[float], unit: str) -> list[str]:
-    """Name the bin of each value; an edge belongs to the bin above it."""
+    ids = rows["sequence_id"].to_pylist()
+    if by in _WORDS:
+        words = [value or "unknown" for value in rows[_WORDS[by]].to_pylist()]
+        return dict(zip(ids, words, strict=True)), sorted(set(words))
+    if by == "gap":
+        values = rows["prime_gap"].to_numpy()
+    else:
+        ids = []
+        parts = []
+        for chunk in table.chunks(columns=["goal_location", "joints"]):
+            goal = chunk.vectors("goal_location")
+            ids += chunk.sequence_ids
+            x, _, z = (goal - chunk.joints[chunk.offsets[:-1], Joint.PELVIS]).T
+            if by == "distance":
+                parts.append(np.hypot(x, z))
+            elif by == "bearing":  # in the canonical frame the body faces +Z in its first frame
+                parts.append(np.abs(np.rad2deg(np.arctan2(x, z))))
+            else:
+                parts.append(goal[:, 1])
+        values = np.concatenate(parts)
+    unit = _UNITS[by]
+    edges = load_study_settings().figure_4[f"{by}_edges"]
     names = [f"below {edges[0]:g} {unit}"]
     names += [f"{low:g} to {high:g} {unit}" for low, high in pairwise(edges)]
     names.append(f"{edges[-1]:g} {unit} and more")
-    return [names[place] for place in np.searchsorted(np.asarray(edges), values, side="right")]
-
-
-GROUPINGS: dict[str, Callable[[SequenceTable], dict[str, str]]] = {
-    "action": _by_column("action"),
-    "hand": _by_column("hand"),
-    "kind": _by_column("prime_kind"),
-    "distance": _by_distance,
-    "bearing": _by_bearing,
-    "height": _by_height,
-    "gap": _by_gap,
-}
-"""What sequences are grouped by; each function maps the ids of a table to names of groups."""
+    # An edge belongs to the bin above it.
+    places = np.searchsorted(np.asarray(edges), values, side="right")
+    return dict(zip(ids, [names[place] for place in places], strict=True)), names

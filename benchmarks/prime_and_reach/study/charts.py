@@ -3,85 +3,74 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
+from prbench.errors import UsageError
+from prbench.metrics import MAIN_METRICS
 from prbench.shown import figure_text
+from prbench.tables import Table, metric_column
 from prbench.viewing.figures import grid_shape, new_figure, require_drawable, write_figure
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from prbench_benchmarks.prime_and_reach.study.sweep import Sweep
 
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown", "tab:pink", "tab:olive")
-MOST_RUNS = len(_COLOURS)
-"""Runs of one chart: each has a colour of its own."""
+_DPI = 110
 _NOTE_SIZE = 7
 
 
-@dataclass(frozen=True)
-class Bar:
-    """One bar with its interval, in the printed unit."""
-
-    run: str
-    group: str
-    mean: float
-    low: float | None
-    high: float | None
-    count: str
-    """Sequences and recordings behind it, in words."""
-
-
-@dataclass(frozen=True)
-class BarPanel:
-    """One metric: bars by group, a colour for each run."""
-
-    title: str
-    bars: tuple[Bar, ...]
-
-
-@dataclass(frozen=True)
-class CurvePanel:
-    """One run: a curve for each window."""
-
-    title: str
-    distances: tuple[float, ...]
-    """δ, metres: the horizontal axis."""
-    windows: tuple[float, ...]
-    """σ, seconds: one curve each."""
-    percent: Float[np.ndarray, "windows distances"]
-
-
-def draw_bars(panels: Sequence[BarPanel], path: Path, *, title: str, foot: str = "", dpi: int = 110) -> None:
-    """Draw metrics side by side, groups along the axis, and an interval on every bar.
+def draw_breakdown(table: Table, path: Path) -> None:
+    """Draw Figure 4: a panel for each metric, groups along the axis, a colour for each run, intervals on the bars.
 
     Args:
-        panels: One a metric.
+        table: Of :func:`prbench_benchmarks.prime_and_reach.study.breakdown.breakdown_table`.
         path: ``.png`` or ``.svg``; replaced when it exists.
-        title: What is shown.
-        foot: What a reader has to know, under the panels.
-        dpi: Resolution of a PNG.
 
     Raises:
-        ValueError: without panels, or with more runs than there are colours.
-        UsageError: for another kind of file.
+        UsageError: for another kind of file, or more runs than there are colours.
         StorageError: if the file cannot be written.
     """
     require_drawable(path)
-    runs = list(dict.fromkeys(bar.run for panel in panels for bar in panel.bars))
-    if not panels or len(runs) > MOST_RUNS:
-        raise ValueError(f"expected panels of 1 to {MOST_RUNS} runs, found {len(panels)} panels of {len(runs)} runs")
-    rows, columns = grid_shape(len(panels), 3)
-    figure = new_figure(4.3 * columns, 3.0 * rows + 0.9, dpi=dpi, layout="constrained")
+    runs = len(table.blocks)
+    if runs > len(_COLOURS):
+        raise UsageError(f"expected at most {len(_COLOURS)} runs in one figure, found {runs}.")
+    shown = {cell.metric for cell in table.cells}
+    metrics = [metric_column(info) for info in MAIN_METRICS if info.id in shown]
+    groups: dict[str, str] = {}
+    for block in table.blocks:
+        groups |= {row.text["group"]: f"{row.text['group']}\n{row.text['counts']}" for row in block.rows}
+    names = list(groups)
+    rows, columns = grid_shape(len(metrics), 3)
+    figure = new_figure(4.3 * columns, 3.0 * rows + 0.9, dpi=_DPI, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for panel, place in zip(panels, axes):
-        _draw_panel(place, panel, runs)
-    for place in axes[len(panels) :]:
+    width = 0.8 / runs
+    for column, place in zip(metrics, axes):
+        for number, (block, colour) in enumerate(zip(table.blocks, _COLOURS)):
+            bars = {
+                names.index(row.text["group"]): cell
+                for row in block.rows
+                for cell in row.cells
+                if cell.metric == column.key
+            }
+            at = np.array(list(bars)) + (number - (runs - 1) / 2) * width
+            means = [cell.value for cell in bars.values()]
+            place.bar(at, means, width=0.92 * width, color=colour, alpha=0.75, label=figure_text(block.title))
+            for x, cell in zip(at, bars.values()):
+                if cell.low is not None and cell.high is not None:
+                    place.plot([x, x], [cell.low, cell.high], color="0.15", linewidth=1.1)
+        place.set_xticks(range(len(names)), [figure_text(label) for label in groups.values()], fontsize=7)
+        place.tick_params(axis="y", labelsize=7)
+        place.set_ylim(bottom=0.0)
+        place.set_title(figure_text(column.heading), fontsize=9, loc="left")
+        for side in ("top", "right"):
+            place.spines[side].set_visible(False)
+    for place in axes[len(metrics) :]:
         place.set_axis_off()
     handles, labels = axes[0].get_legend_handles_labels()
+    foot = (
+        "Lines: 95 % intervals over the recordings (in parentheses) of each group. Groups hold other sequences: overlap"
+        " of intervals is no comparison."
+    )
     # The note is the legend's title, because a note of its own at the lower edge would be drawn over the legend.
     figure.legend(
         handles,
@@ -93,77 +82,52 @@ def draw_bars(panels: Sequence[BarPanel], path: Path, *, title: str, foot: str =
         title=figure_text(foot),
         title_fontsize=_NOTE_SIZE,
     )
-    figure.suptitle(figure_text(title), fontsize=10, x=0.01, ha="left")
+    figure.suptitle(figure_text(table.title.capitalize()), fontsize=10, x=0.01, ha="left")
     write_figure(figure, path)
 
 
-def _draw_panel(axes: Axes, panel: BarPanel, runs: Sequence[str]) -> None:
-    groups = list(dict.fromkeys(bar.group for bar in panel.bars))
-    width = 0.8 / len(runs)
-    counts = {bar.group: bar.count for bar in panel.bars}
-    for number, (run, colour) in enumerate(zip(runs, _COLOURS)):
-        own = [bar for bar in panel.bars if bar.run == run]
-        places = np.array([groups.index(bar.group) for bar in own]) + (number - (len(runs) - 1) / 2) * width
-        means = np.array([bar.mean for bar in own])
-        axes.bar(places, means, width=0.92 * width, color=colour, alpha=0.75, label=figure_text(run))
-        for place, bar in zip(places, own):
-            if bar.low is not None and bar.high is not None:
-                axes.plot([place, place], [bar.low, bar.high], color="0.15", linewidth=1.1)
-    axes.set_xticks(range(len(groups)), [figure_text(f"{group}\n{counts[group]}") for group in groups], fontsize=7)
-    axes.tick_params(axis="y", labelsize=7)
-    axes.set_ylim(bottom=0.0)
-    axes.set_title(figure_text(panel.title), fontsize=9, loc="left")
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-
-
-def draw_sweeps(
-    panels: Sequence[CurvePanel], path: Path, *, title: str, limits: tuple[float, float], foot: str = "", dpi: int = 110
-) -> None:
-    """Draw Prime Success over the distance, a curve for each window.
+def draw_sweep(sweeps: Sequence[Sweep], path: Path) -> None:
+    """Draw Figure S3: Prime Success over the distance, a panel for each run, a curve for each window.
 
     Args:
-        panels: One a run and dataset.
+        sweeps: All of one variant.
         path: ``.png`` or ``.svg``; replaced when it exists.
-        title: What is shown.
-        limits: The protocol's δ and σ, which are marked.
-        foot: What a reader has to know, under the panels.
-        dpi: Resolution of a PNG.
 
     Raises:
-        ValueError: without panels.
         UsageError: for another kind of file.
         StorageError: if the file cannot be written.
     """
     require_drawable(path)
-    if not panels:
-        raise ValueError("expected one panel or more, found none")
     from matplotlib import colormaps
 
-    rows, columns = grid_shape(len(panels), 3)
-    figure = new_figure(4.6 * columns, 3.4 * rows + 0.6, dpi=dpi, layout="constrained")
+    constants = sweeps[0].run.protocol.metrics
+    delta = constants.prime_distance
+    rows, columns = grid_shape(len(sweeps), 3)
+    figure = new_figure(4.6 * columns, 3.4 * rows + 0.6, dpi=_DPI, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
-    for panel, place in zip(panels, axes):
-        shades = colormaps["viridis"](np.linspace(0.0, 0.85, len(panel.windows)))
-        for window, percent, shade in zip(panel.windows, panel.percent, shades, strict=True):
-            chosen = window == limits[1]
+    for one, place in zip(sweeps, axes):
+        shades = colormaps["viridis"](np.linspace(0.0, 0.85, len(one.windows)))
+        for window, rates, shade in zip(one.windows, one.rates, shades, strict=True):
+            chosen = window == constants.prime_window
             label = f"σ = {window:g} s{' (protocol)' if chosen else ''}"
-            place.plot(panel.distances, percent, color=shade, linewidth=2.2 if chosen else 1.3, label=label)
-        place.axvline(limits[0], color="0.5", linewidth=0.9, linestyle="--")
+            place.plot(one.distances, 100 * rates, color=shade, linewidth=2.2 if chosen else 1.3, label=label)
+        place.axvline(delta, color="0.5", linewidth=0.9, linestyle="--")
         place.annotate(
-            f"δ = {limits[0]:g} m", (limits[0], 100.0), xytext=(3, -2), textcoords="offset points", fontsize=7, va="top"
+            f"δ = {delta:g} m", (delta, 100.0), xytext=(3, -2), textcoords="offset points", fontsize=7, va="top"
         )
-        place.set_xlim(panel.distances[0], panel.distances[-1])
+        place.set_xlim(one.distances[0], one.distances[-1])
         place.set_ylim(0.0, 102.0)
         place.set_xlabel("δ (m)", fontsize=8)
         place.set_ylabel("Prime Success (%)", fontsize=8)
         place.tick_params(labelsize=7)
-        place.set_title(figure_text(panel.title), fontsize=9, loc="left")
+        place.set_title(figure_text(f"{one.run.title}, {one.sequences} sequences"), fontsize=9, loc="left")
         place.grid(visible=True, color="0.9")
-    for place in axes[len(panels) :]:
+    for place in axes[len(sweeps) :]:
         place.set_axis_off()
     axes[0].legend(fontsize=7, frameon=False, loc="lower right")
+    title = f"Prime Success ({sweeps[0].variant}) over distance δ and window σ"
     figure.suptitle(figure_text(title), fontsize=10, x=0.01, ha="left")
-    if foot:
-        figure.supxlabel(figure_text(foot), fontsize=_NOTE_SIZE, color="0.35")
+    if any(one.run.record.synthetic for one in sweeps):
+        note = "Synthetic people: says nothing about real ones."
+        figure.supxlabel(figure_text(note), fontsize=_NOTE_SIZE, color="0.35")
     write_figure(figure, path)

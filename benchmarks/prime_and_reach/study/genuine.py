@@ -1,10 +1,16 @@
-"""Finished runs whose scores were held against their motions, with the tables that they were made on."""
+"""Finished runs whose scores were held against their motions, with their tables, and how the study's figures draw them.
+
+Nothing of ``benchmarks/prime_and_reach/study.toml`` decides a score.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+
+import msgspec
 
 from prbench.engine import Engine
 from prbench.errors import RunError, UsageError
@@ -12,9 +18,28 @@ from prbench.harness.first_run import tables_of_runs
 from prbench.harness.run_folder import RunFolder
 from prbench.harness.run_folder.record import TableRecord
 from prbench.harness.verification import RunChecker
-from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
+from prbench.protocol.manifests import BenchmarkProtocol, load_protocol, read_toml
 from prbench.sequences import SequenceTable
 from prbench.shown import clean
+
+
+class StudySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How the study's figures are drawn."""
+
+    windows: tuple[float, ...]
+    """σ of Figure S3, seconds, one curve each."""
+    largest_distance: float
+    """End of its axis, metres."""
+    distance_step: float
+    """Step of its axis, metres."""
+    figure_4: dict[str, tuple[float, ...]]
+    """Edges between the groups of Figure 4: metres, degrees, seconds."""
+
+
+@cache
+def load_study_settings() -> StudySettings:
+    """Read the settings that come with prbench."""
+    return read_toml("prbench_benchmarks.prime_and_reach", "study.toml", StudySettings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,24 +79,15 @@ def genuine_runs(paths: Sequence[Path], data: Sequence[Path], engine: Engine) ->
         if run.record.protocol_digest != runs[0].record.protocol_digest:
             raise RunError(f"{run.path} and {runs[0].path} follow different protocols. Draw them one by one.")
     plain = [f"{clean(run.record.method.name)}, {clean(run.record.condition)}" for run in runs]
-    labels = list(_unique(plain, [clean(run.path.name) for run in runs]))
     found = []
     for table in tables_of_runs(runs, data):
-        for run, label in zip(runs, labels, strict=True):
+        for run, label in zip(runs, plain, strict=True):
             record = next(each for each in run.record.tables if each.dataset == table.info.dataset)
-            found.append(GenuineRun(label, run, record, _checked(run, record, table, engine)))
+            if not run.dataset(record.dataset).finished:
+                raise RunError(f"{run.path}: is not finished on {record.dataset}. Run it again, it resumes.")
+            unverified = RunChecker(lambda _, own=table: own, engine).check(run, record).unverified
+            if unverified:
+                raise RunError(f"{run.path}: cannot be drawn, because {unverified}.")
+            own_label = label if plain.count(label) == 1 else f"{label} ({clean(run.path.name)})"
+            found.append(GenuineRun(own_label, run, record, table))
     return found
-
-
-def _checked(run: RunFolder, record: TableRecord, table: SequenceTable, engine: Engine) -> SequenceTable:
-    if not run.dataset(record.dataset).finished:
-        raise RunError(f"{run.path}: is not finished on {record.dataset}. Run it again, it resumes.")
-    unverified = RunChecker(lambda _: table, engine).check(run, record).unverified
-    if unverified:
-        raise RunError(f"{run.path}: cannot be drawn, because {unverified}.")
-    return table
-
-
-def _unique(labels: Sequence[str], names: Sequence[str]) -> Iterator[str]:
-    for label, name in zip(labels, names, strict=True):
-        yield label if labels.count(label) == 1 else f"{label} ({name})"

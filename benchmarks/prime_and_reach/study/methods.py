@@ -1,71 +1,78 @@
 """Tables 2, S3 and S1: methods on the test sequences of each dataset, a part for each dataset.
 
 The rows come from finished run folders, whose scores are held against their motions (``leaderboard.collect_runs``).
-Rows that do not compare stand in tables of their own, as on a leaderboard. Nothing is bold here: which differences the
-data support is the leaderboard's to say.
+Rows that do not compare stand in tables of their own, as on a leaderboard.
+
+A published number stands only beside a built-in method of the same name under the same condition, run on the test split
+of a table of real recordings. Everything else has no difference: synthetic people are not the study's people.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from math import hypot
+from typing import Any
 
-from prbench.board.tables import DatasetTable, Leaderboard, TableRow, hides, undecided_lines
-from prbench.harness.run_folder.record import CONTROL
-from prbench.metrics import MAIN_METRICS, METRICS, MetricInfo, exported_unit
+from msgspec.structs import replace
+from scipy.stats import binomtest
+
+from prbench.board.collect import LeaderboardRow
+from prbench.board.export import measured_cells, part_title, table_notes
+from prbench.board.tables import DatasetTable, Leaderboard, TableRow, hides
+from prbench.harness.run_folder.record import BUILT_IN, CONTROL
+from prbench.metrics import MAIN_METRICS, METRICS, exported_unit
 from prbench.protocol.published import (
+    DATASETS,
     PublishedNumber,
+    assumptions_for,
     load_assumptions,
     load_published,
     load_table_one,
     published_table,
 )
-from prbench_benchmarks.prime_and_reach.study.beside import (
-    PER_DATASET,
-    Difference,
-    differences,
-    published_variant,
-    why_not_beside,
-)
-from prbench_benchmarks.prime_and_reach.study.document import (
-    DASH,
-    MEASURED,
-    SYNTHETIC,
-    StudyBlock,
-    StudyTable,
-    StudyValue,
-    interval_text,
-)
-from prbench_benchmarks.prime_and_reach.study.sizes import SYNTHETIC_NOTE
-from prbench_benchmarks.prime_and_reach.table_two.layout import metric_title
-from prbench_benchmarks.prime_and_reach.table_two.request import Row, load_table_two
+from prbench.tables import DASH, Block, Cell, Column, Row, Table, metric_column, note_of
+from prbench_benchmarks.prime_and_reach.study.sizes import SYNTHETIC_NOTE, origin_of
+from prbench_benchmarks.prime_and_reach.table_two.request import StudyRow, load_table_two, study_place
 
 _INFOS = {info.id: info for info in METRICS}
-_INTERVALS = "Rates in %, Goal MPJPE and MPJPE in m; 95 % intervals over recordings in brackets."
-_PUBLISHED_INTERVALS = (
+METRIC_COLUMNS = tuple(metric_column(info, in_study=True, with_unit=False) for info in MAIN_METRICS)
+"""Columns of the main metrics as the study prints them."""
+_COLUMNS = (
+    Column(key="condition", title="Condition", text=True),
+    Column(key="method", title="Method", text=True),
+    *METRIC_COLUMNS,
+)
+_DIFFERENCES = (
     "Intervals of differences: the measured number's by recordings; a published rate's as if its sequences were"
     " independent; a published length counts as exact."
 )
+_MARKS = "†: zero-shot; ‡: zero-shot, trained on HumanML3D; *: zero-shot, trained on Nymeria; no mark: fine-tuned."
+_STANDS_IN = "small bundled weights, trained on synthetic people alone, stand in for the study's"
+_UNKNOWN_WEIGHTS = "what its weights were trained on is not known; compared with the study's fine-tuned row"
+_FINE_TUNED = "fine-tuned"
+_PER_DATASET = "fine-tuned per dataset"
 _SUFFIXES = {"-egoallo": "EgoAllo poses", "-mocap": "mocap poses"}
 """Ends of the names of weights in Table S1, and what they were trained on."""
 _ESTIMATED = "egoallo"
 """Pose source of bodies that were estimated from what the wearer's glasses saw."""
 
 
-def methods_table(board: Leaderboard, number: str, *, with_published: bool) -> list[StudyTable]:
-    """Make Table 2 or Table S3, one part for each dataset and way of scoring.
+def methods_table(board: Leaderboard, number: str, *, with_published: bool, named: bool = False) -> list[Table]:
+    """Make Table 2 or Table S3, one part for each dataset and way of scoring, in the study's order.
 
     Args:
         board: Of finished runs.
         number: ``2`` for one model for all datasets, ``S3`` for a model for each.
         with_published: Show the study's rows in a block of their own and, on real recordings, the differences.
+        named: Each run stands for the row of the study after which its folder is named, whatever its weights are.
     """
-    return [_part(table, number, with_published=with_published) for table in board.tables]
+    tables = sorted(board.tables, key=lambda table: study_place(table.dataset))
+    return [_part(table, number, with_published=with_published, named=named) for table in tables]
 
 
 def poses_table(
     board: Leaderboard, pose_sources: Callable[[DatasetTable], Sequence[str]], *, with_published: bool
-) -> list[StudyTable]:
+) -> list[Table]:
     """Make Table S1: runs by the poses that they were trained and tested on.
 
     Args:
@@ -79,236 +86,191 @@ def poses_table(
         tested = "unknown poses"
         if sources:
             tested = "EgoAllo poses" if _ESTIMATED in sources else "mocap poses"
-        blocks = [
-            StudyBlock(
-                measured_title(table),
-                tuple(
-                    _line(row, row.entry.record.condition, f"{row.entry.method}, {_trained_on(row)}")
-                    for row in table.rows
-                ),
-            )
-        ]
-        values = [
-            replace(value, variant=f"{_trained_on(row)}; tested on {tested}")
-            for row in table.rows
-            for value in measured_values(row, table)
-        ]
+        rows = []
+        for row in table.rows:
+            weights = (row.entry.record.method.weights or "").removesuffix(".safetensors")
+            known = (poses for suffix, poses in _SUFFIXES.items() if weights.endswith(suffix))
+            trained = f"trained on {next(known, '')}"
+            if trained == "trained on ":
+                trained = f"trained on unknown poses ({weights or 'no weights'})"
+            label = f"{row.entry.method}, {trained}"
+            variant = f"{trained}; tested on {tested}"
+            rows.append(measured_row(row, table, row.entry.record.condition, label, variant=variant))
+        blocks = [Block(title=measured_title(table), rows=tuple(rows))]
         if with_published:
             numbers = [each for each in load_published("S1") if each.variant.endswith(f"tested on {tested}")]
-            rows = _published_rows(numbers, lambda each: each.variant.partition(";")[0])
-            blocks.append(StudyBlock(_published_title("S1", "adt", table), rows))
-            values += [published_value(number) for number in numbers]
+            published = published_rows(numbers, lambda each: each.variant.partition(";")[0])
+            blocks.append(Block(title=_published_title("S1", "adt", table), rows=published))
+        said = "What a model was trained on follows from the name of its weights: it ends in -egoallo or -mocap."
         parts.append(
-            StudyTable(
+            Table(
                 number="S1",
                 title=published_table("S1").title,
                 dataset=table.dataset,
                 part=f"{table.dataset}, tested on {tested}",
-                header=_header(),
-                blocks=tuple(block for block in blocks if block.rows),
-                values=tuple(values),
-                text_columns=2,
-                notes=(
-                    "What a model was trained on follows from the name of its weights: it ends in -egoallo or -mocap.",
-                    *_notes(table, "S1", ()),
-                ),
+                columns=_COLUMNS,
+                blocks=tuple(blocks),
+                notes=(said, *table_notes(table), *_why_not_beside_notes(table)),
             )
         )
     return parts
 
 
-def _part(table: DatasetTable, number: str, *, with_published: bool) -> StudyTable:
+def _part(table: DatasetTable, number: str, *, with_published: bool, named: bool) -> Table:
     """Make one dataset's part."""
-    placed, others = _placed(table, number)
-    lines = [
-        _line(row, _condition_title(study.condition.value), _study_label(study, row, placed)) for study, row in placed
+    # Runs in the study's places, in its order, and all other runs.
+    placed: list[tuple[StudyRow, TableRow]] = []
+    taken: set[str] = set()
+    for study in load_table_two().rows:
+        for row in table.rows:
+            stands = row.entry.run == study.name if named else _stands_for(row, study, number)
+            if stands and row.entry.run not in taken:
+                placed.append((study, row))
+                taken.add(row.entry.run)
+    rows = []
+    for study, row in placed:
+        # Where several runs stand for one row, or options were given, the label says what tells them apart.
+        label = study.label
+        options = ", ".join(f"{key}={value}" for key, value in sorted(row.entry.record.method.options.items()))
+        if sum(other == study for other, _ in placed) > 1:
+            label = f"{study.label} ({row.variant})"
+        elif options:
+            label = f"{study.label} ({options})"
+        rows.append(measured_row(row, table, condition_title(study.condition.value), label))
+    others = []
+    for row in table.rows:
+        if row.entry.run not in taken:
+            is_control = row.entry.record.method.kind == CONTROL
+            condition = "control" if is_control else condition_title(row.entry.record.condition)
+            label = f"{row.entry.method} ({row.variant})" if row.variant else row.entry.method
+            others.append(measured_row(row, table, condition, label))
+    blocks = [
+        Block(title=measured_title(table), rows=tuple(rows)),
+        Block(
+            title="Beside the study's rows: controls, and methods or weights that it does not have", rows=tuple(others)
+        ),
     ]
-    blocks = [StudyBlock(measured_title(table), tuple(lines))]
-    beside = tuple(_line(row, _shown_condition(row), _label(row)) for row in others)
-    blocks.append(StudyBlock("Beside the study's rows: controls, and methods or weights that it does not have", beside))
-    values = [value for _, row in placed for value in measured_values(row, table)]
-    values += [value for row in others for value in measured_values(row, table)]
-    found: tuple[Difference, ...] = ()
+    notes = list(table_notes(table))
+    if any(study.label[-1] in "†‡*" for study, _ in placed):
+        notes.append(_MARKS)
+    for row in table.rows:
+        variant = published_variant(row.entry, number)
+        if variant is not None and variant[1]:
+            notes.append(f"{row.entry.method} ({row.variant}): {variant[1]}.")
+    found: list[tuple[Cell, tuple[str, ...]]] = []
     if with_published:
         dataset = table.dataset.removeprefix("synthetic-")
         numbers = [each for each in load_published(number) if each.dataset == dataset]
-        blocks.append(StudyBlock(_published_title(number, dataset, table), _published_rows(numbers, _published_label)))
-        values += [published_value(each) for each in numbers]
+        published = published_rows(numbers, _published_label)
+        blocks.append(Block(title=_published_title(number, dataset, table), rows=published))
         found = differences([row for _, row in placed], number)
-        blocks.append(StudyBlock("Measured minus published", _difference_rows(found)))
-        values += [_difference_value(each) for each in found]
-    return StudyTable(
+        blocks.append(_difference_block(found))
+    if found:
+        notes.append(_DIFFERENCES)
+        notes += dict.fromkeys(f"{cell.method}: {remark}" for cell, remarks in found for remark in remarks)
+        known = {each.id for cell, _ in found for each in assumptions_for((cell.metric,))}
+        for each in load_assumptions():
+            if each.id in known:
+                titles = ", ".join(_INFOS[metric].title for metric in each.metrics)
+                notes.append(f"Could explain a difference in {titles}: {each.text}")
+        notes += published_table(number).notes
+    else:
+        notes += _why_not_beside_notes(table)
+    return Table(
         number=number,
         title=published_table(number).title,
         dataset=table.dataset,
         part=part_title(table),
-        header=_header(),
-        blocks=tuple(block for block in blocks if block.rows),
-        values=tuple(values),
-        text_columns=2,
-        notes=tuple(_notes(table, number, found)),
+        columns=_COLUMNS,
+        blocks=tuple(blocks),
+        notes=tuple(notes),
     )
 
 
-def _placed(table: DatasetTable, number: str) -> tuple[list[tuple[Row, TableRow]], list[TableRow]]:
-    """Return runs in the study's places, in its order, and all other runs."""
-    placed: list[tuple[Row, TableRow]] = []
-    taken: set[str] = set()
-    for study in load_table_two().rows:
-        for row in table.rows:
-            if row.entry.run not in taken and _stands_for(row, study, number):
-                placed.append((study, row))
-                taken.add(row.entry.run)
-    return placed, [row for row in table.rows if row.entry.run not in taken]
-
-
-def _stands_for(row: TableRow, study: Row, number: str) -> bool:
+def _stands_for(row: TableRow, study: StudyRow, number: str) -> bool:
     """Return True if a run is of this row of the study; other weights than the study's have to be bundled ones."""
     entry = row.entry
     if (entry.method, entry.record.condition) != (study.method, study.condition.value):
         return False
     named = published_variant(entry, number)
-    if named is None or named[1].startswith("what its weights"):
-        return False
+    return named is not None and named[1] != _UNKNOWN_WEIGHTS and named[0] == _variant_in(study, number)
+
+
+def _variant_in(study: StudyRow, number: str) -> str:
+    """Return the variant of a row in the words of a published table."""
     variant = load_table_two().weights[study.weights].variant
-    return named[0] == (PER_DATASET if number == "S3" and variant == "fine-tuned" else variant)
+    return _PER_DATASET if number == "S3" and variant == _FINE_TUNED else variant
 
 
-def _study_label(study: Row, row: TableRow, placed: Sequence[tuple[Row, TableRow]]) -> str:
-    """Return the study's label, with what tells runs apart where several stand for one row or options were given."""
-    several = sum(other == study for other, _ in placed) > 1
-    options = dict(row.entry.record.method.options)
-    if several:
-        return f"{study.label} ({row.variant})"
-    if options:
-        return f"{study.label} ({', '.join(f'{key}={value}' for key, value in sorted(options.items()))})"
-    return study.label
+def measured_row(
+    row: TableRow, table: DatasetTable, condition: str, label: str, /, *, note: str = "", **about: Any
+) -> Row:
+    """Return the row of a run, with all its metrics.
+
+    Args:
+        row: The run.
+        table: It stands in this table.
+        condition: As printed.
+        label: Name of the row as printed.
+        note: Stands before the notes of each cell.
+        about: Other fields of each cell.
+    """
+    marks = ", ".join(filter(None, (row.entry.summary.symbols, "unverified" if row.entry.unverified else "")))
+    unverified = f"unverified: {row.entry.unverified}" if row.entry.unverified else ""
+    cells = measured_cells(row, table, origin=origin_of(synthetic=table.synthetic), **about)
+    if note or unverified:
+        cells = tuple(replace(cell, note=note_of(note, cell.note, unverified)) for cell in cells)
+    return Row(text={"condition": condition, "method": f"{label} ({marks})" if marks else label}, cells=cells)
 
 
-def _header() -> tuple[str, ...]:
-    return ("Condition", "Method", *(metric_title(info) for info in MAIN_METRICS))
+def published_rows(numbers: Sequence[PublishedNumber], label: Callable[[PublishedNumber], str]) -> tuple[Row, ...]:
+    """Return the study's rows, with their digits as printed.
 
-
-def _line(row: TableRow, condition: str, label: str) -> tuple[str, ...]:
-    marks = [part for part in (row.entry.summary.symbols, "unverified" if row.entry.unverified else "") if part]
-    shown = f"{label} ({', '.join(marks)})" if marks else label
-    return (condition, shown, *measured_cells(row))
-
-
-def measured_cells(row: TableRow) -> tuple[str, ...]:
-    """Return the main metrics of a run with their intervals, as printed."""
-    return tuple(_cell(row, info) for info in MAIN_METRICS)
-
-
-def _cell(row: TableRow, info: MetricInfo) -> str:
-    metric = row.entry.metric(info.id)
-    if metric is None or hides(row.entry, info):
-        return DASH
-    low, high = (None if bound is None else info.scale * bound for bound in (metric.low, metric.high))
-    return interval_text(info.scale * metric.mean, low, high)
-
-
-def measured_values(row: TableRow, table: DatasetTable) -> Iterable[StudyValue]:
-    """Yield all metrics of a run, in printed units."""
-    for metric in row.entry.summary.metrics:
-        info = _INFOS.get(metric.metric)
-        if info is None:
-            continue
-        hidden = hides(row.entry, info)
-        notes = [
-            *metric.marks,
-            f"common {table.sequences} of {table.of} sequences" if table.of else "",
-            f"own protocol {table.protocol}" if table.protocol else "",
-            row.entry.mark,
-            f"unverified: {row.entry.unverified}" if row.entry.unverified else "",
-        ]
-        yield StudyValue(
-            dataset=table.dataset,
-            condition=row.entry.record.condition,
-            method=row.entry.method,
-            variant=row.variant,
-            metric=metric.metric,
-            value=None if hidden else info.scale * metric.mean,
-            low=None if hidden or metric.low is None else info.scale * metric.low,
-            high=None if hidden or metric.high is None else info.scale * metric.high,
-            unit=exported_unit(info.unit),
-            sequences=metric.sequences,
-            recordings=metric.recordings,
-            detectable=None if hidden or metric.detectable is None else info.scale * metric.detectable,
-            origin=SYNTHETIC if table.synthetic else MEASURED,
-            note="; ".join(part for part in notes if part),
-        )
-
-
-def _published_rows(
-    numbers: Sequence[PublishedNumber], label: Callable[[PublishedNumber], str]
-) -> tuple[tuple[str, ...], ...]:
-    cells: dict[tuple[str, str], dict[str, str]] = {}
+    Args:
+        numbers: In printed order.
+        label: Gives the label of a number's row.
+    """
+    found: dict[tuple[str, str], list[PublishedNumber]] = {}
     for number in numbers:
-        key = (_condition_title(number.condition), label(number))
-        cells.setdefault(key, {})[number.metric] = number.printed or DASH
-    return tuple((*key, *(found.get(info.id, DASH) for info in MAIN_METRICS)) for key, found in cells.items())
+        found.setdefault((condition_title(number.condition), label(number)), []).append(number)
+    rows = []
+    for (condition, name), own in found.items():
+        cells = tuple(
+            Cell(
+                dataset=number.dataset,
+                condition=number.condition,
+                method=number.method,
+                variant=number.variant,
+                metric=number.metric,
+                value=number.value,
+                unit=exported_unit(_INFOS[number.metric].unit),
+                sequences=load_table_one()[number.dataset].test,
+                origin=number.source,
+                note=number.note,
+            )
+            for number in own
+        )
+        printed = {number.metric: number.printed or DASH for number in own}
+        rows.append(Row(text={"condition": condition, "method": name} | printed, cells=cells))
+    return tuple(rows)
 
 
 def _published_label(number: PublishedNumber) -> str:
     """Return the study's own label of a row."""
-    table = load_table_two()
-    for row in table.rows:
-        variant = table.weights[row.weights].variant
-        if number.table == "S3" and variant == "fine-tuned":
-            variant = PER_DATASET
+    for row in load_table_two().rows:
+        variant = _variant_in(row, number.table)
         if (row.method, row.condition.value, variant) == (number.method, number.condition, number.variant):
             return row.label
     return f"{number.method}, {number.variant}"
 
 
-def published_value(number: PublishedNumber) -> StudyValue:
-    """Return a published cell as a row of the table's CSV."""
-    return StudyValue(
-        dataset=number.dataset,
-        condition=number.condition,
-        method=number.method,
-        variant=number.variant,
-        metric=number.metric,
-        value=number.value,
-        unit=exported_unit(_INFOS[number.metric].unit),
-        sequences=load_table_one()[number.dataset].test,
-        origin=number.source,
-        note=number.note,
-    )
-
-
-def _difference_rows(found: Sequence[Difference]) -> tuple[tuple[str, ...], ...]:
-    rows: dict[tuple[str, str], dict[str, str]] = {}
-    for one in found:
-        mark = "" if one.verified else " (unverified)"
-        key = (_condition_title(one.condition), f"{one.method}, {one.published_variant}{mark}")
-        rows.setdefault(key, {})[one.metric] = interval_text(one.difference, one.low, one.high, sign=True)
-    return tuple((*key, *(cells.get(info.id, DASH) for info in MAIN_METRICS)) for key, cells in rows.items())
-
-
-def _difference_value(one: Difference) -> StudyValue:
-    return StudyValue(
-        dataset=one.dataset,
-        condition=one.condition,
-        method=one.method,
-        variant=one.published_variant,
-        metric=one.metric,
-        value=one.difference,
-        low=one.low,
-        high=one.high,
-        unit=one.unit,
-        sequences=one.sequences,
-        origin=f"measured - {one.source}",
-        note="; ".join(("assumptions: " + ", ".join(one.assumptions), *one.remarks)),
-    )
-
-
-def part_title(table: DatasetTable) -> str:
-    """Return the data and the rules behind a part in words."""
-    of = f" (of {table.of}: those that every method generated)" if table.of else ""
-    own = f", own protocol {table.protocol}" if table.protocol else ""
-    return f"{table.title} ({table.dataset}), {table.sequences} sequences{of} of {table.recordings} recordings{own}"
+def _difference_block(found: Sequence[tuple[Cell, tuple[str, ...]]]) -> Block:
+    cells: dict[tuple[str, str], list[Cell]] = {}
+    for cell, remarks in found:
+        mark = " (unverified)" if any(remark.startswith("unverified") for remark in remarks) else ""
+        cells.setdefault((condition_title(cell.condition), f"{cell.method}, {cell.variant}{mark}"), []).append(cell)
+    rows = [Row(text={"condition": key[0], "method": key[1]}, cells=tuple(own)) for key, own in cells.items()]
+    return Block(title="Measured minus published", rows=tuple(rows), signed=True)
 
 
 def measured_title(table: DatasetTable) -> str:
@@ -325,66 +287,143 @@ def _published_title(number: str, dataset: str, table: DatasetTable) -> str:
     return f"{base}: of real people, not comparable with the synthetic ones above" if table.synthetic else base
 
 
-def table_notes(table: DatasetTable) -> Iterable[str]:
-    """Yield what a reader of measured rows has to know, whatever stands beside them."""
-    yield _INTERVALS
-    if table.protocol:
-        yield f"Scored under a protocol of the user's own, {table.protocol}: no measured number here is the study's."
-    if table.of:
-        yield (
-            f"Of {table.of} sequences, those that every method generated; longer ones than a method can generate are"
-            f" left out for all: {', '.join(table.shortest)}."
-        )
+def _why_not_beside_notes(table: DatasetTable) -> Iterable[str]:
     if table.synthetic:
         yield SYNTHETIC_NOTE
-    yield from undecided_lines(table)
-    for row in table.rows:
-        if row.entry.mark:
-            yield f"{row.entry.method} {row.entry.mark}."
-        if row.entry.summary.edge_arrivals:
-            yield f"{row.entry.method}: {row.entry.summary.edge_arrivals}."
-        if row.entry.unverified:
-            yield f"{row.entry.method} ({row.entry.run}): unverified, because {row.entry.unverified}."
+    for reason in filter(None, dict.fromkeys(why_not_beside(row.entry) for row in table.rows)):
+        yield f"No difference to a published number for {reason}."
 
 
-def _notes(table: DatasetTable, number: str, found: Sequence[Difference]) -> Iterable[str]:
-    yield from table_notes(table)
-    for row in table.rows:
-        named = published_variant(row.entry, number) if number in ("2", "S3") else None
-        if named is not None and named[1]:
-            yield f"{row.entry.method} ({row.variant}): {named[1]}."
-    if not found:
-        reasons = dict.fromkeys(why_not_beside(row.entry) for row in table.rows)
-        for reason in filter(None, reasons):
-            yield f"No difference to a published number for {reason}."
-        return
-    yield _PUBLISHED_INTERVALS
-    yield from dict.fromkeys(f"{one.method}: {remark}" for one in found for remark in one.remarks)
-    named = {name for one in found for name in one.assumptions}
-    for each in load_assumptions():
-        if each.id in named:
-            titles = ", ".join(_INFOS[metric].title for metric in each.metrics)
-            yield f"Could explain a difference in {titles}: {each.text}"
-    yield from published_table(number).notes
-
-
-def _condition_title(condition: str) -> str:
+def condition_title(condition: str) -> str:
+    """Return the study's title of a condition; other words as they are."""
     titles = {block.condition.value: block.title for block in load_table_two().blocks}
     return titles.get(condition, condition)
 
 
-def _shown_condition(row: TableRow) -> str:
-    is_control = row.entry.record.method.kind == CONTROL
-    return "control" if is_control else _condition_title(row.entry.record.condition)
+# Measured beside published: which run may stand where, the difference, its interval, and what could explain it.
 
 
-def _label(row: TableRow) -> str:
-    return f"{row.entry.method} ({row.variant})" if row.variant else row.entry.method
+def published_variant(entry: LeaderboardRow, table: str = "2") -> tuple[str, str] | None:
+    """Return the study's variant that a run stands for, and what has to be said of that; None if it has no row.
+
+    Args:
+        entry: A run on one dataset.
+        table: ``2``, or ``S3`` for weights that were trained on one dataset.
+    """
+    if entry.record.method.kind != BUILT_IN or entry.is_control:
+        return None
+    key = (entry.method, entry.record.condition)
+    rows = [row for row in load_table_two().rows if (row.method, row.condition.value) == key]
+    used = (entry.record.method.weights or "").removesuffix(".safetensors")
+    for row in rows:
+        weights = load_table_two().weights[row.weights]
+        if table == "S3" and weights.variant == _FINE_TUNED:
+            if used == f"{row.weights}-{entry.summary.dataset}":
+                return _PER_DATASET, ""
+            continue
+        if weights.state == "none" or used == row.weights:
+            return weights.variant, ""
+        if used == row.bundled:
+            return weights.variant, _STANDS_IN
+    if rows and table == "2":
+        return _FINE_TUNED, _UNKNOWN_WEIGHTS
+    return None
 
 
-def _trained_on(row: TableRow) -> str:
-    weights = (row.entry.record.method.weights or "").removesuffix(".safetensors")
-    for suffix, poses in _SUFFIXES.items():
-        if weights.endswith(suffix):
-            return f"trained on {poses}"
-    return f"trained on unknown poses ({weights or 'no weights'})"
+def why_not_beside(entry: LeaderboardRow) -> str | None:
+    """Return why no published number stands beside a run, or None if one may."""
+    reasons = {
+        "scores on synthetic data, or on a dataset that the study does not have": (
+            entry.summary.synthetic or entry.summary.dataset not in DATASETS
+        ),
+        f"split '{entry.record.split}', the study scores its test split": entry.record.split != "test",
+        f"a protocol of the user's own, {entry.protocol}": bool(entry.protocol),
+        "its numbers on the common sequences, since those on all of them stand beside the study's": (
+            entry.only is not None and not entry.table.unsupported
+        ),
+        "a control of the harness": entry.is_control,
+        "a method that generates gaze, which the study's do not": entry.record.method.gaze,
+        "motions with an option that the study has not": not entry.record.is_usual,
+        "recorded motions, not a method's": entry.summary.hands_in_recordings,
+    }
+    return next((reason for reason, holds in reasons.items() if holds), None)
+
+
+def differences(rows: Iterable[TableRow], table: str = "2") -> list[tuple[Cell, tuple[str, ...]]]:
+    """Compare measured rows with the published ones.
+
+    Args:
+        rows: Of a leaderboard.
+        table: ``2`` or ``S3``.
+
+    Returns:
+        Each difference, measured - published, with remarks on what could explain it beside the assumptions.
+    """
+    found = []
+    for row in rows:
+        named = published_variant(row.entry, table)
+        if named is None or why_not_beside(row.entry) is not None:
+            continue
+        wanted = (row.entry.summary.dataset, row.entry.record.condition, row.entry.method, named[0])
+        for number in load_published(table):
+            if (number.dataset, number.condition, number.method, number.variant) == wanted:
+                remarks = tuple(_remarks(row.entry, number, named[1]))
+                cell = _difference(row, number, remarks)
+                if cell is not None:
+                    found.append((cell, remarks))
+    return found
+
+
+def _difference(row: TableRow, number: PublishedNumber, remarks: tuple[str, ...]) -> Cell | None:
+    info = _INFOS[number.metric]
+    metric = row.entry.metric(number.metric)
+    if metric is None or number.value is None or hides(row.entry, info):
+        return None
+    published = number.value
+    measured = info.scale * metric.mean
+    low = None
+    high = None
+    if metric.low is not None and metric.high is not None:
+        # Bound the difference: squares of both distances to the bounds add up (MOVER, Zou and Donner 2008).
+        below = published
+        above = published
+        if info.unit == "rate":
+            theirs = load_table_one()[number.dataset].test
+            wilson = binomtest(round(published / 100 * theirs), theirs).proportion_ci(method="wilson")
+            below = min(published, 100 * wilson.low)
+            above = max(published, 100 * wilson.high)
+        low = measured - published - hypot(measured - info.scale * metric.low, above - published)
+        high = measured - published + hypot(info.scale * metric.high - measured, published - below)
+    assumptions = ", ".join(each.id for each in assumptions_for((number.metric,)))
+    return Cell(
+        dataset=number.dataset,
+        condition=number.condition,
+        method=number.method,
+        variant=number.variant,
+        metric=number.metric,
+        value=measured - published,
+        low=low,
+        high=high,
+        unit=exported_unit(info.unit),
+        sequences=metric.sequences,
+        origin=f"measured - {number.source}",
+        note="; ".join((f"assumptions: {assumptions}", *remarks)),
+    )
+
+
+def _remarks(entry: LeaderboardRow, number: PublishedNumber, said: str) -> Iterable[str]:
+    theirs = load_table_one()[number.dataset].test
+    if said:
+        yield said
+    if entry.summary.sequences != theirs:
+        yield f"{entry.summary.sequences} test sequences, the study has {theirs}"
+    if unsupported := entry.summary.unsupported or entry.table.unsupported:
+        yield f"{unsupported} sequences are left out, as longer than the method can generate"
+    if entry.record.samples > 1:
+        yield f"{entry.record.samples} samples a sequence"
+    if entry.mark:
+        yield entry.mark
+    if entry.unverified:
+        yield f"unverified: {entry.unverified}"
+    if number.note.startswith("inconsistent"):
+        yield f"the published cell is odd: {number.note}"

@@ -5,101 +5,98 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from prbench.datasets import SYNTHETIC_PREFIX
-from prbench.protocol.published import DATASETS, QUANTITIES, Spread, cite, load_table_one, published_table
+from prbench.protocol.published import DATASETS, QUANTITIES, cite, load_table_one, published_table
 from prbench.sequences import SequenceTable
-from prbench.sequences.table import TableStatistics, table_statistics
-from prbench_benchmarks.prime_and_reach.study.document import (
-    DASH,
-    MEASURED,
-    SYNTHETIC,
-    StudyBlock,
-    StudyTable,
-    StudyValue,
-)
+from prbench.sequences.table import table_statistics
+from prbench.tables import Block, Cell, Column, Row, Table
 
-_TITLES = {
-    "duration": "Duration (s)",
-    "prime_gap": "Prime gap (s)",
-    "body_movement": "Body movement (m)",
-    "hand_movement": "Hand movement (m)",
-}
+MEASURED = "measured"
+SYNTHETIC = "measured on synthetic data"
 SYNTHETIC_NOTE = "Numbers of synthetic data say nothing about real people; never compare them with published ones."
+_TITLES = {
+    "duration": "Duration",
+    "prime_gap": "Prime gap",
+    "body_movement": "Body movement",
+    "hand_movement": "Hand movement",
+}
+_SPLITS = ("train", "validation", "test")
 
 
-def table_one(tables: Sequence[SequenceTable]) -> StudyTable:
+def table_one(tables: Sequence[SequenceTable]) -> Table:
     """Make Table 1: numbers of sequences, and four quantities as mean ± standard deviation over sequences."""
-    statistics = [table_statistics(table) for table in tables]
-    header = ("Dataset", "Body pose", "Sequences", *_TITLES.values())
-    measured = tuple(
-        (each.dataset, ", ".join(each.pose_sources), str(each.sequences), *_measured_spreads(each))
-        for each in statistics
+    measured = []
+    for table in tables:
+        each = table_statistics(table)
+        about = {
+            "dataset": each.dataset,
+            "recordings": len(set(table.scalars()["recording_id"].to_pylist())),
+            "origin": origin_of(synthetic=table.info.synthetic),
+        }
+        cells = [Cell(metric="n_sequences", variant="total", value=float(each.sequences), **about)]
+        for name, unit in QUANTITIES.items():
+            spread = each.spread(name) if each.sequences else None
+            value, sd = (None, None) if spread is None else (spread.mean, spread.sd)
+            cells.append(Cell(metric=name, value=value, sd=sd, unit=unit, sequences=each.sequences, **about))
+        words = {"dataset": each.dataset, "poses": ", ".join(each.pose_sources)}
+        measured.append(Row(text=words, cells=tuple(cells)))
+    published = []
+    for name in _published_names(tables):
+        row = load_table_one()[name]
+        about = {"dataset": name, "origin": f"published: {cite('1')}"}
+        cells = [Cell(metric="n_sequences", value=float(row.sequences), **about)]
+        for quantity, unit in QUANTITIES.items():
+            spread = getattr(row, quantity)
+            cells.append(
+                Cell(metric=quantity, value=spread.mean, sd=spread.sd, unit=unit, sequences=row.sequences, **about)
+            )
+        published.append(Row(text={"dataset": name}, cells=tuple(cells)))
+    columns = (
+        Column(key="dataset", title="Dataset", text=True),
+        Column(key="poses", title="Body pose", text=True),
+        Column(key="n_sequences", title="Sequences", digits=0),
+        *(Column(key=name, title=title, unit=QUANTITIES[name]) for name, title in _TITLES.items()),
     )
-    names = _published_names(tables)
-    published = tuple((name, "", str(load_table_one()[name].sequences), *_published_spreads(name)) for name in names)
-    values = [value for table, each in zip(tables, statistics) for value in _measured_values(table, each)]
-    values += [value for name in names for value in _published_values(name)]
-    return StudyTable(
-        number="1",
-        title=published_table("1").title,
-        header=header,
-        blocks=_blocks("1", tables, measured, published),
-        values=tuple(values),
-        text_columns=2,
-        notes=(
-            "Mean ± standard deviation over sequences.",
-            *published_table("1").notes,
-            *_synthetic_notes(tables),
-        ),
-    )
+    return _table("1", tables, columns, measured, published, "Mean ± standard deviation over sequences.")
 
 
-def table_s2(tables: Sequence[SequenceTable]) -> StudyTable:
+def table_s2(tables: Sequence[SequenceTable]) -> Table:
     """Make Table S2: sequences of each split, beside the recordings that they come from.
 
     The study has no validation split: sequences of ours stand in a column of their own.
     """
     measured = []
-    values = []
     for table in tables:
         rows = table.scalars()
-        splits = rows["split"].to_pylist()
-        recordings = rows["recording_id"].to_pylist()
-        counts = {split: splits.count(split) for split in ("train", "validation", "test")}
+        pairs = list(zip(rows["split"].to_pylist(), rows["recording_id"].to_pylist()))
+        words = {"dataset": table.info.dataset}
         cells = []
-        for split, count in counts.items():
-            held = len({name for name, of in zip(recordings, splits) if of == split})
-            cells.append(f"{count} ({held})")
-            values.append(_count(table, split, count, recordings=held))
-        values.append(_count(table, "total", len(splits), recordings=len(set(recordings))))
-        measured.append((table.info.dataset, *cells, f"{len(splits)} ({len(set(recordings))})"))
+        for split in (*_SPLITS, "total"):
+            held = [recording for own, recording in pairs if split in (own, "total")]
+            recordings = len(set(held))
+            words[split] = f"{len(held)} ({recordings})"
+            about = {"recordings": recordings, "origin": origin_of(synthetic=table.info.synthetic)}
+            value = float(len(held))
+            cells.append(Cell(dataset=table.info.dataset, variant=split, metric="n_sequences", value=value, **about))
+        measured.append(Row(text=words, cells=tuple(cells)))
     published = []
     for name in _published_names(tables):
         row = load_table_one()[name]
-        published.append((name, str(row.train), DASH, str(row.test), str(row.sequences)))
-        source = f"published: {cite('S2')}"
-        for split, count in (("train", row.train), ("test", row.test), ("total", row.sequences)):
-            values.append(
-                StudyValue(
-                    dataset=name, variant=split, metric="n_sequences", value=float(count), unit="", origin=source
-                )
-            )
-    return StudyTable(
-        number="S2",
-        title=published_table("S2").title,
-        header=("Dataset", "Train", "Validation", "Test", "Total"),
-        blocks=_blocks("S2", tables, tuple(measured), tuple(published)),
-        values=tuple(values),
-        notes=(
-            "Recordings in parentheses. The study has no validation split; ours is a part of its training split.",
-            *published_table("S2").notes,
-            *_synthetic_notes(tables),
-        ),
+        counts = {"train": row.train, "test": row.test, "total": row.sequences}
+        about = {"dataset": name, "metric": "n_sequences", "origin": f"published: {cite('S2')}"}
+        cells = tuple(Cell(variant=split, value=float(count), **about) for split, count in counts.items())
+        words = {"dataset": name} | {split: str(count) for split, count in counts.items()}
+        published.append(Row(text=words, cells=cells))
+    columns = (
+        Column(key="dataset", title="Dataset", text=True),
+        *(Column(key=split, title=split.capitalize()) for split in (*_SPLITS, "total")),
     )
+    note = "Recordings in parentheses. The study has no validation split; ours is a part of its training split."
+    return _table("S2", tables, columns, measured, published, note)
 
 
-def origin_of(table: SequenceTable) -> str:
-    """Return the word for where the numbers of a table come from."""
-    return SYNTHETIC if table.info.synthetic else MEASURED
+def origin_of(*, synthetic: bool) -> str:
+    """Return the word for where measured numbers come from."""
+    return SYNTHETIC if synthetic else MEASURED
 
 
 def _published_names(tables: Sequence[SequenceTable]) -> list[str]:
@@ -108,83 +105,28 @@ def _published_names(tables: Sequence[SequenceTable]) -> list[str]:
     return [name for name in DATASETS if name in shown]
 
 
-def _blocks(
+def _table(
     number: str,
     tables: Sequence[SequenceTable],
-    measured: tuple[tuple[str, ...], ...],
-    published: tuple[tuple[str, ...], ...],
-) -> tuple[StudyBlock, ...]:
+    columns: tuple[Column, ...],
+    measured: list[Row],
+    published: list[Row],
+    note: str,
+) -> Table:
     """Put measured, synthetic and published rows into blocks of their own."""
-    real = tuple(row for table, row in zip(tables, measured, strict=True) if not table.info.synthetic)
-    made_up = tuple(row for table, row in zip(tables, measured, strict=True) if table.info.synthetic)
-    blocks = [
-        StudyBlock("Measured on recordings of people", real),
-        StudyBlock("Measured on synthetic data: not comparable with published numbers", made_up),
-        StudyBlock(f"Published: {cite(number)}", published),
-    ]
-    return tuple(block for block in blocks if block.rows)
-
-
-def _synthetic_notes(tables: Sequence[SequenceTable]) -> tuple[str, ...]:
-    return (SYNTHETIC_NOTE,) if any(table.info.synthetic for table in tables) else ()
-
-
-def _measured_spreads(each: TableStatistics) -> tuple[str, ...]:
-    if not each.sequences:
-        return (DASH,) * len(_TITLES)
-    return tuple(_spread(each.spread(name)) for name in _TITLES)
-
-
-def _published_spreads(name: str) -> tuple[str, ...]:
-    return tuple(_spread(getattr(load_table_one()[name], quantity)) for quantity in _TITLES)
-
-
-def _spread(spread: Spread) -> str:
-    return f"{spread.mean:.2f} ± {spread.sd:.2f}"
-
-
-def _measured_values(table: SequenceTable, each: TableStatistics) -> list[StudyValue]:
-    recordings = len(set(table.scalars()["recording_id"].to_pylist()))
-    values = [_count(table, "total", each.sequences, recordings=recordings)]
-    for name, unit in QUANTITIES.items():
-        spread = each.spread(name) if each.sequences else None
-        values.append(
-            StudyValue(
-                dataset=each.dataset,
-                metric=name,
-                value=None if spread is None else spread.mean,
-                sd=None if spread is None else spread.sd,
-                unit=unit,
-                sequences=each.sequences,
-                recordings=recordings,
-                origin=origin_of(table),
-            )
-        )
-    return values
-
-
-def _published_values(name: str) -> list[StudyValue]:
-    row = load_table_one()[name]
-    source = f"published: {cite('1')}"
-    values = [StudyValue(dataset=name, metric="n_sequences", value=float(row.sequences), unit="", origin=source)]
-    for quantity, unit in QUANTITIES.items():
-        spread = getattr(row, quantity)
-        values.append(
-            StudyValue(
-                dataset=name, metric=quantity, value=spread.mean, sd=spread.sd, unit=unit, sequences=row.sequences,
-                origin=source,
-            )
-        )  # fmt: skip
-    return values
-
-
-def _count(table: SequenceTable, variant: str, count: int, *, recordings: int) -> StudyValue:
-    return StudyValue(
-        dataset=table.info.dataset,
-        variant=variant,
-        metric="n_sequences",
-        value=float(count),
-        unit="",
-        recordings=recordings,
-        origin=origin_of(table),
+    pairs = list(zip(tables, measured, strict=True))
+    made_up = tuple(row for table, row in pairs if table.info.synthetic)
+    return Table(
+        number=number,
+        title=published_table(number).title,
+        columns=columns,
+        blocks=(
+            Block(
+                title="Measured on recordings of people",
+                rows=tuple(row for table, row in pairs if not table.info.synthetic),
+            ),
+            Block(title="Measured on synthetic data: not comparable with published numbers", rows=made_up),
+            Block(title=f"Published: {cite(number)}", rows=tuple(published)),
+        ),
+        notes=(note, *published_table(number).notes, *([SYNTHETIC_NOTE] if made_up else [])),
     )

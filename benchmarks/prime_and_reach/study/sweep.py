@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import msgspec
 import numpy as np
@@ -19,10 +20,9 @@ from prbench.metrics import MotionBatch
 from prbench.metrics.prime_success import Variant, primed
 from prbench.metrics.ray_track import candidate_frames, head_track
 from prbench.protocol.manifests import MetricConstants
-from prbench_benchmarks.prime_and_reach.study.document import MEASURED, SYNTHETIC, StudyBlock, StudyTable, StudyValue
-from prbench_benchmarks.prime_and_reach.study.genuine import GenuineRun
-from prbench_benchmarks.prime_and_reach.study.settings import load_study_settings
-from prbench_benchmarks.prime_and_reach.study.sizes import SYNTHETIC_NOTE
+from prbench.tables import Block, Cell, Column, Row, Table
+from prbench_benchmarks.prime_and_reach.study.genuine import GenuineRun, load_study_settings
+from prbench_benchmarks.prime_and_reach.study.sizes import SYNTHETIC_NOTE, origin_of
 
 _COLUMNS = ["goal_location", "prime_time", "start_time", "head_tilt_deg", "fps", "joints"]
 _METRIC = {"equation": "prime_success", "onset": "prime_success_onset"}
@@ -44,21 +44,6 @@ class Sweep:
     sequences: int
 
 
-@dataclass(frozen=True)
-class _Work:
-    """One window of sequences and one sample of it."""
-
-    motion: MotionBatch
-    prime_time: np.ndarray
-    goal: np.ndarray
-    tilt: np.ndarray
-    fps: np.ndarray
-    constants: MetricConstants
-    windows: tuple[float, ...]
-    distances: tuple[float, ...]
-    variant: Variant
-
-
 def sweep(run: GenuineRun, *, variant: Variant, engine: Engine) -> Sweep:
     """Compute Prime Success for every pair of limits.
 
@@ -70,124 +55,118 @@ def sweep(run: GenuineRun, *, variant: Variant, engine: Engine) -> Sweep:
     Raises:
         RunError: if the value at the protocol's own limits is not the stored one.
     """
-    settings = load_study_settings().figure_s3
+    # Recorded motion is scored against other goals there, which a sweep over its own goals does not repeat.
+    if run.run.record.control is not None and run.run.record.method.kind == CONTROL:
+        raise RunError(f"{run.run.path}: was made with --control; its sweep would be of other goals than its scores.")
+    settings = load_study_settings()
+    windows = settings.windows
     count = round(settings.largest_distance / settings.distance_step)
     distances = tuple(round(k * settings.distance_step, 6) for k in range(count + 1))
     # The sequences of a run that have motions.
     record = run.run.record
     chosen = select(run.table, split=record.split, limit=record.limit)
-    scored = set(read_scores(run.run.dataset(run.record.dataset).scores)["sequence_id"].to_pylist())
+    scores = read_scores(run.run.dataset(run.record.dataset).scores)
+    scored = set(scores["sequence_id"].to_pylist())
     selection = chosen.chosen(np.array([name in scored for name in chosen.sequence_ids]))
     constants = run.protocol.metrics
-    sums = np.zeros((len(settings.windows), len(distances)))
+    sums = np.zeros((len(windows), len(distances)))
     motions = 0
-    for successes in engine.map(_swept, list(_work(run, selection, constants, settings.windows, distances, variant))):
+    swept = partial(_swept, constants=constants, windows=windows, distances=distances, variant=variant)
+    for successes in engine.map(swept, list(_motions(run, selection))):
         sums += successes.sum(axis=-1)
         motions += successes.shape[-1]
-    found = Sweep(run, variant, settings.windows, distances, sums / motions, len(selection))
-    _require_protocol_value(found, constants)
-    return found
+    rates = sums / motions
+    # Hold the sweep against the stored scores where both have the same limits.
+    if constants.prime_window in windows and constants.prime_distance in distances:
+        found = rates[windows.index(constants.prime_window), distances.index(constants.prime_distance)]
+        of_metric = np.array(scores["metric"].to_pylist()) == _METRIC[variant]
+        stored = scores["value"].to_numpy()[of_metric].mean()
+        if abs(stored - found) > 1e-9:
+            raise RunError(
+                f"{run.run.path}: expected a Prime Success of {stored:.6f} at the protocol's limits, as its scores"
+                f" say, found {found:.6f}. One of its files was edited. Run the method again."
+            )
+    return Sweep(run, variant, windows, distances, rates, len(selection))
 
 
-def sweep_table(sweeps: Sequence[Sweep]) -> StudyTable:
-    """Make the curves a table; the CSV has every point."""
-    blocks = []
-    values = []
-    for one in sweeps:
-        columns = [one.distances.index(distance) for distance in _PRINTED_DISTANCES]
-        rows = tuple(
-            (f"{window:g} s", *(f"{100 * rates[column]:.2f}" for column in columns))
-            for window, rates in zip(one.windows, one.rates, strict=True)
-        )
-        word = ", measured on synthetic data" if one.run.record.synthetic else ""
-        blocks.append(StudyBlock(f"{one.run.title}{word}, {one.sequences} sequences", rows))
-        values += [_value(one, i, j) for i in range(len(one.windows)) for j in range(len(one.distances))]
-    synthetic = any(one.run.record.synthetic for one in sweeps)
-    return StudyTable(
-        number="of Figure S3",
-        title=f"Prime Success in % ({sweeps[0].variant}) over δ (columns) and σ (rows)",
-        header=("σ", *(f"δ = {distance:g} m" for distance in _PRINTED_DISTANCES)),
-        blocks=tuple(blocks),
-        values=tuple(values),
-        notes=(
-            "The study prints its curves in a figure only, so that nothing published stands beside.",
-            "σ = 0 s: the frame nearest to the prime time alone.",
-            "Intervals stand with the protocol's limits on the leaderboard; points of a curve share their sequences.",
-            *((SYNTHETIC_NOTE,) if synthetic else ()),
-        ),
-    )
+def _motions(run: GenuineRun, selection: Selection) -> Iterator[tuple[MotionBatch, dict[str, np.ndarray]]]:
+    """Yield the motions of each window of sequences and each sample, with what they are judged by."""
+    predictions = Predictions.open(run.run.dataset(run.record.dataset).predictions)
+    for _, chunk in selection.windows(_COLUMNS):
+        judged_by = {
+            "prime_time": chunk.numbers("prime_time") - chunk.numbers("start_time"),
+            "goal": chunk.vectors("goal_location").astype(np.float64),
+            "tilt": chunk.numbers("head_tilt_deg"),
+            "fps": chunk.numbers("fps"),
+        }
+        for sample in range(run.run.record.samples):
+            rows = predictions.motions(chunk.sequence_ids, sample)
+            yield MotionBatch(rows.values, rows.offsets), judged_by
 
 
-def _value(one: Sweep, i: int, j: int) -> StudyValue:
-    return StudyValue(
-        dataset=one.run.record.dataset,
-        condition=one.run.run.record.condition,
-        method=one.run.run.record.method.name,
-        variant=f"sigma {one.windows[i]:g} s; delta {one.distances[j]:g} m",
-        metric=_METRIC[one.variant],
-        value=float(100 * one.rates[i, j]),
-        unit="%",
-        sequences=one.sequences,
-        origin=SYNTHETIC if one.run.record.synthetic else MEASURED,
-    )
-
-
-def _work(
-    run: GenuineRun,
-    selection: Selection,
+def _swept(
+    work: tuple[MotionBatch, dict[str, np.ndarray]],
+    *,
     constants: MetricConstants,
     windows: tuple[float, ...],
     distances: tuple[float, ...],
     variant: Variant,
-):
-    predictions = Predictions.open(run.run.dataset(run.record.dataset).predictions)
-    for _, chunk in selection.windows(_COLUMNS):
-        for sample in range(run.run.record.samples):
-            rows = predictions.motions(chunk.sequence_ids, sample)
-            yield _Work(
-                motion=MotionBatch(rows.values, rows.offsets),
-                prime_time=chunk.numbers("prime_time") - chunk.numbers("start_time"),
-                goal=chunk.vectors("goal_location").astype(np.float64),
-                tilt=chunk.numbers("head_tilt_deg"),
-                fps=chunk.numbers("fps"),
-                constants=constants,
-                windows=windows,
-                distances=distances,
-                variant=variant,
-            )
-
-
-def _swept(work: _Work) -> Float[np.ndarray, "windows distances n"]:
+) -> Float[np.ndarray, "windows distances n"]:
     """Success of each motion for each pair of limits."""
-    found = np.zeros((len(work.windows), len(work.distances), work.motion.n_sequences))
-    for i, window in enumerate(work.windows):
-        constants = msgspec.structs.replace(work.constants, prime_window=window)
-        prime_time = work.prime_time
+    motion, judged_by = work
+    fps = judged_by["fps"]
+    found = np.zeros((len(windows), len(distances), motion.n_sequences))
+    for i, window in enumerate(windows):
+        within = msgspec.structs.replace(constants, prime_window=window)
+        prime_time = judged_by["prime_time"]
         if window == 0.0:  # no frame lies exactly at the prime time, so the nearest one is meant
-            prime_time = np.round(prime_time * work.fps) / work.fps
-        candidates = candidate_frames(work.motion.n_frames, prime_time, work.fps, constants)
-        track = head_track(work.motion, candidates, work.goal, work.tilt, work.fps, constants)
-        for j, distance in enumerate(work.distances):
-            limits = msgspec.structs.replace(constants, prime_distance=distance)
-            found[i, j] = primed(track, candidates, limits, work.variant)
+            prime_time = np.round(prime_time * fps) / fps
+        candidates = candidate_frames(motion.n_frames, prime_time, fps, within)
+        track = head_track(motion, candidates, judged_by["goal"], judged_by["tilt"], fps, within)
+        for j, distance in enumerate(distances):
+            limits = msgspec.structs.replace(within, prime_distance=distance)
+            found[i, j] = primed(track, candidates, limits, variant)
     return found
 
 
-def _require_protocol_value(found: Sweep, constants: MetricConstants) -> None:
-    """Hold the sweep against the stored scores where both have the same limits."""
-    run = found.run
-    # Recorded motion is scored against other goals there, which a sweep over its own goals does not repeat.
-    if run.run.record.control is not None and run.run.record.method.kind == CONTROL:
-        raise RunError(f"{run.run.path}: was made with --control; its sweep would be of other goals than its scores.")
-    if constants.prime_window not in found.windows or constants.prime_distance not in found.distances:
-        return
-    scores = read_scores(run.run.dataset(run.record.dataset).scores).to_pydict()
-    wanted = _METRIC[found.variant]
-    stored = np.mean([value for metric, value in zip(scores["metric"], scores["value"]) if metric == wanted])
-    i = found.windows.index(constants.prime_window)
-    j = found.distances.index(constants.prime_distance)
-    if abs(stored - found.rates[i, j]) > 1e-9:
-        raise RunError(
-            f"{run.run.path}: expected a Prime Success of {stored:.6f} at the protocol's limits, as its scores say,"
-            f" found {found.rates[i, j]:.6f}. One of its files was edited. Run the method again."
-        )
+def sweep_table(sweeps: Sequence[Sweep]) -> Table:
+    """Make the curves a table; the CSV has every point."""
+    blocks = []
+    for one in sweeps:
+        record = one.run.run.record
+        rows = []
+        for window, rates in zip(one.windows, one.rates, strict=True):
+            words = {"window": f"{window:g} s"}
+            cells = []
+            for distance, rate in zip(one.distances, rates, strict=True):
+                if distance in _PRINTED_DISTANCES:
+                    words[f"{distance:g}"] = f"{100 * rate:.2f}"
+                cells.append(
+                    Cell(
+                        dataset=one.run.record.dataset,
+                        condition=record.condition,
+                        method=record.method.name,
+                        variant=f"sigma {window:g} s; delta {distance:g} m",
+                        metric=_METRIC[one.variant],
+                        value=float(100 * rate),
+                        unit="%",
+                        sequences=one.sequences,
+                        origin=origin_of(synthetic=one.run.record.synthetic),
+                    )
+                )
+            rows.append(Row(text=words, cells=tuple(cells)))
+        word = ", measured on synthetic data" if one.run.record.synthetic else ""
+        blocks.append(Block(title=f"{one.run.title}{word}, {one.sequences} sequences", rows=tuple(rows)))
+    columns = [Column(key=f"{distance:g}", title=f"δ = {distance:g} m") for distance in _PRINTED_DISTANCES]
+    return Table(
+        number="of Figure S3",
+        title=f"Prime Success in % ({sweeps[0].variant}) over δ (columns) and σ (rows)",
+        columns=(Column(key="window", title="σ", text=True), *columns),
+        blocks=tuple(blocks),
+        notes=(
+            "The study prints its curves in a figure only, so that nothing published stands beside.",
+            "σ = 0 s: the frame nearest to the prime time alone.",
+            "Intervals stand with the protocol's limits on the leaderboard; points of a curve share their sequences.",
+            *([SYNTHETIC_NOTE] if any(one.run.record.synthetic for one in sweeps) else []),
+        ),
+    )

@@ -1,11 +1,11 @@
-"""The rows of the study's Table 2 (``table_2.toml``: method, weights, condition), and what a user asks of them."""
+"""The rows of the study's Table 2 (``table_2.toml``), what a user asks of them, and the run that each row becomes."""
 
 from __future__ import annotations
 
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Literal
@@ -15,24 +15,25 @@ import msgspec
 import prbench
 from prbench.contract import Condition
 from prbench.datasets import SYNTHETIC_PREFIX
-from prbench.errors import UsageError, did_you_mean
+from prbench.errors import PrbenchError, UsageError, did_you_mean
 from prbench.files.storage import text_digest
 from prbench.harness.controls import GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED, SHUFFLED_GOAL
-from prbench.harness.methods.installed import NEAREST_NEIGHBOUR
+from prbench.harness.methods.installed import NEAREST_NEIGHBOUR, list_adapters
+from prbench.harness.methods.loading import load_adapter
 from prbench.harness.preparation import DEFAULT_PARENT
+from prbench.harness.request import RunRequest
 from prbench.harness.scripted import CHEATS
 from prbench.protocol.manifests import read_toml
 from prbench.protocol.own_protocol import read_protocol
-from prbench.protocol.published import load_table_one
+from prbench.protocol.published import DATASETS
 from prbench.sequences import SequenceTable
 
-_PACKAGE = "prbench_benchmarks.prime_and_reach"
-_FILE = "table_2.toml"
 DEFAULT_MINUTES = 30
 CONTROLS = (GROUND_TRUTH, GROUND_TRUTH_RESAMPLED, SCRIPTED)
 """Controls that always stand beside the rows."""
 MORE_CONTROLS = (*CHEATS, NEAREST_NEIGHBOUR)
 """Controls that stand there if asked for: what the metrics give a body that cheats, and a training motion."""
+GOALS = (Condition.GOAL_POSE, Condition.GOAL_LOCATION)
 
 
 class Block(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -54,7 +55,7 @@ class RowWeights(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """The row's variant in the published tables in long form."""
 
 
-class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class StudyRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One printed row."""
 
     label: str
@@ -73,41 +74,19 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 
 
 class TableTwo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The whole file.
-
-    Raises:
-        ValueError: if a row repeats, its weights are not listed, or its condition has no block.
-    """
+    """The whole file."""
 
     table: str
     blocks: tuple[Block, ...]
     weights: dict[str, RowWeights]
-    rows: tuple[Row, ...]
-
-    def __post_init__(self) -> None:
-        names = [row.name for row in self.rows]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"rows: '{name}' stands there {names.count(name)} times")
-        conditions = [block.condition for block in self.blocks]
-        if len(set(conditions)) < len(conditions):
-            raise ValueError("blocks: a condition has more than one")
-        for row in self.rows:
-            if row.weights not in self.weights:
-                hint = did_you_mean(row.weights, self.weights)
-                raise ValueError(f"rows: '{row.label}' names the weights '{row.weights}', which are not listed.{hint}")
-            if row.condition not in conditions:
-                raise ValueError(f"rows: '{row.label}' is under '{row.condition.value}', which has no block")
-        unused = sorted(set(self.weights) - {row.weights for row in self.rows})
-        if unused:
-            raise ValueError(f"weights: no row has '{unused[0]}'")
+    rows: tuple[StudyRow, ...]
 
     @property
     def methods(self) -> tuple[str, ...]:
         """Ids, in order of appearance."""
         return tuple(dict.fromkeys(row.method for row in self.rows))
 
-    def chosen(self, method: str | None, condition: Condition | None) -> tuple[Row, ...]:
+    def chosen(self, method: str | None, condition: Condition | None) -> tuple[StudyRow, ...]:
         """The rows of one method or all, under one condition or all.
 
         Raises:
@@ -135,7 +114,7 @@ def load_table_two() -> TableTwo:
     Raises:
         InputFileError: if the file does not fit the data class (naming the key).
     """
-    return read_toml(_PACKAGE, _FILE, TableTwo)
+    return read_toml("prbench_benchmarks.prime_and_reach", "table_2.toml", TableTwo)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,7 +173,7 @@ class TableRequest:
                 )
 
     @property
-    def rows(self) -> tuple[Row, ...]:
+    def rows(self) -> tuple[StudyRow, ...]:
         """The rows that are asked for, in printed order."""
         return load_table_two().chosen(self.method, self.condition)
 
@@ -205,7 +184,7 @@ class TableRequest:
         own = {key.partition(".")[2]: value for key, value in self.options.items() if key.startswith(f"{method}.")}
         return plain | own
 
-    def user_weights(self, row: Row) -> Path | None:
+    def user_weights(self, row: StudyRow) -> Path | None:
         """The user's own weights of a row: a file, or a folder such as ``prbench train`` leaves."""
         return self._weights_named(row.weights)
 
@@ -227,7 +206,7 @@ class TableRequest:
         for name in names:
             if names.count(name) > 1:
                 raise UsageError(f"--data: expected different datasets, found {name} more than once.")
-        return sorted(tables, key=lambda table: _place(table.info.dataset))
+        return sorted(tables, key=lambda table: study_place(table.info.dataset))
 
     def folder(self) -> Path:
         """Return the folder of the table; the same request finds its folder again."""
@@ -269,7 +248,102 @@ class TableRequest:
         return settings | {f"table {table.info.dataset}": f"{table.identity} {table.content}" for table in tables}
 
 
-def _place(dataset: str) -> tuple[int, str]:
-    printed = tuple(load_table_one())
+def study_place(dataset: str) -> tuple[int, str]:
+    """Return the place of a dataset among the study's; others stand behind, by name."""
     plain = dataset.removeprefix(SYNTHETIC_PREFIX)
-    return (printed.index(plain) if plain in printed else len(printed), dataset)
+    return (DATASETS.index(plain) if plain in DATASETS else len(DATASETS), dataset)
+
+
+@dataclass(frozen=True)
+class PlannedRow:
+    """One line of the table."""
+
+    name: str
+    """Unique; the name of its run folder."""
+    label: str
+    """Label as printed."""
+    run: RunRequest
+    """The run without limit and size of batches, which follow later."""
+    is_control: bool = False
+    """Made by the harness."""
+    skipped: str | None = None
+    """The reason why it is not run; None for a row that is."""
+
+    @property
+    def condition(self) -> Condition:
+        """The condition that it is run under."""
+        assert self.run.condition is not None, "every row names its condition"
+        return Condition(self.run.condition)
+
+
+def plan_rows(request: TableRequest, data: tuple[Path, ...], folder: Path) -> list[PlannedRow]:
+    """Plan all lines in printed order, controls last.
+
+    A row without a method or weights is skipped; whatever else is wrong with it is a failure of its run.
+
+    Args:
+        request: What is asked for.
+        data: Its dataset folders, in printed order.
+        folder: Of the table; every row gets a run folder in it.
+
+    Raises:
+        AdapterError: if a method refuses its options or the device.
+    """
+    base = RunRequest(
+        method=GROUND_TRUTH,
+        # A control does the same under every condition; one has to be recorded.
+        condition=request.condition or Condition.GOAL_LOCATION,
+        data=data,
+        split=request.split,
+        seed=request.seed,
+        samples=request.samples,
+        device=request.device,
+        threads=request.threads,
+        protocol=request.protocol,
+    )
+    installed = {adapter.name for adapter in list_adapters() if not adapter.problem}
+    planned = []
+    for row in request.rows:
+        own = request.user_weights(row)
+        run = replace(
+            base,
+            method=row.method,
+            condition=row.condition,
+            weights=Path(row.bundled) if own is None and row.bundled else own,
+            options=request.options_of(row.method),
+            out=folder / "rows" / row.name,
+        )
+        reason = f"no method '{row.method}' is installed"
+        if row.method in installed:
+            # The user's own weights are not opened here: what is wrong with them is a failure of the row.
+            reason = None if own is not None else _why_no_weights(row, run)
+        planned.append(PlannedRow(row.name, row.label, run, skipped=reason))
+    names = (*CONTROLS, *MORE_CONTROLS) if request.more_controls else CONTROLS
+    controls = [
+        PlannedRow(name, name, replace(base, method=name, out=folder / "rows" / name), is_control=True)
+        for name in names
+    ]
+    shuffled = []
+    for row in planned:
+        if request.shuffled_goal and row.condition in GOALS:
+            name = f"{row.name}-{SHUFFLED_GOAL}"
+            run = replace(row.run, control=SHUFFLED_GOAL, out=folder / "rows" / name)
+            label = f"{row.label}, {row.condition.value}, {SHUFFLED_GOAL}"
+            shuffled.append(replace(row, name=name, label=label, run=run))
+    return planned + controls + shuffled
+
+
+def _why_no_weights(row: StudyRow, run: RunRequest) -> str | None:
+    """Return why a row without weights of the user's own has none, or None if it has or needs none."""
+    weights = load_table_two().weights[row.weights]
+    if weights.state == "none":
+        return None
+    if not row.bundled:
+        return f"no weights ({weights.variant}) come with prbench; --weights FOLDER with '{row.weights}' gives some"
+    try:
+        load_adapter(row.method, run.weights, {}, "cpu")
+    except PrbenchError as error:
+        return f"its weights ({weights.variant}) are not there: {error}"
+    if run.options or run.device != "cpu":  # a mistyped option shows before hours of work
+        load_adapter(row.method, run.weights, run.options, run.device)
+    return None

@@ -11,22 +11,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import msgspec
+
+from prbench.board import collect_runs, make_leaderboard
+from prbench.board.tables import Leaderboard, of_all_methods
 from prbench.engine import Engine, InProcess
 from prbench.errors import StorageError
-from prbench.files.storage import remove_leftovers, sole_writer, write_json, write_text
-from prbench.harness.request import ProgressCallback, RunRequest, silent
+from prbench.files.storage import remove_leftovers, sole_writer
+from prbench.harness.request import ProgressCallback, silent
 from prbench.harness.run import run_method
-from prbench.sequences import SequenceTable
-from prbench_benchmarks.prime_and_reach.table_two.as_markdown import as_builtins, as_markdown
-from prbench_benchmarks.prime_and_reach.table_two.budget import DatasetSize, even_batch_size, kind
-from prbench_benchmarks.prime_and_reach.table_two.layout import RowOutcome, TableLayout, lay_out
-from prbench_benchmarks.prime_and_reach.table_two.plan import PlannedRow, plan_rows
-from prbench_benchmarks.prime_and_reach.table_two.request import TableRequest
+from prbench.harness.run_folder import RunFolder
+from prbench.harness.run_folder.record import TableRecord
+from prbench.harness.verification import CheckedSummary, RunChecker
+from prbench.tables import Table, write_tables
+from prbench_benchmarks.prime_and_reach.study.methods import methods_table
+from prbench_benchmarks.prime_and_reach.table_two.budget import (
+    even_batch_size,
+    kind,
+    open_plan,
+    split_lengths,
+    with_limit,
+)
+from prbench_benchmarks.prime_and_reach.table_two.request import PlannedRow, TableRequest, plan_rows
 from prbench_benchmarks.prime_and_reach.table_two.side_by_side import Counting, generate_side_by_side, why
-from prbench_benchmarks.prime_and_reach.table_two.state import TablePlan, dataset_size, open_plan, with_limit
 
 MARKDOWN = "table_2.md"
 JSON = "table_2.json"
@@ -34,6 +44,11 @@ JSON = "table_2.json"
 
 def _uncounted(done: int, total: int, name: str) -> None:
     """Say nothing."""
+
+
+def _as_just_scored(run: RunFolder, table: TableRecord) -> CheckedSummary:
+    """Take scores that this very call has made or held against the motions."""
+    return replace(RunChecker().check(run, table), unverified="")
 
 
 @dataclass(frozen=True)
@@ -55,13 +70,10 @@ class TableReport:
     """A table that is through."""
 
     folder: Path
-    layout: TableLayout
-    outcomes: tuple[RowOutcome, ...]
-
-    @property
-    def failed(self) -> tuple[RowOutcome, ...]:
-        """Rows that were to be run and have no numbers."""
-        return tuple(outcome for outcome in self.outcomes if outcome.state == "failed")
+    tables: list[Table]
+    """A part for each dataset; a table of notes alone where no row has numbers."""
+    failed: dict[str, str]
+    """Maps rows that were to be run and have no numbers to the reason."""
 
 
 def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say | None = None) -> TableReport:
@@ -83,80 +95,69 @@ def run_table(request: TableRequest, *, engine: Engine | None = None, say: Say |
     say = say or Say()
     tables = request.tables()
     folder = request.folder()
-    sizes = [dataset_size(table, request.split) for table in tables]
+    lengths = [split_lengths(table, request.split) for table in tables]
     planned = plan_rows(request, tuple(table.folder for table in tables), folder)
+    notes = []
     with sole_writer(folder):
         # Under the lock and before the first row: what the plan decides must not change when the table resumes.
         plan = open_plan(folder, request.deciding(tables), limit=request.limit, minutes=request.minutes)
         for row in planned:
             if row.skipped is not None:
-                say.notice(f"{row.label} ({row.condition.value}): skipped, {row.skipped}")
+                notes.append(f"{row.label} ({row.condition.value}): skipped, {row.skipped}")
+                say.notice(notes[-1])
         if plan.limit is None:
             with say.timing() as counting:
                 plan = with_limit(plan, request, tables, planned, engine=engine, counting=counting, folder=folder)
-        assert plan.limit is not None
-        say.notice(_shown_limit(plan, tables, sizes))
-        batch_size = request.batch_size or even_batch_size(plan.limit, sizes)
-        runs = {row.name: row.limited(plan.limit, batch_size) for row in _most_expensive_first(planned, plan)}
-        # Generate all rows, then finish each; what is wrong with one is put down and said.
-        with say.generating() as counting:
-            made = generate_side_by_side(runs, engine, counting=counting)
-        if made.broken is not None:
-            say.notice(f"{made.broken} Going on row by row.")
-        outcomes = tuple(
-            RowOutcome(row, "skipped", row.skipped)
-            if row.skipped is not None
-            else _outcome(row, runs[row.name], made.failed.get(row.name), engine, say)
-            for row in planned
+        limit = plan.limit
+        assert limit is not None
+        counts = ", ".join(
+            f"{table.info.dataset} n = {min(limit, len(own))} of {len(own)}"
+            for table, own in zip(tables, lengths, strict=True)
         )
-        # A table that could not fit must not claim that it is what fitted.
-        minutes = plan.minutes if plan.fits else None
-        layout = lay_out(outcomes, tables=tables, split=request.split, limit=plan.limit, minutes=minutes)
+        expected = f"about {max(1.0, (plan.expected_seconds or 0.0) / 60):.0f} min"
+        if plan.minutes is None:
+            say.notice(f"{counts} (--limit {limit})")
+        elif plan.fits:
+            within = f"what fits into {plan.minutes} min here, {expected} expected"
+            say.notice(f"{counts}: {within} (--minutes; --limit N says n outright)")
+            notes.insert(0, f"n is what fitted into {plan.minutes} min on the machine that it was run on.")
+        else:
+            asked = f"{expected}, more than the {plan.minutes} min asked for (--minutes)"
+            say.notice(f"{counts}: the fewest there can be; {asked}")
+
+        # Generate all rows, the most expensive first: a short batch at the end leaves workers idle for less long.
+        runnable = [row for row in planned if row.skipped is None]
+        batch_size = request.batch_size or even_batch_size(limit, lengths)
+        seconds = {name: cost.seconds_per_frame for name, cost in plan.costs.items()}
+        ordered = sorted(runnable, key=lambda row: -seconds.get(kind(row), 0.0))
+        runs = {row.name: replace(row.run, limit=limit, batch_size=batch_size) for row in ordered}
+        with say.generating() as counting:
+            failed, broken = generate_side_by_side(runs, engine, counting=counting)
+        if broken is not None:
+            say.notice(f"{broken} Going on row by row.")
+        # Score each row, and generate what is still missing; only if nothing can be written all of the table ends.
+        finished = []
+        for row in runnable:
+            if row.name not in failed:
+                try:
+                    with say.row(row) as progress:
+                        finished.append(run_method(runs[row.name], engine=engine, progress=progress).folder.path)
+                    continue
+                except StorageError:
+                    raise
+                except Exception as error:  # a defect of a method, which must not cost the other rows
+                    failed[row.name] = why(error)
+            notes.append(f"{row.label} ({row.condition.value}): failed, {failed[row.name]}")
+            say.notice(notes[-1])
+
+        parts = [Table(number="2", title="nothing could be run", notes=tuple(notes))]
+        if finished:
+            board = make_leaderboard(collect_runs(finished, check=_as_just_scored))
+            # A table of the common sequences takes the place of that of all: one line, one set of sequences.
+            board = Leaderboard(of_all_methods(board.tables), board.macro, board.notes)
+            parts = methods_table(board, "2", with_published=False, named=True)
+            parts[-1] = msgspec.structs.replace(parts[-1], notes=(*parts[-1].notes, *notes))
         for name in (MARKDOWN, JSON):
             remove_leftovers(folder / name)  # of a process that was killed while it wrote them
-        # Written last, after all rows: a table on disk is a finished one.
-        write_text(folder / MARKDOWN, as_markdown(layout))
-        write_json(folder / JSON, as_builtins(layout))
-    return TableReport(folder, layout, outcomes)
-
-
-def _most_expensive_first(planned: list[PlannedRow], plan: TablePlan) -> list[PlannedRow]:
-    """Rows to be run; a short batch at the end leaves the other worker idle for less long than a long one."""
-
-    def seconds(row: PlannedRow) -> float:
-        cost = plan.costs.get(kind(row))
-        return 0.0 if cost is None else cost.seconds_per_frame
-
-    return sorted((row for row in planned if row.skipped is None), key=seconds, reverse=True)
-
-
-def _outcome(planned: PlannedRow, run: RunRequest, failed: str | None, engine: Engine, say: Say) -> RowOutcome:
-    """Score one row, and generate what is still missing; only if nothing can be written all of the table ends."""
-    reason = failed
-    if reason is None:
-        try:
-            with say.row(planned) as progress:
-                report = run_method(run, engine=engine, progress=progress)
-        except StorageError:
-            raise
-        except Exception as error:  # a defect of a method, which must not cost the other rows
-            reason = why(error)
-        else:
-            return RowOutcome(planned, "run", folder=report.folder.path)
-    say.notice(f"{planned.label} ({planned.condition.value}): failed, {reason}")
-    return RowOutcome(planned, "failed", reason)
-
-
-def _shown_limit(plan: TablePlan, tables: list[SequenceTable], sizes: list[DatasetSize]) -> str:
-    counts = ", ".join(
-        f"{table.info.dataset} n = {min(plan.limit or size.sequences, size.sequences)} of {size.sequences}"
-        for table, size in zip(tables, sizes, strict=True)
-    )
-    if plan.minutes is None:
-        return f"{counts} (--limit {plan.limit})"
-    expected = f"about {max(1.0, (plan.expected_seconds or 0.0) / 60):.0f} min"
-    if not plan.fits:
-        return f"{counts}: the fewest there can be; {expected}, more than the {plan.minutes} min asked for (--minutes)"
-    return (
-        f"{counts}: what fits into {plan.minutes} min here, {expected} expected (--minutes; --limit N says n outright)"
-    )
+            write_tables(parts, folder / name)  # last, after all rows: a table on disk is a finished one
+    return TableReport(folder, parts, failed)

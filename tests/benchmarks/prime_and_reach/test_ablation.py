@@ -16,8 +16,8 @@ from prbench.harness.verification import RunChecker
 from prbench_adapters.training.ablations import load_ablations
 from prbench_benchmarks.prime_and_reach import ablation
 from prbench_benchmarks.prime_and_reach.ablation import TABLES, AblationRequest, ablation_table, run_ablation
-from tests.benchmarks.prime_and_reach.study.test_formats import require_whole_latex
 from tests.fakes import fake_dataset
+from tests.tables.test_tables import require_whole_latex
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_weights_of_another_training_are_not_believed(made, data, tmp_path):
 def test_rows_that_were_not_run_are_named(made, data):
     (table,) = ablation_table("S4", made / "smoke", checked(data), with_published=False)
     assert [block.title for block in table.blocks][1] == "Not run, or not finished"
-    assert [row[1] for row in table.blocks[1].rows] == ["encoder"]
+    assert [row.text["method"] for row in table.blocks[1].rows] == ["encoder"]
 
 
 def test_a_failing_row_costs_no_other(data, tmp_path, monkeypatch):
@@ -103,9 +103,9 @@ def test_a_failing_row_costs_no_other(data, tmp_path, monkeypatch):
 
     monkeypatch.setattr(ablation, "train", train)
     request = AblationRequest(table="4", data=(data,), out=tmp_path, configuration="smoke")
-    report = run_ablation(request, engine=InProcess(), say=lambda _: None)
-    assert set(report.failed) == {"no pre-training", "pre-trained on HumanML3D", "pre-trained on Nymeria"}
-    assert set(report.failed.values()) == {"RuntimeError: out of memory"}
+    _, failed = run_ablation(request, engine=InProcess(), say=lambda _: None)
+    assert set(failed) == {"no pre-training", "pre-trained on HumanML3D", "pre-trained on Nymeria"}
+    assert set(failed.values()) == {"RuntimeError: out of memory"}
     assert len(tried) == 3
 
 
@@ -128,4 +128,4 @@ def test_the_report_says_what_is_there(made, data, capsys):
     report = json.loads(capsys.readouterr().out)["report"]
     assert len(report["runs"]) == 2
     assert report["failed"] == {}
-    assert all("NOT THE STUDY'S" in stamp for stamp in report["stamps"].values())
+    assert all("NOT THE STUDY'S" in stamp for stamp in [table["stamp"] for table in report["tables"]])

@@ -23,12 +23,13 @@ from prbench.harness.run_folder.scores import read_scores
 from prbench.metrics import MotionBatch, ScoringTargets, score
 from prbench.protocol.manifests import load_protocol
 from prbench.sequences import SequenceTable
-from prbench_benchmarks.prime_and_reach.study.breakdown import GROUPINGS, break_down, breakdown_table
-from prbench_benchmarks.prime_and_reach.study.charts import Bar, BarPanel, draw_bars
+from prbench.tables import Block, Cell, Row, Table
+from prbench_benchmarks.prime_and_reach.study.breakdown import GROUPINGS, breakdown_table
+from prbench_benchmarks.prime_and_reach.study.charts import draw_breakdown
 from prbench_benchmarks.prime_and_reach.study.genuine import genuine_runs
 from prbench_benchmarks.prime_and_reach.study.sweep import sweep, sweep_table
-from tests.benchmarks.prime_and_reach.study.test_formats import require_whole_latex
 from tests.fakes import fake_dataset
+from tests.tables.test_tables import require_whole_latex
 
 PNG = b"\x89PNG"
 
@@ -54,33 +55,34 @@ def opened(runs, table):
 @pytest.mark.parametrize("by", GROUPINGS)
 def test_groups_are_parts_of_the_run(by, opened):
     """The groups' sums are those of all scores."""
-    scores = break_down(opened, by)
-    for run in opened:
+    table = breakdown_table(opened, by)
+    for run, block in zip(opened, table.blocks, strict=True):
         stored = read_scores(run.run.dataset(run.record.dataset).scores)
-        for metric in ("prime_success", "mpjpe"):
+        for metric, scale in (("prime_success", 100), ("mpjpe", 1)):
             values = stored.filter(pc.field("metric") == metric)["value"].to_numpy()
-            own = [one.estimate for one in scores if one.run is run and one.info.id == metric]
-            assert sum(each.n_sequences for each in own) == len(values)
-            assert sum(each.mean * each.n_sequences for each in own) == pytest.approx(values.sum())
+            own = [cell for row in block.rows for cell in row.cells if cell.metric == metric]
+            assert sum(each.sequences for each in own) == len(values)
+            assert sum(each.value * each.sequences for each in own) == pytest.approx(scale * values.sum())
 
 
 def test_pick_and_put_are_the_table_s_own_words(opened, table):
-    rows = breakdown_table(break_down(opened, "action"), "action").blocks[0].rows
+    rows = breakdown_table(opened, "action").blocks[0].rows
     actions = table.scalars(split="test")["action"].to_pylist()
-    assert [(row[0], int(row[1].split()[0])) for row in rows] == [
+    assert [(row.text["group"], int(row.text["counts"].split()[0])) for row in rows] == [
         (action, actions.count(action)) for action in sorted(set(actions))
     ]
 
 
 def test_bins_are_in_the_order_of_their_size(opened):
-    rows = breakdown_table(break_down(opened, "gap"), "gap").blocks[0].rows
+    rows = breakdown_table(opened, "gap").blocks[0].rows
     names = ["below 1 s", "1 to 3 s", "3 s and more"]
-    assert [row[0] for row in rows] == [name for name in names if name in {row[0] for row in rows}]
+    found = [row.text["group"] for row in rows]
+    assert found == [name for name in names if name in found]
 
 
 def test_an_unknown_grouping_is_refused(opened):
     with pytest.raises(UsageError, match="--by: unknown 'colour'"):
-        break_down(opened, "colour")
+        breakdown_table(opened, "colour")
 
 
 @pytest.mark.parametrize("variant", ["equation", "onset"])
@@ -120,9 +122,9 @@ def _motions(run, table) -> tuple[MotionBatch, ScoringTargets]:
 
 def test_a_sweep_has_a_row_a_window_and_every_point_in_its_numbers(opened):
     made = sweep_table([sweep(opened[0], variant="equation", engine=InProcess())])
-    assert [row[0] for row in made.blocks[0].rows] == ["0 s", "0.25 s", "0.5 s", "0.75 s", "1 s", "1.25 s"]
-    assert len(made.values) == 6 * 41
-    assert {value.origin for value in made.values} == {"measured on synthetic data"}
+    assert [row.text["window"] for row in made.blocks[0].rows] == ["0 s", "0.25 s", "0.5 s", "0.75 s", "1 s", "1.25 s"]
+    assert len(made.cells) == 6 * 41
+    assert {value.origin for value in made.cells} == {"measured on synthetic data"}
 
 
 def _copied(folder: Path, to: Path) -> Path:
@@ -190,8 +192,10 @@ def test_numbers_of_a_figure_are_written_beside_it(runs, table, tmp_path):
 
 
 def test_names_are_drawn_letter_by_letter(tmp_path):
-    bar = Bar("$\\frac$ \x1b[31m", "<b>&", 1.0, 0.5, 1.5, "3 of 2 rec.")
-    draw_bars([BarPanel("Prime $x$", (bar,))], tmp_path / "f.svg", title="$y", foot="100 % $")
+    cell = Cell(metric="prime_success", value=1.0, low=0.5, high=1.5)
+    row = Row(text={"group": "<b>&", "counts": "3 (2) $"}, cells=(cell,))
+    table = Table(title="$y", blocks=(Block(title="$\\frac$ \x1b[31m", rows=(row,)),))
+    draw_breakdown(table, tmp_path / "f.svg")
     text = (tmp_path / "f.svg").read_text()
     assert "\x1b" not in text
     ElementTree.fromstring(text)
@@ -210,7 +214,7 @@ def test_tables_are_made_by_their_commands(runs, table, tmp_path, capsys):
         files = [tmp_path / f"{words[0]}{suffix}" for suffix in (".csv", ".tex", ".md")]
         assert main(["study", *words, "--json", "--out", *map(str, files)]) == 0
         report = json.loads(capsys.readouterr().out)["report"]
-        assert report["tables"][0]["values"]
+        assert report["tables"][0]["blocks"][0]["rows"][0]["cells"]
         assert all(path.stat().st_size for path in files)
         require_whole_latex(files[1].read_text())
 
@@ -233,7 +237,7 @@ def test_a_synthetic_run_that_claims_real_recordings_is_refused(runs, table, tmp
     pq.write_table(pa.Table.from_pylist(rows, schema=scores.schema), folder / "scores.parquet")
     words = ["study", "table-2", str(folder), "--data", str(table.folder), "--with-published"]
     assert main(words) != 0
-    assert main(["leaderboard", "export", str(folder), "--data", str(table.folder), "--with-published"]) != 0
+    assert main(["leaderboard", "export", str(folder), "--data", str(table.folder)]) != 0
     assert "the run is of adt, not of synthetic-adt" in capsys.readouterr().err
 
 

@@ -11,7 +11,6 @@ import msgspec
 import pytest
 
 from prbench.sequences import SequenceTable
-from prbench_benchmarks.prime_and_reach.table_two import plan
 from prbench_benchmarks.prime_and_reach.table_two import request as rows
 from prbench_benchmarks.prime_and_reach.table_two.request import TableTwo
 from tests.fakes import fake_dataset
@@ -141,7 +140,7 @@ def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[MadeUp]
     (site / "reacher-small").write_text("bundled")
     monkeypatch.syspath_prepend(str(site))
     monkeypatch.setattr(rows, "read_toml", lambda package, name, form: msgspec.convert(TABLE, TableTwo))
-    monkeypatch.setattr(plan, "CONTROLS", ("ground-truth",))
+    monkeypatch.setattr(rows, "CONTROLS", ("ground-truth",))
     rows.load_table_two.cache_clear()
     yield made
     rows.load_table_two.cache_clear()
