@@ -259,7 +259,6 @@ class Run:
         limit: int | None = None,
         sample: int = 0,
         permission: str | Iterable[str] = (),
-        scene: args.PathLike | None = None,
     ) -> Picture:
         """Draw motions of the run beside the recorded ones, as ``prbench view`` does.
 
@@ -269,7 +268,6 @@ class Run:
             limit: Another number of sequences, chosen as ``prbench run --limit`` does.
             sample: Number of the motion, where the run drew several of each sequence.
             permission: Datasets whose licensor has given you permission to pass recorded motion on.
-            scene: Your copy of the dataset: draws what stood around the bodies (needs the extra ``open3d``).
 
         Returns:
             The picture; a notebook shows it, :meth:`Picture.save` writes it.
@@ -280,7 +278,7 @@ class Run:
             TableError: if the run's table cannot be found.
             RedistributionError: if nothing is left that the licence lets be shown.
         """
-        return picture_of(self._scenes(sequence, data, limit, sample, permission, scene))
+        return picture_of(self._scenes(sequence, data, limit, sample, permission))
 
     def replay(
         self,
@@ -290,7 +288,6 @@ class Run:
         limit: int | None = None,
         sample: int = 0,
         permission: str | Iterable[str] = (),
-        scene: args.PathLike | None = None,
     ) -> Replay:
         """Show motions of the run beside the recorded ones in 3-D, to turn and play.
 
@@ -300,7 +297,6 @@ class Run:
             limit: See :meth:`plot`.
             sample: See :meth:`plot`.
             permission: See :meth:`plot`.
-            scene: See :meth:`plot`.
 
         Returns:
             The replay; a notebook shows it, :meth:`Replay.save` writes it.
@@ -312,7 +308,7 @@ class Run:
             TableError: if the run's table cannot be found.
             RedistributionError: if nothing is left that the licence lets be shown.
         """
-        return replay_of(self._scenes(sequence, data, limit, sample, permission, scene))
+        return replay_of(self._scenes(sequence, data, limit, sample, permission))
 
     def _scenes(
         self,
@@ -321,7 +317,6 @@ class Run:
         limit: int | None,
         sample: int,
         permission: str | Iterable[str],
-        scene: args.PathLike | None,
     ) -> tuple[Scene, ...]:
         from prbench.viewing.view import ViewRequest, scenes_of
 
@@ -335,7 +330,6 @@ class Run:
             limit=limit,
             sample=sample,
             permitted=args.as_texts(permission),
-            scene=None if scene is None else args.as_native_root(scene),
         )
         return scenes_of(request)
 

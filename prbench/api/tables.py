@@ -186,13 +186,12 @@ class Sequence(sequences.Sequence):
             add("head_rotation", self.head.rotation, axes="wxyz")
         return pd.DataFrame(columns)
 
-    def plot(self, *, permission: str | Iterable[str] = (), scene: args.PathLike | None = None) -> Picture:
+    def plot(self, *, permission: str | Iterable[str] = ()) -> Picture:
         """Draw the sequence: poses over time, the way from above, distances of gaze, head and wrists from the goal.
 
         Args:
             permission: Datasets whose licensor has given you permission to pass recorded motion on; needed only where
                 the licence forbids it, because a notebook is easily passed on.
-            scene: Your copy of the dataset: draws what stood around the body (needs the extra ``open3d``).
 
         Returns:
             The picture; a notebook shows it, :meth:`Picture.save` writes it.
@@ -200,14 +199,13 @@ class Sequence(sequences.Sequence):
         Raises:
             RedistributionError: if the dataset's licence keeps recorded motion and no permission is stated.
         """
-        return picture_of((self._scene(permission, scene),))
+        return picture_of((self._scene(permission),))
 
-    def replay(self, *, permission: str | Iterable[str] = (), scene: args.PathLike | None = None) -> Replay:
+    def replay(self, *, permission: str | Iterable[str] = ()) -> Replay:
         """Show the sequence in 3-D, to turn and play.
 
         Args:
             permission: See :meth:`plot`.
-            scene: See :meth:`plot`.
 
         Returns:
             The replay; a notebook shows it, :meth:`Replay.save` writes it.
@@ -216,19 +214,17 @@ class Sequence(sequences.Sequence):
             MissingExtraError: if the extra ``view`` is not installed.
             RedistributionError: if the dataset's licence keeps recorded motion and no permission is stated.
         """
-        return replay_of((self._scene(permission, scene),))
+        return replay_of((self._scene(permission),))
 
-    def _scene(self, permission: str | Iterable[str], scene: args.PathLike | None) -> Scene:
+    def _scene(self, permission: str | Iterable[str]) -> Scene:
         from prbench.sequences.dataset_info import require_may_pass_on
         from prbench.viewing.replay.read import scene_of
-        from prbench.viewing.view import Surroundings
 
         assert self._table is not None, "sequences are made by tables"
         permitted = args.as_texts(permission)
         info = self._table.info
         require_may_pass_on(info, "the view", permitted)
-        around = None if scene is None else Surroundings(info.dataset, args.as_native_root(scene)).around
-        return scene_of(self._table.row(self.sequence_id), info, permitted=permitted, around=around)
+        return scene_of(self._table.row(self.sequence_id), info, permitted=permitted)
 
     def _repr_html_(self) -> str:
         rows = [

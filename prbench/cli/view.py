@@ -60,12 +60,6 @@ class ViewReport(msgspec.Struct, frozen=True, kw_only=True):
 @opt.sequence_option("Show this sequence")
 @opt.limit_option("4")
 @click.option("--sample", type=int, default=0, metavar="K", help="Sample of runs with several (default 0, the first).")
-@click.option(
-    "--scene",
-    type=opt.NATIVE,
-    metavar="DIR",
-    help="Your copy of the dataset: draws what stood around the bodies behind them (needs the extra open3d).",
-)
 @opt.permission_option
 def view(*, permission: tuple[str, ...], **given: Any) -> Answer:
     """Show recorded and generated motion beside one another, as PNG, MP4 or HTML.

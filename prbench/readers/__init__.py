@@ -44,7 +44,7 @@ from prbench.entry_points import InstalledEntry
 from prbench.errors import InputFileError, PrbenchError, UsageError, did_you_mean
 from prbench.files.storage import file_digest
 from prbench.readers.extents import Extent, shortfalls
-from prbench.readers.files import Source, decode_json
+from prbench.readers.files import decode_json
 from prbench.readers.found import InputFile, RecordingFiles, is_present
 from prbench.recording import Recording
 from prbench.recording.streams import PublishedTrack
@@ -292,10 +292,6 @@ class AriaGlasses(Reader, Protocol):
         Raises:
             InputFileError: if it has no trajectory, or an archive is damaged.
         """
-        ...
-
-    def point_cloud(self, found: RecordingFiles) -> Source | None:
-        """The semi-dense point cloud of one recording, in the frame of its trajectory; None where there is none."""
         ...
 
 

@@ -8,10 +8,9 @@ from pathlib import Path
 from prbench.files.bounded import foreign_input
 from prbench.protocol.manifests import load_manifest
 from prbench.readers.adt.files import AdtOptions, extents, find_recordings, read_readings
-from prbench.readers.adt.to_recording import adt_inputs, point_cloud, recording_from_adt
+from prbench.readers.adt.to_recording import adt_inputs, recording_from_adt
 from prbench.readers.egoallo.files import EgoalloInputs
 from prbench.readers.extents import Extent
-from prbench.readers.files import Source
 from prbench.readers.found import RecordingFiles
 from prbench.recording import Recording
 
@@ -53,10 +52,6 @@ class AdtReader:
     def egoallo_inputs(self, root: Path, found: RecordingFiles) -> EgoalloInputs:
         """See :class:`prbench.readers.AriaGlasses`."""
         return adt_inputs(root, found)
-
-    def point_cloud(self, found: RecordingFiles) -> Source | None:
-        """See :class:`prbench.readers.AriaGlasses`."""
-        return point_cloud(found)
 
 
 READER = AdtReader()

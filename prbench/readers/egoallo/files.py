@@ -136,10 +136,6 @@ class GlassesWithMps:
         """See :class:`prbench.readers.AriaGlasses`."""
         return aria_inputs(root, found)
 
-    def point_cloud(self, found: RecordingFiles) -> Source | None:
-        """See :class:`prbench.readers.AriaGlasses`."""
-        return points_beside(found)
-
 
 def aria_inputs(root: Path, found: RecordingFiles, name: str = mps.TRAJECTORY_FILE) -> EgoalloInputs:
     """Look for the inputs of a recording that has files of the Machine Perception Services.

@@ -25,10 +25,8 @@ from prbench.viewing.replay.scene import (
     Progress,
     Scene,
     ShownMotion,
-    beside,
     bone_segments,
     draw_bodies,
-    draw_dots,
     draw_goal,
     extent,
     gaze_distance,
@@ -187,17 +185,12 @@ class FilmStage:
                 figure_text(motion.label), fontsize=9.5, color=motion.colour, weight="bold", loc="left", pad=2
             )
             panel.set_title(verdict(scene, motion), fontsize=7.5, color="0.35", loc="right", pad=3)
-            if scene.surroundings is not None:
-                near = beside(scene.surroundings, motion.joints[-1, Joint.PELVIS], axis, reach=np.inf)
-                draw_dots(panel, side_view(near, axis))
             self._add_goal(panel, lambda points: side_view(points, axis))
             self._add_body(panel, motion, lambda points: side_view(points, axis))
 
     def _build_top_view(self) -> None:
         scene = self._scene
         panel = self._figure.add_axes((0.66, 0.47, 0.25, 0.445))
-        if scene.surroundings is not None:
-            draw_dots(panel, top_view(scene.surroundings))
         self._add_goal(panel, top_view)
         for motion in scene.motions:
             path = top_view(motion.joints[:, Joint.PELVIS])

@@ -23,7 +23,6 @@ from prbench.viewing.replay.scene import (
     GOAL_COLOUR,
     IS_THICK,
     MARK_COLOUR,
-    SURROUNDINGS_COLOUR,
     Progress,
     Scene,
     ShownMotion,
@@ -163,19 +162,12 @@ class _Body:
             )
             for what, (positions, shade, width) in segments.items()
         ]
-        # Add the parts that do not move: label, path of the pelvis on the floor, surroundings and goal.
+        # Add the parts that do not move: label, path of the pelvis on the floor, and goal.
         colour = rgb(motion.colour)
         floor = motion.joints[:, Joint.PELVIS] * [1.0, 0.0, 1.0] + offset + [0.0, 0.005, 0.0]
         way = np.stack([floor[:-1], floor[1:]], axis=1).astype(np.float32)
         server.scene.add_line_segments(f"{name}/way", way, colors=colour, thickness=0.012)
         server.scene.add_label(f"{name}/label", motion.label, position=tuple(floor[0]), anchor="top-center")
-        if scene.surroundings is not None and motion is scene.motions[0]:  # copies in every lane would overlap
-            server.scene.add_point_cloud(
-                f"{name}/surroundings",
-                (scene.surroundings + offset).astype(np.float32),
-                colors=rgb(SURROUNDINGS_COLOUR),
-                point_size=0.012,
-            )
         if scene.goal is not None:
             # Every lane has its own copy of the goal, because its body reaches for that.
             edges = (scene.goal.box_corners + offset)[np.array(BOX_EDGES)].astype(np.float32)

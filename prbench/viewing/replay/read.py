@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,8 +21,6 @@ from prbench.sequences.dataset_info import may_pass_on, notice, require_may_pass
 from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED, RECORDED_COLOUR, Gaze, Goal, Scene, ShownMotion
 
 _SIDES = {"left": 0, "right": 1}
-_Around = Callable[[SequenceChunk], Float[np.ndarray, "k 3"]]
-"""Returns points on the surroundings of one sequence (:attr:`Scene.surroundings`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +117,6 @@ def read_scenes(
     runs: Sequence[RunMotions] = (),
     *,
     permitted: Collection[str] = (),
-    around: _Around | None = None,
 ) -> Iterator[Scene]:
     """Read sequences with each run's motions of them, in the order given.
 
@@ -131,7 +128,6 @@ def read_scenes(
         sequence_ids: Ids that the table and every run have.
         runs: Runs that were made on this table.
         permitted: Datasets for which the user has permission to pass recorded motion on.
-        around: Returns points on the surroundings of a sequence; None draws the motions alone.
 
     Raises:
         RedistributionError: if nothing is left that may be shown.
@@ -150,7 +146,7 @@ def read_scenes(
             )
             for run, colour, values in zip(runs, METHOD_COLOURS, scores, strict=False)
         ]
-        yield scene_of(chunks[name], table.info, motions, permitted=permitted, around=around, constants=constants)
+        yield scene_of(chunks[name], table.info, motions, permitted=permitted, constants=constants)
 
 
 def _require_something_to_show(info: DatasetInfo, runs: Sequence[RunMotions], permitted: Collection[str]) -> None:
@@ -172,7 +168,6 @@ def scene_of(
     motions: Sequence[ShownMotion] = (),
     *,
     permitted: Collection[str] = (),
-    around: _Around | None = None,
     constants: MetricConstants | None = None,
 ) -> Scene:
     """Make the scene of one row of a table, with generated motions beside the recorded one.
@@ -182,7 +177,6 @@ def scene_of(
         info: Description of its dataset.
         motions: Motions that methods generated for it.
         permitted: See :func:`read_scenes`.
-        around: See :func:`read_scenes`.
         constants: Numbers of the metrics; None for those of prbench's own protocol.
     """
     constants = constants or load_protocol().metrics
@@ -206,7 +200,6 @@ def scene_of(
         thresholds=constants,
         goal=goal_of(chunk) if shown and placed else None,
         notice=notice(info, permitted),
-        surroundings=around(chunk) if shown and around is not None else None,
     )
 
 

@@ -85,9 +85,6 @@ class Scene:
     """None where the recorded motion is withheld, and where the goal's place is unknown."""
     notice: str = ""
     """Sentence that the dataset's terms ask a view to show."""
-    surroundings: Float[np.ndarray, "k 3"] | None = None
-    """Points on the surroundings at the time of the event, canonical frame, metres. None unless asked for, and where
-    the licence keeps them."""
 
     @property
     def shows_recorded(self) -> bool:
@@ -251,11 +248,8 @@ GAZE_COLOUR = "#e69f00"
 GOAL_COLOUR = "#56b4e9"
 BOX_COLOUR = "#1b6f9c"
 MARK_COLOUR = "#555555"
-SURROUNDINGS_COLOUR = "#b8b8b8"
 IS_THICK = np.array([not Joint(child).name.startswith("LEFT") for _, child in BONES])
 """True for right limbs and the trunk, in the order of ``skeleton.BONES``; left limbs are drawn thin."""
-SLICE = 0.6
-"""Metres before and behind a body within which a side view shows the surroundings."""
 
 _BONES = np.array(BONES)
 _LINE_WIDTHS = np.where(IS_THICK, 2.1, 0.9)  # points
@@ -400,29 +394,3 @@ def mark_times(axes: Axes, scene: Scene) -> None:
     axes.axvspan(scene.prime_time - window, scene.prime_time + window, color="0.92", zorder=0, linewidth=0)
     axes.axvline(scene.prime_time, color=MARK_COLOUR, linewidth=1.0, linestyle="--", zorder=1)
     axes.axvline(scene.event_time, color=MARK_COLOUR, linewidth=1.4, zorder=1)
-
-
-def draw_dots(axes: Axes, points: Float[np.ndarray, "k 2"]) -> None:
-    """Draw flat points of the surroundings behind everything else."""
-    axes.scatter(*points.T, s=0.7, color=SURROUNDINGS_COLOUR, linewidths=0, zorder=0)
-
-
-def beside(
-    points: Float[np.ndarray, "k 3"],
-    body: Float[np.ndarray, "3"],
-    axis: Float[np.ndarray, "3"],
-    *,
-    reach: float,
-) -> Float[np.ndarray, "m 3"]:
-    """Return the points of a slice around a body that a side view shows.
-
-    Args:
-        points: Canonical frame, metres.
-        body: The pelvis.
-        axis: Horizontal unit vector that points to the right in the view.
-        reach: Metres to both sides.
-    """
-    offset = points - body
-    # The axis and the vertical span the picture; what is left is the distance from its plane.
-    depth = offset @ np.cross([0.0, 1.0, 0.0], axis)
-    return points[(np.abs(offset @ axis) < reach) & (np.abs(depth) < SLICE)]

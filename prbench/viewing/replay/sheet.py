@@ -23,14 +23,11 @@ from prbench.viewing.replay.scene import (
     MARK_COLOUR,
     METHOD_COLOURS,
     RECORDED,
-    SURROUNDINGS_COLOUR,
     Goal,
     Progress,
     Scene,
     ShownMotion,
-    beside,
     draw_bodies,
-    draw_dots,
     draw_goal,
     gaze_angle,
     gaze_distance,
@@ -80,10 +77,6 @@ def draw_strip(
         moved[..., 0] += places[:, None]
         return moved
 
-    if scene.surroundings is not None:
-        for start, place in zip(pelvis, places, strict=True):
-            near = beside(scene.surroundings, start, axis, reach=_SPACING / 2)
-            draw_dots(axes, side_view(near, axis, around=start) + np.array([place, 0.0]))
     draw_bodies(axes, flat(joints), motion.colour)
     goal = scene.goal_location
     for ray in flat(head_rays(motion.joints[frames], scene.head_tilt_deg, goal, _LONGEST_RAY)):
@@ -132,8 +125,6 @@ def draw_way(axes: Axes, scene: Scene, frames: Int[np.ndarray, " poses"]) -> Non
         scene: The sequence.
         frames: Poses whose head direction is marked.
     """
-    if scene.surroundings is not None:
-        draw_dots(axes, top_view(scene.surroundings))
     for motion in scene.motions:
         path = top_view(motion.joints[:, Joint.PELVIS])
         axes.plot(*path.T, color=motion.colour, linewidth=2.0 if motion.label == RECORDED else 1.6, alpha=0.9)
@@ -364,9 +355,6 @@ def _draw_key(axes: Axes, scene: Scene) -> None:
         Line2D([], [], marker="*", linestyle="", markersize=9, label="at the event", **grey),
         Patch(facecolor="0.88", label=f"prime time ± {scene.thresholds.prime_window:g} s"),
     ]
-    if scene.surroundings is not None:
-        dots: dict[str, Any] = {"linestyle": "", "markersize": 2, "color": SURROUNDINGS_COLOUR}
-        handles.append(Line2D([], [], marker="o", label="what stood around at the event", **dots))
     axes.set_axis_off()
     axes.legend(handles=handles, fontsize=7.2, ncols=2, frameon=False, loc="upper left", borderaxespad=0.0)
 
