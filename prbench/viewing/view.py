@@ -95,7 +95,7 @@ def view(request: ViewRequest, progress: Progress = _silent) -> ViewReport:
         MissingExtraError: if MP4 or HTML is asked for without the extra `view`.
         StorageError: if the file cannot be written.
     """
-    # First of all: an unwritable kind of file must not fail after minutes of drawing. SVG is for other benchmarks alone.
+    # First of all: an unwritable kind of file must not fail after minutes of drawing. Other benchmarks write SVG, too.
     if request.out.suffix.lower() != ".svg":
         file_kind(request.out)
     if request.runs:
