@@ -9,14 +9,12 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from jaxtyping import Bool, Float
 
 from prbench.errors import UsageError
 from prbench.files.storage import sole_writer
 from prbench.geometry.skeleton import head_forward, transform_points
-from prbench.recording.streams import is_estimated
 from prbench.sequences.dataset_info import Provenance
 from prbench.sequences.sequence import SequenceChunk
 from prbench.sequences.table import SequenceTable
@@ -57,20 +55,15 @@ def build_anchored_windows(data: Path | str, out: Path | str, *, only: Collectio
     protocol = load_prediction_protocol()
     fps = table.scalars()["fps"][0].as_py()
     rules = protocol.windows.at(fps)
-    seen: set[str] = set()
 
     def cut() -> Iterator[CutRun]:
         for chunk in table.chunks(columns=[*_TEXT, *_NUMBERS, *_ARRAYS]):
-            seen.update(chunk.strings("pose_source"))
             for row in range(len(chunk)):
                 sequence = _Sequence.of(chunk.take([row]))
                 windows = sequence.windows(rules, protocol.anchored)
                 windows = tuple(each for each in windows if not only or each.anchor in only)
                 if windows:
                     yield CutRun(sequence.run, windows)
-
-    def finish(info: WindowsInfo) -> WindowsInfo:
-        return msgspec.structs.replace(info, estimated_bodies=any(map(is_estimated, seen)))
 
     source = {name: getattr(table.info, name) for name in Provenance.__struct_fields__}
     changed = {
@@ -93,15 +86,9 @@ def build_anchored_windows(data: Path | str, out: Path | str, *, only: Collectio
         future_frames=rules.future_frames,
         fewest_gaze_frames=rules.fewest_gaze_frames,
         joint_set="smpl22",
-        has_gaze=False,
-        estimated_bodies=False,
-        participants=0,
-        recordings=0,
-        runs=0,
-        frames=0,
     )
     with sole_writer(out):
-        return write_windows(out, info, cut(), finish=finish)
+        return write_windows(out, info, cut())
 
 
 @dataclass(frozen=True)

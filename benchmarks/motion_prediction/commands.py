@@ -114,7 +114,8 @@ def build_windows(
         return windows_answer(build_anchored_windows(data, out, only=anchors), out)
     assert dataset is not None
     assert root is not None
-    from prbench_benchmarks.motion_prediction.windows import build_planned_windows, build_windows_shard, plan_windows
+    from prbench_benchmarks.motion_prediction.windows import build_windows as build
+    from prbench_benchmarks.motion_prediction.windows import build_windows_shard, plan_windows
 
     # Nymeria has no reader of recordings: its windows are cut where its corpus is read.
     planner = load_built_in(CORPORA, "windows") if dataset == "nymeria" else plan_windows
@@ -122,15 +123,15 @@ def build_windows(
     where = opt.opened(engine, reads=(root,), writes=(out,))
     if part is None:
         with progress(f"cutting {dataset}") as tell:
-            report = build_planned_windows(plan, out, on_error=on_error, engine=where, progress=tell)
+            report = build(plan, out, on_error=on_error, engine=where, progress=tell)
         return windows_answer(report.info, out)
     with progress(f"cutting shard {part} of {dataset}") as tell:
         done = build_windows_shard(plan, out, part, on_error=on_error, engine=where, progress=tell)
     for each in done.records:
-        if each.status != "read":
-            note(f"{each.recording_id}: {each.status}: {each.message}")
+        if each.receipt.status != "read":
+            note(f"{each.recording_id}: {each.receipt.status}: {each.receipt.message}")
     report = builds.made_shard(done, len(done.records))
-    complete = all(each.status != "failed" for each in done.records)
+    complete = all(each.receipt.status != "failed" for each in done.records)
     exit_code = 0 if complete else builds.NOT_EVERYTHING
     return opt.shard_answer(WindowsReport(shard=report), report, unit="recordings", exit_code=exit_code)
 

@@ -6,7 +6,8 @@ read a few at a time: memory does not grow with the table.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 from functools import cached_property
@@ -49,15 +50,12 @@ RUNS_AT_ONCE = 8
 """Runs in a row group: a run may hold 20 minutes, 10 MB."""
 _IDENTITY = ("run_id", "split", "segment", "n_frames")
 
+_TEXTS = ("run_id", "recording_id", "participant_id", "split", "published_split", "segment", "pose_source")
+_COLUMNS = (("window_id", pa.string()), ("row", pa.int32()), ("start", pa.int32()), ("anchor", pa.string()))
+_COUNTS = (("n_scored", pa.int32()), ("n_gaze_valid", pa.int32()), ("exclusion", pa.string()))
 WINDOWS = pa.schema(
     [
-        column_field("window_id", pa.string()),
-        column_field("row", pa.int32()),
-        column_field("start", pa.int32()),
-        column_field("anchor", pa.string()),
-        column_field("n_scored", pa.int32()),
-        column_field("n_gaze_valid", pa.int32()),
-        column_field("exclusion", pa.string()),
+        *(column_field(name, kind) for name, kind in (*_COLUMNS, *_COUNTS)),
         column_field("goal", pa.list_(pa.float64(), 3), nullable=True),
     ]
 )
@@ -65,28 +63,17 @@ WINDOWS = pa.schema(
 
 def streams_schema(joints: JointSet) -> pa.Schema:
     """Columns of ``streams`` for a joint set."""
-    n_joints = len(joints.names)
+    numbers = (("fps", pa.float64()), ("start_time", pa.float64()), ("n_frames", pa.int32()))
     direction = pa.list_(pa.list_(pa.float32(), 3))
-    return pa.schema(
-        [
-            column_field("run_id", pa.string()),
-            column_field("recording_id", pa.string()),
-            column_field("participant_id", pa.string()),
-            column_field("split", pa.string()),
-            column_field("published_split", pa.string()),
-            column_field("segment", pa.string()),
-            column_field("pose_source", pa.string()),
-            column_field("fps", pa.float64()),
-            column_field("start_time", pa.float64()),
-            column_field("n_frames", pa.int32()),
-            column_field("joints", pa.list_(pa.list_(pa.float32(), n_joints * 3))),
-            column_field("joints_valid", pa.list_(pa.bool_())),
-            column_field("gaze", direction),
-            column_field("gaze_valid", pa.list_(pa.bool_())),
-            column_field("head_direction", direction),
-        ],
-        metadata={"joint_set": joints.name},
+    frames = (
+        ("joints", pa.list_(pa.list_(pa.float32(), len(joints.names) * 3))),
+        ("joints_valid", pa.list_(pa.bool_())),
+        ("gaze", direction),
+        ("gaze_valid", pa.list_(pa.bool_())),
+        ("head_direction", direction),
     )
+    columns = (*((name, pa.string()) for name in _TEXTS), *numbers, *frames)
+    return pa.schema([column_field(*column) for column in columns], metadata={"joint_set": joints.name})
 
 
 @dataclass(frozen=True)
@@ -178,17 +165,17 @@ class WindowsInfo(Provenance, frozen=True, kw_only=True):
     """Observed frames with measured gaze that a window has at least."""
     joint_set: str
     """``smpl22``, or native joints such as ``mogaze21``."""
-    has_gaze: bool
+    has_gaze: bool = False
     """False where no frame of any recording has measured gaze."""
-    estimated_bodies: bool
+    estimated_bodies: bool = False
     """Bodies were estimated from whole tracks of the head: an observed frame may carry later head motion."""
-    participants: int
+    participants: int = 0
     """Number of participants."""
-    recordings: int
+    recordings: int = 0
     """Number of recordings with windows."""
-    runs: int
+    runs: int = 0
     """Number of runs of frames (segments, sequences)."""
-    frames: int
+    frames: int = 0
     """Number of frames in all runs."""
 
 
@@ -200,20 +187,13 @@ class CutRun:
     windows: tuple[Window, ...]
 
 
-def write_windows(
-    folder: Path,
-    info: WindowsInfo,
-    cut: Iterable[CutRun],
-    *,
-    finish: Callable[[WindowsInfo], WindowsInfo] = lambda info: info,
-) -> WindowsInfo:
+def write_windows(folder: Path, info: WindowsInfo, cut: Iterable[CutRun]) -> WindowsInfo:
     """Write a folder of windows whole or not at all; an earlier one there is replaced.
 
     Args:
         folder: The table's folder.
-        info: Provenance; digests, counts, ``has_gaze`` and ``outcomes`` are filled in here.
+        info: Provenance; digests, counts, ``has_gaze``, ``estimated_bodies`` and ``outcomes`` are filled in here.
         cut: Runs in table order, taken up one by one.
-        finish: Fills in what is known of the provenance after the last run was taken up.
 
     Returns:
         The provenance as written.
@@ -223,83 +203,54 @@ def write_windows(
         TableError: if there is no window, or captured bodies stand beside estimated ones.
     """
     require_replaceable(folder, FILE_NAME, kind="table of windows")
-    joints = joint_set(info.joint_set)
-    schemas = {"streams": streams_schema(joints), "windows": WINDOWS}
-    tally = _Tally(folder, schemas["streams"])
-    with atomic_folder(folder) as temporary:
-        tables = {"streams": tally.streams(cut), "windows": tally.windows()}
-        # The provenance counts what was written, so it is written once more at the end.
-        written = write_tables(temporary, info, tables, schemas, _IDENTITY, row_group_rows=RUNS_AT_ONCE)
-        if not tally.windows_found:
-            raise TableError(
-                f"{folder}: expected a run of frames longer than a window, found 0 windows in {tally.runs} runs."
-            )
-        written = finish(tally.filled_in(written))
-        written.write(temporary)
-    return written
+    schemas = {"streams": streams_schema(joint_set(info.joint_set)), "windows": WINDOWS}
+    kinds: dict[bool, str] = {}
+    windows: list[dict[str, object]] = []
+    counted: dict[str, Any] = {"runs": 0, "frames": 0, "has_gaze": False}
+    people: set[str] = set()
+    recordings: set[str] = set()
 
-
-class _Tally:
-    """Turns runs into rows, and remembers the windows and counts that are known only at the end."""
-
-    def __init__(self, folder: Path, schema: pa.Schema) -> None:
-        self._folder = folder
-        self._schema = schema
-        self._kinds: dict[bool, str] = {}
-        self._windows: list[dict[str, object]] = []
-        self.runs = 0
-        self._frames = 0
-        self._gaze = False
-        self._outcomes: dict[str, int] = {}
-        self._recordings: set[str] = set()
-        self._participants: set[str] = set()
-
-    def streams(self, cut: Iterable[CutRun]) -> Iterator[pa.RecordBatch]:
-        """Yield rows of ``streams.parquet``, one a run, and count what they hold."""
+    def streams() -> Iterator[pa.RecordBatch]:
         for each in cut:
             run = each.run
-            self._require_one_kind(run)
-            self._windows += [window.row(run, self.runs) for window in each.windows]
-            for window in each.windows:
-                outcome = window.exclusion or "window"
-                self._outcomes[outcome] = self._outcomes.get(outcome, 0) + 1
-            self.runs += 1
-            self._frames += len(run)
-            self._gaze |= bool(run.gaze_valid.any())
-            self._recordings.add(run.recording_id)
-            self._participants.add(run.participant_id)
-            yield row_batch([run], self._schema)
+            # Estimated bodies may carry later head motion: they never enter one mean with captured ones.
+            kinds.setdefault(is_estimated(run.pose_source), run.recording_id)
+            if len(kinds) > 1:
+                raise TableError(
+                    f"{folder}: expected captured bodies or estimated ones, found both: {kinds[False]} and"
+                    f" {kinds[True]}. Build a table of each; they never enter one mean."
+                )
+            windows.extend(window.row(run, counted["runs"]) for window in each.windows)
+            counted["runs"] += 1
+            counted["frames"] += len(run)
+            counted["has_gaze"] |= bool(run.gaze_valid.any())
+            recordings.add(run.recording_id)
+            people.add(run.participant_id)
+            yield row_batch([run], schemas["streams"])
 
-    def _require_one_kind(self, run: Run) -> None:
-        """Estimated bodies may carry later head motion: they never enter one mean with captured ones."""
-        self._kinds.setdefault(is_estimated(run.pose_source), run.recording_id)
-        if len(self._kinds) > 1:
+    def rows() -> Iterator[pa.RecordBatch]:
+        for start in range(0, len(windows), 4096):
+            yield pa.RecordBatch.from_pylist(windows[start : start + 4096], schema=WINDOWS)
+
+    with atomic_folder(folder) as temporary:
+        # The provenance counts what was written, so it is written once more at the end.
+        tables = {"streams": streams(), "windows": rows()}
+        written = write_tables(temporary, info, tables, schemas, _IDENTITY, row_group_rows=RUNS_AT_ONCE)
+        if not windows:
             raise TableError(
-                f"{self._folder}: expected captured bodies or estimated ones, found both: {self._kinds[False]} and"
-                f" {self._kinds[True]}. Build a table of each; they never enter one mean."
+                f"{folder}: expected a run of frames longer than a window, found 0 windows in {counted['runs']} runs."
             )
-
-    def windows(self) -> Iterator[pa.RecordBatch]:
-        """Yield rows of ``windows.parquet`` for the runs that were counted."""
-        for start in range(0, len(self._windows), 4096):
-            yield pa.RecordBatch.from_pylist(self._windows[start : start + 4096], schema=WINDOWS)
-
-    @property
-    def windows_found(self) -> int:
-        """Number of windows so far."""
-        return len(self._windows)
-
-    def filled_in(self, info: WindowsInfo) -> WindowsInfo:
-        """Put the counts into the description of the table."""
-        return msgspec.structs.replace(
-            info,
-            runs=self.runs,
-            frames=self._frames,
-            has_gaze=self._gaze,
-            outcomes=dict(sorted(self._outcomes.items())),
-            recordings=len(self._recordings),
-            participants=len(self._participants),
+        outcomes = Counter(str(window["exclusion"] or "window") for window in windows)
+        written = msgspec.structs.replace(
+            written,
+            **counted,
+            outcomes=dict(sorted(outcomes.items())),
+            estimated_bodies=info.estimated_bodies or True in kinds,
+            recordings=len(recordings),
+            participants=len(people),
         )
+        written.write(temporary)
+    return written
 
 
 @dataclass(frozen=True)
@@ -354,17 +305,18 @@ class WindowsTable:
                         f"{path}: expected a column '{wrong}' of version {SCHEMA_VERSION}. Build it again."
                     )
         short = [field.name for field in schema if not pa.types.is_list(field.type)]
-        paths = table_parts(folder, "streams")
-        runs = pa.concat_tables(read_parquet(path, short) for path in paths).combine_chunks()
-        windows = pa.concat_tables(read_parquet(path, WINDOWS.names) for path in table_parts(folder, "windows"))
-        table = cls(folder, info, windows.combine_chunks(), runs)
+        runs, windows = (
+            pa.concat_tables(read_parquet(path, columns) for path in table_parts(folder, name)).combine_chunks()
+            for name, columns in (("streams", short), ("windows", WINDOWS.names))
+        )
+        table = cls(folder, info, windows, runs)
+
+        def refuse() -> None:
+            raise TableError(f"{folder}: streams.parquet was changed after the build. Build the windows again.")
+
+        own = folder / FILE_NAME
         require_unchanged(
-            folder,
-            folder / FILE_NAME,
-            info.file_digests,
-            main="streams",
-            others=["windows"],
-            require_same_values=table._refuse,
+            folder, own, info.file_digests, main="streams", others=["windows"], require_same_values=refuse
         )
         require_distinct(windows["window_id"].to_pylist(), f"{folder}, windows")
         return table
@@ -379,9 +331,6 @@ class WindowsTable:
         """Digest of all values."""
         return self.info.content_digest
 
-    def _refuse(self) -> None:
-        raise TableError(f"{self.folder}: streams.parquet was changed after the build. Build the windows again.")
-
     @property
     def joints(self) -> JointSet:
         """The joint set of all runs."""
@@ -389,15 +338,11 @@ class WindowsTable:
 
     @cached_property
     def _columns(self) -> Mapping[str, np.ndarray]:
-        short = ("split", "published_split", "recording_id", "participant_id")
-        columns = {name: np.array(self.runs[name].to_pylist()) for name in short}
         row = self.windows["row"].to_numpy()
-        return {name: values[row] for name, values in columns.items()} | {
-            "row": row,
-            "exclusion": np.array(self.windows["exclusion"].to_pylist()),
-            "n_gaze_valid": self.windows["n_gaze_valid"].to_numpy(),
-            "anchor": np.array(self.windows["anchor"].to_pylist()),
-        }
+        short = ("split", "published_split", "recording_id")
+        columns = {name: np.array(self.runs[name].to_pylist())[row] for name in short}
+        own = {name: np.array(self.windows[name].to_pylist()) for name in ("exclusion", "n_gaze_valid", "anchor")}
+        return {**columns, **own, "row": row}
 
     def chosen(
         self,
@@ -406,7 +351,6 @@ class WindowsTable:
         published_split: str | None = None,
         anchor: str | None = None,
         recordings: SequenceOf[str] | None = None,
-        participants: SequenceOf[str] | None = None,
         with_excluded: bool = False,
     ) -> Int[np.ndarray, " n"]:
         """Places of the windows that are scored, the same under every condition, so that conditions can be paired.
@@ -416,7 +360,6 @@ class WindowsTable:
             published_split: Only this split of the published evaluation.
             anchor: Only this anchor.
             recordings: Only these recordings, for splits of one's own.
-            participants: Only these participants, for leaving one out (module ``folds``).
             with_excluded: Windows with an invalid body or too little gaze, too: those that the study counts.
 
         Raises:
@@ -427,9 +370,8 @@ class WindowsTable:
         for name, wanted in (("split", split), ("published_split", published_split), ("anchor", anchor)):
             if wanted is not None:
                 keep &= columns[name] == wanted
-        for name, some in (("recording_id", recordings), ("participant_id", participants)):
-            if some is not None:
-                keep &= np.isin(columns[name], list(some))
+        if recordings is not None:
+            keep &= np.isin(columns["recording_id"], list(recordings))
         if not with_excluded:
             keep &= columns["exclusion"] == ""
             if self.info.has_gaze:
@@ -457,7 +399,7 @@ class WindowsTable:
                     count = file.metadata.row_group(group).num_rows
                     here = [row for row in range(first, first + count) if wanted is None or row in wanted]
                     if here:
-                        batch = file.read_row_group(group)
+                        batch = file.read_row_group(group).combine_chunks().to_batches()[0]
                         for row in here:
                             yield row, run_of(batch.slice(row - first, 1))
                     first += count
@@ -500,23 +442,25 @@ class WindowsTable:
         self, condition: Condition, windows: list[tuple[int, Run]], frame: FrameName
     ) -> tuple[ObservedBatch, Truth]:
         rows = self.windows.take([place for place, _ in windows]).to_pylist()
-        observed = self.info.observed_frames
-        starts = [row["start"] for row in rows]
-        seen = [(run, slice(start, start + observed)) for start, (_, run) in zip(starts, windows, strict=True)]
-        joints = np.stack([run.joints[part] for run, part in seen])
+        runs = [run for _, run in windows]
+        borders = [row["start"] + self.info.observed_frames for row in rows]
+
+        def observed(name: str) -> np.ndarray:
+            parts = zip(rows, runs, borders, strict=True)
+            return np.stack([getattr(run, name)[row["start"] : border] for row, run, border in parts])
+
+        joints = observed("joints")
         room_from_batch = np.tile(np.eye(4), (len(rows), 1, 1))
         if frame == "last-pose":
             room_from_batch = self.joints.last_pose_frame(joints[:, -1])
+        batch_from_room = invert_each(room_from_batch)
         gaze = None
         valid = None
-        if condition is Condition.POSE_GAZE:
-            gaze = np.stack([run.gaze[part] for run, part in seen])
-            valid = np.stack([run.gaze_valid[part] for run, part in seen])
-        elif condition is Condition.POSE_HEAD:
-            gaze = np.stack([run.head_direction[part] for run, part in seen])
-            valid = np.ones(gaze.shape[:2], dtype=bool)
-        batch_from_room = invert_each(room_from_batch)
-        turns = rotations_alone(batch_from_room)
+        if condition is not Condition.POSE:
+            with_gaze = condition is Condition.POSE_GAZE
+            directions = observed("gaze" if with_gaze else "head_direction")
+            gaze = transform_each(rotations_alone(batch_from_room), directions).astype(np.float32)
+            valid = observed("gaze_valid") if with_gaze else np.ones(gaze.shape[:2], dtype=bool)
         batch = ObservedBatch(
             condition=condition,
             fps=self.info.fps,
@@ -524,26 +468,16 @@ class WindowsTable:
             joint_names=self.joints.names,
             observed_joints=transform_each(batch_from_room, joints).astype(np.float32),
             key=window_keys([row["window_id"] for row in rows]),
-            gaze=None if gaze is None else transform_each(turns, gaze).astype(np.float32),
+            gaze=gaze,
             gaze_valid=valid,
         )
-        return batch, self._truth(rows, [run for _, run in windows], batch_from_room, room_from_batch)
-
-    def _truth(
-        self,
-        rows: list[dict],
-        runs: list[Run],
-        batch_from_room: Float[np.ndarray, "batch 4 4"],
-        room_from_batch: Float[np.ndarray, "batch 4 4"],
-    ) -> Truth:
         future = np.full((len(rows), self.info.future_frames, len(self.joints.names), 3), np.nan)
         goal = np.full((len(rows), 3), np.nan)
-        for place, (row, run) in enumerate(zip(rows, runs, strict=True)):
-            first = row["start"] + self.info.observed_frames
+        for place, (row, run, first) in enumerate(zip(rows, runs, borders, strict=True)):
             future[place, : row["n_scored"]] = run.joints[first : first + row["n_scored"]]
             if row["goal"] is not None:
                 goal[place] = row["goal"]
-        return Truth(
+        truth = Truth(
             window_ids=tuple(row["window_id"] for row in rows),
             recording_ids=tuple(run.recording_id for run in runs),
             participant_ids=tuple(run.participant_id for run in runs),
@@ -554,24 +488,23 @@ class WindowsTable:
             goal=transform_each(batch_from_room, goal),
             room_from_batch=room_from_batch,
         )
+        return batch, truth
 
 
-def run_of(rows: pa.Table | pa.RecordBatch) -> Run:
+def run_of(row: pa.RecordBatch) -> Run:
     """The only row of ``streams`` that is given, as a run."""
-    row = rows if isinstance(rows, pa.RecordBatch) else rows.combine_chunks().to_batches()[0]
 
-    def frames(name: str, size: int) -> np.ndarray:
+    def frames(name: str, *shape: int) -> np.ndarray:
         flat = row.column(name).flatten()
-        flat = flat.flatten() if size else flat
-        return flat.to_numpy(zero_copy_only=False).reshape(-1, *((size // 3, 3) if size > 3 else (size,) * bool(size)))
+        flat = flat.flatten() if shape else flat
+        return flat.to_numpy(zero_copy_only=False).reshape(-1, *shape)
 
     n_values = row.schema.field("joints").type.value_type.list_size
-    plain = ("run_id", "recording_id", "participant_id", "split", "published_split", "segment", "pose_source")
     return Run(
-        **{name: row.column(name)[0].as_py() for name in (*plain, "fps", "start_time")},
-        joints=frames("joints", n_values),
-        joints_valid=frames("joints_valid", 0),
+        **{name: row.column(name)[0].as_py() for name in (*_TEXTS, "fps", "start_time")},
+        joints=frames("joints", n_values // 3, 3),
+        joints_valid=frames("joints_valid"),
         gaze=frames("gaze", 3),
-        gaze_valid=frames("gaze_valid", 0),
+        gaze_valid=frames("gaze_valid"),
         head_direction=frames("head_direction", 3),
     )

@@ -2,7 +2,8 @@
 
 Source: docs/specification/motion-prediction.md#from-recordings-to-windows. Nothing that a predictor sees is made from a
 sample later than its frame, except body frames in gaps (no window's observation ends in one) and bodies whose
-rate is no multiple of the windows' rate.
+rate is no multiple of the windows' rate. Recordings are kept as parts (:mod:`prbench.sequences.parts`) until the table
+stands, so that a build can be resumed.
 """
 
 from __future__ import annotations
@@ -10,10 +11,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
+import pyarrow as pa
 from jaxtyping import Bool, Float, Int
 
 import prbench
@@ -28,24 +30,42 @@ from prbench.geometry.skeleton import head_forward
 from prbench.geometry.timelines import covered, interpolate, nearest_index
 from prbench.protocol.manifests import Manifest, digest_of, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX, PublishedForPrediction, Reader, reader_for
-from prbench.recording.streams import BodyStream, PublishedTrack, Recording, is_estimated
+from prbench.recording.streams import BodyStream, PublishedTrack, Recording
 from prbench.sequences import parts
 from prbench.sequences.dataset_info import QuarantinedRecording
-from prbench.sequences.parts import ShardReport, finish_shard, making_shard, shard_parts, work_folder, working_in_parts
+from prbench.sequences.parts import (
+    BuildReport,
+    ShardReport,
+    finish_shard,
+    making_shard,
+    shard_parts,
+    work_folder,
+    working_in_parts,
+)
+from prbench.sequences.sequence import row_batch
 from prbench.shown import quoted
 from prbench_benchmarks.motion_prediction.joint_sets import SMPL22, joint_set
 from prbench_benchmarks.motion_prediction.protocol import PredictionProtocol, WindowRules, load_prediction_protocol
 from prbench_benchmarks.motion_prediction.table import (
     FILE_NAME,
     SCHEMA_VERSION,
+    WINDOWS,
     CutRun,
     Run,
     Window,
     WindowsInfo,
+    run_of,
+    streams_schema,
     write_windows,
 )
-from prbench_benchmarks.motion_prediction.window_parts import read_cut_runs, write_cut_runs
 
+JointChoice = Literal["native", "smpl22"]
+"""``native``: joints that a study scored, where the reader gives them; ``smpl22``: the 22 joints of every dataset."""
+Status = Literal["read", "failed", "skipped"]
+OnError = Literal["skip", "fail"]
+Progress = Callable[[int, int, str], None] | None
+"""Called after each recording with how many are done, of how many, and its id."""
+_IN_PROCESS = InProcess()
 _ROUNDING = 1e-6  # seconds
 _RATE_TOLERANCE = 0.005
 """Share by which a rate may differ from a multiple of the windows' rate: 29.97 is 30, EgoAllo's 30.3 is not."""
@@ -66,19 +86,17 @@ def runs_of_recording(recording: Recording, rules: WindowRules, *, split: str) -
     directions, _ = head_forward(joints, recording.head_tilt_deg)
     gaze = recording.gaze
     looks, looking = latest_gaze(gaze.times, gaze.direction, gaze.valid, times, oldest=rules.largest_gaze_age)
-    for number, (first, stop) in enumerate(_stretches(posed)):
+    # First frame and end of every stretch of frames with a body.
+    steps = np.flatnonzero(np.diff(np.concatenate(([False], posed, [False])).astype(np.int8)))
+    for number, (first, stop) in enumerate(steps.reshape(-1, 2).tolist()):
         if stop - first <= rules.length:
             continue
         part = slice(first, stop)
-        run = Run(
-            run_id=f"{recording.recording_id}/{number}",
-            recording_id=recording.recording_id,
-            participant_id=recording.participant_id,
+        run = _run(
+            recording,
+            str(number),
+            rules,
             split=split,
-            published_split="",
-            segment=str(number),
-            pose_source=recording.pose_source,
-            fps=rules.fps,
             start_time=float(times[first]),
             joints=joints[part],
             joints_valid=posed[part],
@@ -106,15 +124,12 @@ def runs_of_tracks(
         directions, _ = head_forward(track.body, recording.head_tilt_deg)
         oldest = rules.largest_gaze_age
         looks, looking = latest_gaze(track.times, track.gaze, track.gaze_measured, track.times, oldest=oldest)
-        run = Run(
-            run_id=f"{recording.recording_id}/{track.name}",
-            recording_id=recording.recording_id,
-            participant_id=recording.participant_id,
+        run = _run(
+            recording,
+            track.name,
+            rules,
             split=split,
             published_split=track.published_split or published_split,
-            segment=track.name,
-            pose_source=recording.pose_source,
-            fps=rules.fps,
             start_time=float(track.times[0]),
             joints=track.joints,
             joints_valid=track.valid,
@@ -123,6 +138,19 @@ def runs_of_tracks(
             head_direction=directions,
         )
         yield CutRun(run, sliding_windows(run, track.filled, rules))
+
+
+def _run(recording: Recording, segment: str, rules: WindowRules, *, published_split: str = "", **frames: Any) -> Run:
+    return Run(
+        run_id=f"{recording.recording_id}/{segment}",
+        recording_id=recording.recording_id,
+        participant_id=recording.participant_id,
+        published_split=published_split,
+        segment=segment,
+        pose_source=recording.pose_source,
+        fps=rules.fps,
+        **frames,
+    )
 
 
 def window_starts(n_frames: int, rules: WindowRules) -> Int[np.ndarray, " n"]:
@@ -203,13 +231,70 @@ def _resampled(
     return times, interpolate(known, poses, times), posed & (apart > 1.5 * period), posed
 
 
-def _stretches(posed: Bool[np.ndarray, " n"]) -> list[tuple[int, int]]:
-    """First frame and end of every stretch of frames with a body."""
-    steps = np.flatnonzero(np.diff(np.concatenate(([False], posed, [False])).astype(np.int8)))
-    return [(int(first), int(stop)) for first, stop in steps.reshape(-1, 2)]
+@dataclass(frozen=True)
+class NativeWindows:
+    """A recording of a reader's dataset that can be cut into windows; picklable, so that other processes can do it."""
 
+    source: NativeSource
+    manifest: Manifest
+    native: bool
+    """Whether the joints are those of the study."""
 
-Status = Literal["read", "failed", "skipped"]
+    @property
+    def recording_id(self) -> str:
+        """Unique within the build."""
+        return self.source.recording_id
+
+    @property
+    def skip_reason(self) -> str | None:
+        """Why it is left out; None if it is not."""
+        return self.source.skip_reason
+
+    @property
+    def joint_set(self) -> str:
+        """Name of the joints of its runs."""
+        reader = self._reader
+        return reader.native_joints if self.native and isinstance(reader, PublishedForPrediction) else SMPL22.name
+
+    @property
+    def settings(self) -> str:
+        """Digest of everything but the files and the protocol that decides what comes out."""
+        return text_digest(digest_of(self.manifest), load_protocol().digest, self.joint_set)
+
+    def input_digest(self) -> str:
+        """Digest of its files."""
+        return self.source.input_digest()
+
+    def without_places(self, message: str) -> str:
+        """A message without the folders of this machine."""
+        return self.source.without_places(message)
+
+    def cut(self, protocol: PredictionProtocol) -> Iterator[CutRun]:
+        """Read it, and cut it.
+
+        Raises:
+            PrbenchError: if it cannot be read.
+        """
+        source = self.source
+        reader = self._reader
+        tracks: tuple[PublishedTrack, ...] | None = None
+        if isinstance(reader, PublishedForPrediction):
+            # Its tracks know which samples were measured; the recording holds and interpolates, also from later ones.
+            recording, tracks = reader.read_published(source.found, native=self.native)
+        else:
+            recording = reader.read(source.found)
+        group = recording.split_group or source.recording_id
+        split = source.split or split_of(source.recording_id, group, self.manifest, load_protocol().splits)
+        if tracks is None:
+            yield from runs_of_recording(recording, protocol.windows, split=split)
+            return
+        published = protocol.published_splits.get(source.dataset)
+        published_split = "" if published is None else published.of(source.recording_id)
+        yield from runs_of_tracks(recording, tracks, protocol.windows, split=split, published_split=published_split)
+
+    @property
+    def _reader(self) -> Reader:
+        return reader_for(self.source.dataset, dict(self.source.reader_options))
 
 
 class WindowsReceipt(msgspec.Struct, frozen=True, kw_only=True):
@@ -219,7 +304,6 @@ class WindowsReceipt(msgspec.Struct, frozen=True, kw_only=True):
     status: Status
     message: str
     """The reason where there are no runs."""
-    pose_sources: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -232,133 +316,16 @@ class CutRecording:
     reused: bool
     """True if an earlier, interrupted build had made it."""
 
-    @property
-    def status(self) -> Status:
-        """It was read, skipped, or it failed."""
-        return self.receipt.status
 
-    @property
-    def message(self) -> str:
-        """The reason why it was not."""
-        return self.receipt.message
-
-    @property
-    def input_digest(self) -> str:
-        """Digest of its files."""
-        return self.receipt.input_digest
-
-    @property
-    def pose_sources(self) -> tuple[str, ...]:
-        """Kinds of measurement that its bodies come from."""
-        return self.receipt.pose_sources
-
-
-@runtime_checkable
-class WindowSource(Protocol):
-    """One recording that can be cut into windows; picklable, so that an engine can do it in other processes."""
-
-    @property
-    def recording_id(self) -> str:
-        """Unique within the build."""
-        ...
-
-    @property
-    def skip_reason(self) -> str | None:
-        """Why it is left out; None if it is not."""
-        ...
-
-    @property
-    def joint_set(self) -> str:
-        """Name of the joints of its runs."""
-        ...
-
-    @property
-    def settings(self) -> str:
-        """Digest of everything but the files and the protocol that decides what comes out."""
-        ...
-
-    def input_digest(self) -> str:
-        """Digest of its files."""
-        ...
-
-    def cut(self, protocol: PredictionProtocol) -> Iterator[CutRun]:
-        """Read it, and cut it.
-
-        Raises:
-            PrbenchError: if it cannot be read.
-        """
-        ...
-
-    def without_places(self, message: str) -> str:
-        """A message without the folders of this machine."""
-        ...
-
-
-@dataclass(frozen=True)
-class NativeWindows:
-    """A recording of a reader's dataset."""
-
-    source: NativeSource
-    manifest: Manifest
-    native: bool
-    """Whether the joints are those of the study."""
-
-    @property
-    def recording_id(self) -> str:
-        """See :class:`WindowSource`."""
-        return self.source.recording_id
-
-    @property
-    def skip_reason(self) -> str | None:
-        """See :class:`WindowSource`."""
-        return self.source.skip_reason
-
-    @property
-    def joint_set(self) -> str:
-        """See :class:`WindowSource`."""
-        reader = self._reader
-        return reader.native_joints if self.native and isinstance(reader, PublishedForPrediction) else SMPL22.name
-
-    @property
-    def settings(self) -> str:
-        """See :class:`WindowSource`."""
-        return text_digest(digest_of(self.manifest), load_protocol().digest, self.joint_set)
-
-    def input_digest(self) -> str:
-        """See :class:`WindowSource`."""
-        return self.source.input_digest()
-
-    def without_places(self, message: str) -> str:
-        """See :class:`WindowSource`."""
-        return self.source.without_places(message)
-
-    def cut(self, protocol: PredictionProtocol) -> Iterator[CutRun]:
-        """See :class:`WindowSource`."""
-        source = self.source
-        reader = self._reader
-        if isinstance(reader, PublishedForPrediction):
-            # Its tracks know which samples were measured; the recording holds and interpolates, also from later ones.
-            recording, tracks = reader.read_published(source.found, native=self.native)
-            published = protocol.published_splits.get(source.dataset)
-            yield from runs_of_tracks(
-                recording,
-                tracks,
-                protocol.windows,
-                split=self._split(recording.split_group),
-                published_split="" if published is None else published.of(source.recording_id),
-            )
-            return
-        recording = reader.read(source.found)
-        yield from runs_of_recording(recording, protocol.windows, split=self._split(recording.split_group))
-
-    @property
-    def _reader(self) -> Reader:
-        return reader_for(self.source.dataset, dict(self.source.reader_options))
-
-    def _split(self, group: str) -> str:
-        source = self.source
-        group = group or source.recording_id
-        return source.split or split_of(source.recording_id, group, self.manifest, load_protocol().splits)
+def read_cut_runs(folder: Path) -> Iterator[CutRun]:
+    """Read the runs of one part in their order."""
+    windows: dict[int, list[Window]] = {}
+    for batch in parts.read_batches([folder], "windows"):
+        for row in batch.to_pylist():
+            windows.setdefault(row["row"], []).append(Window.of(row))
+    rows = (batch.slice(row, 1) for batch in parts.read_batches([folder], "streams") for row in range(batch.num_rows))
+    for number, row in enumerate(rows):
+        yield CutRun(run_of(row), tuple(windows.get(number, ())))
 
 
 @dataclass(frozen=True)
@@ -369,118 +336,58 @@ class WindowsJob:
     stop_on_error: bool
     work: Path
 
-    def __call__(self, source: WindowSource) -> CutRecording:
-        """Make the part of one recording."""
+    def __call__(self, source: Any) -> CutRecording:
+        """Make the part of one recording, :class:`NativeWindows` or the like."""
+        if source.skip_reason is not None:
+            return self._write(source, "", "skipped", source.skip_reason)
         try:
-            digest = "" if source.skip_reason is not None else source.input_digest()
+            digest = source.input_digest()
         except (OSError, InputFileError) as error:
             # No digest exists of what cannot be read; the part is tried again by the next build.
-            return self._write(source, "unreadable", *self._failed(source, error))
-        folder = self._folder(source, digest)
-        entries = parts.read_receipt(folder)
+            return self._failed(source, "unreadable", error)
+        entries = parts.read_receipt(self._folder(source, digest))
         if entries is not None:
             receipt = msgspec.convert(entries, WindowsReceipt)
             if receipt.status != "failed":  # a failure may have passed: try again
-                return CutRecording(source.recording_id, receipt, folder, reused=True)
-        return self._write(source, digest, *self._cut(source))
-
-    def if_full(self, source: WindowSource, error: PrbenchError) -> CutRecording:
-        """Make the part of a recording for which the memory does not suffice: it is not read, and says why."""
-        return self._write(source, source.input_digest(), *self._failed(source, error))
-
-    def _cut(self, source: WindowSource) -> tuple[Status, str, tuple[CutRun, ...]]:
-        if source.skip_reason is not None:
-            return "skipped", source.skip_reason, ()
+                return CutRecording(source.recording_id, receipt, self._folder(source, digest), reused=True)
         try:
-            return "read", "", tuple(source.cut(self.protocol))
+            runs = tuple(source.cut(self.protocol))
         except Exception as error:
             if is_out_of_memory(error):
                 raise  # the engine tries again when nothing else is done beside it
             # Whatever one recording does, the others go on; its message reaches the user with the build's report.
-            return self._failed(source, error)
+            return self._failed(source, digest, error)
+        return self._write(source, digest, "read", "", runs)
 
-    def _failed(self, source: WindowSource, error: Exception) -> tuple[Status, str, tuple[CutRun, ...]]:
+    def if_full(self, source: Any, error: PrbenchError) -> CutRecording:
+        """Make the part of a recording for which the memory does not suffice: it is not read, and says why."""
+        return self._failed(source, source.input_digest(), error)
+
+    def _failed(self, source: Any, digest: str, error: Exception) -> CutRecording:
         known = isinstance(error, PrbenchError)
-        if self.stop_on_error:
-            if known:
-                raise error
-            raise PrbenchError(f"{source.recording_id}: unexpected {type(error).__name__}: {quoted(error)}") from error
         message = quoted(error) if known else f"unexpected {type(error).__name__}: {quoted(error)}"
-        return "failed", source.without_places(message), ()
+        if self.stop_on_error and known:
+            raise error
+        if self.stop_on_error:
+            raise PrbenchError(f"{source.recording_id}: {message}") from error
+        return self._write(source, digest, "failed", source.without_places(message))
 
-    def _folder(self, source: WindowSource, input_digest: str) -> Path:
+    def _folder(self, source: Any, input_digest: str) -> Path:
         settings = text_digest(self.protocol.digest, source.settings)
         return parts.part_folder(self.work, source.recording_id, input_digest, settings)
 
     def _write(
-        self, source: WindowSource, digest: str, status: Status, message: str, runs: tuple[CutRun, ...]
+        self, source: Any, digest: str, status: Status, message: str, runs: tuple[CutRun, ...] = ()
     ) -> CutRecording:
-        receipt = WindowsReceipt(
-            input_digest=digest,
-            status=status,
-            message=message,
-            pose_sources=tuple(sorted({each.run.pose_source for each in runs})),
-        )
+        receipt = WindowsReceipt(input_digest=digest, status=status, message=message)
         folder = self._folder(source, digest)
-        write_cut_runs(folder, runs, joint_set(source.joint_set), parts.plain(receipt))
+        windows = [window.row(each.run, row) for row, each in enumerate(runs) for window in each.windows]
+        batches = {
+            "streams": row_batch([each.run for each in runs], streams_schema(joint_set(source.joint_set))),
+            "windows": pa.RecordBatch.from_pylist(windows, schema=WINDOWS),
+        }
+        parts.write_part(folder, batches, parts.plain(receipt))
         return CutRecording(source.recording_id, receipt, folder, reused=False)
-
-
-JointChoice = Literal["native", "smpl22"]
-"""``native``: joints that a study scored, where the reader gives them; ``smpl22``: the 22 joints of every dataset."""
-_IN_PROCESS = InProcess()
-
-
-@dataclass(frozen=True)
-class WindowsReport:
-    """The result of a build."""
-
-    folder: Path
-    info: WindowsInfo
-    recordings: tuple[CutRecording, ...]
-    """Every recording that was found, in table order."""
-
-    @property
-    def reused(self) -> int:
-        """Recordings taken over from an interrupted build."""
-        return sum(each.reused for each in self.recordings)
-
-
-def build_windows(
-    dataset: str,
-    root: Path | str,
-    out: Path | str,
-    *,
-    joints: JointChoice | None = None,
-    recordings: str = "*",
-    limit: int | None = None,
-    reader: tuple[tuple[str, str], ...] = (),
-    on_error: Literal["skip", "fail"] = "skip",
-    engine: Engine = _IN_PROCESS,
-    progress: Callable[[int, int, str], None] | None = None,
-) -> WindowsReport:
-    """Build a table of windows from a dataset's native files.
-
-    Args:
-        dataset: Name of the reader.
-        root: The dataset's folder, or one recording of it.
-        out: Folder of the table; an earlier table of windows there is replaced when everything is ready.
-        joints: ``native`` (default where the dataset was published for prediction) or ``smpl22``.
-        recordings: Glob of recordings.
-        limit: Largest number of recordings.
-        reader: Options of the reader.
-        on_error: Leave out recordings that cannot be read, or stop at the first.
-        engine: Where recordings are worked on.
-        progress: Called after each recording with how many are done, of how many, and its id.
-
-    Raises:
-        UsageError: for an unknown dataset or option.
-        InputFileError: if there is nothing to read, or ``native`` is asked of a dataset that nobody published.
-        TableError: if no recording yields a window.
-        StorageError: if ``out`` cannot be written or holds something else.
-    """
-    plan = plan_windows(dataset, root, joints=joints, recordings=recordings, limit=limit, reader=reader)
-    return build_planned_windows(plan, Path(out), on_error=on_error, engine=engine, progress=progress)
 
 
 @dataclass(frozen=True)
@@ -489,32 +396,54 @@ class WindowsPlan:
 
     dataset: str
     """Name that the table bears."""
-    sources: tuple[WindowSource, ...]
-    """At least one, in table order."""
+    sources: tuple[Any, ...]
+    """At least one, in table order; each is :class:`NativeWindows` or has its properties and methods."""
     options: dict[str, str]
 
     @property
-    def joint_set(self) -> str:
-        """Name of the joints."""
-        return self.sources[0].joint_set
+    def settings(self) -> dict[str, Any]:
+        """Return what decides a table beside its recordings, as JSON knows it."""
+        return _settings(self.dataset, self.sources[0].joint_set, self.options)
+
+
+def _settings(dataset: str, joints: str, options: dict[str, str]) -> dict[str, Any]:
+    return {
+        "dataset": dataset,
+        "joint_set": joints,
+        "options": options,
+        "manifest": digest_of(load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))),
+        "protocol": load_prediction_protocol().digest,
+    }
 
 
 def plan_windows(
     dataset: str,
     root: Path | str,
     *,
-    joints: JointChoice | None,
-    recordings: str,
-    limit: int | None,
-    reader: tuple[tuple[str, str], ...],
+    joints: JointChoice | None = None,
+    recordings: str = "*",
+    limit: int | None = None,
+    reader: tuple[tuple[str, str], ...] = (),
 ) -> WindowsPlan:
-    """Find the recordings of :func:`build_windows`, whose arguments and errors these are."""
+    """Find the recordings of a dataset's native files that are to be cut.
+
+    Args:
+        dataset: Name of the reader.
+        root: The dataset's folder, or one recording of it.
+        joints: ``native`` (default where the dataset was published for prediction) or ``smpl22``.
+        recordings: Glob of recordings.
+        limit: Largest number of recordings.
+        reader: Options of the reader.
+
+    Raises:
+        UsageError: for an unknown dataset or option.
+        InputFileError: if there is nothing to read, or ``native`` is asked of a dataset that nobody published.
+    """
     sources = native_sources(dataset, root, BuildOptions(recordings=recordings, limit=limit, reader=reader))
     name = sources[0].dataset
     manifest = load_manifest(name.removeprefix(SYNTHETIC_PREFIX))
-    found = reader_for(name, dict(reader))
-    published = found.native_joints if isinstance(found, PublishedForPrediction) else None
-    if joints == "native" and published is None:
+    published = isinstance(reader_for(name, dict(reader)), PublishedForPrediction)
+    if joints == "native" and not published:
         raise InputFileError(
             root,
             "",
@@ -522,44 +451,42 @@ def plan_windows(
             found=name,
             remedy="Leave the option out: every dataset has the 22 joints.",
         )
-    native = published is not None and joints != "smpl22"
+    native = published and joints != "smpl22"
     chosen = {"joints": "native" if native else "smpl22", "recordings": recordings, "limit": str(limit or "all")}
     chosen |= {f"reader.{key}": value for key, value in reader}
     return WindowsPlan(name, tuple(NativeWindows(source, manifest, native) for source in sources), chosen)
 
 
-def build_planned_windows(
+def build_windows(
     plan: WindowsPlan,
-    out: Path,
+    out: Path | str,
     *,
-    on_error: Literal["skip", "fail"],
-    engine: Engine,
-    progress: Callable[[int, int, str], None] | None,
-) -> WindowsReport:
-    """Build a table of windows from any recordings (see :func:`build_windows`).
+    on_error: OnError = "skip",
+    engine: Engine = _IN_PROCESS,
+    progress: Progress = None,
+) -> BuildReport[WindowsInfo, CutRecording]:
+    """Build a table of windows.
 
     Args:
-        plan: What to read.
-        out: Folder of the table.
-        on_error: See :func:`build_windows`.
-        engine: See :func:`build_windows`.
-        progress: See :func:`build_windows`.
+        plan: What to read, of :func:`plan_windows`.
+        out: Folder of the table; an earlier table of windows there is replaced when everything is ready.
+        on_error: Leave out recordings that cannot be read, or stop at the first.
+        engine: Where recordings are worked on.
+        progress: See :data:`Progress`.
+
+    Raises:
+        TableError: if no recording yields a window.
+        StorageError: if ``out`` cannot be written or holds something else.
     """
-    out = out.expanduser().absolute()
+    out = Path(out).expanduser().absolute()
     require_replaceable(out, FILE_NAME, kind="table of windows")
     with sole_writer(out), working_in_parts(out):
         finished = _cut(plan.sources, work_folder(out), on_error, engine, progress)
-        return _write_table(plan.dataset, plan.joint_set, plan.options, finished, out)
+        return _write_table(plan.settings, finished, out)
 
 
 def build_windows_shard(
-    plan: WindowsPlan,
-    out: Path,
-    shard: Shard,
-    *,
-    on_error: Literal["skip", "fail"],
-    engine: Engine,
-    progress: Callable[[int, int, str], None] | None,
+    plan: WindowsPlan, out: Path, shard: Shard, *, on_error: OnError, engine: Engine, progress: Progress
 ) -> ShardReport[CutRecording]:
     """Make one shard of a build, for :func:`merge_windows_shards`; goes on where it was interrupted.
 
@@ -579,7 +506,7 @@ def build_windows_shard(
         kind="windows",
         number=shard.number,
         count=shard.count,
-        settings=_settings(plan.dataset, plan.joint_set, plan.options),
+        settings=plan.settings,
         plan=tuple(source.recording_id for source in plan.sources),
     )
     mine = [plan.sources[place] for place in shard.places(len(plan.sources))]
@@ -589,7 +516,9 @@ def build_windows_shard(
     return ShardReport(out, shard, len(plan.sources), tuple(finished), sum(each.reused for each in finished))
 
 
-def merge_windows_shards(shards: Sequence[tuple[Path, ShardRecord]], out: Path) -> WindowsReport:
+def merge_windows_shards(
+    shards: Sequence[tuple[Path, ShardRecord]], out: Path
+) -> BuildReport[WindowsInfo, CutRecording]:
     """Write the table of an unsharded build from all of its shards, with the same bytes.
 
     Args:
@@ -602,8 +531,8 @@ def merge_windows_shards(shards: Sequence[tuple[Path, ShardRecord]], out: Path) 
         TableError: see :func:`build_windows`.
     """
     folder, record = shards[0]
-    dataset, joints, options = (record.settings[name] for name in ("dataset", "joint_set", "options"))
-    require_settings(folder, record, _settings(dataset, joints, options))
+    now = _settings(*(record.settings[name] for name in ("dataset", "joint_set", "options")))
+    require_settings(folder, record, now)
     out = out.expanduser().absolute()
     require_replaceable(out, FILE_NAME, kind="table of windows")
     with sole_writer(out):
@@ -611,26 +540,11 @@ def merge_windows_shards(shards: Sequence[tuple[Path, ShardRecord]], out: Path) 
             CutRecording(name, msgspec.convert(entries, WindowsReceipt), part, reused=False)
             for name, (part, entries) in zip(record.plan, shard_parts(shards), strict=True)
         ]
-        return _write_table(dataset, joints, options, finished, out)
-
-
-def _settings(dataset: str, joints: str, options: dict[str, str]) -> dict[str, Any]:
-    """Return what decides a table beside its recordings, as JSON knows it."""
-    return {
-        "dataset": dataset,
-        "joint_set": joints,
-        "options": options,
-        "manifest": digest_of(load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))),
-        "protocol": load_prediction_protocol().digest,
-    }
+        return _write_table(now, finished, out)
 
 
 def _cut(
-    sources: Sequence[WindowSource],
-    work: Path,
-    on_error: Literal["skip", "fail"],
-    engine: Engine,
-    progress: Callable[[int, int, str], None] | None,
+    sources: Sequence[Any], work: Path, on_error: OnError, engine: Engine, progress: Progress
 ) -> list[CutRecording]:
     """Make the parts of some recordings, in their order."""
     job = WindowsJob(load_prediction_protocol(), on_error == "fail", work)
@@ -643,61 +557,53 @@ def _cut(
 
 
 def _write_table(
-    dataset: str, joints: str, options: dict[str, str], finished: list[CutRecording], out: Path
-) -> WindowsReport:
+    settings: dict[str, Any], finished: list[CutRecording], out: Path
+) -> BuildReport[WindowsInfo, CutRecording]:
     """Write the table of all parts of a build."""
+    dataset = settings["dataset"]
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
-    # Provenance of a build as far as it is known before any recording was read.
     protocol = load_prediction_protocol()
     synthetic = dataset.startswith(SYNTHETIC_PREFIX)
-    rules = protocol.windows
-    described = WindowsInfo(
+    terms = {name: getattr(manifest, name) for name in ("title", "licence", "redistribution", "homepage", "citation")}
+    if synthetic:
+        terms = {
+            "title": f"Invented recordings in the layout of {manifest.title}",
+            "licence": "MIT (invented by prbench, no recorded person)",
+            "redistribution": "yes",
+            "homepage": "",
+            "citation": "",
+        }
+    read = [each for each in finished if each.receipt.status == "read"]
+    info = WindowsInfo(
+        **terms,
         schema_version=SCHEMA_VERSION,
         protocol_version=protocol.version,
         protocol_digest=protocol.digest,
         dataset=dataset,
-        title=f"Invented recordings in the layout of {manifest.title}" if synthetic else manifest.title,
         synthetic=synthetic,
         prbench_version=prbench.__version__,
-        manifest_digest=digest_of(manifest),
-        input_digest="",
-        options={},
+        manifest_digest=settings["manifest"],
+        input_digest=text_digest(*(text for each in read for text in (each.recording_id, each.receipt.input_digest))),
+        options=settings["options"],
         outcomes={},
-        quarantine=(),
+        quarantine=tuple(
+            QuarantinedRecording(
+                recording_id=each.recording_id, status=each.receipt.status, message=each.receipt.message
+            )
+            for each in finished
+            if each.receipt.status != "read"
+        ),
         identity_digest="",
         content_digest="",
-        licence="MIT (invented by prbench, no recorded person)" if synthetic else manifest.licence,
-        redistribution="yes" if synthetic else manifest.redistribution,
-        homepage="" if synthetic else manifest.homepage,
-        citation="" if synthetic else manifest.citation,
-        fps=rules.fps,
-        observed_frames=rules.observed_frames,
-        future_frames=rules.future_frames,
-        fewest_gaze_frames=rules.fewest_gaze_frames,
-        joint_set=joints,
-        has_gaze=False,
-        estimated_bodies=False,
-        participants=0,
-        recordings=0,
-        runs=0,
-        frames=0,
-    )
-    # Provenance with what reading brought up.
-    read = [text for each in finished if each.status == "read" for text in (each.recording_id, each.input_digest)]
-    info = msgspec.structs.replace(
-        described,
-        input_digest=text_digest(*read),
-        options=options,
-        estimated_bodies=any(is_estimated(source) for each in finished for source in each.pose_sources),
-        quarantine=tuple(
-            QuarantinedRecording(recording_id=each.recording_id, status=each.status, message=each.message)
-            for each in finished
-            if each.status != "read"
-        ),
+        fps=protocol.windows.fps,
+        observed_frames=protocol.windows.observed_frames,
+        future_frames=protocol.windows.future_frames,
+        fewest_gaze_frames=protocol.windows.fewest_gaze_frames,
+        joint_set=settings["joint_set"],
     )
     # Last of all: until here an earlier table stands as it was.
     info = write_windows(out, info, (run for each in finished for run in read_cut_runs(each.folder)))
-    return WindowsReport(out, info, tuple(finished))
+    return BuildReport(out, info, tuple(finished), sum(each.reused for each in finished))
 
 
 def published_counts(dataset: str, root: Path | str) -> dict[str, tuple[int, int, int]]:

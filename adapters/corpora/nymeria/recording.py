@@ -214,13 +214,13 @@ class SuitRecording:
 
 @dataclass(frozen=True)
 class NymeriaWindows:
-    """One sequence of Nymeria (see :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`)."""
+    """One sequence of Nymeria (see :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`)."""
 
     source: NymeriaSource
 
     @property
     def recording_id(self) -> str:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`."""
+        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
         return self.source.identity.recording_id
 
     @property
@@ -230,25 +230,25 @@ class NymeriaWindows:
 
     @property
     def joint_set(self) -> str:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`."""
+        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
         return SMPL22.name
 
     @property
     def settings(self) -> str:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`."""
+        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
         options = described_options(self.source.options)
         return text_digest(digest_of(load_manifest("nymeria")), self.source.identity.split, *map(str, options.items()))
 
     def input_digest(self) -> str:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`."""
+        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
         return SuitRecording(self.source).input_digest()
 
     def without_places(self, message: str) -> str:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`."""
+        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
         return self.source.without_places(message)
 
     def cut(self, protocol: PredictionProtocol) -> Iterator[CutRun]:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.WindowSource`."""
+        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
         recording = SuitRecording(self.source).read()
         yield from runs_of_recording(recording, protocol.windows, split=self.source.identity.split)
 

@@ -14,7 +14,7 @@ from prbench.readers.aria_mps import format as mps
 from prbench_adapters.corpora.nymeria.recording import plan_windows
 from prbench_benchmarks.motion_prediction.batch import Condition
 from prbench_benchmarks.motion_prediction.table import WindowsTable
-from prbench_benchmarks.motion_prediction.windows import build_planned_windows
+from prbench_benchmarks.motion_prediction.windows import build_windows
 from tests.adapters.corpora.suits import START_US, walking_suit, write_arrays
 from tests.readers.mps_files import COLUMNS, WORLD, write_lines
 
@@ -25,7 +25,7 @@ def build(root, out, **changes):
     """Build windows of everything, and stop at the first error."""
     given = {"joints": None, "recordings": "*", "limit": None, "reader": ()} | changes
     plan = plan_windows("nymeria", root, **given)
-    return build_planned_windows(plan, out, on_error="fail", engine=InProcess(), progress=None)
+    return build_windows(plan, out, on_error="fail", engine=InProcess(), progress=None)
 
 
 @pytest.fixture
