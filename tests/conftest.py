@@ -81,8 +81,7 @@ def open3d_or_slow_loop(request: pytest.FixtureRequest, monkeypatch: pytest.Monk
     if request.param == "slow loop":
         from tests.slow_meshes import SlowMesh  # not before the import hook
 
-        for module in ("priming", "in_hand"):
-            monkeypatch.setattr(f"prbench.curation.{module}.TriangleMesh", SlowMesh)
+        monkeypatch.setattr("prbench.curation.in_hand.TriangleMesh", SlowMesh)
         monkeypatch.setattr("prbench.curation.options.import_open3d", lambda purpose: None)
     return request.param
 

@@ -44,7 +44,7 @@ class Inputs:
             _make_for_heavy(made)
         fake_dataset(made.table, 6)
         write_windows(made.windows)
-        synthesised = ("synthesize", "adt", "--count", 1, "--events", 2, "--no-verify", "--out", made.adt)
+        synthesised = ("synthesize", "adt", "--count", 1, "--events", 2, "--out", made.adt)
         run(made.folder, *synthesised)
         gimo_sample.write_root(made.gimo, gimo_sample.readings())
         for name in ("run", "run-of-conditions"):
@@ -64,7 +64,7 @@ class Inputs:
 
 
 def _make_for_heavy(made: Inputs) -> None:
-    run(made.folder, "synthesize", "hd-epic", "--count", 1, "--events", 4, "--no-verify", "--out", made.hdepic)
+    run(made.folder, "synthesize", "hd-epic", "--count", 1, "--events", 4, "--out", made.hdepic)
     run(made.folder, "build-corpus", "synthetic", "--count", 4, "--out", made.corpus)
     configured = ("--config", "smoke", "--set", "training.steps=2")
     run(made.folder, "train", "--method", "t2m-evaluator", *configured, "--data", made.corpus, "--out", made.evaluator)
@@ -223,7 +223,7 @@ WRITING = (
     Writing("build-corpus --out", lambda _, out: ("build-corpus", "synthetic", "--count", 1, "--out", out)),
     Writing(
         "synthesize --out",
-        lambda _, out: ("synthesize", "adt", "--count", 1, "--events", 2, "--no-verify", "--out", out),
+        lambda _, out: ("synthesize", "adt", "--count", 1, "--events", 2, "--out", out),
     ),
     Writing(
         "synthesize --table",
@@ -303,11 +303,6 @@ WRITING = (
         lambda given, out: ("analyse", "errors", given.static, "--data", given.table, "--out", out),
     ),
     Writing("analyse --out", lambda given, out: ("analyse", "agreement", given.run, "--out", out), "a.json"),
-    Writing(
-        "leaderboard pareto --out",
-        lambda given, out: ("leaderboard", "pareto", given.static, "--out", out),
-        "p.svg",
-    ),
     Writing("study --out", lambda given, out: ("study", "table-1", given.table, "--out", out), "t.csv"),
     Writing("study --out, a figure", lambda given, out: ("study", "figure-s2", given.table, "--out", out), "f.svg"),
     Writing(
@@ -351,7 +346,6 @@ WRITING = (
         "e.json",
     ),
     Writing("diff --out", lambda given, out: ("diff", given.table, given.table, "--out", out), "d.json"),
-    Writing("diff --csv", lambda given, out: ("diff", given.table, given.table, "--csv", out), "d.csv"),
     Writing(
         "build-dataset --propose-events",
         lambda given, out: ("build-dataset", "gimo", "--root", given.gimo, "--propose-events", out),
@@ -373,11 +367,6 @@ WRITING = (
         held=f"result/{_RECORDING}/egoallo_outputs",
         varies=(".log",),
         half_kept="cache/egoallo",
-    ),
-    Writing(
-        "poses --prepare",
-        lambda given, out: ("poses", "egoallo", "--root", given.bodiless, "--prepare", "--poses-root", out),
-        held=f"result/{_RECORDING}",
     ),
     Writing(
         "poses --out",

@@ -392,6 +392,8 @@ def plan_corpus(name: str, root: Path | str | None, options: CorpusOptions = _DE
     recordings = [each for group in groups for each in group.recordings]
     read = [each for each in recordings if each.skip_reason is None]
     return BuildPlan(
+        dataset=name,
+        root=root,
         recordings=tuple(each.identity.recording_id for each in recordings),
         skipped=tuple(each.identity.recording_id for each in recordings if each.skip_reason is not None),
         input_bytes=sum(each.input_bytes for each in read),

@@ -77,8 +77,8 @@ def build_corpus(
     chosen = CorpusOptions(limit=max_recordings, source=tuple(sorted(source.items())), **given)
     if dry_run:
         workers = engine if isinstance(engine, int) else 1
-        plan = builds.planned(plan_corpus(corpus, root, chosen), workers, dataset=corpus, root=root)
-        return Answer(builds.BuildsReport(planned=[plan]), lambda: builds.print_plan(plan, unfit="unfit"))
+        plan = plan_corpus(corpus, root, chosen)
+        return Answer(builds.BuildsReport(planned=[plan]), lambda: builds.print_plan(plan, workers, unfit="unfit"))
     if out is None:
         raise UsageError("--out DIR is needed: the folder of the corpus. (--dry-run does without.)")
     where = opt.opened(engine, reads=() if root is None else (root,), writes=(out,))
@@ -123,22 +123,18 @@ def _corpus_answer(report: BuildReport) -> Answer:
             kept -= number
             stages.append(FunnelRow(f"without {outcome}", kept, number, _REASONS[outcome]))
     size = f"of {counts.clips} clips, {counts.frames} frames"
-    table = builds.built_table(
-        report, [*stages, FunnelRow("captions", counts.captions, 0, size)], corpus_recordings=report.records
-    )
-    return Answer(
-        builds.BuildsReport(built=[table]),
-        lambda: _print_corpus(table),
-        builds.NOT_EVERYTHING if report.info.counts.recordings_failed else 0,
-    )
+    stages.append(FunnelRow("captions", counts.captions, 0, size))
 
+    def show() -> None:
+        builds.print_stages(f"{report.info.title}: from files to clips", stages)
+        if counts.approximate_clips:
+            print(
+                f"{counts.approximate_clips} clips are marked approximate: their texts were placed by aligning starts"
+            )
+        print(f"corpus: {report.folder}")
 
-def _print_corpus(table: builds.BuiltTable) -> None:
-    builds.print_stages(f"{table.title}: from files to clips", table.stages)
-    approximate = table.counts["approximate_clips"]
-    if approximate:
-        print(f"{approximate} clips are marked approximate: their texts were placed by aligning starts")
-    print(f"corpus: {table.folder}")
+    exit_code = builds.NOT_EVERYTHING if counts.recordings_failed else 0
+    return Answer(builds.BuildsReport(built=builds.built(report)), show, exit_code)
 
 
 _REASONS = {

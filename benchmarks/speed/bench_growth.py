@@ -73,7 +73,7 @@ def main() -> None:
                 places = {name: Path(scratch) / name for name in names} | {"source": source, "count": count}
                 places["out"].mkdir()
                 if unit == "recordings":
-                    _measured("synthesize mogaze --count {count} --no-verify --out {recordings}", places)
+                    _measured("synthesize mogaze --count {count} --out {recordings}", places)
                 else:
                     _measured("repeat_table {source} {table} {count}", places)
                     places["motions"] = places["motions"].with_suffix(".parquet")

@@ -56,7 +56,7 @@ def trace() -> None:
     """Make recordings in ADT's layout, then build a table of them and run a method over it while calls are traced."""
     with tempfile.TemporaryDirectory() as scratch:
         native, table, run = (f"{scratch}/{name}" for name in ("native", "table", "run"))
-        words = ["synthesize", "adt", "--count", "4", "--seed", "2", "--no-verify", "--out", native, "--quiet"]
+        words = ["synthesize", "adt", "--count", "4", "--seed", "2", "--out", native, "--quiet"]
         if main(words):
             raise SystemExit("recordings could not be made")
         build = ["build-dataset", "adt", "--root", native, "--out", table, "--quiet"]

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from prbench.curation import BuildReport
     from prbench.synthetic.write_tree import WrittenTree
 
-_EVERYTHING = "all"
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Build:
@@ -103,12 +101,9 @@ def build_dataset(
     in_hand: str | None = None,
     ray_origin: Literal["eye", "camera"] | None = None,
     priming: Literal["rule", "published"] = "rule",
-    occlusion: Literal["off", "mark", "require"] = "off",
     minimum_movement: str = "wrist_to_goal",
-    minimum_prime: float | None = None,
     protocol: args.PathLike | None = None,
     on_error: Literal["skip", "fail"] = "skip",
-    poses: str | None = None,
     option: Mapping[str, object] | None = None,
     workers: args.Workers = 1,
 ) -> Build:
@@ -127,15 +122,12 @@ def build_dataset(
         in_hand: Another rule of the dataset for "the hand holds the object", for example ``wrist``.
         ray_origin: Where gaze rays start; the eye by default.
         priming: Prime times by the study's equations (``rule``), or taken over where the dataset publishes them.
-        occlusion: Where a dataset has meshes: ``mark`` events primed through one, or ``require`` an unobstructed look
-            (needs the extra ``open3d``).
         minimum_movement: What must be at least 20 cm: ``wrist_to_goal``, ``pelvis_displacement`` or
             ``object_displacement``.
-        minimum_prime: Seconds that a look must last to prime; by default a single gaze sample primes.
         protocol: Your own ``protocol.toml``, stamped into the table; by default prbench's.
         on_error: Go on without a recording that cannot be read (``skip``), or ``fail`` at once.
-        poses: Where bodies come from, for example ``egoallo`` in place of ADT's suit.
-        option: Options of the dataset's reader, by name.
+        option: Options of the dataset's reader, by name; ``poses`` says where bodies come from, for example ``egoallo``
+            in place of ADT's suit.
         workers: Processes to use, or a :class:`prbench.Cluster`; changes no result. A script that asks for several
             processes needs ``if __name__ == "__main__":``.
 
@@ -146,15 +138,13 @@ def build_dataset(
         UsageError: for an unknown dataset or option.
         InputFileError: if there is nothing to read, or a recording cannot be read and ``on_error`` is ``fail``.
         StorageError: if ``out`` cannot be written, holds something else, or holds more than the new table would.
-        MissingExtraError: if meshes are asked for without the extra ``open3d``, or a cluster without ``ray``.
+        MissingExtraError: if a rule asks for meshes without the extra ``open3d``, or a cluster without ``ray``.
         ClusterError: if a cluster cannot be reached, or a node is unfit.
     """
-    from prbench.curation import BuildOptions
     from prbench.curation import build_dataset as build
-    from prbench.curation.options import CurationOptions, mesh_options
-    from prbench.protocol.own_protocol import read_protocol
+    from prbench.curation.options import build_options
 
-    if dataset == _EVERYTHING:
+    if dataset == "all":
         raise UsageError(
             "dataset 'all' builds several tables: name one dataset, or run `prbench build-dataset all --root DIR --out"
             " DIR`."
@@ -162,26 +152,17 @@ def build_dataset(
     args.require_positive(max_recordings=max_recordings)
     if on_error not in ("skip", "fail"):
         raise UsageError(f"on_error: expected skip or fail, found '{on_error}'.")
-    curation = CurationOptions(
+    options = build_options(
+        recordings=recordings,
+        max_recordings=max_recordings,
+        protocol=args.as_optional_path(protocol),
+        option=args.as_options(option),
+        on_error=on_error,
+        replace=replace,
         in_hand=in_hand,
         ray_origin=ray_origin,
         minimum_movement=minimum_movement,
         priming=priming,
-        occlusion=occlusion,
-        minimum_prime=minimum_prime,
-    )
-    own = args.as_optional_path(protocol)
-    reader = mesh_options(dataset, in_hand=in_hand, occlusion=occlusion) | args.as_options(option)
-    if poses is not None:
-        reader["poses"] = poses
-    options = BuildOptions(
-        curation=curation,
-        recordings=recordings,
-        limit=max_recordings,
-        reader=tuple(sorted(reader.items())),
-        on_error=on_error,
-        protocol=None if own is None else read_protocol(own),
-        replace=replace,
     )
     source = args.as_native_root(root, dataset)
     with (
@@ -189,14 +170,7 @@ def build_dataset(
         args.engine_of(workers, reads=(source,), writes=(folder,), packages=options.packages) as engine,
         progress(f"building {dataset}") as show,
     ):
-        report = build(
-            dataset,
-            source,
-            folder,
-            options=options,
-            engine=engine,
-            progress=lambda step: show(step.done, step.total, step.record.recording_id),
-        )
+        report = build(dataset, source, folder, options=options, engine=engine, progress=show)
     return Build(report)
 
 

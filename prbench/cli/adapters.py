@@ -1,9 +1,4 @@
-"""``prbench adapters``: the installed methods, from metadata alone; beside it ``new`` and ``check``.
-
-``prbench adapters check``: does a method keep the contract, and what has to be changed if not.
-
-``prbench doctor``: what is wrong with motions in a file, from the numbers themselves.
-"""
+"""``prbench adapters``: list the installed methods, start a new one, check one; ``prbench doctor``: judge motions."""
 
 from __future__ import annotations
 
@@ -13,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import msgspec
 
 from prbench.cli import options as opt
 from prbench.cli.commands import Answer, Group, command, note, progress
@@ -25,7 +19,6 @@ from prbench.shown import clean
 if TYPE_CHECKING:
     from prbench.checking.conformance import Report
     from prbench.checking.doctor.examine_file import DoctorReport
-    from prbench.harness.controls import ControlInfo
     from prbench.harness.methods.describe import Description
 
 
@@ -43,32 +36,18 @@ adapters = Group(
 )
 
 
-class MethodsReport(msgspec.Struct, frozen=True, kw_only=True):
-    """The installed methods.
-
-    Attributes:
-        methods: One entry for each, by name.
-        details: With ``--details``: what each declares.
-        controls: Controls, which are part of prbench, with ``--details`` of all methods; else empty.
-        converters: The file of converters, with ``--converters``; else null.
-    """
-
-    methods: list[InstalledEntry]
-    details: list[Description] = []
-    controls: list[ControlInfo] = []
-    converters: Path | None = None
-
-
-@command("list", example="prbench adapters list --details", report=MethodsReport, writes_report=True)
+@command(
+    "list",
+    example="prbench adapters list --details",
+    report={"": [InstalledEntry], "--details": ["prbench.harness.methods.describe:Description"]},
+    writes_report=True,
+)
 @click.argument("names", nargs=-1, metavar="[NAME...]")
 @click.option(
     "--details",
     is_flag=True,
     help="Import each in a process of its own and show its conditions, whether it trains, its limits and weights, or"
     " its error.",
-)
-@click.option(
-    "--timeout", type=opt.SECONDS, default=30, metavar="SECONDS", help="Time limit of each import (default 30)."
 )
 @click.option(
     "--converters",
@@ -78,9 +57,7 @@ class MethodsReport(msgspec.Struct, frozen=True, kw_only=True):
     " Python 3.8 or later.",
 )
 @opt.benchmark_option
-def list_methods(
-    names: tuple[str, ...], details: bool, timeout: float, converters: Path | None, benchmark: str | None
-) -> Answer:
+def list_methods(names: tuple[str, ...], details: bool, converters: Path | None, benchmark: str | None) -> Answer:
     """List the installed methods with their packages, without importing any of them.
 
     With NAME only these methods are listed.
@@ -90,7 +67,7 @@ def list_methods(
 
         write_converters(converters)
         line = f"{converters}: from {converters.stem} import motions_from_features, placed_on"
-        return Answer(MethodsReport(methods=[], converters=converters), lambda: print(line))
+        return Answer([], lambda: print(line))
     from prbench.harness.methods.installed import list_adapters, no_such_method, offered_twice
     from prbench.protocol.manifests import default_benchmark, find_benchmark
 
@@ -107,34 +84,26 @@ def list_methods(
         if not names or adapter.name in names
     ]
     if not details:
-        return Answer(MethodsReport(methods=methods), lambda: _print_methods(methods))
+        remarks = [f"! {method.problem}" if method.problem else "" for method in methods]
+        rows = [
+            (method.name, method.package, method.version, method.target, remark)
+            for method, remark in zip(methods, remarks, strict=True)
+        ]
+        return Answer(methods, lambda: print_columns(("name", "package", "version", "target", ""), rows))
     from prbench.harness.methods.describe import describe_adapters
 
-    described = describe_adapters(names or None, benchmark=about.name, time_limit=timeout)
-    controls = []
-    if about.default and not names:
-        from prbench.harness.controls import CONTROLS
-
-        controls = list(CONTROLS)
-    report = MethodsReport(methods=methods, details=described, controls=controls)
-    return Answer(report, lambda: _print_details(report))
+    described = describe_adapters(names or None, benchmark=about.name)
+    return Answer(described, lambda: _print_details(described, with_controls=about.default and not names))
 
 
-def _print_methods(methods: list[InstalledEntry]) -> None:
-    rows = []
-    for method in methods:
-        remark = f"! {method.problem}" if method.problem else ""
-        rows.append((method.name, method.package, method.version, method.target, remark))
-    print_columns(("name", "package", "version", "target", ""), rows)
-
-
-def _print_details(report: MethodsReport) -> None:
+def _print_details(described: list[Description], *, with_controls: bool) -> None:
+    from prbench.harness.controls import CONTROLS
     from prbench.harness.methods.installed import list_tasks
 
     tasks = list_tasks()
     rows = []
     problems = []
-    for each in report.details:
+    for each in described:
         method = each.method
         if each.error:
             problems.append(f"! {method.name} ({method.package} {method.version}): {each.error}")
@@ -155,9 +124,9 @@ def _print_details(report: MethodsReport) -> None:
     print_columns(("name", "package", "conditions", "trains", "frames", "rate", "weights", "import + load"), rows)
     for problem in problems:
         print(problem)
-    if report.controls:
+    if with_controls:
         print("\ncontrols, part of prbench:")
-        print_columns(("", ""), [(f"{control.use} {control.name}", control.summary) for control in report.controls])
+        print_columns(("", ""), [(f"{control.use} {control.name}", control.summary) for control in CONTROLS])
 
 
 @command(
@@ -277,7 +246,16 @@ def print_report(report: Report) -> None:
         between = "\n    " if "\n" in finding.said else " "
         shown.append((finding.check, finding.outcome.value, f"{finding.said}{between}{finding.remedy}".strip()))
     if sys.stdout.isatty():
-        _print_table(shown)
+        from rich import box
+        from rich.table import Table
+        from rich.text import Text
+
+        from prbench.cli.terminal import console
+
+        table = Table("check", "", "what was found, and what to change", box=box.SIMPLE, pad_edge=False)
+        for check_name, outcome, sentences in shown:
+            table.add_row(check_name, Text(outcome, _COLOURS[outcome]), clean(sentences, keep="\n"))
+        console().print(table)
     else:
         for check_name, outcome, sentences in shown:
             print(f"{outcome:<8} {check_name:<16} {sentences}")
@@ -288,19 +266,6 @@ def print_report(report: Report) -> None:
     )
     verdict = "does not keep the contract" if report.failed else "keeps the contract"
     print(f"{report.method} {verdict}: {counts}; {report.seconds:.1f} s.")
-
-
-def _print_table(shown: list[tuple[str, str, str]]) -> None:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    from prbench.cli.terminal import console
-
-    table = Table("check", "", "what was found, and what to change", box=box.SIMPLE, pad_edge=False)
-    for check_name, outcome, sentences in shown:
-        table.add_row(check_name, Text(outcome, _COLOURS[outcome]), clean(sentences, keep="\n"))
-    console().print(table)
 
 
 @command(
@@ -319,14 +284,7 @@ def _print_table(shown: list[tuple[str, str, str]]) -> None:
 )
 @opt.seed_option("behind the opaque ids, with --data")
 @click.option("--fps", type=float, metavar="F", help="Rate of the motions (default: that asked for, else 20).")
-@click.option(
-    "--max-motions",
-    type=opt.POSITIVE,
-    default=200,
-    metavar="N",
-    help="Look at N motions at most, evenly spread (default 200).",
-)
-def doctor(*, motions: Path, max_motions: int, **given: Any) -> Answer:
+def doctor(*, motions: Path, **given: Any) -> Answer:
     """Say what is wrong with motions (unit, axes, order of joints, place, clock …), from the numbers.
 
     FILE is .npy, .npz or Parquet of any shape, a folder of motions/*.npy, or a run folder. The exit code is 1 where a
@@ -334,7 +292,7 @@ def doctor(*, motions: Path, max_motions: int, **given: Any) -> Answer:
     """
     from prbench.checking.doctor.examine_file import DoctorRequest, examine_file
 
-    report = examine_file(DoctorRequest(path=motions, limit=max_motions, **given))
+    report = examine_file(DoctorRequest(path=motions, **given))
     return Answer(report, lambda: _print(report), int(report.certain))
 
 

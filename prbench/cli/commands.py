@@ -30,6 +30,7 @@ from prbench.shown import clean, quoted
 
 _WIDEST_HELP = 100
 """Columns that a help page takes at most: longer lines are hard to read."""
+Report = type | str | list | Mapping[str, Any] | None
 
 
 @dataclass
@@ -87,7 +88,8 @@ class Command(click.Command):
         example: A command line of it.
         resumes: It takes up what an interruption has left.
         report: Data class or msgspec struct that it prints with ``--json``, or ``module:class`` of one whose module
-            takes long to import; a class for each value of the first argument, where that chooses; None for no report.
+            takes long to import; a list of one, where it prints a list; one for each value of the first argument or
+            option that chooses it; None for no report.
         writes_report: ``--out FILE`` writes that JSON; False where the command has an ``--out`` of its own.
         section: For a command that a package registers: the section of ``prbench --help`` in which it is listed, by
             the word before its colon, such as ``train``.
@@ -101,7 +103,7 @@ class Command(click.Command):
         *,
         example: str,
         resumes: bool = False,
-        report: type | str | Mapping[str, type] | None = None,
+        report: Report = None,
         writes_report: bool = False,
         section: str = "",
         first: Collection[str] = (),
@@ -318,7 +320,7 @@ def command(
     *,
     example: str,
     resumes: bool = False,
-    report: type | str | Mapping[str, type] | None = None,
+    report: Report = None,
     writes_report: bool = False,
     section: str = "",
     first: Collection[str] = (),

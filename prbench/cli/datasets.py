@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import msgspec
 
 from prbench.cli import options as opt
 from prbench.cli.builds import NOT_EVERYTHING
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from prbench.checking.catalogue import Catalogue, CatalogueEntry
     from prbench.checking.hd_epic import Validation
     from prbench.checking.inspection import InspectedDataset, InspectedTable
-    from prbench.curation.poses.make import Outcome
 
 
 @command(
@@ -269,35 +267,11 @@ def _print(validation: Validation) -> None:
         print(f"[{remark.kind}] {remark.text}")
 
 
-_STILL_LACKING = 3
-"""Exit code when some recording was to get a body and did not."""
-
-
-class PosesReport(msgspec.Struct, frozen=True, kw_only=True):
-    """Which recordings lack a body, and what was done about it.
-
-    Attributes:
-        recordings: All recordings that were chosen, and what there was of their bodies before the command did anything.
-            EgoAllo's outputs are ``complete``; ``partial``, covering a part; ``refused``, of another recording or
-            damaged; ``missing``; ``unreadable``, without a trajectory to make any from; or ``skipped``, of a recording
-            that is known to be bad.
-        estimated: One entry for each of them, with ``--config``.
-        prepared: One entry for each recording that lacks a body, with ``--prepare``: the command to run, or what is
-            wrong.
-        instructions: How to install EgoAllo and go on, where bodies are lacking and no ``--config`` was given.
-    """
-
-    recordings: list[Outcome]
-    estimated: list[Outcome]
-    prepared: list[Outcome]
-    instructions: str | None
-
-
 @command(
     "poses",
     example="prbench poses egoallo --root /data/HD-EPIC --config egoallo.toml",
     resumes=True,
-    report=PosesReport,
+    report=["prbench.curation.poses.make:Outcome"],
     writes_report=True,
 )
 @click.argument("estimator", type=click.Choice(["egoallo"]))
@@ -309,8 +283,6 @@ class PosesReport(msgspec.Struct, frozen=True, kw_only=True):
     "--poses-root", type=opt.LOCAL_PATH, metavar="DIR", help="Folder of EgoAllo's outputs (default: ROOT/egoallo)."
 )
 @click.option("--dry-run", is_flag=True, help="Say which recordings lack a body, and run nothing.")
-@click.option("--prepare", is_flag=True, help="Only write EgoAllo's input folders, to run it by hand.")
-@click.option("--keep-inputs", is_flag=True, help="Leave prepared input folders in place.")
 def poses(
     *,
     estimator: str,
@@ -321,56 +293,33 @@ def poses(
     max_recordings: int | None,
     poses_root: Path | None,
     dry_run: bool,
-    prepare: bool,
-    keep_inputs: bool,
 ) -> Answer:
     """Say which recordings lack a body pose, and have EgoAllo estimate it."""
     from prbench.curation.poses import instructions, make_poses, pose_states, read_config
-    from prbench.curation.poses.make import Outcome, prepare_by_hand
-    from prbench.curation.poses.states import Selection
+    from prbench.curation.poses.make import Outcome
 
     assert estimator == "egoallo", "the only choice"
     settings = read_config(config) if config else None
-    states = tuple(pose_states(root, Selection(dataset, recordings, max_recordings, poses_root)))
-    lacking = [state for state in states if state.lacking]
-    prepared: list[Outcome] = []
-    estimated: list[Outcome] = []
-    advice = None
-    if prepare:
-        prepared = list(prepare_by_hand(lacking, root, poses_root))
-    elif dry_run:
-        pass
-    elif settings is not None:
-        with progress("running EgoAllo") as show:
-            estimated = list(make_poses(states, settings, root=root, keep_inputs=keep_inputs, progress=show))
-    elif lacking:
-        advice = instructions(root, lacking)
-    failed = [outcome for outcome in (*prepared, *estimated) if outcome.failed]
-    for outcome in failed:
-        note(f"failed: {outcome.recording_id}: {outcome.message}")
-    report = PosesReport(
-        recordings=[Outcome(state.found.recording_id, state.state, state.message) for state in states],
-        estimated=estimated,
-        prepared=prepared,
-        instructions=advice,
-    )
-    return Answer(report, lambda: _print_poses(report), _STILL_LACKING if failed else 0)
+    chosen = {"recordings": recordings, "limit": max_recordings, "poses_root": poses_root}
+    states = tuple(pose_states(root, dataset, **chosen))
+    outcomes = [Outcome(state.found.recording_id, state.state, state.message) for state in states]
+    if settings is not None and not dry_run:
+        with progress("running EgoAllo") as show_progress:
+            outcomes = list(make_poses(states, settings, root=root, progress=show_progress))
+    for outcome in outcomes:
+        if outcome.failed:
+            note(f"failed: {outcome.recording_id}: {outcome.message}")
 
+    def show() -> None:
+        whole = ("complete", "kept", "made")
+        rows = [(each.recording_id, each.state, each.message) for each in outcomes if each.state not in whole]
+        if rows:
+            print_table("recordings without a whole EgoAllo body", ("recording", "outputs", "details"), rows)
+        counts = Counter(each.state for each in outcomes)
+        counted = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
+        print(f"{len(outcomes)} recordings: {counted}")
+        lacking = [state for state in states if state.lacking]
+        if lacking and settings is None and not dry_run:
+            print(f"\n{instructions(root, lacking)}", end="")
 
-def _print_poses(report: PosesReport) -> None:
-    rows = [(each.recording_id, each.state, each.message) for each in report.recordings if each.state != "complete"]
-    if rows:
-        print_table("recordings without a whole EgoAllo body", ("recording", "outputs", "details"), rows)
-    print(f"{len(report.recordings)} recordings: {_counted(report.recordings)}")
-    for prepared in report.prepared:
-        if not prepared.failed:
-            print(f"{prepared.recording_id}: {prepared.message}")
-    if report.estimated:
-        print(f"EgoAllo: {_counted(report.estimated)}")
-    if report.instructions is not None:
-        print(f"\n{report.instructions}", end="")
-
-
-def _counted(outcomes: list[Outcome]) -> str:
-    counts = Counter(each.state for each in outcomes)
-    return ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
+    return Answer(outcomes, show, NOT_EVERYTHING if any(each.failed for each in outcomes) else 0)

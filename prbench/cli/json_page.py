@@ -16,7 +16,7 @@ import sys
 import textwrap
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -46,19 +46,16 @@ prbench adapters list static --json
   "command": "adapters list",
   "exit_code": 0,
   "notes": [],
-  "report": {
-    "methods": [
-      {
-        "name": "static",
-        "package": "prbench",
-        "version": "0.10.0",
-        "target": "prbench_adapters.static:load",
-        "problem": "",
-        "details": null
-      }
-    ],
-    "controls": []
-  },
+  "report": [
+    {
+      "name": "static",
+      "package": "prbench",
+      "version": "0.10.0",
+      "target": "prbench_adapters.static:load",
+      "problem": "",
+      "built_in": true
+    }
+  ],
   "error": null
 }
 ```
@@ -83,12 +80,31 @@ _PLAIN_TYPES: dict[Any, str] = {
 
 
 def json_page() -> str:
-    """Return the text of ``docs/json.md``."""
-    writer = _Writer()
-    writer.add_envelope()
-    for name, report in reports().items():
-        writer.add_command(name, report)
-    return "\n".join(writer.lines) + "\n"
+    """Return the text of ``docs/json.md``; a class that several reports hold is described where it comes first."""
+    lines = _START.splitlines()
+    headings: dict[type, str] = {}
+    for name, report in {"": Document, **reports()}.items():
+        title = f"prbench {name}" if name else "The envelope"
+        shapes = [each for each in shapes_in(report) if each not in headings]
+        for each in shapes:
+            taken = each.__name__ in headings.values()
+            headings[each] = f"{each.__name__} of {name}" if taken else each.__name__
+        if has_fields(report) and shapes and shapes[0] is report:
+            headings[report] = title
+        lines += ["", f"## {title}", ""]
+        if headings.get(report) != title:
+            words = _in_words(report, headings)
+            lines.append(f"{words[0].upper()}{words[1:]}.")
+        for each in shapes:
+            if headings[each] != title:
+                lines += ["", f"### {headings[each]}", ""]
+            described = descriptions_of(each)
+            summary = (inspect.getdoc(each) or "").partition("\n\n")[0]
+            lines += [" ".join(summary.split()).replace("``", "`"), "", "| name | type | meaning |", "|---|---|---|"]
+            for field, annotation in fields_of(each).items():
+                meaning = described.get(field, "").replace("``", "`").replace("|", "\\|")
+                lines.append(f"| `{field}` | {_in_words(annotation, headings)} | {meaning} |")
+    return "\n".join(lines) + "\n"
 
 
 def all_commands() -> list[tuple[str, Command]]:
@@ -97,26 +113,34 @@ def all_commands() -> list[tuple[str, Command]]:
     return [(name, command) for name, command in found if isinstance(command, Command)]
 
 
-def reports() -> dict[str, type]:
-    """Return the class of every report by the name of its command, and of the first argument where that chooses it."""
+def reports() -> dict[str, Any]:
+    """Return the type of every report by the name of its command, and of the first argument where that chooses it."""
     found = {}
     for name, command in all_commands():
-        if isinstance(command.report, Mapping):
-            found |= {f"{name} {value}": report for value, report in command.report.items()}
-        elif isinstance(command.report, str):  # named, since its module takes long to import
-            module, _, report = command.report.partition(":")
-            found[name] = getattr(importlib.import_module(module), report)
-        elif command.report is not None:
-            found[name] = command.report
+        kinds = command.report if isinstance(command.report, Mapping) else {"": command.report}
+        found |= {f"{name} {value}".strip(): _imported(report) for value, report in kinds.items() if report is not None}
     return found
 
 
-def shapes_in(shape: type) -> list[type]:
-    """Return a report's class and all classes that its fields hold, each once, outer ones first."""
-    found = [shape]
-    for current in found:  # grows meanwhile
-        for annotation in fields_of(current).values():
-            found += [inner for inner in _classes(annotation) if inner not in found]
+def _imported(report: Any) -> Any:
+    """Return a type; of a list of one, a list of that. Some are named (``module:class``): they take long to import."""
+    if isinstance(report, list):
+        return list[_imported(report[0])]
+    if not isinstance(report, str):
+        return report
+    module, _, name = report.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def shapes_in(shape: Any) -> list[type]:
+    """Return all classes with fields that a report and their fields hold, each once, outer ones first."""
+    found: list[type] = []
+    waiting = [shape]
+    for current in waiting:  # grows meanwhile
+        if has_fields(current) and current not in found:
+            found.append(current)
+            waiting += fields_of(current).values()
+        waiting += typing.get_args(current)
     return found
 
 
@@ -149,30 +173,15 @@ def descriptions_of(shape: type) -> dict[str, str]:
         if not has_fields(each) or each is msgspec.Struct:
             continue
         _, _, section = (inspect.getdoc(each) or "").partition("\nAttributes:\n")
-        name = ""
-        for line in section.splitlines():
-            if line.strip() and not line.startswith("    "):
-                break  # another section
-            entry = re.match(r"    (\w+): (.*)", line)
-            if entry:
-                name = entry[1]
-                found[name] = entry[2]
-            elif name and line.strip():
-                found[name] += f" {line.strip()}"
+        entries = re.match(r"(?:    .*\n?|\n)*", section)
+        for name, text in re.findall(r"^    (\w+): (.*(?:\n     .*)*)", entries[0] if entries else "", re.MULTILINE):
+            found[name] = " ".join(text.split())
         (tree,) = ast.parse(textwrap.dedent(inspect.getsource(each))).body
         assert isinstance(tree, ast.ClassDef)
         for field, below in itertools.pairwise(tree.body):
             if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(below, ast.Expr):
                 found[field.target.id] = " ".join(str(ast.literal_eval(below.value)).split())
     return {name: text for name, text in found.items() if name in fields_of(shape)}
-
-
-def _classes(annotation: Any) -> Iterator[type]:
-    """Yield the classes with fields that a type names."""
-    if has_fields(annotation):
-        yield annotation
-    for inner in typing.get_args(annotation):
-        yield from _classes(inner)
 
 
 def has_fields(annotation: Any) -> bool:
@@ -182,90 +191,30 @@ def has_fields(annotation: Any) -> bool:
     )
 
 
-class _Writer:
-    """Collects the lines of the page; a class that several reports hold is described where it comes first."""
-
-    def __init__(self) -> None:
-        self.lines = _START.splitlines()
-        self.headings: dict[type, str] = {}
-
-    def add_envelope(self) -> None:
-        """Describe the envelope."""
-        self._add_section("The envelope", Document)
-
-    def add_command(self, name: str, report: type) -> None:
-        """Describe the report of one command."""
-        self._add_section(f"prbench {name}", report, owner=name)
-
-    def _add_section(self, title: str, shape: type, owner: str = "") -> None:
-        first_seen = [each for each in shapes_in(shape) if each not in self.headings]
-        for each in first_seen:
-            self.headings[each] = title if each is shape else self._free_heading(each.__name__, owner)
-        self.lines += ["", f"## {title}", "", _first_paragraph(shape), ""]
-        self._add_table(shape)
-        for each in first_seen:
-            if each is not shape:
-                self.lines += ["", f"### {self.headings[each]}", "", _first_paragraph(each), ""]
-                self._add_table(each)
-
-    def _free_heading(self, name: str, owner: str) -> str:
-        """Return the name of a class, or, if another class has a heading of that name, its name and the command's."""
-        taken = name in self.headings.values()
-        return f"{name} of {owner}" if taken else name
-
-    def _add_table(self, shape: type) -> None:
-        described = descriptions_of(shape)
-        self.lines += ["| name | type | meaning |", "|---|---|---|"]
-        for name, annotation in fields_of(shape).items():
-            meaning = described.get(name, "").replace("``", "`").replace("|", "\\|")
-            self.lines.append(f"| `{name}` | {self._in_words(annotation)} | {meaning} |")
-
-    def _plural(self, annotation: Any) -> str:
-        """Name a type as what a list holds."""
-        words = self._in_words(annotation)
-        return f"{words}s" if words in _COUNTABLE else words
-
-    def _in_words(self, annotation: Any) -> str:
-        """Say what JSON holds for a type."""
-        origin = typing.get_origin(annotation)
-        inner = typing.get_args(annotation)
-        if annotation in _PLAIN_TYPES:
-            return _PLAIN_TYPES[annotation]
-        if has_fields(annotation):
-            heading = self.headings[annotation]
-            return f"[{heading}](#{_anchor(heading)})"
-        if origin in (types.UnionType, typing.Union):
-            return " or ".join(self._in_words(each) for each in inner)
-        if origin is typing.Literal:
-            return " or ".join(f"`{value}`" for value in inner)
-        if origin in (dict, Mapping) or annotation is dict:
-            return f"object: {self._in_words(inner[1]) if inner else 'any'} by name"
-        if origin in (list, tuple, set, frozenset) or annotation in (list, tuple):
-            kinds = dict.fromkeys(self._plural(each) for each in inner if each is not Ellipsis)
-            return f"list of {' and '.join(kinds) or 'any'}"
-        if isinstance(annotation, type) and issubclass(annotation, Enum):
-            return " or ".join(f"`{each.value}`" for each in annotation)
-        raise TypeError(f"no words for the type {annotation}")
-
-
-def _first_paragraph(shape: type) -> str:
-    return " ".join((inspect.getdoc(shape) or "").partition("\n\n")[0].split()).replace("``", "`")
-
-
-def _anchor(heading: str) -> str:
-    """Return the name under which a page links to a heading."""
-    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
-
-
-def main() -> int:
-    """Write the page to the file that the command line names, or print it."""
-    text = json_page()
-    if len(sys.argv) > 1:
-        Path(sys.argv[1]).write_text(text, encoding="utf-8", newline="\n")
-    else:
-        print(text, end="")
-    return 0
+def _in_words(annotation: Any, headings: Mapping[type, str]) -> str:
+    """Say what JSON holds for a type."""
+    origin = typing.get_origin(annotation)
+    inner = typing.get_args(annotation)
+    if annotation in _PLAIN_TYPES:
+        return _PLAIN_TYPES[annotation]
+    if has_fields(annotation):
+        heading = headings[annotation]
+        anchor = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        return f"[{heading}](#{anchor})"
+    if origin is typing.Literal:
+        return " or ".join(f"`{value}`" for value in inner)
+    if isinstance(annotation, type) and issubclass(annotation, Enum):
+        return " or ".join(f"`{each.value}`" for each in annotation)
+    words = [_in_words(each, headings) for each in inner if each is not Ellipsis]
+    if origin in (types.UnionType, typing.Union):
+        return " or ".join(words)
+    if origin in (dict, Mapping) or annotation is dict:
+        return f"object: {words[1] if words else 'any'} by name"
+    if origin in (list, tuple, set, frozenset) or annotation in (list, tuple):
+        kinds = dict.fromkeys(f"{each}s" if each in _COUNTABLE else each for each in words)
+        return f"list of {' and '.join(kinds) or 'any'}"
+    raise TypeError(f"no words for the type {annotation}")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    Path(sys.argv[1]).write_text(json_page(), encoding="utf-8", newline="\n")

@@ -1,8 +1,6 @@
 """``prbench run``: methods over tables, scored.
 
-The command line of ``prbench run`` as an experiment, whose file may say what the command line does not.
-
-A method of another package in a child process: it may leave that process, and the shell is still told the truth.
+A method of another package runs in a child process: it may leave that process, and the shell is still told the truth.
 """
 
 from __future__ import annotations
@@ -14,7 +12,6 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -34,7 +31,7 @@ if TYPE_CHECKING:
     from prbench.engine import Engine
     from prbench.engine.choice import EngineChoice
     from prbench.engine.shards import Shard
-    from prbench.harness.experiment import Experiment, ExperimentMethod
+    from prbench.harness.experiment import Experiment
     from prbench.harness.request import Progress, RunRequest
     from prbench.harness.run import RunReport
     from prbench.harness.run_folder import RunFolder
@@ -143,21 +140,18 @@ def run(
     Without --data, five embedded synthetic datasets are used. The same command goes on with an interrupted run.
     With --benchmark motion-prediction, --data names tables of `prbench build-windows`.
     """
-    _require_fits_benchmark({**given, "config": config})
     of_table_two = ALL in (given["method"], given["condition"])
+    _require_fits_benchmark(given, of_table_two, by_file=config is not None)
     part = opt.chosen_shard(shard, view=view, table_two=of_table_two)
+    alone = {"config": config, "show-config": show_config, "view": view, "permission": permission}
+    of_all = {"minutes": minutes, "with-controls": given["with_controls"]}
+    for option, value in (alone if of_table_two else of_all).items():
+        if value:
+            needed = "a run of one method under one condition" if of_table_two else "--method all or --condition all"
+            raise UsageError(f"--{option}: belongs to {needed}; leave it out.")
     if of_table_two:
-        single = {"config": config, "show-config": show_config, "view": view, "permission": permission}
-        for option, value in single.items():
-            if value:
-                raise UsageError(f"--{option}: belongs to a run of one method under one condition; leave it out.")
         made = load_built_in(STUDY_ITEMS, "table-2-rows")(given, minutes=minutes, choice=engine)
-        table = msgspec.to_builtins(made.report, enc_hook=str)
-        return replace(made, report=RunAnswer(runs=[], companions=[], view=None, table_two=table))
-    if minutes is not None:
-        raise UsageError("--minutes: belongs to --method all or --condition all; --limit N chooses N sequences.")
-    if given["with_controls"]:
-        raise UsageError("--with-controls: belongs to --method all or --condition all.")
+        return replace(made, report=RunAnswer(table_two=msgspec.to_builtins(made.report, enc_hook=str)))
     if config is None and given["method"] is None:
         raise UsageError("--method NAME is needed, or --config FILE. `prbench adapters list` shows the methods.")
     repeated, experiment = read_command_line(config, given)
@@ -173,7 +167,7 @@ def run(
     return _run_all(experiment, repeated, view=view, permission=permission, choice=engine, shard=part)
 
 
-def _require_fits_benchmark(given: Mapping[str, Any]) -> None:
+def _require_fits_benchmark(given: Mapping[str, Any], of_table_two: bool, *, by_file: bool) -> None:
     """Refuse conditions of another benchmark, and what only the default one has: embedded tables and ``all``.
 
     Raises:
@@ -183,19 +177,13 @@ def _require_fits_benchmark(given: Mapping[str, Any]) -> None:
 
     own = default_benchmark()
     about = find_benchmark(given["benchmark"] or own.name)
-    condition = given["condition"]
     # A file may name the benchmark; then the experiment is asked.
-    if given["config"] is None and condition not in (None, ALL, *about.conditions):
+    if not by_file and given["condition"] not in (None, ALL, *about.conditions):
         known = ", ".join(about.conditions)
-        raise UsageError(f"--condition {condition}: expected one of the benchmark {about.name}: {known}.")
-    if about.default:
-        return
-    if ALL in (given["method"], condition):
-        raise UsageError(
-            f"--method all: makes the rows of the study's Table 2, and belongs to {own.name}. The rows of motion"
-            " prediction's study are made by `prbench study prediction WINDOWS`."
-        )
-    if not given["data"]:
+        raise UsageError(f"--condition {given['condition']}: expected one of the benchmark {about.name}: {known}.")
+    if not about.default and of_table_two:
+        raise UsageError(f"--method all: makes the rows of the study's Table 2, and belongs to {own.name}.")
+    if not about.default and not given["data"]:
         raise UsageError(f"--data DIR: {about.name} has no embedded tables; `{about.build}` makes one.")
 
 
@@ -210,8 +198,9 @@ def _run_all(
 ) -> Answer:
     from prbench.harness.methods.installed import list_adapters
 
+    first_run = not experiment.data
     if shard is not None:
-        opt.chosen_shard(str(shard), first_run=not experiment.data)
+        opt.chosen_shard(str(shard), first_run=first_run)
     if view is not None:
         from prbench.viewing.replay.sheet import file_kind
 
@@ -220,56 +209,60 @@ def _run_all(
     for adapter in list_adapters(_group(experiment)):
         if adapter.problem and adapter.name in {method.name for method in experiment.methods}:
             note(f"note: {adapter.package} {adapter.version} is not used: {adapter.problem}.")
-    first_run = not experiment.data
     engine = _opened(choice, experiment)
     if first_run:
-        for method in experiment.methods:
-            _require_runnable(method, experiment.device)
         experiment = _on_embedded_tables(experiment, engine)
     requests = [replace(request, repeats=repeated and repeated.record) for request in experiment.requests()]
     if view is not None and len(requests) > 1:
         raise UsageError("--view: belongs to one run; `prbench view RUN RUN … --out FILE` shows several.")
     if shard is not None:
-        return shards_answer([_generated_shard(request, shard, engine) for request in requests])
+        return shards_answer(_generated_shard(request, shard, engine) for request in requests)
     reports = [_generated(request, engine) for request in requests]
+    folder = reports[0].folder
     if repeated is not None:
-        _tell_repetition(repeated, reports[0].folder)
+        from prbench.harness.experiment import same_scores
+
+        told = f"repeats {repeated.path}: scores differ. `prbench leaderboard compare {repeated.path} {folder.path}`"
+        told += " says where; other versions of packages, processors or numbers of threads can be the cause."
+        if folder.path.resolve() == repeated.path.resolve():
+            told = f"this is the run itself; --out DIR makes it anew beside {repeated.path}."
+        elif same_scores(repeated, folder):
+            told = f"repeats {repeated.path}: every score is the same."
+        note(told)
     companions: list[RunReport] = []
     if first_run and len(requests) == 1:
         # Methods that tell what the scores of a first run are worth, under the condition that the method chose.
         from prbench.contract import Condition
         from prbench.harness.first_run import companions as companions_of
 
-        chosen = replace(requests[0], condition=Condition(reports[0].folder.record.condition))
+        chosen = replace(requests[0], condition=Condition(folder.record.condition))
         companions = [_generated(companion, engine) for companion in companions_of(chosen)]
-    notices: Sequence[str] = ()
+    below: list[str] = []
     if view is not None:
         from prbench.viewing.view import ViewRequest
         from prbench.viewing.view import view as draw
 
         data = () if requests[0].fold else requests[0].data  # folds stand in the cache, where the run's own is found
         wanted = ViewRequest(
-            out=view, runs=(reports[0].folder.path,), data=data, sequences=requests[0].sequences, permitted=permission
+            out=view, runs=(folder.path,), data=data, sequences=requests[0].sequences, permitted=permission
         )
         with progress(f"drawing {view.name}") as show_drawing:
-            notices = draw(wanted, show_drawing).notices
+            below = [*draw(wanted, show_drawing).notices, f"view: {view}"]
+    elif first_run:
+        few = "" if experiment.sequences else "--limit 1 "
+        below = [f"look at it: prbench view {folder.path} {few}--out motions.png"]
     if first_run and not experiment.sequences:
         note(
             f"these are {requests[0].limit} sequences of each dataset (--limit N takes another number); for the same"
             f" ones elsewhere: prbench export-conditions --data {requests[0].data[0].parent}/* --limit"
             f" {requests[0].limit} …"
         )
-    answer = run_answer(reports, companions, view=view, single=bool(experiment.sequences))
+    answer = run_answer(reports, companions, single=bool(experiment.sequences))
 
     def show() -> None:
         answer.show()
-        for line in notices:
+        for line in below:
             print(line)
-        if view is not None:
-            print(f"view: {view}")
-        elif first_run:
-            few = "" if experiment.sequences else "--limit 1 "
-            print(f"look at it: prbench view {reports[0].folder.path} {few}--out motions.png")
 
     return replace(answer, show=show)
 
@@ -280,12 +273,12 @@ def _generated_shard(request: RunRequest, shard: Shard, engine: Engine) -> opt.M
     with _told(request, f"running shard {shard} of {request.method_label}") as tell:
         tables = [session().shown_place(str(folder.absolute())) for folder in request.data]
         report = run_shard(request, shard, tables_at=tables, engine=engine, progress=tell)
-    if report.batches_found:
-        note(f"{report.batches_found} batches were taken over from an earlier run.")
+    made = report.batches_made + report.batches_found
+    _note_found(report.batches_found)
     return opt.MadeShard(
         shard=str(shard),
         folder=report.folder,
-        made_of=report.batches_made + report.batches_found,
+        made_of=made,
         planned=report.planned,
         taken_over=report.batches_found,
     )
@@ -297,8 +290,7 @@ def _generated(request: RunRequest, engine: Engine) -> RunReport:
 
     with _told(request, f"running {request.method_label}") as tell:
         report = run_method(request, engine=engine, progress=tell)
-    if report.batches_found:
-        note(f"{report.batches_found} batches were taken over from an earlier run.")
+    _note_found(report.batches_found)
     for table in report.folder.record.tables:  # how often a program crashed, which its motions do not show
         cost = report.folder.dataset(table.dataset).cost
         crashes = sum(RunCost.read(cost).restarts.values())
@@ -306,6 +298,11 @@ def _generated(request: RunRequest, engine: Engine) -> RunReport:
             times = "once" if crashes == 1 else f"{crashes} times"
             note(f"its program crashed {times} and was started again: {cost}, restarts.")
     return report
+
+
+def _note_found(batches: int) -> None:
+    if batches:
+        note(f"{batches} batches were taken over from an earlier run.")
 
 
 @contextlib.contextmanager
@@ -327,44 +324,40 @@ def _opened(choice: EngineChoice, experiment: Experiment) -> Engine:
     from prbench.harness.methods.installed import packages_of
     from prbench.harness.preparation import DEFAULT_PARENT
 
-    first_run = not experiment.data
     reads = [Path(folder) for folder in experiment.data]
     writes = [Path(experiment.out or DEFAULT_PARENT / "run")]
-    if first_run:
+    if not experiment.data:
         writes.append(default_folder())
     # A weight that is no file is the name of a bundled one, and a method may be a program's file.
     for method in experiment.methods:
         reads += [Path(text) for text in (method.weights, method.name) if text and Path(text).exists()]
     names = {method.name for method in experiment.methods}
-    packages = packages_of(names, _group(experiment)) if isinstance(choice, Cluster) else ()
     return opt.opened(
         choice,
-        usual=_FIRST_RUN_WORKERS if first_run else 1,
+        usual=1 if experiment.data else _FIRST_RUN_WORKERS,
         threads=experiment.threads,
         reads=reads,
         writes=writes,
-        packages=packages,
+        packages=packages_of(names, _group(experiment)) if isinstance(choice, Cluster) else (),
     )
-
-
-def _require_runnable(method: ExperimentMethod, device: str) -> None:
-    """Refuse an unknown method, or one that has to be told its condition, before half a minute goes into tables."""
-    from prbench.harness.methods.installed import METHOD_CONTROLS
-    from prbench.harness.methods.loading import chosen_condition, find_adapter, load_adapter
-    from prbench.harness.methods.programs import is_program
-
-    if method.name in METHOD_CONTROLS or is_program(method.name):
-        return
-    find_adapter(method.name, also_known=METHOD_CONTROLS)
-    if not method.conditions:
-        weights = None if method.weights is None else Path(method.weights)
-        chosen_condition(method.name, load_adapter(method.name, weights, method.option_texts, device), None)
 
 
 def _on_embedded_tables(experiment: Experiment, engine: Engine) -> Experiment:
     """Run on the embedded datasets, by default on a part of each, in batches that two workers can share."""
     from prbench.harness import first_run
+    from prbench.harness.methods.installed import METHOD_CONTROLS
+    from prbench.harness.methods.loading import chosen_condition, find_adapter, load_adapter
+    from prbench.harness.methods.programs import is_program
 
+    # An unknown method, or one that has to be told its condition, is refused before half a minute goes into tables.
+    for method in experiment.methods:
+        if method.name in METHOD_CONTROLS or is_program(method.name):
+            continue
+        find_adapter(method.name, also_known=METHOD_CONTROLS)
+        if not method.conditions:
+            weights = None if method.weights is None else Path(method.weights)
+            adapter = load_adapter(method.name, weights, method.option_texts, experiment.device)
+            chosen_condition(method.name, adapter, None)
     changes: dict[str, Any] = {"data": tuple(map(str, opt.embedded_tables(engine)))}
     if not experiment.sequences:
         changes["limit"] = experiment.limit or first_run.SEQUENCES
@@ -379,37 +372,12 @@ def _group(experiment: Experiment) -> str:
     return find_benchmark(experiment.benchmark).entry_points
 
 
-def _tell_repetition(earlier: RunFolder, later: RunFolder) -> None:
-    from prbench.harness.experiment import same_scores
-
-    if later.path.resolve() == earlier.path.resolve():
-        note(f"this is the run itself; --out DIR makes it anew beside {earlier.path}.")
-    elif same_scores(earlier, later):
-        note(f"repeats {earlier.path}: every score is the same.")
-    else:
-        note(
-            f"repeats {earlier.path}: scores differ. `prbench leaderboard compare {earlier.path} {later.path}` says"
-            " where; other versions of packages, processors or numbers of threads can be the cause."
-        )
-
-
 _OF_AN_EXPERIMENT = ("benchmark", "method", "condition", "options", "control", "sequences", "minutes")
 """Options whose place is in the file, where there is one."""
 
 _SHARED = (
-    "data",
-    "out",
-    "split",
-    "fold",
-    "limit",
-    "samples",
-    "batch_size",
-    "device",
-    "threads",
-    "isolate",
-    "timeout",
-    "seed",
-    "protocol",
+    *("data", "out", "split", "fold", "limit", "samples", "batch_size", "device", "threads", "isolate", "timeout"),
+    *("seed", "protocol"),
 )
 """Options that all runs of an experiment share; their names are its keys, but for ``seeds``."""
 
@@ -422,7 +390,14 @@ def read_command_line(config: Path | None, given: Mapping[str, Any]) -> tuple[Ru
     """
     from prbench.harness.experiment import Experiment, ExperimentMethod, experiment_of_run, read_experiment, run_of
 
-    own = _said_on_the_command_line(given)
+    # Defaults do not replace what a file says.
+    source = click.get_current_context().get_parameter_source
+    own = {name: given[name] for name in _SHARED if source(name) is click.core.ParameterSource.COMMANDLINE}
+    if "data" in own:
+        own["data"] = tuple(map(str, own["data"]))
+    own |= {name: str(own[name]) for name in ("out", "protocol") if name in own}
+    if "seed" in own:
+        own["seeds"] = (own.pop("seed"),)
     if config is None:
         method = ExperimentMethod(
             name=given["method"],
@@ -431,10 +406,10 @@ def read_command_line(config: Path | None, given: Mapping[str, Any]) -> tuple[Ru
             options=dict(given["options"]),
             control=given["control"],
         )
-        benchmark = {"benchmark": given["benchmark"]} if given["benchmark"] else {}
-        return None, msgspec.convert(
-            {"methods": [msgspec.to_builtins(method)], "sequences": given["sequences"], **own, **benchmark}, Experiment
-        )
+        said = {"methods": [msgspec.to_builtins(method)], "sequences": given["sequences"], **own}
+        if given["benchmark"]:
+            said["benchmark"] = given["benchmark"]
+        return None, msgspec.convert(said, Experiment)
     for name in _OF_AN_EXPERIMENT:
         if given.get(name):
             option = name.removesuffix("s") if name in ("options", "sequences") else name
@@ -448,24 +423,6 @@ def read_command_line(config: Path | None, given: Mapping[str, Any]) -> tuple[Ru
         experiment = experiment_of_run(repeated, data=given["data"], weights=given["weights"])
         own.pop("data", None)  # found by digest among the named ones
     return repeated, msgspec.structs.replace(experiment, **own)
-
-
-def _said_on_the_command_line(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of an experiment that the command line sets; defaults do not replace what a file says."""
-    context = click.get_current_context()
-    said = {
-        name: given[name]
-        for name in _SHARED
-        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-    }
-    if "data" in said:
-        said["data"] = tuple(str(folder) for folder in said["data"])
-    for name in ("out", "protocol"):
-        if name in said:
-            said[name] = str(said[name])
-    if "seed" in said:
-        said["seeds"] = (said.pop("seed"),)
-    return said
 
 
 _Command = Callable[[Sequence[str]], int]
@@ -496,7 +453,12 @@ def supervised(command: _Command, arguments: Sequence[str], *, method: str) -> i
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(target=_report, args=(command, list(arguments), sender))
     child.start()
-    previous = _answered_by(child)
+
+    def pass_on(number: int, _: FrameType | None) -> None:
+        if number == signal.SIGTERM:  # Ctrl-C reaches the child without us
+            child.terminate()
+
+    previous = {number: signal.signal(number, pass_on) for number in (signal.SIGINT, signal.SIGTERM)}
     child.join()  # not the end of the pipe: what the method has started may hold that open
     for number, handler in previous.items():
         signal.signal(number, handler)
@@ -522,13 +484,3 @@ def _report(command: _Command, arguments: list[str], sender: Connection) -> None
         code = command(arguments)
     finally:
         sender.send_bytes(str(code).encode())
-
-
-def _answered_by(child: BaseProcess) -> dict[int, Any]:
-    """Leave Ctrl-C and requests to stop to the child; returns the handlers until now."""
-
-    def pass_on(number: int, _: FrameType | None) -> None:
-        if number == signal.SIGTERM:  # Ctrl-C reaches the child without us
-            child.terminate()
-
-    return {number: signal.signal(number, pass_on) for number in (signal.SIGINT, signal.SIGTERM)}

@@ -1,16 +1,10 @@
-"""``prbench score``: predictions that lie on disk, against one table or several.
-
-``prbench export-conditions``: what a method may see, as a file for a program that runs elsewhere.
-
-``prbench merge``: the shards of a build or run as one table, corpus or run folder; runs on all folds as one run.
-"""
+"""``prbench score``, ``export-conditions`` and ``merge``: what lies on disk against tables, exchanged, put together."""
 
 from __future__ import annotations
 
 import os
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace as with_values
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +12,9 @@ import click
 import msgspec
 
 from prbench.cli import options as opt
-from prbench.cli.builds import BuiltTable, table_answer
+from prbench.cli.builds import BuildsReport, table_answer
 from prbench.cli.commands import Answer, command, note, progress
-from prbench.cli.summaries import MadeRun, print_agreement, print_scene, print_summary, run_answer
+from prbench.cli.summaries import RunAnswer, print_agreement, print_scene, print_summary, run_answer
 from prbench.entry_points import CORPORA, STUDY_ITEMS, load_built_in
 from prbench.errors import UsageError
 from prbench.protocol.manifests import default_benchmark
@@ -48,22 +42,10 @@ class ScoredMotions(msgspec.Struct, frozen=True, kw_only=True):
     agreement: DatasetAgreement | None
 
 
-class ScoreReport(msgspec.Struct, frozen=True, kw_only=True):
-    """The scores of finished motions.
-
-    Attributes:
-        datasets: One entry a dataset.
-        out: Folder that the scores were written to; null if nothing was written.
-    """
-
-    datasets: list[ScoredMotions]
-    out: Path | None
-
-
 @command(
     "score",
     example="prbench score predictions.npz --conditions conditions.npz --data tables/adt --out scores/mine",
-    report=ScoreReport,
+    report=[ScoredMotions],
 )
 @click.argument("predictions", type=opt.PATH)
 @opt.data_option(required=True)
@@ -151,7 +133,7 @@ def score(
                 progress=lambda step: show(step.done, step.total, step.dataset),
             )
         made = [ScoredMotions(origin=futures.origin, motionless=False, scores=futures.summary, agreement=None)]
-    return Answer(ScoreReport(datasets=made, out=out), lambda: _print(made, out))
+    return Answer(made, lambda: _print(made, out))
 
 
 def _print(scored: Sequence[ScoredMotions], out: Path | None) -> None:
@@ -268,29 +250,12 @@ def _print_export_conditions(report: ExportReport, case: str) -> None:
     print(f"{report.rows} motions to generate: {report.out}")
 
 
-class MergeReport(msgspec.Struct, frozen=True, kw_only=True):
-    """The result of a merge.
-
-    Attributes:
-        kind: ``dataset``, ``corpus``, ``windows`` or ``run`` of shards, or ``folds``.
-        shards: Number of shards, or of runs on folds.
-        table: The table or corpus that was written; null for others.
-        windows: The table of windows that was written; null for others.
-        run: The run that was put together and scored; null for others.
-        folds: Scores of the runs on all folds as one; null for others.
-        unverified: A sentence for each run on a fold whose scores could not be held against its motions.
-    """
-
-    kind: str
-    shards: int
-    table: BuiltTable | None = None
-    windows: dict[str, Any] | None = None
-    run: MadeRun | None = None
-    folds: DatasetSummary | None = None
-    unverified: list[str] = []
-
-
-@command("merge", example="prbench merge shards/adt-* --out tables/adt", report=MergeReport, resumes=True)
+@command(
+    "merge",
+    example="prbench merge shards/adt-* --out tables/adt",
+    report={"of tables": BuildsReport, "of runs": RunAnswer},
+    resumes=True,
+)
 @click.argument("parts", type=opt.PATH, nargs=-1, required=True, metavar="DIR...")
 @opt.out_folder_option("Folder of the table, corpus, windows or run.", required=True)
 @opt.data_option(
@@ -322,50 +287,39 @@ def merge(parts: tuple[Path, ...], out: Path, data: tuple[Path, ...], replace: b
         raise UsageError(f"--data: belongs to shards of a run; these are of a {kind}. Leave it out.")
     if replace and kind not in ("dataset", "corpus"):
         raise UsageError(f"--replace: belongs to a dataset or corpus; these are shards of a {kind}. Leave it out.")
-    report = MergeReport(kind=kind, shards=len(parts))
     if kind == "dataset":
         from prbench.curation.build import merge_dataset_shards
 
-        answer = table_answer(merge_dataset_shards(opened, out, replace=replace))
-        report = msgspec.structs.replace(report, table=answer.report.built[0])
-    elif kind == "corpus":
-        answer = load_built_in(CORPORA, "merge")(opened, out, replace=replace)
-        report = msgspec.structs.replace(report, table=answer.report.built[0])
-    elif kind == "windows":
-        answer = load_built_in(STUDY_ITEMS, "merged-windows")(opened, out)
-        report = msgspec.structs.replace(report, windows=msgspec.to_builtins(answer.report.built, enc_hook=str))
-    else:
-        from prbench.engine import engine_for
-        from prbench.harness.sharded import merge_run_shards
+        return table_answer(merge_dataset_shards(opened, out, replace=replace))
+    if kind == "corpus":
+        return load_built_in(CORPORA, "merge")(opened, out, replace=replace)
+    if kind == "windows":
+        return load_built_in(STUDY_ITEMS, "merged-windows")(opened, out)
+    from prbench.engine import engine_for
+    from prbench.harness.sharded import merge_run_shards
 
-        with progress("merging") as tell:
-            run = merge_run_shards(
-                opened,
-                out,
-                data=data,
-                engine=engine_for(workers),
-                progress=lambda step: tell(step.done, step.total, f"{step.stage} {step.dataset}"),
-            )
-        answer = run_answer([run], single=bool(run.folder.record.sequences))
-        report = msgspec.structs.replace(report, run=answer.report.runs[0])
-    return with_values(answer, report=report)
+    with progress("merging") as tell:
+        run = merge_run_shards(
+            opened,
+            out,
+            data=data,
+            engine=engine_for(workers),
+            progress=lambda step: tell(step.done, step.total, f"{step.stage} {step.dataset}"),
+        )
+    return run_answer([run], single=bool(run.folder.record.sequences))
 
 
 def _merged_folds(runs: Sequence[Path], out: Path, data: tuple[Path, ...], workers: int) -> Answer:
     from prbench.board.merging import merge_folds
+    from prbench.harness.run import RunReport
+    from prbench.harness.run_folder import RunFolder
 
     merged = merge_folds(runs, checker=opt.run_checker(data, workers))
     protocol = merged.folds[0].protocol
     if protocol is not None and protocol.is_own:
         note(f"scored under a protocol of your own, {protocol.label}: no number here is the study's")
+    for reason in merged.unverified:
+        note(f"unverified: {reason}")
     merged.write(out)
-    method = merged.record.method
-    report = MergeReport(kind="folds", shards=len(runs), folds=merged.summary, unverified=list(merged.unverified))
-
-    def show() -> None:
-        print_summary(merged.summary, origin=method.origin, motionless=method.motionless)
-        for reason in merged.unverified:
-            print(f"unverified: {reason}")
-        print(f"run folder: {out}")
-
-    return Answer(report, show)
+    folds = RunReport(RunFolder.open(out), (merged.summary,), batches_made=0, batches_found=0)
+    return run_answer([folds], single=False)

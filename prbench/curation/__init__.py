@@ -1,6 +1,6 @@
 """Curation: from recordings to a table of prime-and-reach sequences."""
 
-from prbench.curation.build import BuildPlan, BuildReport, Progress, build_dataset, build_from_sources, plan_build
+from prbench.curation.build import BuildPlan, BuildReport, build_dataset, build_from_sources, plan_build
 from prbench.curation.curate import CuratedRecording, curate_recording
 from prbench.curation.job import FunnelRow, RecordingSource, funnel_rows
 from prbench.curation.options import BuildOptions, CurationOptions
@@ -12,7 +12,6 @@ __all__ = [
     "CuratedRecording",
     "CurationOptions",
     "FunnelRow",
-    "Progress",
     "RecordingSource",
     "build_dataset",
     "build_from_sources",

@@ -9,9 +9,8 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from collections.abc import Sequence as SequenceOf
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +22,10 @@ from prbench.engine import Engine, InProcess
 from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, PrbenchError, StorageError, TableError, UsageError
 from prbench.files.storage import require_replaceable, sole_writer
+from prbench.progress_bar import ProgressCallback
 from prbench.protocol.manifests import BuildEstimate, digest_of, load_manifest, load_protocol
-from prbench.readers import SYNTHETIC_PREFIX, reader_for
-from prbench.readers.discover import FoundDataset, discover
+from prbench.readers import SYNTHETIC_PREFIX
+from prbench.readers.discover import BrokenDataset, FoundDataset, discover
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
 from prbench.sequences.parts import (
     BuildPlan,
@@ -45,17 +45,6 @@ _IN_PROCESS = InProcess()
 _UNMEASURED = BuildEstimate(megabytes_per_second=30.0, table_share=0.02)
 
 
-@dataclass(frozen=True)
-class Progress:
-    """One recording is done."""
-
-    done: int
-    total: int
-    record: Recording
-    reused: bool
-    """True if an interrupted build had already made it."""
-
-
 def build_dataset(
     dataset: str,
     root: Path | str,
@@ -63,7 +52,7 @@ def build_dataset(
     *,
     options: BuildOptions = NO_OPTIONS,
     engine: Engine = _IN_PROCESS,
-    progress: Callable[[Progress], None] | None = None,
+    progress: ProgressCallback | None = None,
 ) -> BuildReport[DatasetInfo, Recording]:
     """Build a dataset from its native files.
 
@@ -93,17 +82,17 @@ def build_from_sources(
     *,
     options: BuildOptions = NO_OPTIONS,
     engine: Engine = _IN_PROCESS,
-    progress: Callable[[Progress], None] | None = None,
-    extra_options: dict[str, str] | None = None,
+    progress: ProgressCallback | None = None,
+    extra_options: Mapping[str, str] | None = None,
 ) -> BuildReport[DatasetInfo, Recording]:
-    """Build a dataset from any recordings of one dataset, in table order (see :func:`build_dataset`).
+    """Build a dataset from any recordings of one dataset, sorted here into table order (see :func:`build_dataset`).
 
     Args:
-        sources: What to read; sorted here.
-        out: See :func:`build_dataset`.
-        options: See :func:`build_dataset`.
-        engine: See :func:`build_dataset`.
-        progress: See :func:`build_dataset`.
+        sources: What to read.
+        out: See :func:`build_dataset`, as for the other arguments.
+        options: See there.
+        engine: See there.
+        progress: See there.
         extra_options: Further entries for the options in ``dataset.json``.
     """
     out = Path(out).expanduser().absolute()
@@ -116,34 +105,6 @@ def build_from_sources(
         return _write_table(dataset, receipts, out, options, extra_options or {})
 
 
-def build_dataset_shard(
-    dataset: str,
-    root: Path | str,
-    out: Path | str,
-    shard: Shard,
-    *,
-    options: BuildOptions = NO_OPTIONS,
-    engine: Engine = _IN_PROCESS,
-    progress: Callable[[Progress], None] | None = None,
-) -> ShardReport[Recording]:
-    """Make one shard of a build, for :func:`merge_dataset_shards`; goes on where it was interrupted.
-
-    Args:
-        dataset: See :func:`build_dataset`, whose errors these are.
-        root: See :func:`build_dataset`.
-        out: Folder of the shard.
-        shard: Which one it is.
-        options: See :func:`build_dataset`.
-        engine: See :func:`build_dataset`.
-        progress: See :func:`build_dataset`.
-
-    Raises:
-        ShardError: if ``out`` holds another shard.
-    """
-    sources = native_sources(dataset, root, options)
-    return build_shard_from_sources(sources, out, shard, options=options, engine=engine, progress=progress)
-
-
 def build_shard_from_sources(
     sources: SequenceOf[RecordingSource],
     out: Path | str,
@@ -151,17 +112,20 @@ def build_shard_from_sources(
     *,
     options: BuildOptions = NO_OPTIONS,
     engine: Engine = _IN_PROCESS,
-    progress: Callable[[Progress], None] | None = None,
+    progress: ProgressCallback | None = None,
 ) -> ShardReport[Recording]:
-    """Make one shard of any recordings of one dataset (see :func:`build_dataset_shard`).
+    """Make one shard of a build, for :func:`merge_dataset_shards`; goes on where it was interrupted.
 
     Args:
-        sources: Those of all shards; sorted here.
-        out: See :func:`build_dataset_shard`.
-        shard: See :func:`build_dataset_shard`.
-        options: See :func:`build_dataset_shard`.
-        engine: See :func:`build_dataset_shard`.
-        progress: See :func:`build_dataset_shard`.
+        sources: Recordings of all shards.
+        out: Folder of the shard.
+        shard: Which one it is.
+        options: See :func:`build_dataset`, as for the other arguments.
+        engine: See there.
+        progress: See there.
+
+    Raises:
+        ShardError: if ``out`` holds another shard.
     """
     out = Path(out).expanduser().absolute()
     sources = _in_table_order(sources)
@@ -239,7 +203,7 @@ def _make_parts(
     work: Path,
     options: BuildOptions,
     engine: Engine,
-    progress: Callable[[Progress], None] | None,
+    progress: ProgressCallback | None,
 ) -> list[PartReceipt]:
     """Make the parts of some recordings of one dataset, in their order."""
     if not sources:
@@ -252,7 +216,7 @@ def _make_parts(
     for receipt in engine.map(job, sources, if_full=job.if_full):
         receipts.append(receipt)
         if progress is not None:
-            progress(Progress(len(receipts), len(sources), receipt.record, receipt.reused))
+            progress(len(receipts), len(sources), receipt.record.recording_id)
     return receipts
 
 
@@ -261,16 +225,15 @@ def _write_table(
     receipts: SequenceOf[PartReceipt],
     out: Path,
     options: BuildOptions,
-    extra_options: dict[str, str],
+    extra_options: Mapping[str, str],
 ) -> BuildReport[DatasetInfo, Recording]:
     """Write the table of all parts of a build."""
     manifest = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX))
     protocol = options.protocol or load_protocol()
-    info = describe(dataset, manifest, protocol, options, receipts, extra_options)
     folders = [receipt.folder for receipt in receipts]
     info = write_dataset(
         out,
-        info,
+        describe(dataset, manifest, protocol, options, receipts, extra_options),
         sequences=read_batches(folders, "sequences"),
         events=read_batches(folders, "events"),
         recordings=read_batches(folders, "recordings"),
@@ -306,6 +269,8 @@ def plan_build(dataset: str, root: Path | str, options: BuildOptions = NO_OPTION
     estimate = load_manifest(dataset.removeprefix(SYNTHETIC_PREFIX)).estimate or _UNMEASURED
     size = sum(source.size for source in sources if source.skip_reason is None)
     return BuildPlan(
+        dataset=dataset,
+        root=Path(root),
         recordings=tuple(source.recording_id for source in sources),
         skipped=tuple(source.recording_id for source in sources if source.skip_reason is not None),
         input_bytes=size,
@@ -314,110 +279,61 @@ def plan_build(dataset: str, root: Path | str, options: BuildOptions = NO_OPTION
     )
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """The outcome of one dataset."""
-
-    dataset: str
-    root: Path
-    report: BuildReport | None
-    """The report; None where nothing could be built."""
-    message: str
-    """The reason why nothing was built; empty where it was."""
-
-    @property
-    def complete(self) -> bool:
-        """Return True if every recording that was found could be read to its end."""
-        if self.report is None:
-            return False
-        counts = self.report.info.counts
-        return counts.recordings_failed == 0 and counts.recordings_cut_short == 0
-
-
 def build_all(
     root: Path | str,
     out: Path | str,
     *,
     options: BuildOptions = NO_OPTIONS,
     engine: Engine = _IN_PROCESS,
-    progress: Callable[[str, Progress], None] | None = None,
-) -> tuple[Outcome, ...]:
+    progress: ProgressCallback | None = None,
+) -> tuple[list[BuildReport[DatasetInfo, Recording]], list[BrokenDataset]]:
     """Build every dataset that is recognised below a folder, into ``out/<dataset>``.
 
     Args:
         root: Folder that holds copies of datasets, or one of them.
         out: Folder of the tables.
-        options: As for one dataset; options of readers go to those that know them.
+        options: As for one dataset, without a rule or reader's option, which are those of one dataset.
         engine: Where recordings are worked on.
-        progress: Called with the dataset's name after each recording.
+        progress: Called after each recording.
+
+    Returns:
+        What was built, and the datasets that were found and gave no table.
 
     Raises:
         InputFileError: if nothing is recognised.
-        UsageError: if an option fits no dataset that was found, or one dataset was found twice.
+        UsageError: for options of one dataset, or if one dataset was found twice.
         PrbenchError: the first problem of a dataset, with ``on_error="fail"``.
     """
-    root = Path(root)
-    out = Path(out)
-    discovery = discover(root)
-    chosen = _reader_options(discovery.found, options)
-    outcomes = [Outcome(broken.dataset, broken.root, None, broken.message) for broken in discovery.broken]
-    if outcomes and options.on_error == "fail":
-        raise PrbenchError(outcomes[0].message)
-    for found in discovery.found:
-        # A reader gets only the options that it knows; those of other datasets would be refused.
-        own = dataclasses.replace(options, reader=chosen[found.dataset])
+    found, broken = found_datasets(root, options)
+    if broken and options.on_error == "fail":
+        raise PrbenchError(broken[0].message)
+    built = []
+    for each in found:
+        folder = Path(out) / each.name
         try:
-            report = build_dataset(
-                found.dataset,
-                found.root,
-                out / found.name,
-                options=own,
-                engine=engine,
-                progress=None if progress is None else lambda step, name=found.name: progress(name, step),
-            )
+            report = build_dataset(each.dataset, each.root, folder, options=options, engine=engine, progress=progress)
         except PrbenchError as error:
             if options.on_error == "fail":
                 raise
-            outcomes.append(Outcome(found.name, found.root, None, str(error)))
+            broken.append(BrokenDataset(each.name, each.root, str(error)))
         else:
-            outcomes.append(Outcome(found.name, found.root, report, ""))
-    # By name, so that broken folders, which are known before anything is built, stand among the others.
-    return tuple(sorted(outcomes, key=lambda outcome: outcome.dataset))
+            built.append(report)
+    return built, broken
 
 
-def plan_all(root: Path | str, options: BuildOptions = NO_OPTIONS) -> tuple[tuple[str, Path, BuildPlan], ...]:
-    """The dry run: name, folder and plan of every dataset that :func:`build_all` would build.
+def found_datasets(root: Path | str, options: BuildOptions) -> tuple[tuple[FoundDataset, ...], list[BrokenDataset]]:
+    """Return the datasets that :func:`build_all` would build, and those that cannot be listed.
 
     Raises:
         InputFileError: if nothing is recognised.
-        UsageError: if an option fits no dataset that was found, or one dataset was found twice.
+        UsageError: for options of one dataset, or if one dataset was found twice.
     """
-    found = discover(root).found
-    chosen = _reader_options(found, options)
-    return tuple(
-        (
-            each.name,
-            each.root,
-            plan_build(each.dataset, each.root, dataclasses.replace(options, reader=chosen[each.dataset])),
-        )
-        for each in found
-    )
-
-
-def _reader_options(
-    found: tuple[FoundDataset, ...], options: BuildOptions
-) -> Mapping[str, tuple[tuple[str, str], ...]]:
-    """The options of each dataset's reader, out of those given for all of them."""
-    twice = [name for name, count in Counter(each.name for each in found).items() if count > 1]
+    # Rules and reader's options are named after what one dataset records, so none is meant for all of them.
+    if options.curation.in_hand is not None or options.reader:
+        raise UsageError("--in-hand and --option belong to one dataset; build that dataset by itself.")
+    discovery = discover(Path(root))
+    twice = [name for name, count in Counter(each.name for each in discovery.found).items() if count > 1]
     if twice:
-        places = " and ".join(str(each.root) for each in found if each.name == twice[0])
+        places = " and ".join(str(each.root) for each in discovery.found if each.name == twice[0])
         raise UsageError(f"{twice[0]} was found in {places}; build the one you mean with `build-dataset {twice[0]}`.")
-    # Rules are named after what a dataset records (grasps, bodies, annotations), so no rule is meant for all of them.
-    if options.curation.in_hand is not None:
-        raise UsageError("--in-hand names a rule of one dataset; build that dataset by itself.")
-    known = {each.dataset: reader_for(each.dataset).options.names() for each in found}
-    for name, _ in options.reader:
-        if not any(name in names for names in known.values()):
-            everything = sorted({name for names in known.values() for name in names})
-            raise UsageError(f"no reader of what was found has an option '{name}'; they have: {', '.join(everything)}.")
-    return {dataset: tuple(o for o in options.reader if o[0] in names) for dataset, names in known.items()}
+    return discovery.found, list(discovery.broken)

@@ -12,15 +12,7 @@ from scipy.spatial.transform import Rotation
 from prbench.curation.clipping import Clip, clip
 from prbench.curation.events import Decision, PickPutEvent, Place, find_events
 from prbench.curation.options import DEFAULTS, CurationOptions, minimum_movement
-from prbench.curation.priming import (
-    Prime,
-    Surroundings,
-    View,
-    find_prime,
-    gaze_rays,
-    occlusion_remarks,
-    published_prime,
-)
+from prbench.curation.priming import Prime, find_prime, gaze_rays, published_prime
 from prbench.errors import RecordingUnusable
 from prbench.geometry.shapes import Boxes, deepest
 from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame, invert_rigid, transform_points
@@ -48,16 +40,6 @@ class CuratedRecording:
     record: RecordingRow
     boxes: tuple[SceneBox, ...] = ()
     """What stands still around the person, sorted by ``object_id``."""
-
-
-@dataclass(frozen=True)
-class _Story:
-    """The stages that one event passed."""
-
-    event: PickPutEvent
-    decision: Decision
-    prime: Prime | None = None
-    sequence: Sequence | None = None
 
 
 def curate_recording(
@@ -91,20 +73,24 @@ def curate_recording(
             f" any of the {len(annotated)} events of this recording. Is the file there, and of the same release?"
         )
     rays = gaze_rays(recording, options.ray_origin or protocol.curation.ray_origin)
-    surroundings = Surroundings(recording) if options.occlusion != "off" else None
-    stories = [_follow(recording, event, rays, surroundings, protocol, options, split) for event in events]
+    sequences = []
+    rows = []
+    for event in events:
+        decision, prime, sequence = _follow(recording, event, rays, protocol, options, split)
+        rows.append(_event_record(recording, event, decision, prime, sequence))
+        if sequence is not None:
+            sequences.append(sequence)
     lacks = _missing_parts(recording, rule, found=bool(events))
-    remarks += occlusion_remarks(recording, options.occlusion, [s.prime.through for s in stories if s.prime])
     return CuratedRecording(
-        sequences=tuple(sorted((s.sequence for s in stories if s.sequence), key=lambda row: row.sequence_id)),
-        events=tuple(sorted((_event_record(recording, s) for s in stories), key=lambda row: row.event_id)),
+        sequences=tuple(sorted(sequences, key=lambda row: row.sequence_id)),
+        events=tuple(sorted(rows, key=lambda row: row.event_id)),
         record=RecordingRow(
             recording_id=recording.recording_id,
             participant_id=recording.participant_id,
             split=split,
             split_group=group,
             duration=recording.span[1] - recording.span[0],
-            outcomes=dict(Counter(story.decision.outcome for story in stories)),
+            outcomes=dict(Counter(row.outcome for row in rows)),
             status="read",
             message="; ".join((*recording.shortfalls, *recording.messages, *remarks, *lacks)),
             shortfalls=recording.shortfalls,
@@ -146,29 +132,27 @@ def _follow(
     recording: Recording,
     event: PickPutEvent,
     rays: tuple[np.ndarray, np.ndarray, np.ndarray],
-    surroundings: Surroundings | None,
     protocol: BenchmarkProtocol,
     options: CurationOptions,
     split: str,
-) -> _Story:
+) -> tuple[Decision, Prime | None, Sequence | None]:
     """One event through the stages, until one of them says no."""
     if event.rejected is not None or event.place is None:
-        return _Story(event, event.rejected or Decision("no_location", "location"))
+        return event.rejected or Decision("no_location", "location"), None, None
     if options.priming == "published":
         prime = published_prime(event.published_priming)
     else:
-        view = surroundings and View(surroundings, event.object_id, options.occlusion == "require", rays)
-        prime = find_prime(*rays, event.place, event.event_time, options.constants(protocol), view)
+        prime = find_prime(*rays, event.place, event.event_time, protocol.curation)
     if isinstance(prime, Decision):
-        return _Story(event, prime)
+        return prime, None, None
     piece = clip(recording, prime_time=prime.time, event_time=event.event_time, protocol=protocol)
     if isinstance(piece, Decision):
-        return _Story(event, piece, prime)
+        return piece, prime, None
     threshold = protocol.curation.minimum_movement
     decision = minimum_movement(piece, event, event.place, measure=options.minimum_movement, threshold=threshold)
     if decision.outcome != "sequence":
-        return _Story(event, decision, prime)
-    return _Story(event, decision, prime, _sequence(recording, event, event.place, prime, piece, protocol, split))
+        return decision, prime, None
+    return decision, prime, _sequence(recording, event, event.place, prime, piece, protocol, split)
 
 
 def _sequence(
@@ -203,10 +187,8 @@ def _sequence(
     extra = {} if event.hand_source is None else {"hand_source": event.hand_source}
     if event.tracking_gap is not None:
         extra["placed_in_tracking_gap_of_s"] = f"{event.tracking_gap:.3f}"
-    if prime.through:
-        extra["primed_through"] = prime.through
     return Sequence(
-        sequence_id=sequence_id(event.event_id, recording.pose_source),
+        sequence_id=f"{event.event_id}/{recording.pose_source}",  # one for each source of body poses
         dataset=recording.dataset,
         recording_id=recording.recording_id,
         participant_id=recording.participant_id,
@@ -249,40 +231,35 @@ def _sequence(
     )
 
 
-def sequence_id(event_id: str, pose_source: str) -> str:
-    """One event gives one sequence for each source of body poses."""
-    return f"{event_id}/{pose_source}"
-
-
-def _event_record(recording: Recording, story: _Story) -> Event:
-    event = story.event
-    place = story.event.place
-    prime = story.prime
-    published = story.event.published_priming
+def _event_record(
+    recording: Recording, event: PickPutEvent, decision: Decision, prime: Prime | None, sequence: Sequence | None
+) -> Event:
+    place = event.place
+    published = event.published_priming
     wrists = {wrist.side: wrist.position for wrist in wrists_at(recording.hands, recording.body, event.event_time)}
     return Event(
         event_id=event.event_id,
         recording_id=recording.recording_id,
-        sequence_id=None if story.sequence is None else story.sequence.sequence_id,
+        sequence_id=sequence and sequence.sequence_id,
         object_id=event.object_id,
         object_name=event.object_name,
         action=event.action,
         hand=event.hand,
         event_time=event.event_time,
-        prime_time=None if prime is None else prime.time,
-        prime_kind=None if prime is None else prime.kind,
-        location=None if place is None else place.location,
-        box_min=None if place is None else place.box_min,
-        box_max=None if place is None else place.box_max,
-        outcome=story.decision.outcome,
-        stage=story.decision.stage,
-        value=story.decision.value,
-        threshold=story.decision.threshold,
+        prime_time=prime and prime.time,
+        prime_kind=prime and prime.kind,
+        location=place and place.location,
+        box_min=place and place.box_min,
+        box_max=place and place.box_max,
+        outcome=decision.outcome,
+        stage=decision.stage,
+        value=decision.value,
+        threshold=decision.threshold,
         left_wrist=wrists.get("left"),
         right_wrist=wrists.get("right"),
         hand_source=event.hand_source,
-        published_priming=None if published is None else published.outcome,
-        published_prime_time=None if published is None else published.prime_time,
+        published_priming=published and published.outcome,
+        published_prime_time=published and published.prime_time,
     )
 
 
@@ -330,15 +307,16 @@ def scene_boxes(recording: Recording) -> tuple[SceneBox, ...]:
         if body is not None and body.valid.any():
             box = Boxes(centre[None], turn.as_matrix()[None], half_extents[None], np.array([0, 1]))
             entered = float(deepest(body.joints[body.valid], box).max())
-        box_row = SceneBox(
-            recording_id=recording.recording_id,
-            object_id=track.object_id,
-            name=track.name,
-            category=track.category,
-            centre=centre,
-            rotation=rotation,
-            half_extents=half_extents,
-            entered=entered,
+        boxes.append(
+            SceneBox(
+                recording.recording_id,
+                track.object_id,
+                track.name,
+                track.category,
+                centre,
+                rotation,
+                half_extents,
+                entered,
+            )
         )
-        boxes.append(box_row)
     return tuple(boxes)

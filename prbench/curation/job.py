@@ -28,7 +28,6 @@ from prbench.protocol.manifests import BenchmarkProtocol, Manifest, digest_of, l
 from prbench.protocol.own_protocol import OPTION
 from prbench.readers import (
     SYNTHETIC_PREFIX,
-    Reader,
     RecordingFiles,
     cut_short,
     described_options,
@@ -87,13 +86,11 @@ class RecordingSource(Protocol):
 class NativeSource:
     """A recording in a dataset's own files."""
 
-    root: Path
-    """The folder that was searched."""
+    root: Path  # the folder that was searched
     found: RecordingFiles
     split: str | None
     skip_reason: str | None
     reader_options: tuple[tuple[str, str], ...] = ()
-    """See :class:`prbench.curation.options.BuildOptions`."""
 
     @property
     def dataset(self) -> str:
@@ -116,16 +113,13 @@ class NativeSource:
         files = sorted(self.found.files, key=lambda file: file.role)
         digests = {path: file_digest(path) for path in {file.path for file in files}}  # many lie in one archive
         parts = [text for file in files for text in (file.role, file.path.name, file.member, digests[file.path])]
-        chosen = [text for item in described_options(self._reader.options).items() for text in item]
+        reader = reader_for(self.dataset, dict(self.reader_options))
+        chosen = [text for item in described_options(reader.options).items() for text in item]
         return text_digest(self.dataset, self.recording_id, self.split or "", *parts, *chosen)
-
-    @property
-    def _reader(self) -> Reader:
-        return reader_for(self.dataset, dict(self.reader_options))
 
     def read(self) -> Recording:
         """See :class:`RecordingSource`; streams that end before the recording does are named."""
-        recording = self._reader.read(self.found)
+        recording = reader_for(self.dataset, dict(self.reader_options)).read(self.found)
         return replace(recording, shortfalls=cut_short(self.found, recording))
 
     def without_places(self, message: str) -> str:
@@ -203,8 +197,7 @@ class PartReceipt:
     folder: Path
     input_digest: str
     record: RecordingRow
-    reused: bool
-    """True if an earlier, interrupted build had made it."""
+    reused: bool  # an earlier, interrupted build had made it
 
 
 def part_receipt(folder: Path, entries: Mapping[str, Any], *, reused: bool) -> PartReceipt:
@@ -255,11 +248,11 @@ class CurationJob:
 
     def _failed(self, source: RecordingSource, error: Exception) -> CuratedRecording:
         known = isinstance(error, PrbenchError)
-        if self.stop_on_error:
-            if known:
-                raise error
-            raise PrbenchError(f"{source.recording_id}: unexpected {type(error).__name__}: {quoted(error)}") from error
         message = str(error) if known else f"unexpected {type(error).__name__}: {quoted(error)}"
+        if self.stop_on_error and known:
+            raise error
+        if self.stop_on_error:
+            raise PrbenchError(f"{source.recording_id}: {message}") from error
         return self._left_out(source, "failed", source.without_places(message))
 
     def _left_out(self, source: RecordingSource, status: str, message: str) -> CuratedRecording:
@@ -268,9 +261,8 @@ class CurationJob:
         return CuratedRecording((), (), RecordingRow(name, "unknown", split, name, 0.0, {}, status, message))
 
     def _folder(self, source: RecordingSource, input_digest: str) -> Path:
-        settings = text_digest(
-            digest_of(self.manifest), self.protocol.digest, msgspec.json.encode(self.options).decode()
-        )
+        options = msgspec.json.encode(self.options).decode()
+        settings = text_digest(digest_of(self.manifest), self.protocol.digest, options)
         return parts.part_folder(self.work, source.recording_id, input_digest, settings)
 
     def _write(self, source: RecordingSource, curated: CuratedRecording, input_digest: str) -> PartReceipt:
@@ -329,6 +321,9 @@ def describe(
         chosen |= {f"reader.{name}": value for name, value in described_options(reader.options).items()}
     if protocol.is_own:  # tables of prbench's own protocol keep their bytes
         chosen[OPTION] = protocol.label
+    # BibTeX of the dataset and, where they are not its own, of the body poses.
+    body = manifest.body_source(dict(options.reader).get("poses"))
+    citation = "\n\n".join(text.strip() for text in (manifest.citation, body.citation) if text)
     return DatasetInfo(
         schema_version=SCHEMA_VERSION,
         protocol_version=protocol.version,
@@ -355,14 +350,8 @@ def describe(
         licence="MIT (invented by prbench, no recorded person)" if synthetic else manifest.licence,
         redistribution="yes" if synthetic else manifest.redistribution,
         homepage="" if synthetic else manifest.homepage,
-        citation="" if synthetic else _citation(manifest, options),
+        citation="" if synthetic else citation,
     )
-
-
-def _citation(manifest: Manifest, options: BuildOptions) -> str:
-    """BibTeX of the dataset and, where they are not its own, of the body poses."""
-    body = manifest.body_source(dict(options.reader).get("poses"))
-    return "\n\n".join(text.strip() for text in (manifest.citation, body.citation) if text)
 
 
 def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> FunnelCounts:
@@ -386,16 +375,19 @@ def funnel_counts(statuses: Mapping[str, int], outcomes: Mapping[str, int]) -> F
 
 @dataclass(frozen=True)
 class FunnelRow:
-    """One stage between the files and the table."""
+    """One stage between the files and the table.
+
+    Attributes:
+        stage: Name of the stage, such as ``located``.
+        kept: How many recordings, events or texts passed it.
+        dropped: How many of those that came to it did not pass.
+        reason: Counts by reason for what was dropped; empty if nothing was.
+    """
 
     stage: str
-    """Name of the stage, such as ``located``."""
     kept: int
-    """How many recordings, events or texts passed it."""
     dropped: int
-    """How many of those that came to it did not pass."""
     reason: str
-    """Counts by reason for what was dropped; empty if nothing was."""
 
 
 def funnel_rows(info: DatasetInfo) -> list[FunnelRow]:

@@ -1,126 +1,21 @@
-"""Prime time: when gaze first meets the place of an event (*Prime and Reach*, equations 1 to 7).
-
-With the option ``--occlusion``, for which the paper does not ask, a look counts only if nothing stands between the eye
-and the place.
-"""
+"""Prime time: when gaze first meets the place of an event (*Prime and Reach*, equations 1 to 7)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
-from scipy.spatial.transform import Rotation
+from jaxtyping import Bool, Float
 
 from prbench.curation.events import Decision, Place
-from prbench.geometry.shapes import TriangleMesh, near_miss, slab_test
+from prbench.geometry.shapes import near_miss, slab_test
 from prbench.geometry.timelines import interpolate
 from prbench.protocol.manifests import CurationConstants
-from prbench.recording import ObjectTrack, Occluder, PublishedPriming, Recording
+from prbench.recording import PublishedPriming, Recording
 
-OcclusionMode = Literal["off", "mark", "require"]
-"""``mark``: primes stay, those through a mesh are reported; ``require``: only unobstructed looks prime."""
-
-MARGIN = 0.02
-"""Metres before the place within which a mesh is no obstacle: what the place lies on or in (choice)."""
-
-
-class Surroundings:
-    """Every mesh of a recording, with the tracks of those that move.
-
-    Raises:
-        MissingExtraError: if the recording has meshes, and Open3D is not installed.
-    """
-
-    def __init__(self, recording: Recording) -> None:
-        self._meshes = [(occluder, TriangleMesh(occluder.vertices, occluder.faces)) for occluder in recording.occluders]
-        self._tracks: Mapping[str, ObjectTrack] = {track.object_id: track for track in recording.objects}
-
-    def obstacles(
-        self,
-        times: Float[np.ndarray, " n"],
-        origins: Float[np.ndarray, "n 3"],
-        directions: Float[np.ndarray, "n 3"],
-        reach: Float[np.ndarray, " n"],
-        *,
-        but: str,
-    ) -> tuple[str, ...]:
-        """Name of the first mesh on the way of each look; empty where the way is free.
-
-        Args:
-            times: When each look happens, seconds; objects stand where they stood then.
-            origins: Eyes, world, metres.
-            directions: Unit vectors.
-            reach: Distance from the eye to the place that is looked at; the last 2 cm before it are free.
-            but: Id of the object that is looked at, which does not hide itself.
-        """
-        nearest = reach - MARGIN
-        names = np.full(len(times), "", dtype=object)
-        for occluder, mesh in self._meshes:
-            if occluder.object_id == but:
-                continue
-            local_origins, local_directions = self._in_frame_of(occluder, times, origins, directions)
-            distance = mesh.first_hit(local_origins, local_directions, nearest)
-            closer = distance < nearest
-            nearest = np.where(closer, distance, nearest)
-            names[closer] = occluder.name
-        return tuple(names)
-
-    def _in_frame_of(
-        self,
-        occluder: Occluder,
-        times: Float[np.ndarray, " n"],
-        origins: Float[np.ndarray, "n 3"],
-        directions: Float[np.ndarray, "n 3"],
-    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-        track = None if occluder.object_id is None else self._tracks.get(occluder.object_id)
-        if track is None:
-            return origins, directions
-        position, rotation = track.pose_at(times)
-        back = Rotation.from_quat(rotation, scalar_first=True).inv()
-        return back.apply(origins - position), back.apply(directions)
-
-
-@dataclass(frozen=True)
-class View:
-    """The surroundings as one event's looks meet them."""
-
-    surroundings: Surroundings
-    object_id: str
-    """The object of the event."""
-    required: bool
-    """True if only unobstructed looks prime."""
-    rays: tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]
-    """The gaze samples: times, origins and directions."""
-
-    def obstacles(self, samples: Int[np.ndarray, " k"], reach: Float[np.ndarray, " k"]) -> tuple[str, ...]:
-        """See :meth:`Surroundings.obstacles`, for some of the gaze samples."""
-        times, origins, directions = (part[samples] for part in self.rays)
-        return self.surroundings.obstacles(times, origins, directions, reach, but=self.object_id)
-
-
-def occlusion_remarks(recording: Recording, mode: OcclusionMode, through: Sequence[str]) -> tuple[str, ...]:
-    """Return the report's remarks about occlusion in a recording.
-
-    Args:
-        recording: The recording.
-        mode: What was asked for.
-        through: For every primed event the mesh that it was primed through, empty for none.
-    """
-    if mode == "off":
-        return ()
-    if not recording.occluders:
-        return ("no meshes, so no look was tested for occlusion",)
-    marked = sum(bool(name) for name in through)
-    return (f"{marked} of {len(through)} primed events are primed through a mesh",) if marked else ()
-
-
-_PrimeKind = Literal["hit", "near_miss", "published"]
 RAY_ORIGINS = ("eye", "camera")
 PUBLISHED_STAGE = "published priming"
-OCCLUSION_STAGE = "occlusion"
 _SLACK = 1e-9  # seconds
 
 
@@ -129,13 +24,11 @@ class Prime:
     """The first look at the place."""
 
     time: float
-    kind: _PrimeKind
+    kind: Literal["hit", "near_miss", "published"]
     distance: float
     """Distance by which the ray passes the box, metres; 0 for a hit, NaN where the dataset told the time only."""
     uncertainty: float
     """Time since the valid gaze sample before it (else until the one after it), seconds: the look began in between."""
-    through: str = ""
-    """Name of the mesh that stood between the eye and the place; empty where none did, or nobody asked."""
 
 
 def gaze_rays(recording: Recording, origin: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -162,7 +55,6 @@ def find_prime(
     place: Place,
     event_time: float,
     constants: CurationConstants,
-    view: View | None = None,
 ) -> Prime | Decision:
     """The first gaze sample in ``[event_time - priming_window, event_time]`` that hits or nearly misses the box.
 
@@ -175,12 +67,10 @@ def find_prime(
         place: Box of the event, same frame.
         event_time: Seconds.
         constants: Window and near-miss distance.
-        view: What can stand between the eye and the place; None = nothing is asked.
 
     Returns:
         The prime, or a decision ``not_primed`` whose value is the smallest distance at which a ray passed in front of
-        the wearer (None if there was no valid gaze at all); at the stage ``occlusion`` the number of looks, all of
-        which something obstructed.
+        the wearer (None if there was no valid gaze at all).
     """
     # Equation 1: only looks in the window before the event can prime it; both ends belong to it.
     first = int(np.searchsorted(times, event_time - constants.priming_window, side="left"))
@@ -188,8 +78,7 @@ def find_prime(
     window = slice(first, stop)
     rays = origins[window], directions[window]
     box = place.box_min[None], place.box_max[None]
-    slabs = slab_test(*rays, *box)
-    hit = slabs.hit[:, 0]
+    hit = slab_test(*rays, *box).hit[:, 0]
     misses = near_miss(*rays, *box)
     # A ray that points away passes the box behind the eye, which is no look at it.
     distance = np.where(hit, 0.0, np.where(misses.along[:, 0] >= 0, misses.distance[:, 0], np.inf))
@@ -203,16 +92,6 @@ def find_prime(
         value = nearest if np.isfinite(nearest) else None
         return Decision("not_primed", "priming", value, constants.near_miss_distance)
     index = int(primed[0])
-    through = ""
-    if view is not None:
-        reach = np.where(hit, np.maximum(slabs.near[:, 0], 0.0), misses.along[:, 0])
-        looks = primed if view.required else primed[:1]
-        obstacles = view.obstacles(looks + first, reach[looks])
-        if view.required and all(obstacles):
-            return Decision("not_primed", OCCLUSION_STAGE, float(len(looks)))
-        chosen = obstacles.index("") if view.required else 0
-        index = int(looks[chosen])
-        through = obstacles[chosen]
     sample = first + index
     # The look began somewhere between the sample before and this one.
     before = max(sample - 1, 0)
@@ -223,7 +102,6 @@ def find_prime(
         kind="hit" if hit[index] else "near_miss",
         distance=float(distance[index]),
         uncertainty=float(spacing),
-        through=through,
     )
 
 

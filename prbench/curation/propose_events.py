@@ -7,19 +7,21 @@ comes to rest (a minimum of its speed) with the arm stretched out and gaze on it
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import PrbenchError, StorageError, UsageError
 from prbench.files.storage import atomic_path, sole_writer
 from prbench.geometry.skeleton import Joint
 from prbench.geometry.timelines import nearest_index
-from prbench.readers import AnnotatedByHand, AnnotationLine, RecordingFiles, reader_for
+from prbench.progress_bar import ProgressCallback
+from prbench.readers import AnnotatedByHand, RecordingFiles, reader_for
 from prbench.readers.discover import usable_readers
 from prbench.recording import Recording
 from prbench.recording.streams import Side
@@ -45,15 +47,19 @@ _HINT_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Candidate:
-    """One proposed pick."""
+    """One proposed pick.
+
+    Attributes:
+        time: Seconds on the recording's clock.
+        hand: The hand that probably reached.
+        confidence: A number from 0 to 1 that ranks proposals; it is no probability.
+        reason: Hints that speak for it, for the person who decides.
+    """
 
     time: float
-    """Seconds on the recording's clock."""
     hand: Side
     confidence: float
-    """A number from 0 to 1 that ranks proposals; it is no probability."""
     reason: str
-    """Hints that speak for it, for the person who decides."""
 
 
 def propose_pick(recording: Recording, *, hint: float | None = None) -> Candidate | None:
@@ -71,33 +77,27 @@ def propose_pick(recording: Recording, *, hint: float | None = None) -> Candidat
         return None
     times = body.times[body.valid]
     joints = body.joints[body.valid]
-    moved = [float(_relative_speed(times, joints, arm[2]).sum()) for arm in _ARMS]
-    found = [
-        _judged(recording, times, joints, side, int(row), moved[side] >= max(moved))
-        for side in (0, 1)
-        for row in _stops(times, joints, side)
-        if hint is None or abs(times[row] - hint) <= _NEAR_HINT
-    ]
-    if hint is not None:
-        # The best stop near the hint, else the hint itself with the wrist that moved more.
-        best = max(found, key=lambda candidate: candidate.confidence, default=None)
-        if best is None:
-            side = int(np.argmax(moved))
-            row = int(nearest_index(body.times[body.valid], np.array([hint]))[0])
-            best = _judged(recording, body.times[body.valid], body.joints[body.valid], side, row, True)
-        confidence = 1 - (1 - best.confidence) * (1 - _HINT_SHARE)
-        apart = best.time - hint
-        return Candidate(best.time, best.hand, round(confidence, 2), f"hint {apart:+.2f} s away; {best.reason}")
-    return max(found, key=lambda candidate: candidate.confidence, default=None)
-
-
-def _stops(times: Float[np.ndarray, " n"], joints: Float[np.ndarray, "n 22 3"], side: int) -> Int[np.ndarray, " k"]:
-    """Frames at which a wrist, moved before, is slower than around them."""
-    speed = _relative_speed(times, joints, _ARMS[side][2])
-    inner = np.flatnonzero((speed[1:-1] <= speed[:-2]) & (speed[1:-1] < speed[2:])) + 1
-    first = np.searchsorted(times, times[inner] - _BEFORE)
-    fast = np.array([speed[start : row + 1].max() for start, row in zip(first, inner, strict=True)])
-    return inner[fast >= _STARTED] if len(inner) else inner
+    # Frames at which a wrist, moved before, is slower than around them.
+    speeds = [_relative_speed(times, joints, arm[2]) for arm in _ARMS]
+    moved = [float(speed.sum()) for speed in speeds]
+    found = []
+    for side, speed in enumerate(speeds):
+        inner = np.flatnonzero((speed[1:-1] <= speed[:-2]) & (speed[1:-1] < speed[2:])) + 1
+        starts = np.searchsorted(times, times[inner] - _BEFORE)
+        for start, row in zip(starts.tolist(), inner.tolist(), strict=True):
+            near = hint is None or abs(times[row] - hint) <= _NEAR_HINT
+            if near and speed[start : row + 1].max() >= _STARTED:
+                found.append(_judged(recording, times, joints, side, row, moved[side] >= max(moved)))
+    best = max(found, key=lambda candidate: candidate.confidence, default=None)
+    if hint is None:
+        return best
+    # The best stop near the hint, else the hint itself with the wrist that moved more.
+    if best is None:
+        row = int(nearest_index(times, np.array([hint]))[0])
+        best = _judged(recording, times, joints, int(np.argmax(moved)), row, True)
+    confidence = 1 - (1 - best.confidence) * (1 - _HINT_SHARE)
+    reason = f"hint {best.time - hint:+.2f} s away; {best.reason}"
+    return Candidate(best.time, best.hand, round(confidence, 2), reason)
 
 
 def _relative_speed(
@@ -121,46 +121,34 @@ def _judged(
     moved_more: bool,
 ) -> Candidate:
     """Judge how much one stop looks like reaching."""
-    shoulder, elbow, wrist = _ARMS[side]
-    speed = _relative_speed(times, joints, wrist)
+    shoulder, elbow, wrist = (joints[row, joint] for joint in _ARMS[side])
+    speed = _relative_speed(times, joints, _ARMS[side][2])
     start = int(np.searchsorted(times, times[row] - _BEFORE))
-    arm = np.linalg.norm(joints[row, elbow] - joints[row, shoulder]) + np.linalg.norm(
-        joints[row, wrist] - joints[row, elbow]
-    )
-    stretch = float(np.linalg.norm(joints[row, wrist] - joints[row, shoulder]) / arm)
-    look = _nearest_look(recording, joints[row, wrist], times[start], times[row])
     fastest = float(speed[start : row + 1].max())
+    arm = np.linalg.norm(elbow - shoulder) + np.linalg.norm(wrist - elbow)
+    stretch = float(np.linalg.norm(wrist - shoulder) / arm)
+    # 0 for an arm that hangs beside the pelvis, 1 for a wrist 40 cm away from its axis or above the chest.
+    aside = float(np.hypot(*(wrist - joints[row, Joint.PELVIS])[[0, 2]]))
+    above = float(wrist[1] - joints[row, Joint.SPINE3, 1])
+    lifted = max(_share(aside, 0.25, 0.40), _share(above, 0.0, 0.1))
+    # Distance of the nearest gaze to the wrist, metres; infinite without gaze.
+    gaze = recording.gaze
+    rows = np.flatnonzero(gaze.valid & (gaze.times >= times[start]) & (gaze.times <= times[row]))
+    apart = wrist - gaze.origin[rows]
+    along = np.maximum((apart * gaze.direction[rows]).sum(axis=1), 0.0)
+    look = float(np.linalg.norm(apart - along[:, None] * gaze.direction[rows], axis=1).min(initial=np.inf))
     marks = {
-        "arm": _share(stretch, _BENT, _STRETCHED) * _lifted(joints[row], wrist),
+        "arm": _share(stretch, _BENT, _STRETCHED) * lifted,
         "gaze": _share(look, _FAR_FROM_WRIST, _ON_WRIST),
         "stop": 1 - min(float(speed[row]) / max(fastest, _STARTED), 1.0),
         "moved": float(moved_more),
     }
     confidence = sum(weight * marks[name] for name, weight in _WEIGHTS.items())
     seen = "no gaze" if np.isinf(look) else f"gaze {look * 100:.0f} cm from the wrist"
-    reason = (
-        f"{_SIDES[side]} wrist slows from {fastest:.1f} to {speed[row]:.1f} m/s; arm {stretch:.0%} stretched; {seen}"
-        + ("; this wrist moves more" if moved_more else "")
-    )
+    more = "; this wrist moves more" if moved_more else ""
+    slows = f"{_SIDES[side]} wrist slows from {fastest:.1f} to {speed[row]:.1f} m/s"
+    reason = f"{slows}; arm {stretch:.0%} stretched; {seen}{more}"
     return Candidate(float(times[row]), _SIDES[side], round(confidence, 2), reason)
-
-
-def _lifted(joints: Float[np.ndarray, "22 3"], wrist: int) -> float:
-    """0 for an arm that hangs beside the pelvis, 1 for a wrist 30 cm away from its axis or above the chest."""
-    aside = float(np.hypot(*(joints[wrist] - joints[Joint.PELVIS])[[0, 2]]))
-    above = float(joints[wrist, 1] - joints[Joint.SPINE3, 1])
-    return max(_share(aside, 0.25, 0.40), _share(above, 0.0, 0.1))
-
-
-def _nearest_look(recording: Recording, point: Float[np.ndarray, "3"], start: float, end: float) -> float:
-    """Return the distance of the nearest gaze to a point between two times, metres; infinite without gaze."""
-    gaze = recording.gaze
-    rows = np.flatnonzero(gaze.valid & (gaze.times >= start) & (gaze.times <= end))
-    if len(rows) == 0:
-        return float("inf")
-    apart = point - gaze.origin[rows]
-    along = np.maximum((apart * gaze.direction[rows]).sum(axis=1), 0.0)
-    return float(np.linalg.norm(apart - along[:, None] * gaze.direction[rows], axis=1).min())
 
 
 def _share(value: float, none: float, all_: float) -> float:
@@ -171,28 +159,6 @@ def _share(value: float, none: float, all_: float) -> float:
 _IN_PROCESS = InProcess()
 
 
-@dataclass(frozen=True)
-class Proposal:
-    """The picks proposed in one recording."""
-
-    line: AnnotationLine
-    candidate: Candidate | None
-    problem: str = ""
-    """The reason why the recording could not be read; empty for those that were."""
-
-    def row(self) -> dict[str, object]:
-        """The line of the table; a recording without a proposal has one too, for a person to fill in."""
-        found = self.candidate
-        return {
-            **self.line.cells,
-            "event_frame": "" if found is None else round(found.time * self.line.frame_rate),
-            "action": "pick",
-            "hand": "" if found is None else found.hand,
-            "confidence": "" if found is None else f"{found.confidence:.2f}",
-            "reason": self.problem or ("nothing looks like reaching" if found is None else found.reason),
-        }
-
-
 def write_candidates(
     dataset: str,
     root: Path,
@@ -200,8 +166,8 @@ def write_candidates(
     *,
     options: Mapping[str, str] | None = None,
     engine: Engine = _IN_PROCESS,
-    progress: Callable[[int, int, str], None] | None = None,
-) -> tuple[Proposal, ...]:
+    progress: ProgressCallback | None = None,
+) -> tuple[list[dict[str, object]], dict[str, str]]:
     """Propose one event a segment and write them as a table that the reader ignores until a person confirms lines.
 
     Args:
@@ -211,6 +177,9 @@ def write_candidates(
         options: Options of the reader.
         engine: Where segments are read.
         progress: Called after each segment.
+
+    Returns:
+        The rows of the table, and for each recording that could not be read the reason.
 
     Raises:
         UsageError: for a dataset whose events are not annotated by hand.
@@ -225,32 +194,43 @@ def write_candidates(
                 f"{out}: exists already, and annotations are never overwritten. Name another file, and merge the two."
             )
         found = reader.find(root)
-        proposals = []
-        for proposal in engine.map(Proposer(dataset, tuple(sorted((options or {}).items()))), found):
-            proposals.append(proposal)
+        rows = []
+        problems = {}
+        for name, row, problem in engine.map(partial(_proposed, dataset, dict(options or {})), found):
+            rows.append(row)
+            if problem:
+                problems[name] = problem
             if progress is not None:
-                progress(len(proposals), len(found), proposal.line.recording_id)
-        _write(out, reader.annotation_columns, proposals)
-    return tuple(proposals)
+                progress(len(rows), len(found), name)
+        with atomic_path(out) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(reader.annotation_columns)
+            for row in rows:
+                # People open this table in spreadsheets, which would take some names for formulas.
+                writer.writerow([csv_text(row[name]) for name in reader.annotation_columns])
+    return rows, problems
 
 
-@dataclass(frozen=True)
-class Proposer:
-    """Reads one recording and proposes its pick."""
-
-    dataset: str
-    options: tuple[tuple[str, str], ...]
-
-    def __call__(self, found: RecordingFiles) -> Proposal:
-        """Read and propose; a recording that cannot be read keeps its line with the reason."""
-        reader = _reader(self.dataset, dict(self.options))
-        # Made before the recording is read, because a recording that cannot be read has a line too.
-        line = reader.annotation_line(found)
-        try:
-            recording = reader.read(found)
-        except PrbenchError as error:
-            return Proposal(line, None, f"not read: {error}")
-        return Proposal(line, propose_pick(recording, hint=line.hint))
+def _proposed(dataset: str, options: Mapping[str, str], found: RecordingFiles) -> tuple[str, dict[str, object], str]:
+    """Read one recording and propose its pick: its name, its line of the table, and why it could not be read."""
+    reader = _reader(dataset, options)
+    # Made before the recording is read, because a recording that cannot be read has a line too, for a person to fill.
+    line = reader.annotation_line(found)
+    pick = None
+    problem = ""
+    try:
+        pick = propose_pick(reader.read(found), hint=line.hint)
+    except PrbenchError as error:
+        problem = f"not read: {error}"
+    row = {
+        **line.cells,
+        "event_frame": "" if pick is None else round(pick.time * line.frame_rate),
+        "action": "pick",
+        "hand": "" if pick is None else pick.hand,
+        "confidence": "" if pick is None else f"{pick.confidence:.2f}",
+        "reason": problem or ("nothing looks like reaching" if pick is None else pick.reason),
+    }
+    return line.recording_id, row, problem
 
 
 def _reader(dataset: str, options: Mapping[str, str] | None) -> AnnotatedByHand:
@@ -259,13 +239,3 @@ def _reader(dataset: str, options: Mapping[str, str] | None) -> AnnotatedByHand:
         others = [each.dataset for each in usable_readers()[0] if isinstance(each, AnnotatedByHand)]
         raise UsageError(f"events of '{dataset}' need no annotation by hand; proposals are for: {', '.join(others)}.")
     return reader
-
-
-def _write(path: Path, columns: tuple[str, ...], proposals: Iterable[Proposal]) -> None:
-    with atomic_path(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        for proposal in proposals:
-            row = proposal.row()
-            # People open this table in spreadsheets, which would take some names for formulas.
-            writer.writerow([csv_text(row[name]) for name in columns])

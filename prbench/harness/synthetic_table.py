@@ -171,7 +171,7 @@ def build_synthetic_table(
         out,
         options=options,
         engine=engine,
-        progress=None if progress is None else lambda step: progress(step.done, step.total, step.record.recording_id),
+        progress=progress,
         extra_options=staging.described() | {"recordings": shown},
     )
     return report

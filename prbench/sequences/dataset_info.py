@@ -28,63 +28,70 @@ _KINDS = {
 
 
 class QuarantinedRecording(msgspec.Struct, frozen=True, kw_only=True):
-    """A recording that was left out, and why."""
+    """A recording that was left out, and why.
+
+    Attributes:
+        recording_id: Name of the recording.
+        status: ``failed`` or ``skipped``.
+        message: Why.
+    """
 
     recording_id: str
-    """Name of the recording."""
     status: str
-    """``failed`` or ``skipped``."""
     message: str
-    """Why."""
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True):
-    """The description of every built table. Holds no time of day, host, absolute path or worker count."""
+    """The description of every built table. Holds no time of day, host, absolute path or worker count.
+
+    Subclasses name the file that holds it in the folder of the table (``file_name``), what is built for messages
+    (``described``: ``dataset``, ``corpus`` or ``table of windows``), and the command that builds it.
+
+    Attributes:
+        schema_version: Version of the table.
+        protocol_version: Version of the protocol.
+        protocol_digest: Digest of the rules that it was built by.
+        dataset: Name of the dataset; ``synthetic-`` stands before that of synthetic people.
+        title: Its title.
+        synthetic: The people are synthetic.
+        prbench_version: Version of prbench that built it.
+        manifest_digest: Digest of the dataset's manifest.
+        input_digest: Over the names and contents of all files that were used.
+        options: Options of the build by name.
+        outcomes: Number of events (in a corpus: texts, of windows: windows) by what became of them.
+        quarantine: Recordings that could not be read or are known to be bad.
+        identity_digest: Digest of its ids.
+        content_digest: Digest of its content.
+        file_digests: SHA-256 of each Parquet file beside this one, by relative path; empty in tables of earlier
+            versions.
+        licence: Licence of the data.
+        redistribution: Whether data made from it may be passed on: ``yes``, ``non-commercial`` or ``none``.
+        homepage: Homepage of the dataset.
+        citation: BibTeX of what is to be cited.
+    """
 
     schema_version: int
-    """Version of the table."""
     protocol_version: int
-    """Version of the protocol."""
     protocol_digest: str
-    """Digest of the rules that it was built by."""
     dataset: str
-    """Name of the dataset; ``synthetic-`` stands before that of synthetic people."""
     title: str
-    """Its title."""
     synthetic: bool
-    """The people are synthetic."""
     prbench_version: str
-    """Version of prbench that built it."""
     manifest_digest: str
-    """Digest of the dataset's manifest."""
     input_digest: str
-    """Over the names and contents of all files that were used."""
     options: dict[str, str]
-    """Options of the build by name."""
     outcomes: dict[str, int]
-    """Number of events (in a corpus: texts, of windows: windows) by what became of them."""
     quarantine: tuple[QuarantinedRecording, ...]
-    """Recordings that could not be read or are known to be bad."""
     identity_digest: str
-    """Digest of its ids."""
     content_digest: str
-    """Digest of its content."""
     file_digests: dict[str, str] = {}
-    """SHA-256 of each Parquet file beside this one, by relative path; empty in tables of earlier versions."""
     licence: str
-    """Licence of the data."""
     redistribution: str
-    """Whether data made from it may be passed on: ``yes``, ``non-commercial`` or ``none``."""
     homepage: str
-    """Homepage of the dataset."""
     citation: str
-    """BibTeX of what is to be cited."""
     file_name: ClassVar[str]
-    """Name of the file that holds it, in the folder of the table."""
     described: ClassVar[str]
-    """What is built, for messages: ``dataset``, ``corpus`` or ``table of windows``."""
     build_command: ClassVar[str]
-    """The command that builds it."""
 
     def write(self, folder: Path) -> None:
         """Write the file of this description."""
@@ -141,14 +148,27 @@ def counts_stated(path: Path) -> dict[str, int]:
 
 
 class FunnelCounts(msgspec.Struct, frozen=True, kw_only=True):
-    """Numbers of candidates that each stage left."""
+    """Numbers of candidates that each stage left.
+
+    Attributes:
+        recordings_found: Recordings in the copy of the dataset.
+        recordings_read: Those that could be read.
+        recordings_failed: Those that could not.
+        recordings_skipped: Those that are known to be bad.
+        recordings_cut_short: Those among the read ones of which a stream ends too early; 0 in older tables.
+        events: Candidate events.
+        located: Events whose place is known.
+        primed: Events at whose place gaze looked before.
+        long_enough: Events that recording and body cover.
+        moved_enough: Events before which the body moved.
+        sequences: Events that became a sequence.
+    """
 
     recordings_found: int
     recordings_read: int
     recordings_failed: int
     recordings_skipped: int
     recordings_cut_short: int = 0
-    """Recordings, among those that were read, with a stream that ends too early; 0 in older tables."""
     events: int
     located: int
     primed: int
@@ -158,7 +178,11 @@ class FunnelCounts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DatasetInfo(Provenance, frozen=True, kw_only=True):
-    """Provenance of one built dataset; its outcomes are those of events."""
+    """Provenance of one built dataset; its outcomes are those of events.
+
+    Attributes:
+        counts: How many recordings and events each stage of curation left.
+    """
 
     file_name = FILE_NAME
     described = "dataset"
@@ -178,18 +202,20 @@ class DatasetInfo(Provenance, frozen=True, kw_only=True):
 
 
 class CorpusCounts(msgspec.Struct, frozen=True, kw_only=True):
-    """Numbers of recordings, texts and clips that each stage left."""
+    """Numbers of recordings, texts and clips that each stage left.
+
+    ``annotations`` are the texts of the source, empty ones included; ``approximate_clips`` are those whose text was
+    placed by aligning starts alone.
+    """
 
     recordings_found: int
     recordings_read: int
     recordings_failed: int
     recordings_skipped: int
     annotations: int
-    """Texts of the source, empty ones included."""
     clips: int
     captions: int
     approximate_clips: int
-    """Clips whose text was placed by aligning starts alone."""
     frames: int
 
 

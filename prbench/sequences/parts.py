@@ -100,57 +100,61 @@ _FINISHED = "finished.json"
 
 @dataclass(frozen=True)
 class BuildReport(Generic[_Info, Record]):
-    """The result of a build: of a dataset, or of a corpus."""
+    """One table that was written: of sequences, or a corpus.
+
+    Attributes:
+        folder: The table.
+        info: The content of its ``dataset.json`` or ``corpus.json``: counts of each stage, outcomes, digests, terms.
+        records: Every recording that was found, also those that could not be read.
+        reused: Number of recordings that an interrupted build had already finished.
+    """
 
     folder: Path
     info: _Info
     records: tuple[Record, ...]
     reused: int
-    """Recordings taken over from an interrupted build."""
 
 
 @dataclass(frozen=True)
 class BuildPlan:
-    """The input of a build, found out without reading any recording."""
+    """The input of a build, found out without reading any recording.
 
+    Attributes:
+        dataset: Name of the dataset.
+        root: The folder that would be read; null for a synthetic corpus.
+        recordings: Names of the recordings.
+        skipped: Those among them that are known to be bad and would be skipped.
+        input_bytes: Size of the files to read, in bytes.
+        estimated_seconds: Time that one worker would take on a machine like the one it was measured on, in seconds.
+        estimated_disk_bytes: Space that the build would need, in bytes.
+    """
+
+    dataset: str
+    root: Path | None
     recordings: tuple[str, ...]
     skipped: tuple[str, ...]
-    """Known-bad ones among them."""
     input_bytes: int
     estimated_seconds: float
-    """Seconds with one worker, on a machine like the one it was measured on."""
     estimated_disk_bytes: int
 
 
 @dataclass(frozen=True)
 class ShardReport(Generic[Record]):
-    """The result of one shard of a build."""
+    """The result of one shard of a build.
+
+    Attributes:
+        folder: Its folder, for ``prbench merge``.
+        shard: Which one it is.
+        planned: Number of recordings, or groups of them, of all shards.
+        records: Recordings of this shard.
+        reused: Number of recordings taken over from an interrupted call.
+    """
 
     folder: Path
     shard: Shard
     planned: int
-    """Recordings, or groups of them, of all shards."""
     records: tuple[Record, ...]
-    """Recordings of this shard."""
     reused: int
-    """Recordings taken over from an interrupted call."""
-
-
-class _KeptPart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One part of a finished shard."""
-
-    place: int
-    """Place of its item in the plan."""
-    name: str
-    folder: str
-    files: dict[str, str]
-    """SHA-256 of each file in the folder by its name."""
-
-
-class _Finished(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The whole of ``finished.json``."""
-
-    parts: tuple[_KeptPart, ...]
 
 
 @contextlib.contextmanager
@@ -184,12 +188,16 @@ def finish_shard(out: Path, record: ShardRecord, folders: Sequence[Path]) -> Non
     kept = []
     for place, folder in zip(record.shard.places(len(record.plan)), folders, strict=True):
         digests = {path.name: file_digest(path) for path in sorted(folder.iterdir())}
-        kept.append(_KeptPart(place=place, name=record.plan[place], folder=folder.name, files=digests))
-    names = {part.folder for part in kept}
+        kept.append((place, record.plan[place], folder.name, digests))
+    names = {name for _, _, name, _ in kept}
     for left in (out / _PARTS).iterdir() if (out / _PARTS).is_dir() else ():
         if left.name not in names:
             shutil.rmtree(left, ignore_errors=True)
-    write_json(out / _FINISHED, msgspec.to_builtins(_Finished(parts=tuple(kept))))
+    write_json(out / _FINISHED, kept)
+
+
+_Kept = list[tuple[int, str, str, dict[str, str]]]
+"""What ``finished.json`` holds of each part: place in the plan, name, folder, and SHA-256 of its files by name."""
 
 
 @foreign_input()
@@ -207,32 +215,26 @@ def shard_parts(shards: Iterable[tuple[Path, ShardRecord]]) -> list[tuple[Path, 
         again = f"Run its command (--shard {record.shard}) again."
         path = folder / _FINISHED
         try:
-            parts = msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=_Finished).parts
+            parts = msgspec.json.decode(read_whole(path, largest=LARGEST_JSON), type=_Kept)
         except FileNotFoundError as error:
             raise ShardError(f"{folder}: shard {record.shard} is not finished. {again}") from error
         except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError) as error:
             raise ShardError(f"{path}: not a valid {path.name}: {error}. {again}") from error
         expected = [(place, record.plan[place]) for place in record.shard.places(len(record.plan))]
-        if [(part.place, part.name) for part in parts] != expected:
+        if [part[:2] for part in parts] != expected:
             raise ShardError(f"{path}: does not list the parts of shard {record.shard}. {again}")
-        for part in parts:
-            place = inside(folder / _PARTS, part.folder)
-            for name, digest in part.files.items():
-                _require_unchanged(inside(place, name), digest, record, again)
+        for number, _, part_name, files in parts:
+            place = inside(folder / _PARTS, part_name)
+            for name, digest in files.items():
+                file = inside(place, name)
+                there = file_digest(file) if file.is_file() else "no file"
+                if there != digest:
+                    raise ShardError(
+                        f"{file}: expected the file that shard {record.shard} has written (SHA-256 {digest[:12]}…),"
+                        f" found {there[:12]}. Copy the shard again; or {again.lower()}"
+                    )
             receipt = read_receipt(place)
             if receipt is None:
                 raise ShardError(f"{place}: expected a finished part, found one without receipt. Make its shard again.")
-            found[part.place] = place, receipt
+            found[number] = place, receipt
     return [found[place] for place in sorted(found)]
-
-
-def _require_unchanged(path: Path, digest: str, record: ShardRecord, again: str) -> None:
-    try:
-        found = file_digest(path)
-    except FileNotFoundError:
-        found = "no file"
-    if found != digest:
-        raise ShardError(
-            f"{path}: expected the file that shard {record.shard} has written (SHA-256 {digest[:12]}…), found"
-            f" {found[:12]}{'…' if len(found) > 12 else ''}. Copy the shard again; or {again.lower()}"
-        )

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Float
 
-from prbench.curation.priming import OCCLUSION_STAGE, PUBLISHED_STAGE
+from prbench.curation.priming import PUBLISHED_STAGE
 from prbench.errors import TableError, UsageError
 from prbench.geometry.skeleton import WRISTS, Joint, head_forward
 from prbench.metrics.ray_track import ray_distance
@@ -41,12 +41,17 @@ _WIDTH = 13.0  # inches
 
 @dataclass(frozen=True)
 class StoryStage:
-    """One stage of curation and its verdict on the event."""
+    """One stage of curation and its verdict on the event.
+
+    Attributes:
+        name: Name of the stage, such as ``priming``.
+        verdict: What it said.
+        text: The numbers, beside what they are compared with.
+    """
 
     name: str
     verdict: Verdict
     text: str
-    """The numbers, beside what they are compared with."""
 
 
 @dataclass(frozen=True)
@@ -234,8 +239,7 @@ def _draw_distances(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
 
 STAGES = ("in_hand", "location", "priming", "clipping", "body", "filters")
 """The stages in the order in which curation asks."""
-_PART_OF_PRIMING = (OCCLUSION_STAGE, PUBLISHED_STAGE)
-"""Stages that stand for priming where an option asks otherwise."""
+_PART_OF_PRIMING = ("occlusion", PUBLISHED_STAGE)  # the first in tables of prbench 0.10 alone
 _TOLD_BY = {
     "annotated": " (annotated)",
     "contact": " (by its contact points)",
@@ -410,8 +414,6 @@ def _priming(event: Event, protocol: BenchmarkProtocol) -> str:
         return f"first look at {event.prime_time:.3f} s ({kind}), {gap:.2f} s before ({window})"
     if event.stage == PUBLISHED_STAGE:
         return f"by what the dataset itself publishes: {event.outcome.replace('_', ' ')}"
-    if event.stage == OCCLUSION_STAGE:
-        return f"{event.value or 0:.0f} gaze samples meet the place, and a mesh stands before it in all of them"
     if event.value is None:
         return f"no valid gaze in the {constants.priming_window:g} s before"
     return (

@@ -10,13 +10,10 @@ from types import SimpleNamespace
 import torch
 
 from prbench.board import export
-from prbench.cli import main
 from prbench.harness.methods.loading import count_parameters
 from prbench.harness.run_folder.cost import BatchCost, total_cost
 from prbench.harness.run_folder.record import FILE
 from tests.board.test_tables import cells, leaderboard, only, write_run
-from tests.cli.reports import refused, reported
-from tests.fakes import fake_dataset
 
 
 def batch(number: int, *, warm_up: bool = False, parameters: int | None = 1_250_000) -> BatchCost:
@@ -74,20 +71,3 @@ def test_parameters_of_networks_are_counted_once_wherever_they_are_held():
     method.itself = method
     assert count_parameters(method) == 22
     assert count_parameters(SimpleNamespace(name="without")) is None
-
-
-def test_runs_are_drawn_against_their_cost(tmp_path, capsys):
-    table = str(fake_dataset(tmp_path / "table", 24).folder)
-    for name in ("static", "scripted"):
-        words = ["run", "--method", name, "--condition", "none", "--data", table, "--out", str(tmp_path / name)]
-        assert main(words) == 0
-    runs = [str(tmp_path / "static"), str(tmp_path / "scripted")]
-    out = tmp_path / "plot.svg"
-    words = ["leaderboard", "pareto", *runs, "--data", table, "--metric", "mpjpe", "--out", str(out)]
-    report = reported(words, capsys)
-    assert {each.name for each in report.methods} == {"static (none)", "scripted"}
-    assert report.front == ["static (none)"]
-    assert "static (none)" in out.read_text()
-    refused([*words, "--metric", "mpjp"], capsys, code=2, message="Did you mean 'mpjpe'?")
-    refused([*words[:-1], str(tmp_path / "plot.pdf")], capsys, code=2, message="written as .png or .svg")
-    refused([*words, "--against", "parameters"], capsys, code=2, message="none of the methods has a measured cost")

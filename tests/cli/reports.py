@@ -18,11 +18,14 @@ from prbench.cli.json_page import fields_of, has_fields, reports
 from prbench.cli.main import Document
 
 
-def reported(words: Sequence[str], capsys: pytest.CaptureFixture, *, code: int = 0) -> Any:
-    """Run a command with ``--json`` and return its report, which holds exactly what the page on JSON documents."""
+def reported(words: Sequence[str], capsys: pytest.CaptureFixture, *, code: int = 0, kind: str = "") -> Any:
+    """Run a command with ``--json`` and return its report, which holds exactly what the page on JSON documents.
+
+    ``kind`` chooses among the reports of a command that has several.
+    """
     document = printed_document(words, capsys, code=code)
     assert document.error is None
-    return documented(document.report, reports()[document.command])
+    return documented(document.report, reports()[f"{document.command} {kind}".strip()])
 
 
 def documented(value: Any, kind: Any) -> Any:

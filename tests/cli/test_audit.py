@@ -5,7 +5,6 @@ from __future__ import annotations
 from prbench.board import audit as workflow
 from prbench.cli import main
 from prbench.harness.run_folder import RunFolder
-from prbench.metrics import METRICS
 from tests.cli.reports import reported
 from tests.fakes import fake_dataset
 
@@ -30,13 +29,14 @@ def test_of_several_tables_means_stand_first_and_each_table_follows_with_v(tmp_p
     # The same runs are shown three times.
     monkeypatch.setattr(workflow, "audit", cache_of_one_call(workflow.audit))
     report = reported(words, capsys)
-    assert [control.name for control in report.means] == [control.name for control in report.tables[0].controls]
-    for control, *on_each in zip(report.means, *(table.controls for table in report.tables), strict=True):
+    assert len(report) == 2
+    means = workflow.means_of_controls(workflow.audit())
+    for control, *on_each in zip(means, *(table.controls for table in report), strict=True):
+        assert {each.name for each in on_each} == {control.name}
         rates = [
             next(metric.mean for metric in each.summary.metrics if metric.metric == "reach_success") for each in on_each
         ]
         assert control.means["reach_success"].mean == sum(rates) / 2
-    assert "teleport" in report.as_good_as_people["reach_success"]
     assert main(words) == 0
     short = capsys.readouterr().out
     assert short.startswith("Means over 2 datasets, 3 sequences of each, split test; the main metrics")
@@ -61,9 +61,7 @@ def test_the_report_holds_every_score_and_the_runs_are_kept_on_request(tmp_path,
     table = fake_dataset(tmp_path / "table", 24)
     out = tmp_path / "runs"
     words = ["audit", "--data", str(table.folder), "--limit", "6", "--out", str(out)]
-    report = reported(words, capsys)
-    (audited,) = report.tables
-    assert set(report.as_good_as_people) <= {info.id for info in METRICS if info.higher_is_better is not None}
+    (audited,) = reported(words, capsys)
     for control in audited.controls:
         folder = out / control.name.replace(", ", "-")
         assert RunFolder.open(folder).record.method.kind == "control"

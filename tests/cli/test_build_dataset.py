@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -9,7 +10,6 @@ import pytest
 
 from prbench.cli import main
 from prbench.errors import UsageError
-from prbench.sequences import SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
 from tests.cli.reports import printed_document, refused, reported
 
@@ -28,8 +28,7 @@ def copy(tmp_path_factory) -> Path:
     [
         ([], {}),
         (["--in-hand", "surface"], {"meshes": "true"}),
-        (["--occlusion", "mark"], {"meshes": "true"}),
-        (["--poses", "egoallo", "--option", "smplh_model=m"], {"poses": "egoallo", "smplh_model": "m"}),
+        (["--option", "poses=egoallo", "--option", "smplh_model=m"], {"poses": "egoallo", "smplh_model": "m"}),
     ],
 )
 def test_what_needs_meshes_or_bodies_asks_the_reader_for_them(words, asked, tmp_path, monkeypatch) -> None:
@@ -47,14 +46,7 @@ def test_what_needs_meshes_or_bodies_asks_the_reader_for_them(words, asked, tmp_
 def test_a_build_reports_its_funnel_and_every_recording(copy, tmp_path, capsys) -> None:
     words = ["build-dataset", "adt", "--root", str(copy), "--out", str(tmp_path / "table")]
     report = reported(words, capsys, code=3)
-    (built,) = report.built
-    table = SequenceTable.open(tmp_path / "table")
-    assert built.folder == tmp_path / "table"
-    assert (built.dataset, built.counts["sequences"]) == ("synthetic-adt", table.info.counts.sequences)
-    assert [(each.stage, each.kept) for each in built.stages][:2] == [("recordings found", 2), ("recordings read", 1)]
-    assert sorted(each.status for each in built.recordings) == ["failed", "read"]
-    (read,) = [each for each in built.recordings if each.status == "read"]
-    assert sum(read.outcomes.values()) == table.info.counts.events
+    assert report.built == {str(tmp_path / "table"): json.loads((tmp_path / "table" / "dataset.json").read_text())}
     assert report.planned == report.not_built == []
     document = printed_document([*words, "--quiet"], capsys, code=3)
     assert any(text.startswith("failed: ") and "scene_objects.csv" in text for text in document.notes)
@@ -63,9 +55,7 @@ def test_a_build_reports_its_funnel_and_every_recording(copy, tmp_path, capsys) 
 def test_a_plan_reports_what_would_be_read_and_writes_nothing(copy, tmp_path, capsys) -> None:
     words = ["build-dataset", "adt", "--root", str(copy), "--dry-run"]
     (one,) = reported([*words, "--workers", "2"], capsys).planned
-    assert (one.dataset, one.root, len(one.recordings), one.workers) == ("adt", copy, 2, 2)
-    (alone,) = reported(words, capsys).planned
-    assert one.estimated_seconds == pytest.approx(alone.estimated_seconds / 2)
+    assert (one.dataset, one.root, len(one.recordings)) == ("adt", copy, 2)
     assert one.input_bytes > 0
     (first,) = reported([*words, "--max-recordings", "1"], capsys).planned
     assert first.recordings == one.recordings[:1]
@@ -82,13 +72,12 @@ def test_building_all_reports_what_gave_no_table(copy, tmp_path, capsys) -> None
     (tmp_path / "tables" / "synthetic-adt").mkdir(parents=True)
     (tmp_path / "tables" / "synthetic-adt" / "mine.txt").write_text("a file that prbench did not write")
     report = reported([*words, "--out", str(tmp_path / "tables")], capsys, code=3)
-    assert report.built == []
+    assert report.built == {}
     assert [each.dataset for each in report.not_built] == ["synthetic-adt"]
     assert "synthetic-adt" in report.not_built[0].message
     assert main([*words, "--out", str(tmp_path / "others")]) == 3
     printed = capsys.readouterr().out
     assert "from files to sequences" in printed
-    assert "problem" in printed
 
 
 def test_mistakes_are_errors_in_the_document(tmp_path, capsys) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 
 from prbench.cli import main
@@ -19,11 +18,7 @@ def test_equal_builds_are_reported_as_equal(tmp_path, capsys):
 def test_changes_are_reported_as_json_and_end_with_one(tmp_path, capsys):
     first = str(fake_dataset(tmp_path / "first", 6).folder)
     second = str(fake_dataset(tmp_path / "second", 4).folder)
-    changes = tmp_path / "changes.csv"
-    report = reported(["diff", first, second, "--csv", str(changes)], capsys, code=1)
-    assert report.changes
-    with changes.open(encoding="utf-8", newline="") as file:
-        assert len(list(csv.reader(file))) == len(report.changes) + 1
+    assert reported(["diff", first, second], capsys, code=1).changes
 
 
 def test_the_report_is_written_where_it_is_asked_for(tmp_path, capsys):

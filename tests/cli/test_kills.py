@@ -11,7 +11,7 @@ from tests.crashes import tried_by
 from tests.parsing import all_commands
 from tests.writing import WRITING
 
-WHERE = ("--out", "--draw", "--csv", "--fan", "--view")
+WHERE = ("--out", "--draw", "--fan", "--view")
 """Options that say where a command writes."""
 
 

@@ -15,7 +15,7 @@ from tests.fakes import fake_dataset
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("merge") / "adt"
-    assert main(["synthesize", "adt", "--count", "3", "--events", "2", "--no-verify", "--out", str(root)]) == 0
+    assert main(["synthesize", "adt", "--count", "3", "--events", "2", "--out", str(root)]) == 0
     return root
 
 
@@ -34,9 +34,8 @@ def test_a_dataset_in_shards_has_the_bytes_of_one_build(recordings, tmp_path, ca
     report = reported([*words, "--out", folders[0], "--shard", "1/2"], capsys)
     assert report.shard is not None
     assert (report.shard.shard, report.shard.made_of, report.shard.taken_over) == ("1/2", 1, 1)
-    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], capsys)
-    assert merged.table is not None
-    assert (merged.kind, merged.shards, merged.table.counts["recordings_read"]) == ("dataset", 2, 3)
+    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], capsys, kind="of tables")
+    assert merged.built[str(tmp_path / "merged")]["counts"]["recordings_read"] == 3
     assert folder_bytes(tmp_path / "merged") == folder_bytes(tmp_path / "whole")
     # Everything but a merge says what the folder is.
     words = ["diff", folders[0], folders[0]]
@@ -51,8 +50,7 @@ def test_windows_in_shards_have_the_bytes_of_one_build(recordings, tmp_path, cap
     report = reported([*words, "--out", folders[0], "--shard", "1/4"], capsys)
     assert report.shard is not None
     assert report.shard.planned == 3
-    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], capsys)
-    assert merged.windows is not None
+    assert main(["merge", *folders, "--out", str(tmp_path / "merged")]) == 0
     assert folder_bytes(tmp_path / "merged") == folder_bytes(tmp_path / "whole")
 
 
@@ -61,9 +59,8 @@ def test_a_corpus_in_shards_has_the_bytes_of_one_build(tmp_path, capsys):
     assert main([*words, "--out", str(tmp_path / "whole")]) == 0
     folders = shards_of(tmp_path, words, 2)
     capsys.readouterr()
-    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], capsys)
-    assert merged.table is not None
-    assert (merged.kind, merged.table.counts["recordings_read"]) == ("corpus", 3)
+    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], capsys, kind="of tables")
+    assert merged.built[str(tmp_path / "merged")]["counts"]["recordings_read"] == 3
     assert folder_bytes(tmp_path / "merged") == folder_bytes(tmp_path / "whole")
     other = ["build-corpus", "synthetic", "--count", "3", "--seed", "3", "--out", str(tmp_path / "other")]
     assert main([*other, "--shard", "2/2"]) == 0
@@ -80,9 +77,8 @@ def test_a_run_in_shards_is_scored_by_the_merge(tmp_path, capsys):
     assert "shard 2/2: 2 of 3 batches" in capsys.readouterr().out
     report = reported([*words, "--out", folders[0], "--shard", "1/2"], capsys)
     assert [shard.taken_over for shard in report.shards] == [1]
-    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], capsys)
-    assert merged.run is not None
-    assert merged.run.datasets[0].sequences == 6
+    merged = reported(["merge", *folders, "--out", str(tmp_path / "merged")], capsys, kind="of runs")
+    assert merged.runs[0].datasets[0].sequences == 6
     bytes_of = [folder_bytes(tmp_path / name) for name in ("whole", "merged")]
     assert [files.pop("cost.json") != b"" for files in bytes_of] == [True, True]
     assert bytes_of[0] == bytes_of[1]

@@ -33,12 +33,10 @@ def test_from_conditions_to_scores_everything_is_reported(data, tmp_path, capsys
     )
     out = tmp_path / "scores"
     words = ["score", str(predictions), "--conditions", str(conditions), "--data", str(data), "--out", str(out)]
-    report = reported([*words, "--name", "still"], capsys)
-    (dataset,) = report.datasets
+    (dataset,) = reported([*words, "--name", "still"], capsys)
     scores = dataset.scores
     assert dataset.origin == "file predictions.npz"
     summary = DatasetSummary.read(out)
-    assert report.out == out
     assert (scores.method, scores.condition, scores.samples) == ("still", "goal-loc", 2)
     assert scores.sequences == summary.sequences == exported.sequences["synthetic-adt"]
     assert {each.metric: (each.mean, each.low) for each in scores.metrics} == {

@@ -42,9 +42,7 @@ def test_what_a_view_shows_is_reported_as_json(run, data, tmp_path, capsys):
     report = reported(words, capsys)
     (sequence,) = report.sequences
     assert report.out == out
-    assert "/obj5/" in sequence.sequence_id
-    assert list(sequence.motions) == ["ground truth", "scripted, goal-loc"]
-    assert set(sequence.motions["scripted, goal-loc"]) >= {"prime_success", "mpjpe"}
+    assert "/obj5/" in sequence
     refused(["view", "--out", str(out)], capsys, code=2, message="nothing to view")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from prbench.curation.build import build_all, plan_all
+from prbench.curation.build import build_all, found_datasets, plan_build
 from prbench.curation.options import BuildOptions, CurationOptions
 from prbench.errors import InputFileError, UsageError
 from prbench.sequences import SequenceTable
@@ -23,25 +23,24 @@ def test_what_is_found_is_built_under_its_name_and_equals_a_build_by_itself(root
     from prbench.curation import build_dataset
 
     steps = []
-    (outcome,) = build_all(root, tmp_path / "out", progress=lambda name, step: steps.append((name, step.done)))
-    assert outcome.complete
-    assert steps == [("synthetic-adt", 1), ("synthetic-adt", 2)]
+    (report,), broken = build_all(root, tmp_path / "out", progress=lambda done, total, last: steps.append(done))
+    assert (report.info.counts.recordings_failed, broken) == (0, [])
+    assert steps == [1, 2]
     alone = build_dataset("adt", adt_tree, tmp_path / "alone")
     assert SequenceTable.open(tmp_path / "out" / "synthetic-adt").info == alone.info
 
 
 def test_the_dry_run_names_folders_and_recordings(root) -> None:
-    ((name, folder, plan),) = plan_all(root)
-    assert (name, folder, len(plan.recordings)) == ("synthetic-adt", root / "ADT", 2)
+    (found,), _ = found_datasets(root, BuildOptions())
+    plan = plan_build(found.dataset, found.root)
+    assert (found.name, plan.root, len(plan.recordings)) == ("synthetic-adt", root / "ADT", 2)
 
 
 def test_a_recording_that_fails_is_reported_and_the_dataset_is_not_complete(root, tmp_path) -> None:
     victim = sorted(folder for folder in (root / "ADT").iterdir() if (folder / "metadata.json").is_file())[0]
     (victim / "scene_objects.csv").unlink()
-    (outcome,) = build_all(root, tmp_path / "out")
-    assert not outcome.complete
-    assert outcome.report is not None
-    assert outcome.report.info.counts.recordings_failed == 1
+    (report,), _ = build_all(root, tmp_path / "out")
+    assert report.info.counts.recordings_failed == 1
     with pytest.raises(InputFileError, match=r"scene_objects\.csv"):
         build_all(root, tmp_path / "out2", options=BuildOptions(on_error="fail"))
 

@@ -84,8 +84,8 @@ class Interrupted(Exception):
 
 
 def interrupt_after(parts: int):
-    def progress(step) -> None:
-        if step.done == parts:
+    def progress(done, total, last) -> None:
+        if done == parts:
             raise Interrupted
 
     return progress

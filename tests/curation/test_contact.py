@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 
 import msgspec
 import numpy as np
@@ -12,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from prbench.curation.in_hand import close_to, contact_distance, find_holdings, held_segments, require_surfaces, runs
-from prbench.errors import UsageError
+from prbench.curation.options import CurationOptions
+from prbench.errors import MissingExtraError, UsageError
 from prbench.protocol.manifests import load_manifest
 from prbench.recording import HandStream, ObjectTrack, Occluder
 from tests.curation.scenes import RULE, scene
@@ -198,3 +200,10 @@ def test_time_reversal_changes_nothing(held: list[bool], staying: list[bool]) ->
 @pytest.mark.parametrize("held", ["", "#"])
 def test_nothing_held_gives_nothing(held: str) -> None:
     assert segments(held) == []
+
+
+def test_without_open3d_that_is_told_before_anything_is_read(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(MissingExtraError, match=r"'surface' needs .*pip install 'prbench\[open3d\]'"):
+        CurationOptions(in_hand="surface").require_fits(load_manifest("hot3d"))
+    CurationOptions().require_fits(load_manifest("mogaze"))  # nothing is asked about meshes

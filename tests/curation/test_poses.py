@@ -13,7 +13,7 @@ import pytest
 
 from prbench.cli.main import main
 from prbench.curation.poses import make_poses, pose_states, read_config
-from prbench.curation.poses.states import Selection, prepare
+from prbench.curation.poses.states import prepare
 from prbench.errors import InputFileError, UsageError
 from prbench.geometry.skeleton import Joint
 from prbench.readers import reader_for
@@ -133,7 +133,7 @@ def test_a_program_that_hangs_is_ended_with_its_children(root, config, monkeypat
     config.write_text(config.read_text().replace("timeout_minutes = 0.5", "timeout_minutes = 0.03"))
     monkeypatch.setenv("FAKE_BEHAVIOUR", "hang")
     started = time.monotonic()
-    states = tuple(pose_states(root, Selection(limit=1)))
+    states = tuple(pose_states(root, limit=1))
     (outcome,) = make_poses(states, read_config(config), root=root)
     assert time.monotonic() - started < 20
     assert outcome.state == "failed"
@@ -177,15 +177,15 @@ def test_what_a_recording_lacks_is_told_before_anything_runs(root, config):
 
 def test_the_prepared_points_are_turned_or_invented(root, tmp_path):
     found = reader_for("adt").find(root)[0]
-    prepared = prepare(reader_for("adt").egoallo_inputs(root, found), tmp_path / "flat")
-    text = gzip.decompress((prepared.folder / "slam" / "semidense_points.csv.gz").read_bytes()).decode()
+    prepare(reader_for("adt").egoallo_inputs(root, found), tmp_path / "flat")
+    text = gzip.decompress((tmp_path / "flat" / "slam" / "semidense_points.csv.gz").read_bytes()).decode()
     assert {line.split(",")[4] for line in text.splitlines()[1:]} == {"0"}
     own = found.folder / "mps" / "slam"
     own.mkdir(parents=True)
     header = "uid,graph_uid,px_world,py_world,pz_world,inv_dist_std,dist_std\n"
     (own / "semidense_points.csv.gz").write_bytes(gzip.compress(f"{header}1,g,1.5,0.25,-3.0,0.00001,0.001\n".encode()))
-    prepared = prepare(reader_for("adt").egoallo_inputs(root, found), tmp_path / "turned")
-    text = gzip.decompress((prepared.folder / "slam" / "semidense_points.csv.gz").read_bytes()).decode()
+    prepare(reader_for("adt").egoallo_inputs(root, found), tmp_path / "turned")
+    text = gzip.decompress((tmp_path / "turned" / "slam" / "semidense_points.csv.gz").read_bytes()).decode()
     assert text.splitlines()[1].split(",")[2:5] == ["1.5", "3", "0.25"]
 
 
@@ -208,50 +208,24 @@ def test_from_the_command_line(root, config, monkeypatch, capsys):
     assert _calls(root) == [first, second, second]
 
 
-def test_what_is_lacking_prepared_and_estimated_is_reported(root, config, monkeypatch, capsys):
+def test_what_is_lacking_and_estimated_is_reported(root, config, monkeypatch, capsys):
     words = ["poses", "egoallo", "--root", str(root)]
     first, second = _names(root)
     lacking = reported(words, capsys)
-    assert [(each.recording_id, each.state) for each in lacking.recordings] == [(first, "missing"), (second, "missing")]
-    assert lacking.instructions is not None
-    assert lacking.estimated == lacking.prepared == []
-    assert reported([*words, "--dry-run"], capsys).instructions is None
-    prepared = reported([*words, "--prepare"], capsys).prepared
-    assert [(each.recording_id, each.state) for each in prepared] == [(first, "prepared"), (second, "prepared")]
-    assert "--traj-root" in prepared[0].message
+    assert [(each.recording_id, each.state) for each in lacking] == [(first, "missing"), (second, "missing")]
+    assert reported([*words, "--dry-run"], capsys) == lacking
 
     monkeypatch.setenv("FAKE_BEHAVIOUR", f"{second}=crash")
     words += ["--config", str(config)]
     document = printed_document(words, capsys, code=3)
-    assert [(each["recording_id"], each["state"]) for each in document.report["estimated"]] == [
+    assert [(each["recording_id"], each["state"]) for each in document.report] == [
         (first, "made"),
         (second, "failed"),
     ]
     assert any(text.startswith(f"failed: {second}: ended with exit code 1") for text in document.notes)
     monkeypatch.setenv("FAKE_BEHAVIOUR", "good")
-    assert [each.state for each in reported(words, capsys).estimated] == ["kept", "made"]
+    assert [each.state for each in reported(words, capsys)] == ["kept", "made"]
     refused([*words, "--dataset", "gimo"], capsys, code=2, message="EgoAllo needs Aria glasses")
-
-
-def test_input_folders_for_running_it_by_hand(root, capsys):
-    assert main(["poses", "egoallo", "--root", str(root), "--prepare", "--max-recordings", "1"]) == 0
-    name = _names(root)[0]
-    folder = root / "egoallo" / name
-    assert f"--traj-root {folder} --traj-length " in capsys.readouterr().out
-    assert {path.name for path in folder.rglob("*.*")} == {
-        "closed_loop_trajectory.csv", "semidense_points.csv.gz", "video.vrs", "prepared-by-prbench.txt",
-    }  # fmt: skip
-    assert main(["poses", "egoallo", "--root", str(root), "--prepare", "--max-recordings", "1"]) == 0  # again: replaced
-
-
-def test_by_hand_into_a_folder_of_other_files_is_refused(root, tmp_path, capsys):
-    other = tmp_path / "poses" / _names(root)[0] / "slam"
-    other.mkdir(parents=True)
-    (other / "precious.csv").write_text("x")
-    arguments = ["poses", "egoallo", "--root", str(root), "--prepare", "--poses-root", str(tmp_path / "poses")]
-    assert main(arguments) == 8
-    assert (other / "precious.csv").is_file()
-    assert "choose another --poses-root" in capsys.readouterr().err
 
 
 def test_a_wrong_config_is_explained(tmp_path):
@@ -284,4 +258,4 @@ def test_a_program_that_cannot_be_started_ends_the_work(root, config):
 
 def test_datasets_without_aria_glasses_are_refused(root):
     with pytest.raises(UsageError, match="Aria glasses"):
-        next(pose_states(root, Selection(dataset="gimo")))
+        next(pose_states(root, "gimo"))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from prbench.curation.poses import make_poses, pose_states, read_config
-from prbench.curation.poses.states import Selection, prepare
+from prbench.curation.poses.states import prepare
 from prbench.readers import reader_for
 from prbench.readers.aria_mps.trajectory import read_trajectory
 from prbench.synthetic.write_tree import synthesize_tree
@@ -83,12 +83,12 @@ def test_bodies_are_made_from_what_the_dataset_has(trees, config, tmp_path, data
 
 def test_poses_can_be_kept_outside_of_the_dataset(trees, config, tmp_path):
     root, name = _without_bodies(trees, "hot3d", tmp_path)
-    selection = Selection("hot3d", poses_root=tmp_path / "poses")
-    make_poses(tuple(pose_states(root, selection)), read_config(config), root=root)
+    elsewhere = {"poses_root": tmp_path / "poses"}
+    make_poses(tuple(pose_states(root, "hot3d", **elsewhere)), read_config(config), root=root)
     assert list((tmp_path / "poses" / name / "egoallo_outputs").glob("*.npz"))
     reader = reader_for("hot3d", {"poses_root": str(tmp_path / "poses")})
     assert reader.read(reader.find(root)[0]).body is not None
-    assert next(pose_states(root, selection)).state == "complete"
+    assert next(pose_states(root, "hot3d", **elsewhere)).state == "complete"
     assert next(pose_states(root)).state == "missing"
 
 
@@ -99,8 +99,8 @@ def test_poses_of_other_worlds_are_left_out_of_what_egoallo_sees(trees, tmp_path
     rows[:50] = [f"UNDEFINED_ROW,{row.partition(',')[2]}" for row in rows[:50]]
     path.write_text("\n".join([header, *rows]) + "\n")
     (found,) = reader_for("hot3d").find(root)
-    prepared = prepare(reader_for("hot3d").egoallo_inputs(root, found), tmp_path / "prepared")
-    written = read_trajectory(prepared.trajectory)
+    trajectory, _ = prepare(reader_for("hot3d").egoallo_inputs(root, found), tmp_path / "prepared")
+    written = read_trajectory(trajectory)
     assert len(written.time_us) == len(rows) - 50
     np.testing.assert_array_equal(written.position, read_trajectory(path).position)
     np.testing.assert_array_equal(written.rotation, read_trajectory(path).rotation)

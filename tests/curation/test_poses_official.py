@@ -20,16 +20,17 @@ official = pytest.importorskip(
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    """A prepared folder, and the recording it was made from."""
+    """The trajectory in a prepared folder, its frames, and the recording it was made from."""
     root = tmp_path_factory.mktemp("adt")
     write(layout_for("adt").sense(perform("adt", seed=11, index=3, n_events=1, provocations={})), root / "seq")
     (found,) = find_recordings(root)
-    return prepare(READER.egoallo_inputs(root, found), root / "prepared"), root / "seq"
+    trajectory, frames = prepare(READER.egoallo_inputs(root, found), root / "prepared")
+    return trajectory, frames, root / "seq"
 
 
 def test_the_official_reader_sees_the_same_path_with_z_up(folders):
-    prepared, recording = folders
-    turned = official.read_closed_loop_trajectory(str(prepared.trajectory))
+    trajectory, _, recording = folders
+    turned = official.read_closed_loop_trajectory(str(trajectory))
     native = official.read_closed_loop_trajectory(str(recording / "aria_trajectory.csv"))
     np.testing.assert_allclose(turned[0].gravity_world, [0, 0, -9.81], atol=1e-9)
     by_time = {pose.tracking_timestamp: pose.transform_world_device.to_matrix() for pose in turned}
@@ -41,17 +42,17 @@ def test_the_official_reader_sees_the_same_path_with_z_up(folders):
 
 
 def test_the_number_of_frames_is_that_of_egoallos_own_sampling(folders):
-    prepared, _ = folders
-    poses = official.read_closed_loop_trajectory(str(prepared.trajectory))
+    trajectory, frames, _ = folders
+    poses = official.read_closed_loop_trajectory(str(trajectory))
     first, last = (poses[end].tracking_timestamp.total_seconds() for end in (0, -1))
     step = int(len(poses) / (last - first) // 30)
     assert step == 33
-    assert prepared.frames == len(range(0, len(poses), step)) - 1
+    assert frames == len(range(0, len(poses), step)) - 1
 
 
 def test_the_invented_floor_passes_the_strictest_filter(folders):
-    prepared, _ = folders
-    points = official.read_global_point_cloud(str(prepared.folder / "slam" / "semidense_points.csv.gz"))
+    trajectory, _, _ = folders
+    points = official.read_global_point_cloud(str(trajectory.with_name("semidense_points.csv.gz")))
     assert len(points) > 1000
     assert {point.position_world[2] for point in points} == {0.0}
     assert max(point.inverse_distance_std for point in points) < 0.0001

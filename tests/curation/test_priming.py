@@ -11,7 +11,6 @@ import pytest
 from prbench.curation.events import Decision, Place
 from prbench.curation.options import CurationOptions
 from prbench.curation.priming import Prime, find_prime, gaze_rays
-from prbench.errors import UsageError
 from prbench.protocol.manifests import load_manifest
 from tests.curation.scenes import PROTOCOL, clock, gaze, scene
 
@@ -137,17 +136,8 @@ def test_without_a_minimum_a_single_sample_primes() -> None:
     assert found.time == pytest.approx(9.0)
 
 
-def test_the_minimum_of_a_build_replaces_the_protocols_and_is_written_down() -> None:
-    options = CurationOptions(minimum_prime=0.1)
-    assert options.constants(PROTOCOL).minimum_prime == 0.1
-    assert CurationOptions().constants(PROTOCOL) == CONSTANTS
+def test_the_minimum_of_the_protocol_is_written_down_where_there_is_one() -> None:
     manifest = load_manifest("adt")
-    assert options.described(manifest, PROTOCOL)["minimum_prime"] == "0.1"
     assert "minimum_prime" not in CurationOptions().described(manifest, PROTOCOL)
-    for wrong in (-0.1, float("nan"), float("inf")):
-        with pytest.raises(UsageError, match="--minimum-prime: expected seconds, 0 or more"):
-            CurationOptions(minimum_prime=wrong)
-    with pytest.raises(UsageError, match="--priming published takes no gaze"):
-        CurationOptions(minimum_prime=0.1, priming="published")
-    with pytest.raises(UsageError, match="--occlusion require"):
-        CurationOptions(minimum_prime=0.1, occlusion="require")
+    lasting = msgspec.structs.replace(PROTOCOL, curation=msgspec.structs.replace(CONSTANTS, minimum_prime=0.1))
+    assert CurationOptions().described(manifest, lasting)["minimum_prime"] == "0.1"

@@ -63,12 +63,11 @@ def test_proposals_are_reported_as_they_are_written(root, tmp_path, capsys) -> N
     words = ["build-dataset", "gimo", "--root", str(root), "--propose-events"]
     report = reported([*words, str(tmp_path / "c.csv")], capsys, code=3)
     rows = rows_of(tmp_path / "c.csv")
-    assert [each.reason for each in report.proposed] == [row["reason"] for row in rows]
-    assert report.proposed[0].confidence == pytest.approx(float(rows[0]["confidence"]), abs=0.005)
-    assert report.proposed[0].hand == rows[0]["hand"]
-    assert (report.proposed[2].time, report.proposed[2].hand) == (None, None)
+    assert [{name: str(value) for name, value in each.items()} for each in report.proposed] == rows
+    assert report.proposed[2]["hand"] == ""
     document = printed_document([*words, str(tmp_path / "d.csv")], capsys, code=3)
-    assert document.notes == [f"{report.proposed[2].recording}: {report.proposed[2].problem}"]
+    (note,) = document.notes
+    assert note.endswith(f": {rows[2]['reason']}")
     refused([*words, str(tmp_path / "c.csv")], capsys, code=8, message="never overwritten")
 
 

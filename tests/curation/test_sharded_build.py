@@ -54,7 +54,7 @@ def test_a_shard_that_was_interrupted_goes_on(tmp_path):
     class Interrupted(Exception):
         pass
 
-    def stop(step) -> None:
+    def stop(*step) -> None:
         raise Interrupted
 
     build_from_sources(some_sources(5), tmp_path / "whole")
@@ -102,9 +102,9 @@ def test_nodes_that_see_other_recordings_are_named(tmp_path):
 def test_nodes_with_other_options_are_named(tmp_path):
     one, two = tmp_path / "one", tmp_path / "two"
     build_shard_from_sources(some_sources(2), one, Shard(1, 2))
-    options = BuildOptions(CurationOptions(minimum_prime=0.2))
+    options = BuildOptions(CurationOptions(in_hand="wrist"))
     build_shard_from_sources(some_sources(2), two, Shard(2, 2), options=options)
-    with pytest.raises(ShardError, match=r"options.curation.minimum_prime: expected nothing, found 0.2, unlike .*one"):
+    with pytest.raises(ShardError, match=r"options.curation.in_hand: expected nothing, found wrist, unlike .*one"):
         merged([one, two], tmp_path / "merged")
 
 

@@ -146,7 +146,7 @@ def test_the_slurm_jobs_end_in_the_table_the_run_and_the_board(tmp_path):
         "WORK": str(tmp_path / "work"),
         "SHARDS": "2",
     }
-    called("prbench", "synthesize", "adt", "--count", 5, "--events", 2, "--no-verify", "--out", tmp_path / "ADT")
+    called("prbench", "synthesize", "adt", "--count", 5, "--events", 2, "--out", tmp_path / "ADT")
     called("bash", tmp_path / "jobs" / "submit.sh")
     called("prbench", "build-dataset", "adt", "--root", tmp_path / "ADT", "--out", "table")
     called("prbench", "run", "--method", "static", "--condition", "none", "--data", "table", "--out", "run")

@@ -32,7 +32,7 @@ RENAMED = tomllib.loads(Path(__file__).with_name("key_map.toml").read_text(encod
 def commands() -> Iterator[tuple[str, list[str]]]:
     """Yield the name of the result (a path in the folder) and the command line that makes it."""
     for layout in LAYOUTS:
-        yield f"native/{layout}", ["synthesize", layout, "--count", "8", "--events", "3", "--seed", "2", "--no-verify"]
+        yield f"native/{layout}", ["synthesize", layout, "--count", "8", "--events", "3", "--seed", "2"]
         yield f"tables/{layout}", ["build-dataset", layout, "--root", f"native/{layout}"]
     data = [f"tables/{layout}" for layout in LAYOUTS]
     for condition, methods in RUNS.items():

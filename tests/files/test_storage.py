@@ -17,7 +17,7 @@ from prbench.checking.doctor.examine_file import DoctorRequest
 from prbench.checking.inspection import inspect_folder
 from prbench.contract import Condition
 from prbench.curation import build_dataset, plan_build
-from prbench.curation.build import build_all, plan_all
+from prbench.curation.build import build_all
 from prbench.curation.differences import compare_builds
 from prbench.datasets import readable_datasets
 from prbench.errors import InputFileError, PrbenchError, StorageError
@@ -224,7 +224,6 @@ CALLS = {
     "WindowsTable": lambda _: WindowsTable.open(NOWHERE),
     "plan_corpus": lambda _: plan_corpus("nymeria", NOWHERE),
     "build_all": lambda out: build_all(NOWHERE, out),
-    "plan_all": lambda _: plan_all(NOWHERE),
     "inspect_folder": lambda _: inspect_folder(NOWHERE),
     "import_release": lambda out: import_release(NOWHERE, out),
     "export_release": lambda out: export_release([NOWHERE], out),

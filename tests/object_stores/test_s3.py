@@ -230,7 +230,7 @@ def _kill_once_it_has_uploaded(wanted: str, arguments: list[str], cache: Path) -
 @pytest.mark.slow
 def test_a_build_that_was_killed_goes_on_from_an_empty_cache(bucket, tmp_path):
     recordings = tmp_path / "adt"
-    assert main(["synthesize", "adt", "--count", "4", "--events", "2", "--no-verify", "--out", str(recordings)]) == 0
+    assert main(["synthesize", "adt", "--count", "4", "--events", "2", "--out", str(recordings)]) == 0
     put_folder(recordings, f"{bucket}/adt")
     assert main(["build-dataset", "adt", "--root", str(recordings), "--out", str(tmp_path / "whole")]) == 0
     arguments = ["build-dataset", "adt", "--root", f"{bucket}/adt", "--out", f"{bucket}/table"]

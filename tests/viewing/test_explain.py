@@ -9,9 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from prbench.curation import BuildOptions, CurationOptions, build_from_sources
+from prbench.curation import build_from_sources
 from prbench.errors import UsageError
-from prbench.recording import Occluder
 from prbench.viewing.explain import EventStory, draw_event_story, explain_event
 from tests.curation.scenes import LOOK_A, PLACE_A, clock, gaze, scene, stranger
 from tests.curation.sources import SceneSource
@@ -26,17 +25,6 @@ class UnseenPut(SceneSource):
 
         looks = [(LOOK_A, LOOK_A + 0.5, PLACE_A)]
         return dataclasses.replace(super().read(), gaze=gaze(clock(30), looks))
-
-
-class BehindAWall(SceneSource):
-    """Everything is looked at through a wall."""
-
-    def read(self):
-        import dataclasses
-
-        corners = np.array([(-3.0, 0.0, 0.7), (3.0, 0.0, 0.7), (3.0, 3.0, 0.7), (-3.0, 3.0, 0.7)])
-        wall = Occluder("wall", corners, np.array([(0, 1, 2), (0, 2, 3)]))
-        return dataclasses.replace(super().read(), occluders=(wall,))
 
 
 @pytest.fixture(scope="module")
@@ -113,16 +101,6 @@ def test_a_dataset_without_sequences_can_be_explained(tmp_path: Path) -> None:
 
     build_from_sources([Unseen("kitchen_1")], tmp_path / "adt")
     assert explain_event(tmp_path / "adt", "cup/pick").event.outcome == "not_primed"
-
-
-@pytest.mark.usefixtures("open3d_or_slow_loop")
-def test_looks_through_a_wall_are_told_where_that_decided(tmp_path: Path) -> None:
-    build_from_sources(
-        [BehindAWall("room_c")], tmp_path / "adt", options=BuildOptions(CurationOptions(occlusion="require"))
-    )
-    story = explain_event(tmp_path / "adt", "room_c/cup/pick")
-    assert stages(story)["priming"] == "stopped here"
-    assert "15 gaze samples meet the place, and a mesh stands before it in all of them" in story.text()
 
 
 def test_where_the_licence_keeps_goals_the_story_does_not_tell_them(tmp_path) -> None:

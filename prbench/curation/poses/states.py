@@ -43,29 +43,15 @@ _SURE = (1e-6, 1e-4)  # inv_dist_std, dist_std: below the strictest limits
 _UNUSED = tuple(f"{what}_{axis}_device" for what in ("device_linear_velocity", "angular_velocity") for axis in "xyz")
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """A folder for EgoAllo's ``--traj-root``."""
-
-    folder: Path
-    trajectory: Path
-    frames: int
-    """Output frames that cover the whole recording."""
-    has_wrists: bool
-
-    @property
-    def outputs(self) -> Path:
-        """The folder into which EgoAllo writes."""
-        return self.folder / ego.OUTPUT_FOLDER
-
-
-def guidance_mode(prepared: Prepared) -> str:
-    """EgoAllo's ``--guidance-mode``: by tracked wrists where there are some, as the study does, else by feet alone."""
-    return "aria_wrist_only" if prepared.has_wrists else "no_hands"
-
-
-def prepare(inputs: EgoalloInputs, folder: Path) -> Prepared:
+def prepare(inputs: EgoalloInputs, folder: Path) -> tuple[Path, int]:
     """Write a recording's inputs into a folder; large files are linked, not copied, where that is possible.
+
+    Args:
+        inputs: What the dataset has of the recording.
+        folder: A folder for EgoAllo's ``--traj-root``.
+
+    Returns:
+        The trajectory file in it, and the number of output frames that cover the whole recording.
 
     Raises:
         InputFileError: for a damaged input, or a trajectory too short or too slow for EgoAllo.
@@ -119,7 +105,7 @@ def prepare(inputs: EgoalloInputs, folder: Path) -> Prepared:
             found=f"{n} poses in {seconds:.3f} s",
             remedy="EgoAllo takes every int(rate / 30)-th pose and would take none.",
         )
-    return Prepared(folder, place, frames, inputs.wrists is not None)
+    return place, frames
 
 
 def source_trajectory(inputs: EgoalloInputs) -> AriaTrajectory:
@@ -201,87 +187,56 @@ def _write_csv(file: IO[bytes] | gzip.GzipFile, table: pa.Table) -> None:
 _STEP = 0.033  # seconds between the instants that are asked about
 _MISSING_ALLOWED = 0.5  # seconds, share of a short recording: first frame, last part of a window
 _MISSING_SHARE = 0.1
-State = Literal["complete", "partial", "refused", "missing", "unreadable", "skipped"]
 
 
 @dataclass(frozen=True)
 class PoseState:
-    """One recording and what there is of its body."""
+    """One recording and what there is of its body.
+
+    Attributes:
+        found: The recording.
+        state: Outputs that are whole (``complete``), cover a part, or are of another recording or damaged; none; no
+            trajectory to make any from; or a recording that is known to be bad.
+        message: Details for the user.
+        target: The folder in which readers look for outputs.
+        inputs: The inputs; None where there is no trajectory to start from.
+    """
 
     found: RecordingFiles
-    state: State
-    """Outputs that are whole, cover a part, or are of another recording or damaged; none; no trajectory to make any
-    from; or a recording that is known to be bad."""
+    state: Literal["complete", "partial", "refused", "missing", "unreadable", "skipped"]
     message: str
-    """Details for the user."""
     target: Path
-    """The folder in which readers look for outputs."""
     inputs: EgoalloInputs | None
-    """The inputs; None where there is no trajectory to start from."""
 
     @property
     def lacking(self) -> bool:
         """Return True if a body is still to be made."""
-        return self.state in ("partial", "refused", "missing", "unreadable")
+        return self.state not in ("complete", "skipped")
 
 
-@dataclass(frozen=True)
-class Selection:
-    """The choice of recordings."""
-
-    dataset: str | None = None
-    """A dataset of Aria glasses; found out from the folder if None."""
-    recordings: str = "*"
-    """Pattern of names."""
-    limit: int | None = None
-    poses_root: Path | None = None
-    """Folder of outputs by recording; ``root/egoallo`` if None."""
-
-
-EVERYTHING = Selection()
-
-
-@dataclass(frozen=True)
-class Coverage:
-    """The part of a recording that some outputs cover."""
-
-    seconds: float
-    """Length of the recording."""
-    missing: float
-    """Time without a body within 0.1 s, seconds."""
-    first_missing: float | None
-    """The first instant without a body, seconds from the start; None if there is none."""
-
-    @property
-    def complete(self) -> bool:
-        """Return True if nothing but the ends of windows is missing."""
-        return self.missing <= min(_MISSING_ALLOWED, _MISSING_SHARE * self.seconds) + 1e-9
-
-    def __str__(self) -> str:
-        if self.first_missing is None:
-            return f"all {self.seconds:.1f} s"
-        return (
-            f"{self.seconds - self.missing:.1f} of {self.seconds:.1f} s,"
-            f" missing first at {self.first_missing:.1f} s from the start"
-        )
-
-
-def pose_states(root: Path, selection: Selection = EVERYTHING) -> Iterator[PoseState]:
+def pose_states(
+    root: Path,
+    dataset: str | None = None,
+    *,
+    recordings: str = "*",
+    limit: int | None = None,
+    poses_root: Path | None = None,
+) -> Iterator[PoseState]:
     """Look at the recordings below a folder, one by one.
+
+    Args:
+        root: The dataset's folder.
+        dataset: A dataset of Aria glasses; found out from the folder if None.
+        recordings: Pattern of names.
+        limit: At most so many recordings.
+        poses_root: Folder of outputs by recording; ``root/egoallo`` if None.
 
     Raises:
         InputFileError: if there are none.
         UsageError: for a dataset that is none of Aria glasses, or a folder of several.
     """
     root = root.expanduser().resolve()
-    for found in select(root, selection):
-        yield _pose_state(root, found, selection.poses_root)
-
-
-def select(root: Path, selection: Selection) -> tuple[RecordingFiles, ...]:
-    """The recordings that are meant, with their outputs among their files (see :func:`pose_states`)."""
     datasets = tuple(reader.dataset for reader in usable_readers()[0] if isinstance(reader, AriaGlasses))
-    dataset = selection.dataset
     if dataset is None:
         try:
             held = sorted({each.dataset for each in discover(root).found if each.root == root} & set(datasets))
@@ -295,17 +250,16 @@ def select(root: Path, selection: Selection) -> tuple[RecordingFiles, ...]:
         raise UsageError(
             f"EgoAllo needs Aria glasses: --dataset must be one of {', '.join(datasets)}, not '{dataset}'."
         )
-    options = {"poses": "egoallo"}
-    if selection.poses_root is not None:
-        options["poses_root"] = str(selection.poses_root)
+    options = {"poses": "egoallo"} | ({} if poses_root is None else {"poses_root": str(poses_root)})
     found = reader_for(dataset, options).find(root)
-    chosen = [each for each in found if fnmatchcase(each.recording_id, selection.recordings)]
+    chosen = [each for each in found if fnmatchcase(each.recording_id, recordings)]
     if not chosen:
-        raise UsageError(f"no recording matches '{selection.recordings}'; there are {len(found)} others.")
-    return tuple(chosen[: selection.limit])
+        raise UsageError(f"no recording matches '{recordings}'; there are {len(found)} others.")
+    for each in chosen[:limit]:
+        yield _pose_state(root, each, poses_root)
 
 
-def _pose_state(root: Path, found: RecordingFiles, poses_root: Path | None = None) -> PoseState:
+def _pose_state(root: Path, found: RecordingFiles, poses_root: Path | None) -> PoseState:
     """Look at one recording's outputs and inputs."""
     outputs = [file.path for file in found.files if file.role.startswith(OUTPUT_ROLE)]
     target = outputs[0].parent if outputs else poses_folder(root, found.recording_id, poses_root)
@@ -317,7 +271,7 @@ def _pose_state(root: Path, found: RecordingFiles, poses_root: Path | None = Non
         return PoseState(found, "skipped", bad, target, None)
     try:
         reader = reader_for(found.dataset)
-        assert isinstance(reader, AriaGlasses), "select() takes recordings of such datasets alone"
+        assert isinstance(reader, AriaGlasses), "pose_states() takes recordings of such datasets alone"
         inputs = reader.egoallo_inputs(root, found)
         if not outputs:
             return PoseState(found, "missing", "no outputs", target, inputs)
@@ -325,33 +279,39 @@ def _pose_state(root: Path, found: RecordingFiles, poses_root: Path | None = Non
     except InputFileError as error:
         return PoseState(found, "unreadable", str(error), target, None)
     try:
-        covered = coverage(outputs, cpf)
+        complete, covered = coverage(outputs, cpf)
     except InputFileError as error:
         return PoseState(found, "refused", str(error), target, inputs)
-    state: State = "complete" if covered.complete else "partial"
-    return PoseState(found, state, f"{len(outputs)} outputs cover {covered}", target, inputs)
+    message = f"{len(outputs)} outputs cover {covered}"
+    return PoseState(found, "complete" if complete else "partial", message, target, inputs)
 
 
-def coverage(outputs: Sequence[Path], cpf: PoseStream) -> Coverage:
+def coverage(outputs: Sequence[Path], cpf: PoseStream) -> tuple[bool, str]:
     """Check some outputs and say how much of the recording they cover.
 
     Args:
         outputs: Files of one recording.
         cpf: The recording's central pupil frame in the world of the outputs, device seconds.
 
+    Returns:
+        True if nothing but the ends of windows is missing, and the covered time in words.
+
     Raises:
         InputFileError: for the first output that is damaged or belongs to another recording.
     """
-    times = np.unique(np.concatenate([check_output(path, cpf) for path in outputs])) if outputs else np.zeros(0)
+    found = np.unique(np.concatenate([check_output(path, cpf) for path in outputs])) / 1e9
     seconds = float(cpf.times[-1] - cpf.times[0])
     # Asked at a regular step, so that a dense part of the trajectory weighs no more than a sparse one. Instants
     # without a head pose count for nobody: EgoAllo cannot fill them.
     regular = cpf.times[0] + np.arange(int(seconds / _STEP) + 1) * _STEP
     posed = np.abs(cpf.times[nearest_index(cpf.times, regular)] - regular) <= ego.LONGEST_STEP / 2
     asked = regular[posed]
-    if len(times) == 0:
-        return Coverage(seconds, seconds, 0.0)
-    found = times / 1e9
-    missing = asked[np.abs(found[nearest_index(found, asked)] - asked) > ego.LONGEST_STEP]
-    first = float(missing[0] - cpf.times[0]) if len(missing) else None
-    return Coverage(seconds, len(missing) * _STEP, first)
+    lacking = asked
+    if len(found):
+        lacking = asked[np.abs(found[nearest_index(found, asked)] - asked) > ego.LONGEST_STEP]
+    missing = len(lacking) * _STEP
+    complete = missing <= min(_MISSING_ALLOWED, _MISSING_SHARE * seconds) + 1e-9
+    if not len(lacking):
+        return complete, f"all {seconds:.1f} s"
+    first = lacking[0] - cpf.times[0]
+    return complete, f"{seconds - missing:.1f} of {seconds:.1f} s, missing first at {first:.1f} s from the start"

@@ -17,12 +17,11 @@ SHARED = ("recording_id", "object_id", "action", "hand", "event_time", "prime_ti
 def tables(tmp_path_factory) -> dict[str, SequenceTable]:
     folder: Path = tmp_path_factory.mktemp("s1")
     tree = folder / "ADT"
-    assert (
-        main(["synthesize", "adt", "--out", str(tree), "--seed", "8", "--events", "4", "--egoallo", "--no-verify"]) == 0
-    )
+    assert main(["synthesize", "adt", "--out", str(tree), "--seed", "8", "--events", "4", "--egoallo"]) == 0
     built = {}
     for poses in ("native", "egoallo"):
-        arguments = ["build-dataset", "adt", "--root", str(tree), "--out", str(folder / poses), "--poses", poses]
+        arguments = ["build-dataset", "adt", "--root", str(tree), "--out", str(folder / poses)]
+        arguments += ["--option", f"poses={poses}"]
         assert main(arguments) == 0
         built[poses] = SequenceTable.open(folder / poses)
     return built

@@ -163,13 +163,11 @@ def test_the_command_reports_the_same_as_json(
     refused(["doctor", str(tmp_path / "gone.npy")], capsys, code=3, message="gone.npy")
 
 
-def test_the_command_looks_at_no_more_motions_than_it_is_told(
-    motions: list[np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_more_motions_are_looked_at_than_it_is_told(motions: list[np.ndarray], tmp_path: Path) -> None:
     (tmp_path / "motions").mkdir()
     for row in range(3):
         np.save(tmp_path / "motions" / f"{row:010d}.npy", motions[row])
-    report = reported(["doctor", str(tmp_path), "--max-motions", "2"], capsys)
+    report = examine_file(DoctorRequest(path=tmp_path, limit=2))
     assert (report.total, report.examined) == (3, 2)
 
 

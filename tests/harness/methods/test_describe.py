@@ -196,13 +196,13 @@ def test_after_an_interruption_nobody_waits(install):
 def test_the_list_shows_good_and_bad_methods_and_controls(install, capsys):
     install("good", PLAIN)
     install("bad", "import os; os._exit(1)")
-    assert main(["adapters", "list", "--details", "good", "bad", "--timeout", "100"]) == 0
+    assert main(["adapters", "list", "--details", "good", "bad"]) == 0
     text = capsys.readouterr().out
     assert "good  prbench_good 1.2  none" in text
     assert "! bad (prbench_bad 1.2): left the process while it was imported, with exit status 1" in text
     assert "controls" not in text, "only what was asked for"
     assert main(["adapters", "list", "--details", "--json", "good", "bad"]) == 0
-    bad, good = json.loads(capsys.readouterr().out)["report"]["details"]
+    bad, good = json.loads(capsys.readouterr().out)["report"]
     assert (good["conditions"], good["fitted"], good["error"]) == (["none"], False, "")
     assert bad["error"].startswith("left the process")
 
