@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from prbench.readers.gimo import format as gimo
-from prbench.readers.gimo.synthetic import pickled_tensors
 from prbench.synthetic.layouts import Defect, removed
 
 _SHORT_GAP = 3  # frames
@@ -25,13 +24,8 @@ def _skeleton(root: Path, name: str) -> Path:
     return _sequence(root, name) / gimo.SKELETON_FILE
 
 
-def _numbered(folder: Path, ending: str) -> list[Path]:
-    paths = [path for path in folder.glob(f"*{ending}") if path.name.removesuffix(ending).isdigit()]
-    return sorted(paths, key=lambda path: int(path.name.removesuffix(ending)))
-
-
 def _poses(root: Path, name: str) -> list[Path]:
-    return _numbered(_sequence(root, name) / gimo.POSE_FOLDER, ".pkl")
+    return sorted((_sequence(root, name) / gimo.POSE_FOLDER).glob("*.pkl"), key=lambda path: int(path.stem))
 
 
 def _remove_sequence(root: Path, name: str) -> None:
@@ -51,14 +45,6 @@ def _foreign_pickle(root: Path, name: str) -> None:
     _poses(root, name)[1].write_bytes(_FOREIGN_PICKLE)
 
 
-def _short_latent(root: Path, name: str) -> None:
-    import numpy as np
-
-    sizes = {"orient": 3, "trans": 3, "latent": 8}
-    values = {key: np.zeros(size, dtype=np.float32) for key, size in sizes.items()}
-    _poses(root, name)[1].write_bytes(pickled_tensors(values))
-
-
 def _no_scale(root: Path, name: str) -> None:
     for path in sorted(_sequence(root, name).glob("transform_info*.json")):
         content = json.loads(path.read_text("utf-8"))
@@ -71,19 +57,10 @@ def _cut_norm(root: Path, name: str) -> None:
     path.write_text("\n".join(path.read_text("utf-8").splitlines()[:3]) + "\n", encoding="utf-8")
 
 
-def _no_gaze(root: Path, name: str) -> None:
-    for path in _numbered(_sequence(root, name) / gimo.GAZE_FOLDER, f"{gimo.GAZE_CENTRE_SUFFIX}.ply"):
-        path.unlink()
-
-
 def _cut_gaze(root: Path, name: str) -> None:
-    for path in _numbered(_sequence(root, name) / gimo.GAZE_FOLDER, f"{gimo.GAZE_CENTRE_SUFFIX}.ply")[::10]:
+    centres = (_sequence(root, name) / gimo.GAZE_FOLDER).glob(f"*{gimo.GAZE_CENTRE_SUFFIX}.ply")
+    for path in sorted(centres, key=lambda path: int(path.name.partition("_")[0]))[::10]:
         path.write_bytes(path.read_bytes()[:-60])
-
-
-def _stray_names(root: Path, name: str) -> None:
-    first = _poses(root, name)[0]
-    shutil.copy(first, first.with_name("copy of first.pkl"))
 
 
 def _cut_skeleton(root: Path, name: str) -> None:
@@ -116,12 +93,6 @@ def _without_hint(line: str) -> str:
     return ",".join(cells)
 
 
-def _repeated_row(root: Path, name: str) -> None:
-    path = root / gimo.TABLE_FILE
-    lines = path.read_text("utf-8-sig").splitlines()
-    path.write_text("\n".join([*lines, next(line for line in lines if name in line)]) + "\n", encoding="utf-8-sig")
-
-
 def _edit_lines(path: Path, change: Callable[[str], str | None]) -> None:
     lines = [change(line) for line in path.read_text("utf-8").splitlines()]
     path.write_text("\n".join(line for line in lines if line is not None) + "\n", encoding="utf-8")
@@ -135,13 +106,9 @@ DEFECTS: tuple[Defect, ...] = (
         "many-missing-poses", "half a second without poses", _remove_poses(_LONG_GAP), "read", "15 in gaps too long"
     ),
     Defect("foreign-pickle", "a pose that calls a function", _foreign_pickle, "failed", "the name 'builtins.print'"),
-    Defect("short-latent", "the code of another pose prior", _short_latent, "failed", "expected 32 numbers, found 8"),
     Defect("no-scale", "transform_info without scale", _no_scale, "failed", "missing required field `scale`"),
     Defect("cut-norm", "transform_norm with three rows", _cut_norm, "failed", "expected a 4x4 matrix"),
-    Defect("no-gaze", "no gaze at all", _no_gaze, "read", "no valid gaze, so no event can be primed"),
     Defect("cut-gaze", "cut gaze files", _cut_gaze, "read", "damaged gaze files are left out"),
-    Defect("stray-names", "files without frame number", _stray_names, "read", "files without frame number left out"),
-    Defect("repeated-row", "a row of dataset.csv twice", _repeated_row, "read", "the repetition is left out"),
     Defect("no-skeleton", "no way to the joints", removed(_skeleton), "failed", "bvh lacks skeleton.bvh"),
     Defect("cut-skeleton", "a cut BVH file", _cut_skeleton, "failed", "MOTION"),
     Defect(

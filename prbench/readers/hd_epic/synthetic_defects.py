@@ -7,7 +7,6 @@ import shutil
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from prbench.readers.aria_mps import format as mps
 from prbench.readers.egoallo import format as ego
@@ -79,12 +78,6 @@ def _lost_hands(root: Path, video: str) -> None:
     _change_member(_gaze_archive(root, video), mps.WRISTS_FILE, lambda rows: [row | confidences for row in rows])
 
 
-def _slam_gap(root: Path, video: str) -> None:
-    _change_member(
-        _slam_archive(root, video), mps.TRAJECTORY_FILE, lambda rows: rows[: len(rows) // 3] + rows[len(rows) // 2 :]
-    )
-
-
 def _lost_poses(root: Path, video: str) -> None:
     lost = {mps.GRAPH_COLUMN: mps.UNDEFINED_GRAPH}
     _change_member(
@@ -94,28 +87,12 @@ def _lost_poses(root: Path, video: str) -> None:
     )
 
 
-def _duplicated_rows(root: Path, video: str) -> None:
-    _change_member(
-        _gaze_archive(root, video),
-        _GAZE_FILE,
-        lambda rows: [*rows[: len(rows) // 2], *rows[len(rows) // 2 - 1 :]],
-    )
-
-
 def _missing_association(root: Path, video: str) -> None:
     change_json(_annotations(root, hd_epic.ASSOCIATIONS_FILE), lambda content: content.pop(video))
 
 
 def _missing_masks(root: Path, video: str) -> None:
     change_json(_annotations(root, hd_epic.MASKS_FILE), lambda content: content.pop(video))
-
-
-def _null_points(root: Path, video: str) -> None:
-    def forget(content: dict[str, Any]) -> None:
-        for mask in content[video].values():
-            mask["3d_location"] = None
-
-    change_json(_annotations(root, hd_epic.MASKS_FILE), forget)
 
 
 def _missing_bodies(root: Path, video: str) -> None:
@@ -142,19 +119,6 @@ def _other_alignment(root: Path, video: str) -> None:
     )
 
 
-def _unpacked(root: Path, video: str) -> None:
-    """Unpack the archives, as users do."""
-    for path in (_slam_archive(root, video), _gaze_archive(root, video)):
-        with zipfile.ZipFile(path) as archive:
-            archive.extractall(path.parent)
-        path.unlink()
-
-
-def _readme_spelling(root: Path, video: str) -> None:  # noqa: ARG001 (all videos share the file)
-    annotations = root / hd_epic.ANNOTATIONS_FOLDER
-    (annotations / hd_epic.PRIMING_FOLDERS[0]).rename(annotations / hd_epic.PRIMING_FOLDERS[1])
-
-
 DEFECTS = (
     Defect(
         "missing-time", "the time csv of the video is not there", removed(_time_file), "failed", hd_epic.TIME_SUFFIX
@@ -168,18 +132,13 @@ DEFECTS = (
     Defect("swapped-clock", "device times in microseconds", _swapped_clock, "failed", "streams do not overlap"),
     Defect("nan-gaze", "no gaze angle is a number", _nan_gaze, "read", "no valid gaze"),
     Defect("lost-hands", "no hand is ever tracked", _lost_hands, "read", ""),
-    Defect("slam-gap", "a part of the trajectory is missing", _slam_gap, "read", ""),
     Defect("lost-poses", "poses that belong to no world", _lost_poses, "read", "are left out"),
-    Defect("duplicated-rows", "a gaze row is there twice", _duplicated_rows, "failed", "repeated"),
     Defect("missing-association", "assoc_info.json lacks the video", _missing_association, "failed", "no such key"),
     Defect("missing-masks", "mask_info.json lacks the video", _missing_masks, "read", "have no mask"),
-    Defect("null-points", "masks without 3d_location", _null_points, "read", "without 3d_location"),
     Defect("missing-bodies", "no EgoAllo outputs", _missing_bodies, "read", "no EgoAllo outputs"),
     Defect(
         "foreign-bodies", "EgoAllo outputs of another video", _foreign_bodies, "failed", "belongs to another recording"
     ),
     Defect("other-alignment", "aligned by other means than SLAM", _other_alignment, "skipped", "by other means"),
-    Defect("unpacked", "archives unpacked to folders", _unpacked, "read", ""),
-    Defect("readme-spelling", "the priming folder as the README spells it", _readme_spelling, "read", ""),
 )
 """What can be done to one video of a synthetic tree."""

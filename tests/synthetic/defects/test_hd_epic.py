@@ -15,7 +15,7 @@ from prbench.synthetic.write_tree import synthesize_tree
 from tests.synthetic.defects.outcomes import assert_outcome
 
 DEFECTS = {defect.name: defect for defect in defects_of("hd-epic")}
-HARMLESS = ("unpacked", "readme-spelling")
+HARMLESS = ()
 """What reading does not mind."""
 SEED = 1
 
