@@ -31,22 +31,8 @@ def write_hdf5(path) -> None:
         file["data"] = np.arange(20000.0)
 
 
-def write_npy(path) -> None:
-    np.save(path, np.arange(50.0))
-
-
 def write_npz(path) -> None:
     np.savez(path, a=np.arange(50.0))
-
-
-def write_glb(path) -> None:
-    body = b"x" * 88
-    path.write_bytes(b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little") + body)
-
-
-def write_bvh(path) -> None:
-    frames = "".join(f"{frame}.0 -0.5 2\n" for frame in range(30))
-    path.write_text(f"HIERARCHY\nROOT Hips\n{{\n}}\nMOTION\nFrames: 30\nFrame Time: 0.033\n{frames}")
 
 
 def write_pickle(path) -> None:
@@ -54,8 +40,8 @@ def write_pickle(path) -> None:
 
 
 KINDS = {
-    "t.csv": write_csv, "t.json": write_json, "t.jsonl": write_json_lines, "t.hdf5": write_hdf5, "t.npy": write_npy,
-    "t.npz": write_npz, "t.glb": write_glb, "t.pkl": write_pickle, "t.bvh": write_bvh,
+    "t.csv": write_csv, "t.json": write_json, "t.jsonl": write_json_lines, "t.hdf5": write_hdf5, "t.npz": write_npz,
+    "t.pkl": write_pickle,
 }  # fmt: skip
 
 
