@@ -19,11 +19,10 @@ import math
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import BinaryIO, Protocol, runtime_checkable
 
 import numpy as np
 import pyarrow as pa
@@ -31,7 +30,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Bool, Float
 
 from prbench.errors import InputFileError, RecordingUnusable
-from prbench.files.bounded import require_size, require_unpackable
+from prbench.files.bounded import require, require_rows, require_size, require_unpackable
 from prbench.limits import (
     LARGEST_ARCHIVE,
     LARGEST_ARRAYS,
@@ -46,19 +45,6 @@ from prbench.limits import (
 
 _PIECE = 4 * 1024**2
 _NO_OBJECTS = "Save numbers and text only: np.array(values, dtype=np.float32), or np.array(names) without dtype=object."
-
-
-@runtime_checkable
-class _ByteStream(Protocol):
-    """A file that is open for reading, in an archive or not."""
-
-    def read(self, size: int = ..., /) -> bytes:
-        """The next bytes; none at the end."""
-        ...
-
-    def tell(self) -> int:
-        """Number of bytes that were read."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -81,7 +67,7 @@ class ArrayHeader:
         return values.reshape(self.shape, order="F" if self.fortran_order else "C")
 
 
-def read_header(stream: _ByteStream, path: Path, where: str, *, remedy: str = "") -> ArrayHeader:
+def read_header(stream: io.BufferedIOBase, path: Path, where: str, *, remedy: str = "") -> ArrayHeader:
     """Read the header of a ``.npy``, up to its first value.
 
     Args:
@@ -102,36 +88,28 @@ def read_header(stream: _ByteStream, path: Path, where: str, *, remedy: str = ""
         raise InputFileError(
             path, where, expected="an array as np.save writes it", found=first, remedy=remedy
         ) from error
-    if dtype.hasobject:
-        raise InputFileError(
-            path, where, expected="numbers or text", found="Python objects", remedy=remedy or _NO_OBJECTS
-        )
-    if any(not 0 <= size <= LONGEST_AXIS for size in shape) or not dtype.itemsize:
-        found = f"the shape {shape} of {dtype}"
-        raise InputFileError(path, where, expected="an array as np.save writes it", found=found, remedy=remedy)
+    is_array = all(0 <= size <= LONGEST_AXIS for size in shape) and dtype.itemsize > 0
+    require(
+        path,
+        (not dtype.hasobject, where, "numbers or text", "Python objects", remedy or _NO_OBJECTS),
+        (is_array, where, "an array as np.save writes it", f"the shape {shape} of {dtype}", remedy),
+    )
     return ArrayHeader(shape, dtype, fortran_order, stream.tell())
 
 
-def map_array(path: Path, header: ArrayHeader, *, start: int = 0) -> np.ndarray:
-    """The array as a read-only view of its file.
-
-    Args:
-        path: The file.
-        header: Of the array.
-        start: Where the ``.npy`` begins in the file.
+def map_array(path: Path, header: ArrayHeader) -> np.ndarray:
+    """The array of a ``.npy`` as a read-only view of its file.
 
     Raises:
         InputFileError: if the file ends too early.
     """
     if not header.nbytes:
         return np.empty(header.shape, header.dtype)
-    end = start + header.offset + header.nbytes
-    if path.stat().st_size < end:
-        raise InputFileError(
-            path, "", expected=f"{end} bytes", found=f"{path.stat().st_size}", remedy="It is cut off; write it again."
-        )
+    size = path.stat().st_size
+    end = header.offset + header.nbytes
+    require(path, (size >= end, "", f"{end} bytes", size, "It is cut off; write it again."))
     order = "F" if header.fortran_order else "C"
-    return np.memmap(path, header.dtype, mode="r", offset=start + header.offset, shape=header.shape, order=order)
+    return np.memmap(path, header.dtype, mode="r", offset=header.offset, shape=header.shape, order=order)
 
 
 def load_array(path: Path, *, largest: int = LARGEST_ARRAYS, remedy: str = "") -> np.ndarray:
@@ -149,27 +127,21 @@ def load_array(path: Path, *, largest: int = LARGEST_ARRAYS, remedy: str = "") -
         require_size(path, largest=largest)
         with open(path, "rb") as file:
             header = read_header(file, path, "", remedy=remedy)
-            # Refuse an array that is larger than it may be, or than what stands in the file.
-            present = path.stat().st_size
+            present = max(path.stat().st_size - header.offset, 0)
             form = f"(shape {header.shape} of {header.dtype})"
-            if header.nbytes > largest:
-                raise InputFileError(
-                    path, "", expected=f"at most {largest:,} bytes", found=f"{header.nbytes:,} declared {form}"
-                )
-            if header.nbytes > present - header.offset:
-                raise InputFileError(
-                    path,
-                    "",
-                    expected=f"{header.nbytes:,} bytes {form}",
-                    found=f"{max(present - header.offset, 0):,}",
-                    remedy="The file is cut off; write it again.",
-                )
+            cut = "The file is cut off; write it again."
+            declared = f"{header.nbytes:,}"
+            require(
+                path,
+                (header.nbytes <= largest, "", f"at most {largest:,} bytes", f"{declared} declared {form}", ""),
+                (header.nbytes <= present, "", f"{declared} bytes {form}", f"{present:,}", cut),
+            )
             return header.shaped(_values(file, header))
     except FileNotFoundError as error:
         raise InputFileError(path, "", expected="this file", found="no such file", remedy=remedy) from error
 
 
-def _values(stream: _ByteStream, header: ArrayHeader) -> np.ndarray:
+def _values(stream: io.BufferedIOBase, header: ArrayHeader) -> np.ndarray:
     """The values behind a header, flat, in memory of their own."""
     values = bytearray(header.nbytes)
     filled = 0
@@ -200,8 +172,7 @@ class Archive:
         with self._opened() as archive:
             for info in archive.infolist():
                 name = info.filename.removesuffix(".npy")
-                if name in found:
-                    raise InputFileError(self.path, f"'{name}'", expected="an array once", found="it again")
+                require(self.path, (name not in found, f"'{name}'", "an array once", "it again", ""))
                 found[name] = info
         return found
 
@@ -211,10 +182,8 @@ class Archive:
         Raises:
             InputFileError: naming the first one, and those that are there.
         """
-        missing = next((name for name in names if name not in self.members), None)
-        if missing is not None:
-            found = ", ".join(sorted(self.members)) or "nothing"
-            raise InputFileError(self.path, "", expected=f"an array '{missing}'", found=found, remedy=self.remedy)
+        found = ", ".join(sorted(self.members)) or "nothing"
+        require(self.path, *((name in self.members, "", f"an array '{name}'", found, self.remedy) for name in names))
 
     def load(self, names: Iterable[str], *, largest: int = LARGEST_ARRAYS) -> dict[str, np.ndarray]:
         """Those of some arrays that are there, whole and writable; their declared sizes are looked at first.
@@ -226,14 +195,18 @@ class Archive:
         Raises:
             InputFileError: if they are too large, damaged, or hold Python objects.
         """
-        present = [name for name in names if name in self.members]
-        declared = sum(self.members[name].file_size for name in present)
-        if declared > largest:
-            found = f"{declared:,} declared"
-            raise InputFileError(self.path, "", expected=f"arrays of at most {largest:,} bytes", found=found)
-        for name in present:
-            require_unpackable(self.path, self.members[name], where=f"'{name}'")
-        return dict(zip(present, self.read_all(present), strict=True))
+        present = {name: self.members[name] for name in names if name in self.members}
+        declared = sum(info.file_size for info in present.values())
+        expected = f"arrays of at most {largest:,} bytes"
+        require(self.path, (declared <= largest, "", expected, f"{declared:,} declared", ""))
+        arrays = {}
+        with self._opened() as archive:
+            for name, info in present.items():
+                require_unpackable(self.path, info, where=f"'{name}'")
+                with archive.open(info) as stream:
+                    header = self._header(name, stream)
+                    arrays[name] = header.shaped(_values(stream, header))
+        return arrays
 
     def header(self, name: str) -> ArrayHeader:
         """Shape and kind of an array; its values are not read.
@@ -256,57 +229,21 @@ class Archive:
         """
         header = self.header(name)
         require_unpackable(self.path, self.members[name], where=f"'{name}'")
-        if header.nbytes > largest:
-            raise InputFileError(
-                self.path,
-                f"'{name}'",
-                expected=f"at most {largest:,} bytes",
-                found=f"{header.nbytes:,} (shape {header.shape} of {header.dtype})",
-            )
-        return self.read_all([name])[0]
-
-    def headers(self) -> dict[str, ArrayHeader]:
-        """Shapes and kinds of all arrays.
-
-        Raises:
-            InputFileError: see :meth:`header`.
-        """
-        found = {}
-        with self._opened() as archive:
-            for name, info in self.members.items():
-                with archive.open(info) as stream:
-                    found[name] = self._header(name, stream)
-        return found
-
-    def read_all(self, names: Sequence[str]) -> list[np.ndarray]:
-        """Several whole arrays, of sizes that the caller has looked at.
-
-        Raises:
-            InputFileError: if one is damaged, or holds Python objects.
-        """
-        found = []
-        with self._opened() as archive:
-            for name in names:
-                with archive.open(self.members[name]) as stream:
-                    header = self._header(name, stream)
-                    found.append(header.shaped(_values(stream, header)))
-        return found
+        found = f"{header.nbytes:,} (shape {header.shape} of {header.dtype})"
+        require(self.path, (header.nbytes <= largest, f"'{name}'", f"at most {largest:,} bytes", found, ""))
+        return self.load([name], largest=self.members[name].file_size)[name]
 
     def stored_as_is(self, name: str) -> bool:
         """Return True for an array that is stored without compression."""
         return self.members[name].compress_type == zipfile.ZIP_STORED
 
-    def _header(self, name: str, stream: _ByteStream) -> ArrayHeader:
+    def _header(self, name: str, stream: io.BufferedIOBase) -> ArrayHeader:
         header = read_header(stream, self.path, f"'{name}'", remedy=self.remedy)
-        info = self.members[name]
-        if header.offset + header.nbytes != info.file_size:
-            raise InputFileError(
-                self.path,
-                f"'{name}'",
-                expected=f"{header.offset + header.nbytes:,} bytes (shape {header.shape} of {header.dtype})",
-                found=f"{info.file_size:,}",
-                remedy="The file is damaged; write it again.",
-            )
+        size = self.members[name].file_size
+        announced = header.offset + header.nbytes
+        expected = f"{announced:,} bytes (shape {header.shape} of {header.dtype})"
+        remedy = "The file is damaged; write it again."
+        require(self.path, (announced == size, f"'{name}'", expected, f"{size:,}", remedy))
         return header
 
     @contextlib.contextmanager
@@ -319,7 +256,15 @@ class Archive:
                 yield archive
         except FileNotFoundError as error:
             raise InputFileError(self.path, "", expected="an .npz file", found="no file", remedy=self.remedy) from error
-        except _DAMAGED as error:
+        except (
+            zipfile.BadZipFile,
+            zlib.error,
+            EOFError,
+            NotImplementedError,
+            RuntimeError,
+            OSError,
+            ValueError,
+        ) as error:
             raise InputFileError(
                 self.path,
                 "",
@@ -327,22 +272,6 @@ class Archive:
                 found=f"another form or a damaged one ({str(error) or type(error).__name__})",
                 remedy=self.remedy or "Write it with np.savez or np.savez_compressed.",
             ) from error
-
-
-_DAMAGED = (
-    zipfile.BadZipFile,
-    zlib.error,
-    EOFError,
-    NotImplementedError,
-    RuntimeError,
-    OSError,
-    ValueError,  # of a table of contents that points before the start of the file
-)
-"""Exceptions that zipfile raises for damaged archives."""
-
-
-def _write_piece(file: BinaryIO, part: bytes) -> None:
-    file.write(part)
 
 
 def open_parquet(path: Path, *, verify: bool = False) -> pq.ParquetFile:
@@ -483,16 +412,14 @@ def require_column(
     Raises:
         InputFileError: naming line and column of the first such number.
     """
-    beyond = np.abs(values) > largest
-    if beyond.any():
-        row = int(np.argmax(beyond))
-        raise InputFileError(
-            path,
-            f"line {row + 2}, column '{column}'",
-            expected=f"a number within {largest:g} {unit}",
-            found=f"{values[row]:g}",
-            remedy=remedy,
-        )
+    require_rows(
+        path,
+        np.abs(values) > largest,
+        f"a number within {largest:g} {unit}",
+        lambda row: f"{values[row]:g}",
+        column=column,
+        remedy=remedy,
+    )
 
 
 def first_repeated(ids: Iterable[str]) -> str | None:

@@ -50,6 +50,7 @@ def require_rows(
     *,
     place: str = "line",
     first: int = 2,
+    column: str = "",
     remedy: str = "",
 ) -> None:
     """Refuse a file at the first of its rows that is bad.
@@ -61,6 +62,7 @@ def require_rows(
         found: What it holds instead.
         place: What a row is called in the message.
         first: Number of the first row there.
+        column: The column that is bad; empty where the whole row is.
         remedy: What to do about it.
 
     Raises:
@@ -69,7 +71,8 @@ def require_rows(
     if bad.any():
         row = int(np.argmax(bad))
         said = [text if isinstance(text, str) else text(row) for text in (expected, found)]
-        raise InputFileError(path, f"{place} {row + first}", expected=said[0], found=said[1], remedy=remedy)
+        where = f"{place} {row + first}" + (f", column '{column}'" if column else "")
+        raise InputFileError(path, where, expected=said[0], found=said[1], remedy=remedy)
 
 
 def read_whole(path: Path, *, largest: int = LARGEST_FILE) -> bytes:

@@ -285,7 +285,7 @@ def _unbatched(name: str, values: np.ndarray) -> Iterator[_Named]:
 
 def _npz(archive: Archive) -> Iterator[_Named]:
     """Read an array ``joints`` beside ids and lengths, padded or one motion after another; else one array a motion."""
-    headers = archive.headers()
+    headers = {name: archive.header(name) for name in archive.members}
     if "joints" not in headers:
         names = [name for name, header in headers.items() if header.dtype.kind in "fiu" and len(header.shape) >= 2]
         if "noise_seed" in headers or not names:
