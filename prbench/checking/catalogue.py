@@ -160,6 +160,6 @@ def citation_text(folders: Sequence[Path]) -> str:
         # Each entry starts with ``@`` at the beginning of a line.
         entries += [entry.strip() for entry in re.split(r"^(?=@)", info.citation, flags=re.MULTILINE) if entry.strip()]
     common = load_citations()
-    toolkit = common.toolkit.replace("VERSION", prbench.__version__)
-    everything = dict.fromkeys([*entries, common.study.strip(), toolkit.strip()])  # imports cite the study, too
+    toolkit = common["toolkit"].replace("VERSION", prbench.__version__)
+    everything = dict.fromkeys([*entries, common["study"].strip(), toolkit.strip()])  # imports cite the study, too
     return "\n\n".join(["\n".join(terms), *everything])

@@ -23,7 +23,7 @@ from prbench.engine.shards import Shard, ShardRecord, require_settings
 from prbench.errors import InputFileError, PrbenchError, StorageError, TableError, UsageError
 from prbench.files.storage import require_replaceable, sole_writer
 from prbench.progress_bar import ProgressCallback
-from prbench.protocol.manifests import BuildEstimate, digest_of, load_manifest, load_protocol
+from prbench.protocol.manifests import digest_of, load_manifest, load_protocol
 from prbench.readers import SYNTHETIC_PREFIX
 from prbench.readers.discover import BrokenDataset, FoundDataset, discover
 from prbench.sequences.dataset_info import FILE_NAME, DatasetInfo
@@ -42,7 +42,7 @@ from prbench.sequences.sequence import Recording
 from prbench.sequences.write import write_dataset
 
 _IN_PROCESS = InProcess()
-_UNMEASURED = BuildEstimate(megabytes_per_second=30.0, table_share=0.02)
+_UNMEASURED = {"megabytes_per_second": 30.0, "table_share": 0.02}
 
 
 def build_dataset(
@@ -274,8 +274,8 @@ def plan_build(dataset: str, root: Path | str, options: BuildOptions = NO_OPTION
         recordings=tuple(source.recording_id for source in sources),
         skipped=tuple(source.recording_id for source in sources if source.skip_reason is not None),
         input_bytes=size,
-        estimated_seconds=size / (estimate.megabytes_per_second * 1e6),
-        estimated_disk_bytes=round(size * 2 * estimate.table_share),
+        estimated_seconds=size / (estimate["megabytes_per_second"] * 1e6),
+        estimated_disk_bytes=round(size * 2 * estimate["table_share"]),
     )
 
 

@@ -77,7 +77,7 @@ def is_solid(scenes: pa.Table) -> Bool[np.ndarray, " boxes"]:
     """
     # Without a recorded body nobody has shown that a box is hollow.
     entered = np.array(scenes["entered"].to_pylist(), dtype=np.float64)  # NaN where it is null
-    return ~(entered > load_scene_constants().passable)
+    return ~(entered > load_scene_constants()["passable"])
 
 
 def _boxes(rows: pa.Table) -> Boxes:

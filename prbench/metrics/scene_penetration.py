@@ -56,7 +56,7 @@ def without_goal(boxes: Boxes, goal: Float[np.ndarray, "3"]) -> Boxes:
 
 def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValues, MetricValues]:  # noqa: ARG001
     assert pair.targets.scene is not None
-    share, largest = scene_penetration(pair.predicted, pair.targets, depth=load_scene_constants().depth)
+    share, largest = scene_penetration(pair.predicted, pair.targets, depth=load_scene_constants()["depth"])
     flags = {"no_boxes": np.diff(pair.targets.scene.offsets) == 0}
     return MetricValues("scene_penetration", share, flags), MetricValues("scene_depth", largest, flags)
 

@@ -50,15 +50,6 @@ class InHandRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     drop_hinged: bool
 
 
-class BuildEstimate(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Time and size of a build, measured with one core on synthetic recordings of the dataset."""
-
-    megabytes_per_second: float
-    """Input files, read and curated."""
-    table_share: float
-    """Bytes of table (and as many of the parts that it is made from) a byte of input."""
-
-
 class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One dataset: origin, licence, layout, and every number that its curation uses."""
 
@@ -77,8 +68,9 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     knows it."""
     wanted_roles: dict[str, str] = {}
     """The same for files without which a recording is read, and yields less."""
-    estimate: BuildEstimate | None = None
-    """The figures that ``--dry-run`` reckons with; None for corpora."""
+    estimate: dict[Literal["megabytes_per_second", "table_share"], float] = {}
+    """The figures that ``--dry-run`` reckons with, measured with one core on synthetic recordings: input files read and
+    curated, and bytes of table (and as many of the parts that it is made from) a byte of input. Empty for corpora."""
     rates_hz: dict[str, float]
     kind: Literal["benchmark", "corpus"] = "benchmark"
     """A table of prime-and-reach sequences, or a text-motion corpus for pre-training."""
@@ -200,20 +192,6 @@ class BreakdownConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     fewest_expected: float
 
 
-class SceneConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Numbers of the scene's boxes as obstacles, metres (docs/specification/scene.md)."""
-
-    depth: float
-    passable: float
-
-
-class Citations(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """BibTeX that belongs to every result of the benchmark, whatever the dataset."""
-
-    study: str
-    toolkit: str
-
-
 class BenchmarkProtocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One version of the benchmark's rules."""
 
@@ -283,15 +261,15 @@ def load_protocol() -> BenchmarkProtocol:
 
 
 @cache
-def load_scene_constants() -> SceneConstants:
-    """Load the numbers of the scene's boxes as obstacles."""
-    return read_toml("prbench_benchmarks.prime_and_reach", "scene.toml", SceneConstants)
+def load_scene_constants() -> dict[str, float]:
+    """Load ``depth`` and ``passable`` of the scene's boxes as obstacles, metres (docs/specification/scene.md)."""
+    return read_toml("prbench_benchmarks.prime_and_reach", "scene.toml", dict[str, float])
 
 
 @cache
-def load_citations() -> Citations:
-    """Load what to cite beside the datasets: the study that defined the task, and this toolkit."""
-    return read_toml("prbench_benchmarks.prime_and_reach", "citations.toml", Citations)
+def load_citations() -> dict[str, str]:
+    """Load the BibTeX of the study that defined the task (``study``) and of this toolkit (``toolkit``)."""
+    return read_toml("prbench_benchmarks.prime_and_reach", "citations.toml", dict[str, str])
 
 
 def dataset_names() -> tuple[str, ...]:
@@ -299,7 +277,7 @@ def dataset_names() -> tuple[str, ...]:
     return tuple(sorted({*own_datasets(), *readable_datasets()}))
 
 
-_Loaded = TypeVar("_Loaded", bound=msgspec.Struct)
+_Loaded = TypeVar("_Loaded")
 
 
 def read_toml(package: str, name: str, form: type[_Loaded]) -> _Loaded:
@@ -316,7 +294,9 @@ def _convert_toml(file: Traversable, form: type[_Loaded]) -> _Loaded:
     try:
         return msgspec.convert(tomllib.loads(file.read_text(encoding="utf-8")), form)
     except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
-        raise InputFileError(str(file), "", expected=f"the fields of {form.__name__}", found=str(error)) from error
+        raise InputFileError(
+            str(file), "", expected=f"the fields of {getattr(form, '__name__', form)}", found=str(error)
+        ) from error
 
 
 _PACKAGE = "prbench_benchmarks"

@@ -22,7 +22,7 @@ import msgspec
 import tomli_w
 
 from prbench.errors import InputFileError, PrbenchError, TableError, UsageError, did_you_mean
-from prbench.files.bounded import foreign_input, read_whole
+from prbench.files.bounded import foreign_input, read_whole, require
 from prbench.files.storage import write_text
 from prbench.limits import HARMLESS_SIZE
 from prbench.protocol.manifests import PROTOCOL_NAME, BenchmarkProtocol, load_protocol
@@ -58,61 +58,53 @@ def read_protocol(path: Path) -> BenchmarkProtocol:
         raise InputFileError(path, "", expected="a protocol's TOML file", found=found, remedy=_START) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputFileError(path, "", expected="a TOML file", found=str(error), remedy=_START) from error
-    _require_all_keys(path, values)
+    # A default taken silently would not be one's own protocol.
+    wanted = {"name", *(key for key, _ in _leaves(_default_values()))}
+    given = {key for key, _ in _leaves(values)}
+    for key in sorted(given - wanted):
+        hint = did_you_mean(key, wanted)
+        raise InputFileError(path, key, expected="a key of the protocol", found="an unknown one", remedy=hint.strip())
+    missing = sorted(wanted - given)
+    require(path, *((False, key, "every key of the protocol", "no such key", _START) for key in missing))
     try:
         protocol = msgspec.convert(values, BenchmarkProtocol)
     except msgspec.ValidationError as error:
         key = str(error).partition("`$.")[2].rstrip("`")
         raise InputFileError(path, key, expected="a value of the key's type", found=str(error)) from error
-    if not _NAME.fullmatch(protocol.name) or protocol.name == PROTOCOL_NAME:
-        raise InputFileError(
-            path,
-            "name",
-            expected=f"small letters, digits, '.', '_' and '-', and not '{PROTOCOL_NAME}', which is prbench's own",
-            found=f"'{protocol.name}'",
-        )
-    if protocol.version < 1:
-        raise InputFileError(path, "version", expected="1 or more", found=str(protocol.version))
-    if protocol.conditions != load_protocol().conditions:
-        expected = ", ".join(load_protocol().conditions)
-        found = ", ".join(protocol.conditions) or "none"
-        raise InputFileError(path, "conditions", expected=f"the four conditions: {expected}", found=found)
-    for key, value in _leaves(msgspec.to_builtins(protocol)):
-        if not isinstance(value, int | float) or key == "version":
-            continue
-        least = "above 0" if key in _ABOVE_ZERO else "0 or more"
-        most = 1.0 if key in _SHARES else math.inf
-        is_possible = value > 0 if key in _ABOVE_ZERO else value >= 0
-        if not is_possible or not math.isfinite(value) or value > most:
-            expected = "a share from 0 to 1" if key in _SHARES else f"a finite number {least}"
-            raise InputFileError(path, key, expected=expected, found=f"{value:g}")
-    for key in ("bearing", "distance", "height"):
-        ends = getattr(protocol.breakdown, key)
-        if not all(math.isfinite(end) and end > 0 for end in ends) or list(ends) != sorted(set(ends)):
-            expected = "finite numbers above 0, ascending"
-            raise InputFileError(path, f"breakdown.{key}", expected=expected, found=str(list(ends)))
-    if protocol.breakdown.fewest_recordings < 2:
-        found = str(protocol.breakdown.fewest_recordings)
-        raise InputFileError(path, "breakdown.fewest_recordings", expected="2 or more", found=found)
-    if protocol.splits.validation_below > protocol.splits.test_from:
-        raise InputFileError(
-            path,
+    is_name = _NAME.fullmatch(protocol.name) is not None and protocol.name != PROTOCOL_NAME
+    name = f"small letters, digits, '.', '_' and '-', and not '{PROTOCOL_NAME}', which is prbench's own"
+    conditions = load_protocol().conditions
+    splits = protocol.splits
+    fewest = protocol.breakdown.fewest_recordings
+    numbers = [item for item in _leaves(msgspec.to_builtins(protocol)) if isinstance(item[1], int | float)]
+    ends = {f"breakdown.{key}": getattr(protocol.breakdown, key) for key in ("bearing", "distance", "height")}
+    checks = (
+        (is_name, "name", name, f"'{protocol.name}'"),
+        (protocol.version >= 1, "version", "1 or more", protocol.version),
+        (
+            protocol.conditions == conditions,
+            "conditions",
+            f"the four conditions: {', '.join(conditions)}",
+            ", ".join(protocol.conditions) or "none",
+        ),
+        *((0 <= value <= 1, key, "a share from 0 to 1", f"{value:g}") for key, value in numbers if key in _SHARES),
+        *((value > 0, key, "a finite number above 0", f"{value:g}") for key, value in numbers if key in _ABOVE_ZERO),
+        *((0 <= value < math.inf, key, "a finite number 0 or more", f"{value:g}") for key, value in numbers),
+        *((_ascend(each), key, "finite numbers above 0, ascending", list(each)) for key, each in ends.items()),
+        (fewest >= 2, "breakdown.fewest_recordings", "2 or more", fewest),
+        (
+            splits.validation_below <= splits.test_from,
             "splits.validation_below",
-            expected=f"at most splits.test_from ({protocol.splits.test_from:g})",
-            found=f"{protocol.splits.validation_below:g}",
-        )
+            f"at most splits.test_from ({splits.test_from:g})",
+            f"{splits.validation_below:g}",
+        ),
+    )
+    require(path, *((*check, "") for check in checks))
     return protocol
 
 
-def _require_all_keys(path: Path, values: Mapping[str, Any]) -> None:
-    """Refuse a file with a key too many or too few: a default taken silently would not be one's own protocol."""
-    wanted = {"name", *(key for key, _ in _leaves(_default_values()))}
-    found = {key for key, _ in _leaves(values)}
-    for key in sorted(found - wanted):
-        hint = did_you_mean(key, wanted)
-        raise InputFileError(path, key, expected="a key of the protocol", found="an unknown one", remedy=hint.strip())
-    for key in sorted(wanted - found):
-        raise InputFileError(path, key, expected="every key of the protocol", found="no such key", remedy=_START)
+def _ascend(ends: tuple[float, ...]) -> bool:
+    return all(0 < end < math.inf for end in ends) and list(ends) == sorted(set(ends))
 
 
 @cache
@@ -195,14 +187,10 @@ def require_fits_table(wanted: BenchmarkProtocol, table: BenchmarkProtocol | Non
     for key, value in _leaves(_all_values(wanted)):
         if key in found and found[key] != value:
             raise UsageError(
-                f"--protocol {wanted.label}, {key}: {_shown(value)}, but the table {folder} was built with"
-                f" {_shown(found[key])}. Build it again with the same --protocol; only [metrics] and [breakdown] may"
+                f"--protocol {wanted.label}, {key}: {value!r}, but the table {folder} was built with"
+                f" {found[key]!r}. Build it again with the same --protocol; only [metrics] and [breakdown] may"
                 " differ."
             )
-
-
-def _shown(value: object) -> str:
-    return "'" + value + "'" if isinstance(value, str) else str(value)
 
 
 def protocol_for(file: Path | None, tables: Iterable[DescribedTable]) -> BenchmarkProtocol:

@@ -394,7 +394,7 @@ def terms_of(dataset: str, manifest: Manifest, exported: Mapping[str, Any] | Non
         "title": f"{manifest.title}, as released with Prime and Reach",
         "licence": f"{manifest.licence} (source recordings); {_STUDY_TERMS}",
         "redistribution": strictest([manifest.redistribution, _STUDY_REDISTRIBUTION]),
-        "citation": f"{load_citations().study.strip()}\n\n{terms['citation']}",
+        "citation": f"{load_citations()['study'].strip()}\n\n{terms['citation']}",
     }
 
 
