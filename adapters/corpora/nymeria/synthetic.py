@@ -17,7 +17,7 @@ from prbench.geometry.skeleton import PARENTS, XSENS_SEGMENTS, Y_UP_FROM_Z_UP, J
 from prbench.protocol.manifests import load_manifest
 from prbench.randomness import named_generator
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.synthetic import split_columns, write_csv
+from prbench.readers.aria_mps.synthetic import trajectory_columns, write_csv
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.activities import NarratedMotion
 from prbench.synthetic.layouts import Damage, Defect, change_cells, cut_in_half, removed
@@ -138,7 +138,7 @@ def _calibration_pose(motion: NarratedMotion) -> Float[np.ndarray, "23 3"]:
     return z_up(points)
 
 
-_SCALAR_LAST = ("qx_world_device", "qy_world_device", "qz_world_device", "qw_world_device")
+_NO_GRAPH = "00000000-0000-0000-0000-000000000000"
 _GRAVITY = (0.0, 0.0, -9.81)
 _CREATED = "2000-01-01T00:00:00"
 
@@ -190,7 +190,7 @@ def write_nymeria(readings: NymeriaReadings, root: Path, *, trajectory: bool) ->
     )
     if trajectory:
         slam = folder / nymeria.HEAD_FOLDER / "mps" / "slam"
-        write_csv(slam / nymeria.TRAJECTORY_FILE, _trajectory_columns(readings.glasses))
+        write_csv(slam / nymeria.TRAJECTORY_FILE, trajectory_columns(readings.glasses, _NO_GRAPH, _GRAVITY, None))
 
 
 def _write_narrations(path: Path, kind: str, rows: list[Narration]) -> None:
@@ -202,19 +202,6 @@ def _write_narrations(path: Path, kind: str, rows: list[Narration]) -> None:
         times = (f"{row.start:.6f}", f"{row.end:.6f}")
         writer.writerow([number, number, *times, row.annotator, _CREATED, *(answer for _, answer in row.texts)])
     write_bytes(path, text.getvalue().encode("utf-8-sig"))
-
-
-def _trajectory_columns(glasses: mps.GlassesPoses) -> dict[str, object]:
-    n = len(glasses.time_us)
-    return {
-        mps.GRAPH_COLUMN: ["00000000-0000-0000-0000-000000000000"] * n,
-        mps.TIME_COLUMN: glasses.time_us,
-        "utc_timestamp_ns": np.full(n, -1),
-        **split_columns(mps.POSITION_COLUMNS, glasses.position),
-        **split_columns(_SCALAR_LAST, glasses.rotation[:, [1, 2, 3, 0]]),
-        **split_columns(mps.GRAVITY_COLUMNS, np.tile(_GRAVITY, (n, 1))),
-        mps.QUALITY_COLUMN: glasses.quality,
-    }
 
 
 _ATOMIC = nymeria.NARRATION_FILES["atomic_action"]

@@ -1,4 +1,4 @@
-"""Reader of Aria Digital Twin, layouts v1.x and v2.0 (docs/specification/adt.md)."""
+"""Reader of Aria Digital Twin, layout v2.0 (docs/specification/adt.md)."""
 
 from __future__ import annotations
 

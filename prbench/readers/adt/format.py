@@ -15,19 +15,15 @@ from prbench.readers.aria_mps.format import GazeAngles, GlassesPoses, GlassesSiz
 from prbench.readers.egoallo.format import EgoAlloBody
 
 METADATA_FILE = "metadata.json"
-METADATA_FILE_BEFORE_1_1 = "gt-metadata.json"
 INSTANCES_FILE = "instances.json"
 OBJECTS_FILE = "scene_objects.csv"
 BOXES_FILE = "3d_bounding_box.csv"
 TRAJECTORY_FILE = "aria_trajectory.csv"
 GAZE_FILE = "eyegaze.csv"
 ASSOCIATION_FILE = "skeleton_aria_association.json"
-ASSOCIATION_FILE_BEFORE_1_1 = "SkeletonMetaData.json"
 MPS_FOLDER = "mps"
 
 TIME_DOMAIN = "DEVICE_CAPTURE"
-FIRST_VERSION = "1.0"
-"""Version of a recording whose metadata names none."""
 NOBODY = "NONE"
 """Stands for a missing serial or skeleton in the association file."""
 

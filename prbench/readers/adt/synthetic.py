@@ -2,15 +2,13 @@
 
 Sensors: docs/specification/synthetic-recordings.md#sensors, rows "adt". The optical suit has 51 joints and 57 markers;
 they follow from the 22 joints and the finger bases of a performance. Readings are rounded to the resolution of the
-files (micrometres, microradians, 1e-9 for quaternions), so that files and memory hold the same numbers. Files are of
-layout v2.0, and of v1.x for tests of the reader.
+files (micrometres, microradians, 1e-9 for quaternions), so that files and memory hold the same numbers.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -24,7 +22,14 @@ from prbench.geometry.timelines import interpolate, slerp
 from prbench.readers.adt import format as adt
 from prbench.readers.adt.to_recording import prepared_trajectory, recording_from_adt
 from prbench.readers.aria_mps import format as mps
-from prbench.readers.aria_mps.synthetic import device_poses, gaze_bias, gaze_rows, split_columns, write_csv
+from prbench.readers.aria_mps.synthetic import (
+    device_poses,
+    gaze_bias,
+    gaze_rows,
+    split_columns,
+    trajectory_columns,
+    write_csv,
+)
 from prbench.readers.egoallo import format as ego
 from prbench.readers.egoallo.synthetic import sense_egoallo, write_outputs, write_smplh_model
 from prbench.synthetic.layouts import Layout
@@ -321,11 +326,7 @@ def suit_markers(joints: Float[np.ndarray, "n 51 3"]) -> Float[np.ndarray, "n 57
 
 _GRAPH_UID = "00000000-0000-0000-0000-000000000000"
 _GRAVITY = (0.0, -9.81, 0.0)
-_UNUSED_VELOCITIES = tuple(
-    f"{quantity}_{axis}_device" for quantity in ("device_linear_velocity", "angular_velocity") for axis in "xyz"
-)
 _CREATED = "01/01/2000-00:00:00"
-_QUATERNION_SCALAR_LAST = (1, 2, 3, 0)
 
 
 def estimated_outputs(
@@ -353,135 +354,64 @@ def write(readings: adt.AdtReadings, folder: Path) -> None:
         write_json(
             target / adt.METADATA_FILE,
             {
-                **_scene_metadata(readings),
+                "gt_creation_time": _CREATED,
+                "scene": "Synthetic",
+                "is_multi_person": len(readings.skeletons) > 1,
+                "num_skeletons": len(readings.skeletons),
+                "timecode_enabled": 0,
+                "gt_time_domain": adt.TIME_DOMAIN,
+                "dataset_name": "ADT_2023",
                 "serial": readings.serial,
                 "concurrent_sequence": readings.concurrent,
                 "dataset_version": "2.0",
             },
         )
-        _write_device_files(readings, target, adt.ASSOCIATION_FILE)
-
-
-def write_v1(tours: Mapping[str, adt.AdtReadings], folder: Path, *, version: str = "1.1") -> None:
-    """Write concurrent recordings in layout v1.x: a sequence with one sub-folder a pair of glasses.
-
-    Args:
-        tours: Recordings by name of their sub-folder.
-        folder: The sequence.
-        version: ``1.0`` uses the older file names and, as the release did, states no version.
-    """
-    old = version == adt.FIRST_VERSION
-    with atomic_folder(folder) as target:
-        subtours = {
-            str(number): {"subtour_name": name, "device_serial": tour.serial}
-            for number, (name, tour) in enumerate(tours.items())
-        }
-        metadata = {**_scene_metadata(*tours.values()), "subtours": subtours}
-        name = adt.METADATA_FILE_BEFORE_1_1 if old else adt.METADATA_FILE
-        write_json(target / name, metadata if old else {**metadata, "dataset_version": version})
-        for name, tour in tours.items():
-            (target / name).mkdir()
-            association = adt.ASSOCIATION_FILE_BEFORE_1_1 if old else adt.ASSOCIATION_FILE
-            _write_device_files(tour, target / name, association)
-
-
-def _scene_metadata(*readings: adt.AdtReadings) -> dict[str, object]:
-    return {
-        "gt_creation_time": _CREATED,
-        "scene": "Synthetic",
-        "is_multi_person": len(readings[0].skeletons) > 1,
-        "num_skeletons": len(readings[0].skeletons),
-        "timecode_enabled": 0,
-        "gt_time_domain": adt.TIME_DOMAIN,
-        "dataset_name": "ADT_2023",
-    }
-
-
-def _write_device_files(readings: adt.AdtReadings, folder: Path, association_file: str) -> None:
-    objects = {
-        str(entry.object_id): _instance(
-            entry.object_id, entry.name, entry.prototype, entry.category, dynamic=entry.dynamic, human=False
-        )
-        for entry in readings.objects
-    }
-    people = {
-        str(person.skeleton_id): _instance(
-            person.skeleton_id, person.name, "Skeleton", "person", dynamic=True, human=True
-        )
-        for person in readings.skeletons
-    }
-    write_json(folder / adt.INSTANCES_FILE, (objects | people))
-    write_csv(folder / adt.TRAJECTORY_FILE, _trajectory_columns(readings.glasses))
-    write_csv(folder / adt.GAZE_FILE, _gaze_columns(readings.gaze))
-    objects = readings.objects
-    lower, upper = (np.stack([getattr(entry, side) for entry in objects]) for side in ("box_min", "box_max"))
-    columns: dict[str, object] = {
-        adt.OBJECT_ID: np.array([entry.object_id for entry in objects]),
-        adt.OBJECT_TIME: np.full(len(objects), adt.STATIC_TIME),
-    }
-    for axis in range(3):
-        columns |= {adt.BOX_MIN[axis]: lower[:, axis], adt.BOX_MAX[axis]: upper[:, axis]}
-    write_csv(folder / adt.BOXES_FILE, columns)
-    write_csv(folder / adt.OBJECTS_FILE, _object_columns(readings.objects))
-    people = [
-        {"AssociatedDeviceSerial": person.serial, "SkeletonId": person.skeleton_id, "SkeletonName": person.name}
-        for person in readings.skeletons
-    ]
-    write_json(folder / association_file, {"SkeletonMetadata": people})
-    for person in readings.skeletons:
-        path = folder / f"{person.name}.json"
-        joints = person.joints.tolist()
-        markers = np.zeros((len(joints), adt.N_MARKERS, 3)) if person.markers is None else person.markers
-        frames = [
-            {"markers": frame_markers, "joints": frame_joints, "timestamp_ns": time}
-            for frame_markers, frame_joints, time in zip(markers.tolist(), joints, person.time_ns.tolist(), strict=True)
+        objects = readings.objects
+        instances = [
+            _instance(entry.object_id, entry.name, entry.prototype, entry.category, dynamic=entry.dynamic, human=False)
+            for entry in objects
         ]
-        content = {"dt_optitrack_minus_device_ns": {person.serial: 0}, "frames": frames}
-        write_bytes(path, msgspec.json.encode(content))
-
-
-def _trajectory_columns(glasses: adt.GlassesPoses) -> dict[str, object]:
-    n = len(glasses.time_us)
-    rotation = [mps.ROTATION_COLUMNS[index] for index in _QUATERNION_SCALAR_LAST]
-    return {
-        mps.GRAPH_COLUMN: [_GRAPH_UID] * n,
-        mps.TIME_COLUMN: glasses.time_us,
-        "utc_timestamp_ns": np.full(n, -1),
-        **split_columns(mps.POSITION_COLUMNS, glasses.position),
-        **split_columns(rotation, glasses.rotation[:, list(_QUATERNION_SCALAR_LAST)]),
-        **{name: np.zeros(n) for name in _UNUSED_VELOCITIES},
-        **split_columns(mps.GRAVITY_COLUMNS, np.tile(_GRAVITY, (n, 1))),
-        mps.QUALITY_COLUMN: glasses.quality,
-    }
-
-
-def _gaze_columns(gaze: adt.GazeAngles) -> dict[str, object]:
-    yaw_low, yaw_high = gaze.yaw_range.T
-    pitch_low, pitch_high = gaze.pitch_range.T
-    return {
-        mps.TIME_COLUMN: gaze.time_us,
-        mps.YAW: gaze.yaw,
-        mps.PITCH: gaze.pitch,
-        mps.DEPTH: gaze.depth,
-        mps.YAW_RANGE[0]: yaw_low,
-        mps.PITCH_RANGE[0]: pitch_low,
-        mps.YAW_RANGE[1]: yaw_high,
-        mps.PITCH_RANGE[1]: pitch_high,
-    }
-
-
-def _object_columns(objects: Sequence[adt.AdtObject]) -> dict[str, object]:
-    times = np.concatenate([entry.time_ns for entry in objects])
-    ids = np.concatenate([np.full(len(entry.time_ns), entry.object_id) for entry in objects])
-    order = np.argsort(times, kind="stable")
-    position = np.concatenate([entry.position for entry in objects])[order]
-    rotation = np.concatenate([entry.rotation for entry in objects])[order]
-    return {
-        adt.OBJECT_ID: ids[order],
-        adt.OBJECT_TIME: times[order],
-        **split_columns(adt.OBJECT_POSITION, position),
-        **split_columns(adt.OBJECT_ROTATION, rotation),
-    }
+        instances += [
+            _instance(person.skeleton_id, person.name, "Skeleton", "person", dynamic=True, human=True)
+            for person in readings.skeletons
+        ]
+        write_json(target / adt.INSTANCES_FILE, {str(entry["instance_id"]): entry for entry in instances})
+        still = np.zeros((len(readings.glasses.time_us), 6))
+        write_csv(target / adt.TRAJECTORY_FILE, trajectory_columns(readings.glasses, _GRAPH_UID, _GRAVITY, still))
+        gaze = readings.gaze
+        ranges = (gaze.yaw_range[:, 0], gaze.pitch_range[:, 0], gaze.yaw_range[:, 1], gaze.pitch_range[:, 1])
+        names = (mps.YAW_RANGE[0], mps.PITCH_RANGE[0], mps.YAW_RANGE[1], mps.PITCH_RANGE[1])
+        columns: dict[str, object] = {mps.TIME_COLUMN: gaze.time_us, mps.YAW: gaze.yaw, mps.PITCH: gaze.pitch}
+        write_csv(target / adt.GAZE_FILE, columns | {mps.DEPTH: gaze.depth} | dict(zip(names, ranges, strict=True)))
+        columns = {
+            adt.OBJECT_ID: np.array([entry.object_id for entry in objects]),
+            adt.OBJECT_TIME: np.full(len(objects), adt.STATIC_TIME),
+        }
+        for axis in range(3):
+            columns[adt.BOX_MIN[axis]] = np.array([entry.box_min[axis] for entry in objects])
+            columns[adt.BOX_MAX[axis]] = np.array([entry.box_max[axis] for entry in objects])
+        write_csv(target / adt.BOXES_FILE, columns)
+        times = np.concatenate([entry.time_ns for entry in objects])
+        order = np.argsort(times, kind="stable")
+        ids = np.concatenate([np.full(len(entry.time_ns), entry.object_id) for entry in objects])
+        columns = {
+            adt.OBJECT_ID: ids[order],
+            adt.OBJECT_TIME: times[order],
+            **split_columns(adt.OBJECT_POSITION, np.concatenate([entry.position for entry in objects])[order]),
+            **split_columns(adt.OBJECT_ROTATION, np.concatenate([entry.rotation for entry in objects])[order]),
+        }
+        write_csv(target / adt.OBJECTS_FILE, columns)
+        people = [
+            {"AssociatedDeviceSerial": person.serial, "SkeletonId": person.skeleton_id, "SkeletonName": person.name}
+            for person in readings.skeletons
+        ]
+        write_json(target / adt.ASSOCIATION_FILE, {"SkeletonMetadata": people})
+        for person in readings.skeletons:
+            markers = np.zeros((len(person.joints), adt.N_MARKERS, 3)) if person.markers is None else person.markers
+            rows = zip(markers.tolist(), person.joints.tolist(), person.time_ns.tolist(), strict=True)
+            frames = [{"markers": markers, "joints": joints, "timestamp_ns": time} for markers, joints, time in rows]
+            content = {"dt_optitrack_minus_device_ns": {person.serial: 0}, "frames": frames}
+            write_bytes(target / f"{person.name}.json", msgspec.json.encode(content))
 
 
 def _instance(

@@ -286,10 +286,9 @@ _ROLES = (
     mps.GAZE_SUMMARY,
     mps.HAND_SUMMARY,
 )
-_ROTATION_AS_WRITTEN = ("qx_world_device", "qy_world_device", "qz_world_device", "qw_world_device")
-_SCALAR_LAST = (1, 2, 3, 0)
-_VELOCITY = tuple(f"device_linear_velocity_{axis}_device" for axis in "xyz")
-_TURNING = tuple(f"angular_velocity_{axis}_device" for axis in "xyz")
+_VELOCITIES = tuple(
+    f"{quantity}_{axis}_device" for quantity in ("device_linear_velocity", "angular_velocity") for axis in "xyz"
+)
 _EYES = {"tx_left_eye_cpf": 0.0315, "tx_right_eye_cpf": -0.0315}
 _NO_SESSION = "00000000-0000-0000-0000-000000000000"
 _CAMERAS = {"camera-slam-left": (0.0, 0.0, 0.0), "camera-slam-right": (0.006, -0.138, 0.0)}
@@ -312,7 +311,13 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
     wanted = set(_ROLES if only is None else only)
     slam, gaze, hands = (folder / name for name in (mps.SLAM_FOLDER, mps.GAZE_FOLDER, mps.HAND_FOLDER))
     if mps.TRAJECTORY in wanted:
-        write_csv(slam / mps.TRAJECTORY_FILE, _trajectory_columns(readings.trajectory))
+        trajectory = readings.trajectory
+        n = len(trajectory.time_us)
+        columns = trajectory_columns(trajectory, trajectory.graph_uids[0], GRAVITY, _velocities(trajectory))
+        columns["geo_available"] = np.zeros(n, dtype=np.int64)
+        columns |= {f"t{axis}_ecef_device": np.zeros(n) for axis in "xyz"}
+        columns |= {f"q{axis}_ecef_device": np.full(n, float(axis == "w")) for axis in "xyzw"}
+        write_csv(slam / mps.TRAJECTORY_FILE, columns)
     if mps.CALIBRATION in wanted and readings.glasses_size is not None:
         path = slam / mps.CALIBRATION_FILE
         first, last = readings.trajectory.time_us[[0, -1]]
@@ -348,7 +353,7 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
         write_json(gaze / mps.SUMMARY_FILE, {"GazeInference": {"status": "SUCCESS", "message": ""}, "version": "3.0"})
     if mps.WRISTS in wanted and readings.wrists is not None:
         wrists = readings.wrists
-        columns: dict[str, object] = {mps.TIME_COLUMN: wrists.time_us}
+        columns = {mps.TIME_COLUMN: wrists.time_us}
         for index, side in enumerate(mps.SIDES):
             columns[f"{side}_tracking_confidence"] = wrists.confidence[:, index]
             for part, points in (("wrist", wrists.wrist), ("palm", wrists.palm)):
@@ -359,34 +364,33 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
         write_json(hands / mps.SUMMARY_FILE, {"HandTracking": {"status": "SUCCESS", "message": ""}})
 
 
-def _trajectory_columns(trajectory: mps.AriaTrajectory) -> dict[str, object]:
-    n = len(trajectory.time_us)
-    velocity, turning = _velocities(trajectory)
+def trajectory_columns(
+    poses: mps.GlassesPoses, graph_uid: str, gravity: Sequence[float], velocities: Float[np.ndarray, "n 6"] | None
+) -> dict[str, object]:
+    """Return the columns of a file of poses: rotations scalar last, velocities (linear, then angular) if any."""
+    n = len(poses.time_us)
     return {
-        mps.GRAPH_COLUMN: np.full(n, trajectory.graph_uids[0]),
-        mps.TIME_COLUMN: trajectory.time_us,
+        mps.GRAPH_COLUMN: np.full(n, graph_uid),
+        mps.TIME_COLUMN: poses.time_us,
         "utc_timestamp_ns": np.full(n, -1),
-        **split_columns(mps.POSITION_COLUMNS, trajectory.position),
-        **split_columns(_ROTATION_AS_WRITTEN, trajectory.rotation[:, list(_SCALAR_LAST)]),
-        **split_columns(_VELOCITY, velocity),
-        **split_columns(_TURNING, turning),
-        **split_columns(mps.GRAVITY_COLUMNS, np.tile(GRAVITY, (n, 1))),
-        mps.QUALITY_COLUMN: trajectory.quality,
-        "geo_available": np.zeros(n, dtype=np.int64),
-        **{f"t{axis}_ecef_device": np.zeros(n) for axis in "xyz"},
-        **{f"q{axis}_ecef_device": np.full(n, float(axis == "w")) for axis in "xyzw"},
+        **split_columns(mps.POSITION_COLUMNS, poses.position),
+        **split_columns((*mps.ROTATION_COLUMNS[1:], mps.ROTATION_COLUMNS[0]), np.roll(poses.rotation, -1, axis=1)),
+        **({} if velocities is None else split_columns(_VELOCITIES, velocities)),
+        **split_columns(mps.GRAVITY_COLUMNS, np.tile(gravity, (n, 1))),
+        mps.QUALITY_COLUMN: poses.quality,
     }
 
 
-def _velocities(trajectory: mps.AriaTrajectory) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
+def _velocities(trajectory: mps.AriaTrajectory) -> Float[np.ndarray, "n 6"]:
     """Return linear (m/s) and angular (rad/s) velocity in the device frame, between neighbouring rows."""
     rotation = Rotation.from_quat(trajectory.rotation, scalar_first=True)
     if len(rotation) < 2:
-        return np.zeros((len(rotation), 3)), np.zeros((len(rotation), 3))
+        return np.zeros((len(rotation), 6))
     step = np.diff(trajectory.time_us)[:, None] / 1e6
     linear = rotation[:-1].inv().apply(np.diff(trajectory.position, axis=0) / step)
     angular = (rotation[:-1].inv() * rotation[1:]).as_rotvec() / step
-    return np.round(np.vstack([linear, linear[-1:]]), 6), np.round(np.vstack([angular, angular[-1:]]), 6)
+    both = np.hstack([linear, angular])
+    return np.round(np.vstack([both, both[-1:]]), 6)
 
 
 def _gaze_columns(gaze: mps.GazeAngles) -> dict[str, object]:

@@ -5,13 +5,10 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from prbench.errors import InputFileError
-from prbench.readers import reader_for
 from prbench.readers.adt import find_recordings, read_readings
-from prbench.readers.adt.files import AdtOptions
 from prbench.readers.adt.synthetic import write
 from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.people import perform
@@ -35,28 +32,6 @@ def test_recordings_of_hot3d_are_not_taken_for_its_own(tmp_path, readings):
     (tmp_path / "P0003_c701bd11").mkdir()
     (tmp_path / "P0003_c701bd11" / "metadata.json").write_text(json.dumps({"headset": "Aria"}))
     assert [found.recording_id for found in find_recordings(tmp_path)] == ["seq"]
-
-
-def test_personalized_gaze_is_taken_when_asked_for(tmp_path, readings):
-    write(readings, tmp_path / "seq")
-    write(replace(readings, gaze=replace(readings.gaze, yaw=readings.gaze.yaw + 0.1)), tmp_path / "other")
-    folder = tmp_path / "seq" / "mps" / "eye_gaze"
-    folder.mkdir(parents=True)
-    (tmp_path / "other" / "eyegaze.csv").rename(folder / "personalized_eye_gaze.csv")
-    for path in (tmp_path / "other").iterdir():
-        path.unlink()
-    (tmp_path / "other").rmdir()
-    for options, shift in ((AdtOptions(), 0.0), (AdtOptions(gaze="personalized"), 0.1)):
-        (found,) = find_recordings(tmp_path, options)
-        yaw = read_readings(found, options).gaze.yaw
-        np.testing.assert_allclose(yaw, readings.gaze.yaw + shift, atol=1e-9, equal_nan=True)
-
-
-def test_without_personalized_gaze_the_releases_own_is_taken(tmp_path, readings):
-    write(readings, tmp_path / "seq")
-    reader = reader_for("adt", {"gaze": "personalized"})
-    (found,) = reader.find(tmp_path)
-    assert reader.read(found).gaze.valid.any()
 
 
 def test_a_few_wild_angles_are_no_degrees(tmp_path, readings):

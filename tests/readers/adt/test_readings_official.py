@@ -204,11 +204,11 @@ def test_distances_of_wrists_and_finger_bases_to_what_moves(both) -> None:
 def test_the_other_wearers_glasses_and_skeleton(tmp_path) -> None:
     from tests.readers.adt.test_readings_rules import two_wearers
 
-    two_wearers(tmp_path / "party", version="1.2")
-    provider = official.AriaDigitalTwinDataPathsProvider(str(tmp_path / "party"))
+    two_wearers(tmp_path)
     for found in find_recordings(tmp_path):
         readings, recording = read_readings(found), read_recording(found)
-        theirs = official.AriaDigitalTwinDataProvider(provider.get_datapaths_by_device_serial(readings.serial, True))
+        paths = official.AriaDigitalTwinDataPathsProvider(str(found.folder)).get_datapaths(True)
+        theirs = official.AriaDigitalTwinDataProvider(paths)
         assert sorted(theirs.get_skeleton_ids()) == sorted(person.skeleton_id for person in readings.skeletons)
         assert len(recording.other_people) == 1
 
@@ -223,18 +223,3 @@ def test_joints(both) -> None:
 
 def test_the_order_of_the_joints(both) -> None:
     assert tuple(official.AriaDigitalTwinSkeletonProvider.get_joint_labels()) == adt.JOINT_NAMES
-
-
-def test_the_official_reader_opens_the_older_layout_too(tmp_path) -> None:
-    from prbench.readers.adt import synthetic as layout
-    from tests.readers.conftest import still_life
-
-    layout.write_v1({"M1292": still_life()}, tmp_path / "sequence", version="1.2")
-    paths = official.AriaDigitalTwinDataPathsProvider(str(tmp_path / "sequence")).get_datapaths_by_device_num(0, True)
-    provider = official.AriaDigitalTwinDataProvider(paths)
-    (found,) = find_recordings(tmp_path)
-    readings = read_readings(found)
-    assert provider.get_start_time_ns() == readings.glasses.time_us[0] * 1000
-    assert sorted(provider.get_object_ids()) == [entry.object_id for entry in readings.objects]
-    assert provider.has_skeleton()
-    assert provider.has_eyegaze()

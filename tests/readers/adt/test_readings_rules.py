@@ -36,34 +36,24 @@ def test_nobody_is_no_twin(folder, nobody) -> None:
     assert _recording(office).split_group == "Office_release_clean"
 
 
-def test_the_older_layout_may_not_name_its_clock_but_must_not_name_another(tmp_path) -> None:
-    layout.write_v1({"M1292": still_life()}, tmp_path / "sequence", version="1.1")
-    _change_metadata(tmp_path / "sequence", gt_time_domain=None)
-    assert _recording(tmp_path).recording_id == "sequence_M1292"
-    _change_metadata(tmp_path / "sequence", gt_time_domain="TIME_CODE")
-    with pytest.raises(InputFileError, match="TIME_CODE"):
-        _recording(tmp_path)
+def test_the_older_layout_is_told_from_the_present_one(folder) -> None:
+    _change_metadata(folder, subtours={"0": {"subtour_name": "M1", "device_serial": "S1"}}, gt_time_domain=None)
+    with pytest.raises(InputFileError, match=r"subtours: expected layout v2\.0, found layout v1\.x"):
+        _recording(folder)
 
 
-def two_wearers(folder: Path, *, version: str) -> None:
-    """The still life with a second person one metre aside, in the older layout."""
+def two_wearers(root: Path) -> None:
+    """The still life with a second person one metre aside, as two recordings."""
     first = still_life()
     (person,) = first.skeletons
     aside = np.add(person.joints, (1.0, 0, 0))
     people = (person, replace(person, name="Skeleton_C", skeleton_id=78, serial="S2", joints=aside))
-    tours = {"M1": replace(first, skeletons=people), "M2": replace(first, serial="S2", skeletons=people)}
-    layout.write_v1(tours, folder, version=version)
+    layout.write(replace(first, skeletons=people, concurrent="party_M2"), root / "party_M1")
+    layout.write(replace(first, serial="S2", skeletons=people, concurrent="party_M1"), root / "party_M2")
 
 
-@pytest.mark.parametrize("as_list", [False, True])
-def test_two_wearers_of_one_sequence_share_a_split_and_see_each_other(tmp_path, as_list) -> None:
-    two_wearers(tmp_path / "party", version="1.0")
-    assert (tmp_path / "party" / "gt-metadata.json").is_file()
-    assert (tmp_path / "party" / "M1" / "SkeletonMetaData.json").is_file()
-    if as_list:
-        path = tmp_path / "party" / "gt-metadata.json"
-        content = json.loads(path.read_text())
-        path.write_text(json.dumps({**content, "subtours": list(content["subtours"].values())}))
+def test_two_wearers_share_a_split_and_see_each_other(tmp_path) -> None:
+    two_wearers(tmp_path)
     one, two = (read_recording(found) for found in find_recordings(tmp_path))
     assert [one.recording_id, two.recording_id] == ["party_M1", "party_M2"]
     assert one.split_group == two.split_group == "party_M1"
@@ -159,16 +149,11 @@ def test_poses_of_the_glasses_are_never_bridged_over_more_than_50_ms(readings, t
     assert bool(_recording(tmp_path).gaze.valid[11]) is bridged
 
 
-def _services(folder: Path, part: str, summary: object) -> Path:
-    (folder / "mps" / part).mkdir(parents=True, exist_ok=True)
-    (folder / "mps" / part / "summary.json").write_text(json.dumps(summary))
-    return folder / "mps" / part
-
-
 def test_gaze_of_the_release_comes_first_then_the_personalised_one(folder) -> None:
     gaze = folder / "eyegaze.csv"
     lines = gaze.read_text().splitlines()
-    services = _services(folder, "eye_gaze", {"GazeInference": {"status": "ERROR", "message": "not of this file"}})
+    services = folder / "mps" / "eye_gaze"
+    services.mkdir(parents=True)
 
     def with_pitch(value: str) -> str:
         rows = [line.split(",") for line in lines[1:]]
@@ -179,32 +164,11 @@ def test_gaze_of_the_release_comes_first_then_the_personalised_one(folder) -> No
     (found,) = find_recordings(folder)
     assert read_readings(found).gaze.pitch[0] == 0.0
     gaze.unlink()
-    (services / "summary.json").unlink()
     (found,) = find_recordings(folder)
     assert read_readings(found).gaze.pitch[0] == 0.2
     (services / "personalized_eye_gaze.csv").unlink()
     (found,) = find_recordings(folder)
     assert read_readings(found).gaze.pitch[0] == 0.1
-
-
-def test_gaze_that_its_services_call_an_error_is_refused_and_a_warning_is_passed_on(folder) -> None:
-    services = _services(
-        folder, "eye_gaze", {"version": "3.0", "GazeInference": {"status": "WARNING", "message": "dim"}}
-    )
-    (folder / "eyegaze.csv").rename(services / "general_eye_gaze.csv")
-    assert any("GazeInference warns (dim)" in message for message in _recording(folder).messages)
-    _services(folder, "eye_gaze", {"PreCalibration": [{"status": "SUCCESS"}, {"status": "ERROR", "message": "lost"}]})
-    with pytest.raises(InputFileError, match=r"summary\.json, PreCalibration: .*ERROR \(lost\)"):
-        _recording(folder)
-
-
-def test_a_calibration_that_its_services_call_an_error_is_left_aside(folder, samples) -> None:
-    services = _services(folder, "slam", {"SLAM": {"status": "ERROR", "errors": ["no motion"]}})
-    calibration = samples / "mps/mps_sample/trajectory/online_calibration.jsonl"
-    (services / "online_calibration.jsonl").write_bytes(calibration.read_bytes())
-    recording = _recording(folder)
-    assert any("online calibration is not used" in message and "no motion" in message for message in recording.messages)
-    assert any("DVT-L assumed" in message for message in recording.messages)
 
 
 @pytest.mark.parametrize(

@@ -56,22 +56,6 @@ def test_two_writings_give_the_same_bytes(readings, tmp_path) -> None:
         assert path.read_bytes() == (tmp_path / "second" / path.name).read_bytes(), path.name
 
 
-@pytest.mark.parametrize("version", ["1.0", "1.2"])
-def test_the_older_layout_holds_one_recording_a_pair_of_glasses(performance_for_two, tmp_path, version) -> None:
-    first = replace(_first_seconds(sense(performance_for_two)), concurrent="")
-    second = replace(first, serial=first.skeletons[1].serial)
-    layout.write_v1({"M1292": first, "71292": second}, tmp_path / "Apartment_seq1", version=version)
-    assert (tmp_path / "Apartment_seq1" / ("gt-metadata.json" if version == "1.0" else "metadata.json")).is_file()
-    by_id = {found.recording_id: read_recording(found) for found in find_recordings(tmp_path)}
-    assert list(by_id) == ["Apartment_seq1_71292", "Apartment_seq1_M1292"]
-    assert {recording.split_group for recording in by_id.values()} == {"Apartment_seq1_71292"}
-    wearers = {recording.participant_id for recording in by_id.values()}
-    assert wearers == {performance_for_two.person.participant_id, "S777"}
-    assert all(len(recording.other_people) == 1 for recording in by_id.values())
-    assert all(len(recording.other_people[0].hands) == 4 for recording in by_id.values())
-    assert [f.recording_id for f in find_recordings(tmp_path / "Apartment_seq1")] == list(by_id), "one sequence as root"
-
-
 def test_the_twin_with_the_smaller_id_names_the_split_group(readings, tmp_path) -> None:
     for twin, group in (("A_before", "A_before"), ("Z_after", readings.recording_id)):
         layout.write(replace(readings, concurrent=twin), tmp_path / twin / readings.recording_id)
