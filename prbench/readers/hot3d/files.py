@@ -6,7 +6,7 @@ docs/specification/hot3d.md#usable-recordings.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -16,7 +16,7 @@ import numpy as np
 
 from prbench.datasets import SYNTHETIC_PREFIX
 from prbench.errors import InputFileError
-from prbench.files.bounded import require_size
+from prbench.files.bounded import require_rows, require_size
 from prbench.readers import ReaderOptions, synthetic_tree_around
 from prbench.readers.aria_mps.files import find_mps_files, read_mps
 from prbench.readers.aria_mps.format import GAZE, TIME_COLUMN, TRAJECTORY
@@ -26,7 +26,7 @@ from prbench.readers.egoallo.files import body_extent, find_outputs
 from prbench.readers.egoallo.to_recording import NO_OUTPUTS
 from prbench.readers.extents import SEVERAL_SENSORS, Extent, can_be_looked_at, csv_extent, json_extent
 from prbench.readers.files import decode_json, missing_file, read_columns, read_poses_by_body
-from prbench.readers.found import InputFile, RecordingFiles, existing_folder, input_file, is_present, names_in
+from prbench.readers.found import RecordingFiles, existing_folder, input_file, is_present, names_in
 from prbench.readers.hot3d import format as hot3d
 from prbench.readers.hot3d.format import ObjectMesh
 from prbench.readers.hot3d.hands import read_profile, read_umetrack
@@ -93,12 +93,41 @@ def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingF
             reported when its recording is read, not here.
     """
     root = existing_folder(root, "a folder of HOT3D recordings")
-    found = [
-        _recording(root, path.parent, options)
-        for pattern in ("", "*/", "*/*/")
-        for path in sorted(root.glob(f"{pattern}{hot3d.METADATA_FILE}"))
-        if not any(part.startswith(".") for part in path.relative_to(root).parts) and _is_hot3d(path.parent)
-    ]
+    found = []
+    for path in sorted(path for depth in ("", "*/", "*/*/") for path in root.glob(f"{depth}{hot3d.METADATA_FILE}")):
+        folder = path.parent
+        if any(part.startswith(".") for part in path.relative_to(root).parts):
+            continue
+        try:
+            metadata = decode_json(path, METADATA_DECODER)
+        except InputFileError:
+            # Other datasets call their metadata the same; damaged ones of this dataset lie beside its own files.
+            if not any((folder / _FILES[role]).is_file() for role in (HEADSET, OBJECTS, UMETRACK)):
+                continue
+            metadata = None
+        files = [input_file(METADATA, path)]
+        files += [input_file(role, folder / name) for role, name in _FILES.items() if is_present(folder / name)]
+        files += find_mps_files(folder / hot3d.MPS_FOLDER)
+        # The table of names, and the models of those objects that this recording tracks.
+        bases = dict.fromkeys((root, folder.parent, folder.parent.parent))
+        places = [base / name for base in bases for name in hot3d.LIBRARY_FOLDERS]
+        library = next((place for place in places if is_present(place / hot3d.INSTANCES_FILE)), None)
+        if library is not None:
+            files.append(input_file(INSTANCES, library / hot3d.INSTANCES_FILE))
+            models = [(uid, library / f"{uid}.glb") for uid in _object_ids(folder / hot3d.OBJECTS_FILE)]
+            files += [input_file(f"{MODEL_PREFIX}{uid}", path) for uid, path in models if is_present(path)]
+        files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
+        tree = synthetic_tree_around(folder, root)
+        found.append(
+            RecordingFiles(
+                "hot3d" if tree is None else f"{SYNTHETIC_PREFIX}hot3d",
+                folder.name,
+                folder,
+                tuple(files),
+                split=None if tree is None else tree.split.get(folder.name),
+                skip_reason=None if metadata is None else why_unusable(metadata),
+            )
+        )
     if not found:
         raise InputFileError(
             root,
@@ -110,33 +139,6 @@ def find_recordings(root: Path | str, options: Hot3dOptions) -> tuple[RecordingF
     return tuple(sorted(found, key=lambda recording: recording.recording_id))
 
 
-def _recording(root: Path, folder: Path, options: Hot3dOptions) -> RecordingFiles:
-    tree = synthetic_tree_around(folder, root)
-    files = [input_file(METADATA, folder / hot3d.METADATA_FILE)]
-    files += [input_file(role, folder / name) for role, name in _FILES.items() if is_present(folder / name)]
-    files += find_mps_files(folder / hot3d.MPS_FOLDER)
-    files += _library_files(root, folder)
-    files += find_outputs(root, folder, folder.name, options.poses_root, smplh_model=options.smplh_model)
-    dataset, splits = ("hot3d", {}) if tree is None else (f"{SYNTHETIC_PREFIX}hot3d", tree.split)
-    split = splits.get(folder.name)
-    skip = _skip_reason(folder)
-    return RecordingFiles(dataset, folder.name, folder, tuple(files), split=split, skip_reason=skip)
-
-
-def _library_files(root: Path, folder: Path) -> list[InputFile]:
-    """The table of names, and the models of those objects that this recording tracks."""
-    bases = dict.fromkeys((root, folder.parent, folder.parent.parent))
-    places = [base / name for base in bases for name in hot3d.LIBRARY_FOLDERS]
-    library = next((place for place in places if is_present(place / hot3d.INSTANCES_FILE)), None)
-    if library is None:
-        return []
-    models = [(uid, library / f"{uid}.glb") for uid in _object_ids(folder / hot3d.OBJECTS_FILE)]
-    return [
-        input_file(INSTANCES, library / hot3d.INSTANCES_FILE),
-        *(input_file(f"{MODEL_PREFIX}{uid}", path) for uid, path in models if is_present(path)),
-    ]
-
-
 def _object_ids(path: Path) -> list[str]:
     """Digits only, so that no uid of a file can name a path; none of a missing or damaged file."""
     try:
@@ -146,37 +148,16 @@ def _object_ids(path: Path) -> list[str]:
     return sorted(uid for uid in table[hot3d.OBJECT_ID].unique().to_pylist() if uid.isdecimal())
 
 
-def _skip_reason(folder: Path) -> str | None:
-    try:
-        return why_unusable(decode_json(folder / hot3d.METADATA_FILE, METADATA_DECODER))
-    except InputFileError:
-        return None  # reported when the recording is read
-
-
 def why_unusable(metadata: Metadata) -> str | None:
     """Say why a recording cannot be primed, or None: it needs Aria glasses and poses of objects and hands."""
     if metadata.headset != hot3d.ARIA:
         return f"recorded with {metadata.headset}, which has no gaze; only Aria recordings can be primed"
     status = metadata.gt_available_status
-    missing = [
-        what
-        for what, there in (("objects", status.object_pose_gt), ("hands", status.umetrack_hand_pose_gt))
-        if not there
-    ]
+    truth = {"objects": status.object_pose_gt, "hands": status.umetrack_hand_pose_gt}
+    missing = [what for what, there in truth.items() if not there]
     if missing:
         return f"the dataset withholds the ground truth of {' and '.join(missing)} (a test participant)"
     return None
-
-
-def _is_hot3d(folder: Path) -> bool:
-    """Return True for a recording of this dataset: other datasets call their metadata the same."""
-    if any((folder / name).is_file() for name in (hot3d.HEADSET_FILE, hot3d.OBJECTS_FILE, hot3d.UMETRACK_FILE)):
-        return True
-    try:
-        decode_json(folder / hot3d.METADATA_FILE, METADATA_DECODER)
-    except InputFileError:
-        return False
-    return True
 
 
 def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:  # noqa: ARG001
@@ -185,40 +166,26 @@ def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent,
     Ground truth and glasses have different clocks, which only reading all poses relates. The glasses record from the
     beginning to the end of the ground truth, or longer; so they are at least as long.
     """
-    device = [
-        _device_stream(file) for file in found.files if file.role in (TRAJECTORY, GAZE) and can_be_looked_at(file)
-    ]
-    truth = [_truth_stream(file) for file in found.files if file.role in (HEADSET, OBJECTS, UMETRACK)]
-    masks = [_truth_stream(file) for file in found.files if file.role.startswith(MASK_PREFIX)]
-    return (*_from_start([*truth, *masks]), *_from_start([*device, *body_extent(found)]))
+    device = []
+    truth = []
+    for file in found.files:
+        if file.role in (TRAJECTORY, GAZE) and can_be_looked_at(file):
+            stream = csv_extent("glasses" if file.role == TRAJECTORY else "gaze", file, TIME_COLUMN, 1e-6)
+            device.append(replace(stream, tells_span=False, slack=SEVERAL_SENSORS))
+        elif file.role == UMETRACK:  # hands have no row where none was seen, as at the start of many recordings
+            truth.append(replace(json_extent("hands", file), may_start_late=True))
+        elif file.role in _TRUTH_STREAMS or file.role.startswith(MASK_PREFIX):
+            truth.append(csv_extent(_TRUTH_STREAMS.get(file.role, "mask"), file, hot3d.TIME, 1e-9))
+    streams = []
+    for clock in (truth, [*device, *body_extent(found)]):
+        start = min((stream.first for stream in clock if stream.first is not None), default=0.0)
+        for stream in clock:
+            first, last = (None if time is None else time - start for time in (stream.first, stream.last))
+            streams.append(replace(stream, first=first, last=last))
+    return tuple(streams)
 
 
-def _device_stream(file: InputFile) -> Extent:
-    stream = "glasses" if file.role == TRAJECTORY else "gaze"
-    return replace(csv_extent(stream, file, TIME_COLUMN, 1e-6), tells_span=False, slack=SEVERAL_SENSORS)
-
-
-def _truth_stream(file: InputFile) -> Extent:
-    """Hands have no row where none was seen, as at the start of many recordings."""
-    if file.role == UMETRACK:
-        return replace(json_extent("hands", file), may_start_late=True)
-    stream = {HEADSET: "glasses' ground truth", OBJECTS: "objects"}.get(file.role, "mask")
-    return csv_extent(stream, file, hot3d.TIME, 1e-9)
-
-
-def _from_start(streams: Sequence[Extent]) -> tuple[Extent, ...]:
-    """The same with times since the first of all samples."""
-    start = min((stream.first for stream in streams if stream.first is not None), default=0.0)
-    return tuple(
-        replace(
-            stream,
-            first=None if stream.first is None else stream.first - start,
-            last=None if stream.last is None else stream.last - start,
-        )
-        for stream in streams
-    )
-
-
+_TRUTH_STREAMS = {HEADSET: "glasses' ground truth", OBJECTS: "objects"}
 _METRES = 7
 """Decimals: float32 millimetres carry no more."""
 
@@ -233,14 +200,14 @@ class _Description(msgspec.Struct):
     accessors: list[_Accessor] = []
 
 
-class Instance(msgspec.Struct):
+class _Instance(msgspec.Struct):
     """One entry of ``instance.json``."""
 
     instance_name: str
     instance_type: str
 
 
-_INSTANCES = msgspec.json.Decoder(dict[str, Instance])
+_INSTANCES = msgspec.json.Decoder(dict[str, _Instance])
 
 
 def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], tuple[str, ...]]:
@@ -253,7 +220,7 @@ def read_objects(found: RecordingFiles) -> tuple[tuple[hot3d.Hot3dObject, ...], 
     """
     path = found.require(OBJECTS, hot3d.OBJECTS_FILE)
     rows = _read_pose_rows(path)
-    instances = read_instances(found.require(INSTANCES, f"../assets/{hot3d.INSTANCES_FILE}"))
+    instances = decode_json(found.require(INSTANCES, f"../assets/{hot3d.INSTANCES_FILE}"), _INSTANCES)
     held = [uid for uid in sorted(rows) if uid not in instances or instances[uid].instance_type == hot3d.LIBRARY_OBJECT]
     if not held:
         raise InputFileError(path, hot3d.OBJECT_ID, expected="objects", found="headsets only")
@@ -292,15 +259,6 @@ def _read_pose_rows(path: Path) -> dict[str, hot3d.PoseRows]:
     return {uid: hot3d.PoseRows(*rows) for uid, rows in poses.items()}
 
 
-def read_instances(path: Path) -> dict[str, Instance]:
-    """Names by uid.
-
-    Raises:
-        InputFileError: if the file is missing, damaged or lacks a key.
-    """
-    return decode_json(path, _INSTANCES)
-
-
 def read_glb(path: Path) -> ObjectMesh:
     """Read the triangles of a model in the object's frame, metres: node transforms applied, materials left aside.
 
@@ -324,9 +282,8 @@ def read_glb(path: Path) -> ObjectMesh:
                 found=f"{largest:,}",
                 remedy="Download the object library again.",
             )
-        with open(path, "rb") as file:
-            # Whatever a broken file makes the parser stumble over, the user needs its name.
-            scene = trimesh.load_scene(file, file_type="glb", process=False, skip_materials=True)
+        # Whatever a broken file makes the parser stumble over, the user needs its name.
+        scene = trimesh.load_scene(io.BytesIO(content), file_type="glb", process=False, skip_materials=True)
         mesh = scene.to_mesh()
     except FileNotFoundError as error:
         raise missing_file(path) from error
@@ -346,20 +303,6 @@ def read_glb(path: Path) -> ObjectMesh:
     return ObjectMesh(vertices, np.asarray(mesh.faces, dtype=np.int64))
 
 
-def read_headset(path: Path) -> hot3d.PoseRows:
-    """Poses of the glasses.
-
-    Raises:
-        InputFileError: see :func:`_read_pose_rows`; or if the file holds several headsets.
-    """
-    rows = _read_pose_rows(path)
-    if len(rows) > 1:
-        raise InputFileError(
-            path, hot3d.OBJECT_ID, expected="one headset", found=f"{len(rows)}: {', '.join(sorted(rows)[:3])}"
-        )
-    return next(iter(rows.values()))
-
-
 _TRUTH = {"True": True, "False": False, "true": True, "false": False, "1": True, "0": False}
 
 
@@ -370,13 +313,14 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
         InputFileError: for a missing or damaged file, or a world that is not Z up.
         RecordingUnusable: for a recording of Quest 3, or without ground truth.
     """
-    # The participant, if the recording can be used.
-    path = found.require(METADATA, hot3d.METADATA_FILE)
-    metadata = decode_json(path, METADATA_DECODER)
+    metadata = decode_json(found.require(METADATA, hot3d.METADATA_FILE), METADATA_DECODER)
     found.require_usable(why_unusable(metadata))
-    participant_id = metadata.participant_id
     objects, remarks = read_objects(found)
-    headset = read_headset(found.require(HEADSET, hot3d.HEADSET_FILE))
+    path = found.require(HEADSET, hot3d.HEADSET_FILE)
+    headsets = _read_pose_rows(path)
+    if len(headsets) > 1:
+        names = f"{len(headsets)}: {', '.join(sorted(headsets)[:3])}"
+        raise InputFileError(path, hot3d.OBJECT_ID, expected="one headset", found=names)
     hands, hand_remarks = read_umetrack(found.require(UMETRACK, hot3d.UMETRACK_FILE))
     profile = found.path(PROFILE)
     # Those masks that curation honours and the recording has.
@@ -386,12 +330,20 @@ def read_readings(found: RecordingFiles) -> hot3d.Hot3dReadings:
         if path is not None:
             masks[name] = read_mask(path)
     mps = read_mps(found, thin=False)
-    _require_z_up(found, mps.trajectory.up)
+    up = mps.trajectory.up
+    if np.linalg.norm(up - np.array([0.0, 0.0, 1.0])) > 1e-3:
+        raise InputFileError(
+            found.folder / hot3d.MPS_FOLDER,
+            "gravity columns of the trajectory",
+            expected="gravity along -Z (HOT3D's world is Z up)",
+            found=f"up = {(np.round(up, 3) + 0.0).tolist()}",
+            remedy="This trajectory belongs to another dataset; download the recording's own.",
+        )
     body = read_bodies(found, cpf=mps_streams(mps, world_from_source=np.eye(4)).head)
     return hot3d.Hot3dReadings(
         recording_id=found.recording_id,
-        participant_id=participant_id,
-        headset=headset,
+        participant_id=metadata.participant_id,
+        headset=next(iter(headsets.values())),
         objects=objects,
         hands=hands,
         hand_model=None if profile is None else read_profile(profile),
@@ -411,21 +363,7 @@ def read_mask(path: Path) -> hot3d.MaskRows:
     table = read_columns(path, {hot3d.TIME: int, hot3d.STREAM: str, hot3d.MASK: str})
     values = table[hot3d.MASK].to_numpy()
     streams = table[hot3d.STREAM].to_numpy()
-    unknown = np.flatnonzero(~np.isin(values, list(_TRUTH)))
-    if len(unknown):
-        row = int(unknown[0])
-        raise InputFileError(path, f"line {row + 2}", expected="True or False", found=f"'{values[row]}'")
+    require_rows(path, ~np.isin(values, list(_TRUTH)), "True or False", lambda row: f"'{values[row]}'")
     rgb = streams == hot3d.RGB_STREAM
     time_ns, first = np.unique(table[hot3d.TIME].to_numpy()[rgb], return_index=True)
     return hot3d.MaskRows(time_ns, np.isin(values[rgb], [text for text, good in _TRUTH.items() if good])[first])
-
-
-def _require_z_up(found: RecordingFiles, up: np.ndarray) -> None:
-    if np.linalg.norm(up - np.array([0.0, 0.0, 1.0])) > 1e-3:
-        raise InputFileError(
-            found.folder / hot3d.MPS_FOLDER,
-            "gravity columns of the trajectory",
-            expected="gravity along -Z (HOT3D's world is Z up)",
-            found=f"up = {(np.round(up, 3) + 0.0).tolist()}",
-            remedy="This trajectory belongs to another dataset; download the recording's own.",
-        )

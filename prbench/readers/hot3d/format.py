@@ -103,16 +103,6 @@ class HandRows:
 
 
 @dataclass(frozen=True)
-class HandPoints:
-    """One hand over time: wrist and mesh, world."""
-
-    side: Side
-    time_ns: Int[np.ndarray, " n"]
-    wrist: Float[np.ndarray, "n 3"]
-    vertices: Float[np.ndarray, "n v 3"]
-
-
-@dataclass(frozen=True)
 class MaskRows:
     """One mask of the RGB stream."""
 
@@ -129,10 +119,12 @@ class HandModel:
     """Share of each bone in each vertex; rows sum to 1."""
     joint_positions: Float[np.ndarray, "22 3"]
     joint_axes: Float[np.ndarray, "22 3"]
-    landmarks: Float[np.ndarray, "21 3"]
-    """Finger tips thumb to little, wrist, two of the thumb, three a finger, palm."""
-    landmark_weights: Float[np.ndarray, "21 17"]
-    triangles: Int[np.ndarray, "f 3"]
+    landmarks: Float[np.ndarray, "21 3"] | None = None
+    """Finger tips thumb to little, wrist, two of the thumb, three a finger, palm; not read, only written."""
+    landmark_weights: Float[np.ndarray, "21 17"] | None = None
+    """Likewise."""
+    triangles: Int[np.ndarray, "f 3"] | None = None
+    """Likewise."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -30,15 +29,13 @@ _QUATERNION_TOLERANCE = 1e-3
 _FARTHEST = 1.0  # metres from the wrist, many times as long as a hand
 
 
-class Wrist(msgspec.Struct):
-    """Pose of a wrist in either kind of file."""
-
+class _Wrist(msgspec.Struct):
     t_xyz: tuple[float, float, float]
     q_wxyz: tuple[float, float, float, float]
 
 
 class _UmeTrackHand(msgspec.Struct):
-    wrist_xform: Wrist
+    wrist_xform: _Wrist
     joint_angles: tuple[float, ...]
 
 
@@ -52,13 +49,9 @@ _UMETRACK_DECODER = msgspec.json.Decoder(_UmeTrackLine)
 
 class _Model(msgspec.Struct):
     mesh_vertices: list[tuple[float, float, float]]
-    mesh_triangles: list[tuple[float, float, float]]
     dense_bone_weights: list[list[float]]
     joint_rest_positions: list[tuple[float, float, float]]
     joint_rotation_axes: list[tuple[float, float, float]]
-    landmark_rest_positions: list[tuple[float, float, float]]
-    landmark_rest_bone_indices: list[tuple[int, int, int]]
-    landmark_rest_bone_weights: list[tuple[float, float, float]]
 
 
 class _Profile(msgspec.Struct):
@@ -75,9 +68,13 @@ def bone_transforms(model: hot3d.HandModel, angles: Float[np.ndarray, "n 22"]) -
         model: Joints and axes.
         angles: Radians; the first 20 count.
     """
-    turned = [
-        _about(model.joint_axes[joint], model.joint_positions[joint], angles[:, joint]) for joint in range(N_ANGLES)
-    ]
+    turned = []
+    for axis, point, angle in zip(model.joint_axes, model.joint_positions, angles.T[:N_ANGLES]):
+        # A rotation about an axis through a point.
+        transform = np.tile(np.eye(4), (len(angles), 1, 1))
+        transform[:, :3, :3] = Rotation.from_rotvec(angle[:, None] * axis).as_matrix()
+        transform[:, :3, 3] = point - transform[:, :3, :3] @ point
+        turned.append(transform)
     # Root and wrist: neither moves in the frame of the wrist.
     bones = [np.broadcast_to(np.eye(4), (len(angles), 4, 4))] * 2
     for finger in range(_N_FINGERS):
@@ -88,16 +85,6 @@ def bone_transforms(model: hot3d.HandModel, angles: Float[np.ndarray, "n 22"]) -
             bone = bone @ turned[joint]
             bones.append(bone)
     return np.stack(bones, axis=1)
-
-
-def _about(
-    axis: Float[np.ndarray, "3"], point: Float[np.ndarray, "3"], angles: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "n 4 4"]:
-    """Rotations about an axis through a point."""
-    transform = np.tile(np.eye(4), (len(angles), 1, 1))
-    transform[:, :3, :3] = Rotation.from_rotvec(angles[:, None] * axis).as_matrix()
-    transform[:, :3, 3] = point - transform[:, :3, :3] @ point
-    return transform
 
 
 def pose_points(
@@ -136,38 +123,14 @@ def read_umetrack(path: Path) -> tuple[tuple[hot3d.HandRows, ...], tuple[str, ..
     Raises:
         InputFileError: if the file is missing or holds no line at all, a pose is no pose, or time runs backwards.
     """
-    lines, remarks = read_lines(path, _UMETRACK_DECODER)
-    hands = []
-    for side in hot3d.HAND_KEYS:
-        key = hot3d.HAND_KEYS[side]
-        rows = [(line.timestamp_ns, line.hand_poses[key]) for line in lines if key in line.hand_poses]
-        angles = np.zeros((len(rows), N_JOINTS))
-        for row, (time, hand) in enumerate(rows):
-            count = min(len(hand.joint_angles), N_JOINTS)
-            if count < N_ANGLES:
-                raise InputFileError(
-                    path, f"hand {key} at {time} ns", expected=f"{N_ANGLES} joint angles", found=str(count)
-                )
-            angles[row, :count] = hand.joint_angles[:count]
-        wrists = [(time, hand.wrist_xform) for time, hand in rows]
-        hands.append(hand_rows(path, side, wrists, angles))
-    return tuple(hands), remarks
-
-
-def read_lines(path: Path, decoder: msgspec.json.Decoder[Any]) -> tuple[list[Any], tuple[str, ...]]:
-    """Records of a file of JSON lines in the order of time, and a remark on those that do not parse.
-
-    Raises:
-        InputFileError: if the file is missing, no line parses, or time runs backwards.
-    """
-    records = []
+    lines = []
     bad = 0
     for _, line in text_lines(path):
         try:
-            records.append(decoder.decode(line))
+            lines.append(_UMETRACK_DECODER.decode(line))
         except (msgspec.DecodeError, UnicodeDecodeError):
             bad += 1
-    if not records:
+    if not lines:
         raise InputFileError(
             path,
             "",
@@ -175,33 +138,36 @@ def read_lines(path: Path, decoder: msgspec.json.Decoder[Any]) -> tuple[list[Any
             found=f"{bad} lines that are none" if bad else "an empty file",
             remedy="metadata.json says that this ground truth is there; download the recording again.",
         )
-    times = np.array([record.timestamp_ns for record in records], dtype=np.int64)
+    times = np.array([line.timestamp_ns for line in lines], dtype=np.int64)
     require_increasing(path, times, unit="ns", place="record", first=1)
-    return records, (f"{bad} of {bad + len(records)} lines of {path.name} are damaged and left out",) if bad else ()
-
-
-def hand_rows(path: Path, side: Any, wrists: list[tuple[int, Any]], angles: np.ndarray) -> hot3d.HandRows:
-    """Rows of one hand, checked.
-
-    Raises:
-        InputFileError: for a pose that is no pose.
-    """
-    time_ns = np.array([time for time, _ in wrists], dtype=np.int64)
-    position = np.array([wrist.t_xyz for _, wrist in wrists], dtype=np.float64).reshape(-1, 3)
-    rotation = np.array([wrist.q_wxyz for _, wrist in wrists], dtype=np.float64).reshape(-1, 4)
-    length = np.linalg.norm(rotation, axis=1)
-    bad = ~(np.isfinite(position).all(axis=1) & np.isfinite(angles).all(axis=1))
-    bad |= ~(np.abs(length - 1) <= _QUATERNION_TOLERANCE)
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise InputFileError(
-            path,
-            f"{side} hand at {time_ns[row]} ns",
-            expected="finite numbers and a quaternion of length 1",
-            found=f"position {position[row].tolist()}, quaternion of length {length[row]:.4f}",
-            remedy="Remove the line, or download the file again.",
-        )
-    return hot3d.HandRows(side, time_ns, position, rotation, angles)
+    hands = []
+    for side, key in hot3d.HAND_KEYS.items():
+        rows = np.array([row for row, line in enumerate(lines) if key in line.hand_poses], dtype=np.int64)
+        poses = [lines[row].hand_poses[key] for row in rows]
+        time_ns = times[rows]
+        position = np.array([pose.wrist_xform.t_xyz for pose in poses], dtype=np.float64).reshape(-1, 3)
+        rotation = np.array([pose.wrist_xform.q_wxyz for pose in poses], dtype=np.float64).reshape(-1, 4)
+        angles = np.zeros((len(poses), N_JOINTS))
+        for row, pose in enumerate(poses):
+            count = min(len(pose.joint_angles), N_JOINTS)
+            angles[row, :count] = pose.joint_angles[:count]
+            angles[row, :N_ANGLES][count:] = np.nan
+        length = np.linalg.norm(rotation, axis=1)
+        wrong = ~(np.isfinite(position).all(axis=1) & np.isfinite(angles).all(axis=1))
+        wrong |= ~(np.abs(length - 1) <= _QUATERNION_TOLERANCE)
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise InputFileError(
+                path,
+                f"{side} hand at {time_ns[row]} ns",
+                expected=f"finite numbers, {N_ANGLES} joint angles and a quaternion of length 1",
+                found=f"position {position[row].tolist()}, quaternion of length {length[row]:.4f},"
+                f" {len(poses[row].joint_angles)} angles",
+                remedy="Remove the line, or download the file again.",
+            )
+        hands.append(hot3d.HandRows(side, time_ns, position, rotation, angles))
+    remarks = (f"{bad} of {bad + len(lines)} lines of {path.name} are damaged and left out",) if bad else ()
+    return tuple(hands), remarks
 
 
 def read_profile(path: Path) -> hot3d.HandModel:
@@ -219,49 +185,22 @@ def read_profile(path: Path) -> hot3d.HandModel:
                 expected=f"{N_BONES} numbers that sum to 1",
                 found=f"{len(weights)} that sum to {sum(weights):g}",
             )
-    weights = np.array(model.dense_bone_weights, dtype=np.float64).reshape(-1, N_BONES)
-    shapes = {
-        "dense_bone_weights": ((len(weights),), (max(len(model.mesh_vertices), 1),)),
-        "joint_rest_positions": ((len(model.joint_rest_positions),), (N_JOINTS,)),
-        "joint_rotation_axes": ((len(model.joint_rotation_axes),), (N_JOINTS,)),
-        "landmark_rest_positions": ((len(model.landmark_rest_positions),), (N_LANDMARKS,)),
-    }
-    for name, (found, expected) in shapes.items():
-        if found != expected:
-            raise InputFileError(path, name, expected=f"the shape {expected}", found=f"{found}")
-    # Refuse points far from any hand, and indices of bones or vertices that there are not.
-    for name in ("mesh_vertices", "joint_rest_positions", "joint_rotation_axes", "landmark_rest_positions"):
-        if not (np.abs(np.array(getattr(model, name))) * METRES_A_UNIT <= _FARTHEST).all():
-            raise InputFileError(path, name, expected=f"points within {_FARTHEST:g} m of the wrist", found="others")
-    for name, among in (
-        ("landmark_rest_bone_indices", N_BONES),
-        ("mesh_triangles", len(model.mesh_vertices)),
+    vertices = max(len(model.mesh_vertices), 1)
+    for name, rows in (
+        ("dense_bone_weights", vertices),
+        ("mesh_vertices", vertices),
+        ("joint_rest_positions", N_JOINTS),
+        ("joint_rotation_axes", N_JOINTS),
     ):
-        indices = np.array(getattr(model, name), dtype=np.float64)
-        if not ((indices >= 0) & (indices < among)).all():
-            raise InputFileError(path, name, expected=f"indices from 0 to {among - 1}", found="others")
-    landmarks = len(model.landmark_rest_bone_indices), len(model.landmark_rest_bone_weights)
-    if landmarks != (N_LANDMARKS, N_LANDMARKS):
-        raise InputFileError(
-            path,
-            "landmark_rest_bone_indices",
-            expected=f"{N_LANDMARKS} of them and as many weights",
-            found=f"{landmarks[0]} and {landmarks[1]}",
-        )
+        found = getattr(model, name)
+        if len(found) != rows:
+            raise InputFileError(path, name, expected=f"{rows} rows", found=str(len(found)))
+        # Points far from any hand are refused; weights and axes are far smaller.
+        if not (np.abs(np.array(found)) * METRES_A_UNIT <= _FARTHEST).all():
+            raise InputFileError(path, name, expected=f"points within {_FARTHEST:g} m of the wrist", found="others")
     return hot3d.HandModel(
         vertices=np.array(model.mesh_vertices) * METRES_A_UNIT,
-        weights=weights,
+        weights=np.array(model.dense_bone_weights, dtype=np.float64),
         joint_positions=np.array(model.joint_rest_positions) * METRES_A_UNIT,
         joint_axes=np.array(model.joint_rotation_axes),
-        landmarks=np.array(model.landmark_rest_positions) * METRES_A_UNIT,
-        landmark_weights=_dense(model.landmark_rest_bone_indices, model.landmark_rest_bone_weights),
-        triangles=np.array(model.mesh_triangles, dtype=np.int64).reshape(-1, 3),
     )
-
-
-def _dense(bones: list[tuple[int, int, int]], weights: list[tuple[float, float, float]]) -> np.ndarray:
-    """Weights of all bones from (index, weight) triples; an index may stand there several times."""
-    dense = np.zeros((len(bones), N_BONES))
-    rows = np.repeat(np.arange(len(bones)), 3)
-    np.add.at(dense, (rows, np.array(bones).ravel()), np.array(weights, dtype=np.float64).ravel())
-    return dense

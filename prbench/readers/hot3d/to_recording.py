@@ -321,36 +321,36 @@ def hand_streams(
         readings: The recording.
         good: Tells which times can be used.
     """
-    posed = [umetrack_points(rows, readings.hand_model) for rows in readings.hands]
     streams = []
-    for hand in posed:
-        if len(hand.time_ns) == 0:
+    remarks = []
+    for rows in readings.hands:
+        time_ns, wrist, vertices = umetrack_points(rows, readings.hand_model)
+        if len(time_ns) == 0:
+            remarks.append(f"the {rows.side} hand is never tracked")
             continue
-        times = hand.time_ns / 1e9
-        valid = good(hand.time_ns)
-        streams.append(HandStream(hand.side, "wrist", times, y_up(hand.wrist)[:, None], valid))
-        if hand.vertices.shape[1]:
-            points = y_up(hand.vertices).astype(np.float32)
-            streams.append(HandStream(hand.side, "hand_vertex", times, points, valid))
-    remarks = [f"the {hand.side} hand is never tracked" for hand in posed if len(hand.time_ns) == 0]
-    if any(len(hand.time_ns) and hand.vertices.shape[1] == 0 for hand in posed):
+        times = time_ns / 1e9
+        valid = good(time_ns)
+        streams.append(HandStream(rows.side, "wrist", times, y_up(wrist)[:, None], valid))
+        if vertices.shape[1]:
+            streams.append(HandStream(rows.side, "hand_vertex", times, y_up(vertices).astype(np.float32), valid))
+    if streams and readings.hand_model is None:
         remarks.append(f"no {hot3d.PROFILE_FILE}: hands are wrists only; the in-hand rule `wrist` needs no more")
     return tuple(streams), tuple(remarks)
 
 
-def umetrack_points(rows: hot3d.HandRows, model: hot3d.HandModel | None) -> hot3d.HandPoints:
-    """One hand, one row an instant; without a model no vertices. Source world, metres."""
+def umetrack_points(
+    rows: hot3d.HandRows, model: hot3d.HandModel | None
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n v 3"]]:
+    """Times, wrist and vertices of one hand, one row an instant; without a model no vertices. Source world, metres."""
     kept = hot3d.first_of_pairs(rows.time_ns)
     position = rows.position[kept]
-    rotation = rows.rotation[kept]
-    if model is None or not kept.any():
-        vertices = np.empty((int(kept.sum()), 0, 3))
-    else:
+    vertices = np.empty((int(kept.sum()), 0, 3))
+    if model is not None and kept.any():
         bones = umetrack.bone_transforms(model, rows.angles[kept])
         vertices = umetrack.pose_points(
-            model.vertices, model.weights, bones, position, rotation, mirrored=rows.side == "right"
+            model.vertices, model.weights, bones, position, rows.rotation[kept], mirrored=rows.side == "right"
         )
-    return hot3d.HandPoints(rows.side, rows.time_ns[kept], position, vertices)
+    return rows.time_ns[kept], position, vertices
 
 
 def object_track(
@@ -370,6 +370,9 @@ def object_track(
     # An invalid sample in the middle of a gap keeps everybody from interpolating across it.
     gaps = np.flatnonzero(np.diff(times) > longest_gap)
     vertices = np.zeros((1, 3)) if entry.mesh is None else entry.mesh.vertices
+    surface = None
+    if meshes and entry.mesh is not None:
+        surface = Occluder(entry.name, vertices, entry.mesh.faces, entry.object_id)
     return ObjectTrack(
         object_id=entry.object_id,
         name=entry.name,
@@ -381,11 +384,5 @@ def object_track(
         box_min=vertices.min(axis=0),
         box_max=vertices.max(axis=0),
         movable=True,
-        surface=_occluder(entry) if meshes else None,
+        surface=surface,
     )
-
-
-def _occluder(entry: hot3d.Hot3dObject) -> Occluder | None:
-    if entry.mesh is None:
-        return None
-    return Occluder(entry.name, entry.mesh.vertices, entry.mesh.faces, entry.object_id)

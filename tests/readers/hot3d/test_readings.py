@@ -210,7 +210,7 @@ def test_a_hand_that_is_never_there_is_said_and_the_other_read(folder, tree) -> 
     ("change", "said"),
     [
         (lambda hand: hand["wrist_xform"].update(q_wxyz=[2.0, 0, 0, 0]), "quaternion of length 2.0"),
-        (lambda hand: hand.update(joint_angles=[0.0] * 19), "20 joint angles, found 19"),
+        (lambda hand: hand.update(joint_angles=[0.0] * 19), "20 joint angles.*19 angles"),
     ],
 )
 def test_a_damaged_hand_is_refused(folder, tree, change, said) -> None:

@@ -18,7 +18,6 @@ from prbench.readers import reader_for
 from prbench.readers.aria_mps.files import read_gaze_angles
 from prbench.readers.hot3d import Hot3dOptions, find_recordings, read_readings
 from prbench.readers.hot3d import format as hot3d
-from prbench.readers.hot3d import hands as umetrack
 from prbench.readers.hot3d.files import read_glb
 from prbench.readers.hot3d.to_recording import match_clocks, object_track, recording_from_hot3d, umetrack_points
 from prbench.recording import ObjectTrack, Recording
@@ -115,20 +114,13 @@ def test_wrists(readings, reference_values) -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_hand_vertices_and_landmarks(readings, reference_values, side) -> None:
+def test_hand_vertices(readings, reference_values, side) -> None:
     expect = reference_values[f"hot3d-handmesh-0-{side}"]["expect"]
     rows, model = readings.hands[SIDES[side]], readings.hand_model
-    points = umetrack_points(rows, model)
-    vertices = points.vertices[0]
+    vertices = umetrack_points(rows, model)[2][0]
     assert len(vertices) == expect["vertices"]
     assert vertices[0] == pytest.approx(expect["vertex_0"], abs=1e-6)
     assert vertices.mean(axis=0) == pytest.approx(expect["vertex_mean"], abs=1e-6)
-    bones = umetrack.bone_transforms(model, rows.angles[:1])
-    landmarks = umetrack.pose_points(
-        model.landmarks, model.landmark_weights, bones, rows.position[:1], rows.rotation[:1], mirrored=side == "Right"
-    )[0]
-    assert landmarks[umetrack.WRIST_LANDMARK] == pytest.approx(expect["landmark_5"], abs=1e-6)
-    assert landmarks[umetrack.PALM_LANDMARK] == pytest.approx(expect["landmark_20"], abs=1e-6)
     distance = {
         entry.name: np.linalg.norm(vertices - entry.rows.position[0], axis=1).min() for entry in readings.objects
     }

@@ -158,10 +158,10 @@ def test_without_a_profile_hands_are_wrists(readings) -> None:
 
 def test_vertices_belong_to_the_row_that_is_kept(readings) -> None:
     rows = readings.hands[0]
-    points = umetrack_points(rows, readings.hand_model)
-    assert np.array_equal(points.time_ns, rows.time_ns[::2])
-    assert np.array_equal(points.wrist, rows.position[::2])
-    assert np.linalg.norm(points.vertices - points.wrist[:, None], axis=2).max() < 0.25
+    time_ns, wrist, vertices = umetrack_points(rows, readings.hand_model)
+    assert np.array_equal(time_ns, rows.time_ns[::2])
+    assert np.array_equal(wrist, rows.position[::2])
+    assert np.linalg.norm(vertices - wrist[:, None], axis=2).max() < 0.25
 
 
 def test_quality_masks_and_rows_need_not_share_their_times(readings) -> None:

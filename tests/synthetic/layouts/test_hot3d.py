@@ -52,7 +52,8 @@ def test_files_and_memory_give_the_same_recording_bit_for_bit(readings, tree) ->
 
 def test_readings_survive_the_text(readings, tree) -> None:
     back = read_readings(find_recordings(tree, READER.options)[0])
-    assert list(differences(back, replace(readings, egoallo_outputs=()))) == []
+    hand = replace(readings.hand_model, landmarks=None, landmark_weights=None, triangles=None)  # written, not read
+    assert list(differences(back, replace(readings, egoallo_outputs=(), hand_model=hand))) == []
 
 
 def test_two_writings_give_the_same_bytes(tmp_path) -> None:
