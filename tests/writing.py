@@ -64,7 +64,9 @@ class Inputs:
 
 
 def _make_for_heavy(made: Inputs) -> None:
-    run(made.folder, "synthesize", "hd-epic", "--count", 1, "--events", 4, "--out", made.hdepic)
+    native = made.folder / "hd-epic"
+    run(made.folder, "synthesize", "hd-epic", "--count", 1, "--events", 4, "--out", native)
+    run(made.folder, "build-dataset", "hd-epic", "--root", native, "--out", made.hdepic)
     run(made.folder, "build-corpus", "synthetic", "--count", 4, "--out", made.corpus)
     configured = ("--config", "smoke", "--set", "training.steps=2")
     run(made.folder, "train", "--method", "t2m-evaluator", *configured, "--data", made.corpus, "--out", made.evaluator)
@@ -393,7 +395,7 @@ WRITING = (
     ),
     Writing(
         "validate --out",
-        lambda given, out: ("validate", "hd-epic", "--root", given.hdepic, "--max-recordings", 1, "--out", out),
+        lambda given, out: ("validate", "hd-epic", "--data", given.hdepic, "--out", out),
         "v.json",
     ),
     Writing(

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 import click
 
 from prbench.cli import options as opt
-from prbench.cli.builds import NOT_EVERYTHING
 from prbench.cli.commands import Answer, SeveralValues, command, note, progress
 from prbench.cli.terminal import print_table
 
@@ -175,52 +174,23 @@ def _print_tables(tables: tuple[InspectedTable, ...]) -> None:
 
 @command(
     "validate",
-    example="prbench validate hd-epic --root /data/HD --workers 4",
+    example="prbench validate hd-epic --data tables/hd-epic",
     report="prbench.checking.hd_epic:Validation",
     writes_report=True,
 )
 @click.argument("dataset", type=click.Choice(["hd-epic"]))
-@opt.root_option("Your copy of the dataset: both ways of priming.", required=False)
-@click.option(
-    "--data", type=opt.PATH, metavar="DIR", help="A table of it that was built by the rule, in place of --root."
-)
-@opt.recordings_options
-@opt.reader_options(remark="with --root")
-@opt.workers_option()
-def validate(
-    *,
-    dataset: str,
-    root: Path | None,
-    data: Path | None,
-    recordings: str,
-    max_recordings: int | None,
-    options: tuple[tuple[str, str], ...],
-    workers: int,
-) -> Answer:
-    """Compare a dataset's own priming results with the rule, and its counts with the study's.
-
-    Either --root or --data is needed.
-    """
-    from prbench.checking.hd_epic import validate_build, validate_root
-    from prbench.curation.options import BuildOptions
-    from prbench.engine import engine_for
-    from prbench.errors import UsageError
+@click.option("--data", type=opt.PATH, metavar="DIR", required=True, help="A table of it that was built by the rule.")
+def validate(*, dataset: str, data: Path) -> Answer:
+    """Compare a dataset's own priming results with the rule."""
+    from prbench.checking.hd_epic import validate_build
 
     assert dataset == "hd-epic", "the only choice"
-    if data is not None and root is None:
-        validation = validate_build(data)
-    elif root is not None and data is None:
-        chosen = BuildOptions(recordings=recordings, limit=max_recordings, reader=tuple(sorted(dict(options).items())))
-        validation = validate_root(root, options=chosen, engine=engine_for(workers))
-    else:
-        raise UsageError("expected either --root DIR, your copy of the dataset, or --data DIR, a table of it.")
-    for message in validation.failed:
-        note(f"failed: {message}")
-    return Answer(validation, lambda: _print(validation), NOT_EVERYTHING if validation.failed else 0)
+    validation = validate_build(data)
+    return Answer(validation, lambda: _print(validation))
 
 
 def _print(validation: Validation) -> None:
-    from prbench.checking.hd_epic import PUBLISHED_OUTCOMES, RULE_OUTCOMES, shares_of
+    from prbench.checking.hd_epic import RULE_OUTCOMES
 
     if validation.synthetic:
         print("synthetic videos, with priming results that an invented pipeline published")
@@ -228,16 +198,17 @@ def _print(validation: Validation) -> None:
         "published priming (rows) and the rule (columns): events",
         ("action", "published", *RULE_OUTCOMES),
         [
-            (each.action, published, *(str(each.count(published, rule=(rule,))) for rule in RULE_OUTCOMES))
+            (each.action, published, *map(str, by_rule.values()))
             for each in validation.agreements
-            for published in PUBLISHED_OUTCOMES
+            for published, by_rule in each.counts.items()
         ],
         numbers=(2, 3, 4),
     )
     rows = []
     for each in validation.agreements:
-        tested, primed = shares_of(each, validation)
-        gaps = [f"{gap.mean:.2f} ± {gap.sd:.2f}" for gap in (each.published_gaps, each.rule_gaps)]
+        told = validation.published_shares.get(each.action)
+        tested, primed = ("", "") if told is None else (f"{share:.1%}" for share in told)
+        gaps = [f"{mean:.2f} ± {sd:.2f}" for mean, sd in (each.published_gap, each.rule_gap)]
         ours = [f"{share:.1%}" for share in (each.tested_share, each.primed_share, each.agreement)]
         rows.append((each.action, ours[0], tested, ours[1], primed, ours[2], *gaps))
     print_table(
@@ -257,14 +228,6 @@ def _print(validation: Validation) -> None:
         rows,
         numbers=range(1, 6),
     )
-    print_table(
-        "from movements to sequences",
-        ("stage", "rule", "published priming", "published count"),
-        [(line.stage, line.rule, line.published_priming, line.reference) for line in validation.funnel],
-        numbers=(1, 2, 3),
-    )
-    for remark in validation.remarks:
-        print(f"[{remark.kind}] {remark.text}")
 
 
 @command(

@@ -22,9 +22,7 @@ def test_commands_that_count_the_same_explain_it_in_the_same_words() -> None:
     assert sequences == {
         "At most N sequences of each dataset, of every recording its share, for every command the same"
     }
-    recordings = {
-        explained(name, "--max-recordings") for name in ("build-dataset", "build-corpus", "poses", "validate")
-    }
+    recordings = {explained(name, "--max-recordings") for name in ("build-dataset", "build-corpus", "poses")}
     assert recordings == {"At most N recordings: the first by name."}
 
 
