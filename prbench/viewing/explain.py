@@ -73,12 +73,6 @@ class EventStory:
     dataset: str
     split: str
     stages: tuple[StoryStage, ...]
-    neighbours: tuple[Event, ...]
-    """Other events of the recording, by time: those around it, and those of the same object."""
-    priming_window: float
-    """Seconds before the event in which a look counts."""
-    lead: float
-    """Seconds before the prime at which a sequence begins."""
     motion: StoryMotion | None
     """None unless it became a sequence, and where the dataset's licence keeps recorded motion out of views."""
     notice: str = ""
@@ -102,15 +96,7 @@ class EventStory:
             "",
             *(f"  {_MARKS[s.verdict]} {s.name:<{width}}  {s.text or s.verdict}" for s in self.stages),
         ]
-        if self.neighbours:
-            lines += ["", "other events around it, and of the same object:"]
-            lines += [f"  {self._beside(other)}" for other in self.neighbours]
         return "\n".join(map(clean, lines))
-
-    def _beside(self, other: Event) -> str:
-        same = " (same object)" if other.object_id == self.event.object_id else ""
-        difference = other.event_time - self.event.event_time
-        return f"{difference:+9.2f} s  {other.action:<4} {other.object_name}{same}: {other.outcome}  {other.event_id}"
 
 
 def draw_event_story(story: EventStory, path: Path) -> None:
@@ -119,60 +105,26 @@ def draw_event_story(story: EventStory, path: Path) -> None:
     Raises:
         StorageError: if it cannot be written.
     """
-    heights = [2.0, 1.9] if story.motion is None else [2.0, 1.9, 3.4, 2.8]
+    heights = [2.0] if story.motion is None else [2.0, 3.4, 2.8]
     figure = new_figure(_WIDTH, sum(heights) + 0.4, layout="constrained")
-    axes = figure.subplots(len(heights), 1, height_ratios=heights)
+    axes = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     notice = f"\n{story.notice}" if story.notice else ""
     title = f"{clean(story.title)}: {clean(story.event.outcome)}\n{clean(story.event.event_id)}{notice}"
     figure.suptitle(figure_text(title), fontsize=10)
-    _write_stages(axes[0], story)
-    _draw_timeline(axes[1], story)
-    if story.motion is not None:
-        _draw_figures(axes[2], story, story.motion)
-        _draw_distances(axes[3], story, story.motion)
-    write_png(figure, path)
-
-
-def _write_stages(axes: Axes, story: EventStory) -> None:
-    """Write each stage's verdict and numbers, line by line."""
-    axes.set_axis_off()
+    # Each stage's verdict and numbers, line by line.
+    axes[0].set_axis_off()
     colours = {"passed": "tab:green", "stopped here": "tab:red", "not reached": "0.6"}
     for number, stage in enumerate(story.stages):
         height = 1.0 - (number + 0.5) / len(story.stages)
         colour = colours[stage.verdict]
-        place = {"transform": axes.transAxes, "va": "center", "fontsize": 9}
-        axes.text(0.0, height, stage.name, weight="bold", color=colour, **place)
-        axes.text(0.07, height, stage.verdict, color=colour, **place)
-        axes.text(0.16, height, figure_text(stage.text), **place)
-
-
-def _draw_timeline(axes: Axes, story: EventStory) -> None:
-    """Draw window, sequence, prime and event, with the neighbouring events; seconds from the event."""
-    event = story.event
-    axes.axvspan(-story.priming_window, 0, color="0.93", label=f"a look counts ({story.priming_window:g} s)")
-    if event.prime_time is not None:
-        prime = event.prime_time - event.event_time
-        axes.axvspan(
-            prime - story.lead, 0, ymin=0.05, ymax=0.25, color="tab:green", alpha=0.25, label="from lead to event"
-        )
-        axes.axvline(prime, color=_PRIME, label=figure_text(f"prime ({(event.prime_kind or '').replace('_', ' ')})"))
-    axes.axvline(0, color=_EVENT, linewidth=1.5, label=figure_text(event.action))
-    # A prime at the very beginning of the window still has its lead in the picture.
-    first = -story.priming_window - story.lead - 1
-    last = 5.0
-    shown = [other for other in story.neighbours if first <= other.event_time - event.event_time <= last]
-    for number, other in enumerate(shown):
-        time = other.event_time - event.event_time
-        height = (0.37, 0.52, 0.67)[number % 3]  # neighbours in time would cover one another's labels
-        colour = "tab:green" if other.outcome == "sequence" else "tab:gray"
-        axes.plot(time, height, "v" if other.action == "put" else "^", color=colour)
-        name = other.object_name + (" (same)" if other.object_id == event.object_id else "")
-        # Labels near the right edge are written to the left of their mark, or they would leave the picture.
-        side = {"ha": "right", "xytext": (-6, 0)} if time > last - 3 else {"ha": "left", "xytext": (6, 0)}
-        label = figure_text(f"{other.action} {name}: {other.outcome}")
-        axes.annotate(label, (time, height), fontsize=7, va="center", color=colour, textcoords="offset points", **side)
-    axes.set(xlim=(first, last), ylim=(0, 1), yticks=[], xlabel="seconds from the event")
-    axes.legend(loc="upper left", fontsize=7, ncols=4, frameon=False)
+        place = {"transform": axes[0].transAxes, "va": "center", "fontsize": 9}
+        axes[0].text(0.0, height, stage.name, weight="bold", color=colour, **place)
+        axes[0].text(0.07, height, stage.verdict, color=colour, **place)
+        axes[0].text(0.16, height, figure_text(stage.text), **place)
+    if story.motion is not None:
+        _draw_figures(axes[1], story, story.motion)
+        _draw_distances(axes[2], story, story.motion)
+    write_png(figure, path)
 
 
 def _draw_figures(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
@@ -215,13 +167,9 @@ def _draw_distances(axes: Axes, story: EventStory, motion: StoryMotion) -> None:
     """Draw the distance of the goal from the gaze ray, the head ray and the wrists."""
     times = motion.times - story.event.event_time
     forward, _ = head_forward(motion.joints, motion.head_tilt_deg)
+    head = ray_distance(motion.joints[:, Joint.HEAD], forward, motion.goal.location[None])
     axes.plot(times, gaze_distance(motion.gaze, motion.goal), color=_GAZE, label="gaze ray")
-    axes.plot(
-        times,
-        ray_distance(motion.joints[:, Joint.HEAD], forward, motion.goal.location[None]),
-        color="tab:green",
-        label="head ray",
-    )
+    axes.plot(times, head, color="tab:green", label="head ray")
     for wrist, colour, name in zip(WRISTS, ("tab:blue", "tab:red"), ("left wrist", "right wrist"), strict=True):
         distance = np.linalg.norm(motion.joints[:, wrist] - motion.goal.location, axis=1)
         axes.plot(times, distance, color=colour, label=name)
@@ -247,7 +195,6 @@ _TOLD_BY = {
     "body": " (by the body's wrist)",
     "movement": " (it moved more before)",
 }
-_AROUND = 2  # events before and after that are shown
 _SHOWN = 8  # candidates that an error message lists
 
 
@@ -293,9 +240,6 @@ def explain_event(folder: Path | str, event: str, *, permitted: Collection[str] 
         dataset=table.info.dataset,
         split=recordings["split"][index].as_py() if index >= 0 else "unknown",
         stages=_stages(record, chunk, protocol, table.info.options, shown=may_pass_on(table.info, permitted)),
-        neighbours=_neighbours(events, row),
-        priming_window=protocol.curation.priming_window,
-        lead=protocol.curation.lead,
         motion=motion,
         notice=notice(table.info, permitted),
     )
@@ -329,23 +273,6 @@ def _find_event(events: pa.Table, wanted: str) -> int:
     raise UsageError(f"{counted} Near it:\n{hint}" if near else counted)
 
 
-def _neighbours(events: pa.Table, row: int) -> tuple[Event, ...]:
-    """The events just before and after in the recording, and all others of the same object; by time."""
-    times = events["event_time"].to_numpy()
-    recordings, objects = (np.array(events[name].to_pylist()) for name in ("recording_id", "object_id"))
-    here = np.flatnonzero(recordings == recordings[row])
-    # The rows of a recording need not stand in the order of time.
-    here = here[np.argsort(times[here], kind="stable")]
-    same = objects == objects[row]
-    place = int(np.flatnonzero(here == row)[0])
-    chosen = [
-        int(other)
-        for position, other in enumerate(here)
-        if other != row and (abs(position - place) <= _AROUND or same[other])
-    ]
-    return tuple(event_of(events, other) for other in chosen)
-
-
 def _stages(
     event: Event,
     chunk: SequenceChunk | None,
@@ -356,14 +283,20 @@ def _stages(
 ) -> tuple[StoryStage, ...]:
     # Occlusion and the dataset's own priming are asked for by options and count as the stage of priming.
     decided = STAGES.index("priming" if event.stage in _PART_OF_PRIMING else event.stage)
+    constants = protocol.curation
     texts = {
         "in_hand": _in_hand(event, options),
         "location": _location(event, shown=shown),
         "priming": _priming(event, protocol),
         "clipping": _clipping(event, chunk, protocol),
-        "body": _body(event, protocol),
+        "body": f"no gap of more than {constants.largest_interpolated_gap:g} s in the body",
         "filters": "",
     }
+    if event.outcome == "no_body":
+        texts["body"] = "no body pose"
+    elif event.stage == "body":
+        longest = f"at most {constants.largest_interpolated_gap:g} s is interpolated"
+        texts["body"] = f"a gap of {event.value:.2f} s in the body ({longest})"
     if event.value is not None and event.threshold is not None:
         measure = options.get("minimum_movement", "wrist_to_goal").replace("_", " ")
         texts["filters"] = f"{measure}: {event.value:.3f} m (at least {event.threshold:.2f} m)"
@@ -433,15 +366,6 @@ def _clipping(event: Event, chunk: SequenceChunk | None, protocol: BenchmarkProt
     n = int(chunk.n_frames[0])
     start = float(chunk.numbers("start_time")[0])
     return f"{n} frames at {float(chunk.numbers('fps')[0]):g} Hz from {start:.3f} s"
-
-
-def _body(event: Event, protocol: BenchmarkProtocol) -> str:
-    longest = protocol.curation.largest_interpolated_gap
-    if event.stage != "body":
-        return f"no gap of more than {longest:g} s in the body"
-    if event.outcome == "no_body":
-        return "no body pose"
-    return f"a gap of {event.value:.2f} s in the body (at most {longest:g} s is interpolated)"
 
 
 def _cm(metres: float | None) -> str:
