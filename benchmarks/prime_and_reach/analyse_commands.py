@@ -6,23 +6,92 @@ from pathlib import Path
 from typing import Any
 
 import click
+import msgspec
 from click.core import ParameterSource
 
-from prbench.cli.commands import Answer, Session, command, session
-from prbench.cli.options import OUT_FILE, PATH, data_option, permission_option, workers_option
+from prbench.cli.commands import Answer, Session, command, progress
+from prbench.cli.options import OUT_FILE, PATH, data_option, permission_option, run_checker, workers_option
 from prbench.cli.places import PlaceType, Remote
+from prbench.cli.terminal import print_tables
 from prbench.errors import UsageError
-from prbench_benchmarks.prime_and_reach.agreement_commands import AgreementsReport, agreement
-from prbench_benchmarks.prime_and_reach.diversity_commands import DiversityReport, diversity
-from prbench_benchmarks.prime_and_reach.error_budget.report import ErrorBudgetReport
-from prbench_benchmarks.prime_and_reach.error_budget_commands import error_budget
+from prbench.tables import Table
+
+
+class AnalysisReport(msgspec.Struct, frozen=True, kw_only=True):
+    """What was found out.
+
+    Attributes:
+        tables: The tables, those of one run one behind the other.
+        fan: The picture of diversity; null if none was asked for.
+        fan_sequence: Id of the sequence in it; null likewise.
+        out: Of errors, the folder with one row a motion (``motions.parquet``, ``motions.csv``); null without ``--out``.
+    """
+
+    tables: list[Table]
+    fan: Path | None = None
+    fan_sequence: str | None = None
+    out: Path | None = None
+
+
+def _answer(report: AnalysisReport, *lines: str) -> Answer:
+    def show() -> None:
+        print_tables(report.tables)
+        for line in lines:
+            print(line)
+
+    return Answer(report, show)
+
+
+def _agreement(runs: tuple[Path, ...], *, data: tuple[Path, ...], workers: int) -> Answer:
+    from prbench_benchmarks.prime_and_reach.agreement import agreement_tables
+
+    return _answer(AnalysisReport(tables=agreement_tables(runs, run_checker(data, workers))))
+
+
+def _diversity(
+    runs: tuple[Path, ...],
+    *,
+    data: tuple[Path, ...],
+    fan: Path | None,
+    sequence: str | None,
+    permission: tuple[str, ...],
+) -> Answer:
+    from prbench.viewing.fan import draw_fan
+    from prbench.viewing.figures import require_drawable
+    from prbench_benchmarks.prime_and_reach.diversity import measure_diversity, read_fan
+
+    if len(runs) != 1:
+        raise UsageError("analyse diversity: name one RUN.")
+    if fan is None and sequence is not None:
+        raise UsageError("--sequence: belongs to --fan FILE, which it is drawn in.")
+    if fan is not None:
+        require_drawable(fan)
+    drawn = None if fan is None else read_fan(runs[0], data, sequence=sequence, permitted=permission)
+    with progress("measuring") as show:
+        tables = measure_diversity(runs[0], data, progress=show)
+    if fan is None or drawn is None:
+        return _answer(AnalysisReport(tables=tables))
+    draw_fan(drawn, fan)
+    lines = [*([drawn.notice] if drawn.notice else []), f"fan: {fan} ({drawn.sequence_id})"]
+    return _answer(AnalysisReport(tables=tables, fan=fan, fan_sequence=drawn.sequence_id), *lines)
+
+
+def _errors(runs: tuple[Path, ...], *, beside: Path | None, data: tuple[Path, ...], out: Path | None) -> Answer:
+    from prbench.harness.first_run import table_finder
+    from prbench_benchmarks.prime_and_reach.error_budget.budget import error_budgets
+
+    with progress("diagnosing") as show:
+        tables = error_budgets(runs, beside=beside, find_table=table_finder(data), out=out, progress=show)
+    lines = [] if out is None else [f"one row a motion: {out / 'motions.csv'}"]
+    return _answer(AnalysisReport(tables=tables, out=out), *lines)
+
 
 _KINDS = {
-    "agreement": (agreement, ("data", "workers"), AgreementsReport),
-    "diversity": (diversity, ("data", "fan", "sequence", "permission"), DiversityReport),
-    "errors": (error_budget, ("data", "beside", "out"), ErrorBudgetReport),
+    "agreement": (_agreement, ("data", "workers")),
+    "diversity": (_diversity, ("data", "fan", "sequence", "permission")),
+    "errors": (_errors, ("data", "beside", "out")),
 }
-"""The function of each kind, the options that it takes (``--out`` beside them), and its report."""
+"""The function of each kind, and the options that it takes (``--out`` beside them)."""
 
 
 def _report_file(ctx: click.Context, _: click.Parameter, value: Path | Remote | None) -> Path | Remote | None:
@@ -39,7 +108,7 @@ def _report_file(ctx: click.Context, _: click.Parameter, value: Path | Remote | 
     "analyse",
     section="board",
     example="prbench analyse errors runs/pr --beside runs/pr-off --data tables/adt --out budget",
-    report={kind: report for kind, (_, _, report) in _KINDS.items()},
+    report=AnalysisReport,
 )
 @click.argument("kind", type=click.Choice(list(_KINDS)), metavar="KIND", is_eager=True)
 @click.argument("runs", type=PATH, nargs=-1, required=True, metavar="RUN...")
@@ -82,11 +151,10 @@ def analyse(ctx: click.Context, kind: str, runs: tuple[Path, ...], **given: Any)
     errors: why motions fail, one cause each, and what explains the rest. Choose with it on the validation split:
     `prbench run --split validation --samples 3` (docs/error-budget.md).
     """
-    make, taken, _ = _KINDS[kind]
+    make, taken = _KINDS[kind]
     spelt = {option.name: option.opts[0] for option in ctx.command.params if option.name in given}
     for option, spelling in spelt.items():
         if option not in (*taken, "out") and ctx.get_parameter_source(option) is not ParameterSource.DEFAULT:
             own = sorted({"--out", *(spelt[each] for each in taken)})
             raise UsageError(f"analyse {kind} takes no {spelling}; its options: {', '.join(own)}.")
-    session().command = f"analyse {kind}"
     return make(runs, **{option: given[option] for option in taken})

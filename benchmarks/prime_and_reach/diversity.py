@@ -6,16 +6,15 @@ Source: docs/specification/metrics.md#diversity.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from prbench.errors import RunError, UsageError
-from prbench.harness.diversity import SPREADS, MotionsToGoal, SpreadInfo, spreads
+from prbench.harness.diversity import SPREADS, MotionsToGoal, spreads
 from prbench.harness.first_run import tables_of_runs
-from prbench.harness.intervals import Estimate, difference_interval, mean_interval
+from prbench.harness.intervals import difference_interval, mean_interval
 from prbench.harness.run_folder import RunFolder
 from prbench.harness.score_predictions import scored_sequences
 from prbench.harness.similar_tasks import Tasks, at_length, laid_on_goal, read_motions
@@ -23,6 +22,7 @@ from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.sequences.dataset_info import may_pass_on, notice, require_may_pass_on
 from prbench.sequences.table import find_sequence_id
+from prbench.tables import Block, Cell, Column, Row, Table
 from prbench.viewing.fan import Fan, FanGroup
 from prbench.viewing.replay.read import RunMotions, run_labels
 from prbench.viewing.replay.scene import METHOD_COLOURS, RECORDED_COLOUR
@@ -32,59 +32,22 @@ Progress = Callable[[int, int, str], None]
 _COLUMNS = ["joints", "goal_location", "head_tilt_deg", "fps", "recording_id"]
 
 
-@dataclass(frozen=True)
-class SpreadOfRun:
-    """One measure of a run, beside that of recorded people on the same sequences."""
-
-    info: SpreadInfo
-    method: Estimate
-    people: Estimate | None
-    """None where the table has too few recordings to put people beside one another."""
-    difference: Estimate | None
-    """method - people."""
-
-
-@dataclass(frozen=True)
-class DatasetDiversity:
-    """The measures of a run on one dataset."""
-
-    dataset: str
-    title: str
-    synthetic: bool
-    motions: int
-    """Motions of each sequence, generated and recorded."""
-    sequences: int
-    recordings: int
-    spreads: tuple[SpreadOfRun, ...]
-    goals_apart: float | None
-    """Median distance of a similar task's goal from the sequence's own before it is laid on it, metres."""
-    lengths_apart: float | None
-    """Median difference of their lengths, seconds."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Pair:
-    """The generated and the recorded motions of one sequence."""
-
-    sequence_id: str
-    recording_id: str
-    generated: MotionsToGoal
-    recorded: MotionsToGoal | None
-    goals_apart: Float[np.ndarray, " others"]
-    lengths_apart: Float[np.ndarray, " others"]
-
-
 def _silent(done: int, total: int, last: str) -> None:
     """Say nothing."""
 
 
-def measure_diversity(run: Path, data: Sequence[Path] = (), *, progress: Progress = _silent) -> list[DatasetDiversity]:
+def measure_diversity(run: Path, data: Sequence[Path] = (), *, progress: Progress = _silent) -> list[Table]:
     """Measure the diversity of a run on each of its datasets.
 
     Args:
         run: A run folder of two samples or more.
         data: Tables of the run; the embedded ones are known.
         progress: Called after each sequence.
+
+    Returns:
+        A table for each dataset, a row for each measure: the mean of the method, that of recorded people in similar
+        tasks, an upper bound of their spread in one task, and the difference, with intervals over recordings. People
+        are missing where the table has too few recordings.
 
     Raises:
         UsageError: if the run has one motion a sequence, or was given other sequences' goals.
@@ -124,11 +87,11 @@ def read_fan(
     label = run_labels([run], [opened.record])[0]
     if opened.record.method.kind == "control":
         require_may_pass_on(info, f"the motions of '{label}'", permitted)
-    (pair,) = _pairs(opened, held[name], [name])
+    ((_, generated, recorded, _),) = _pairs(opened, held[name], [name])
     shown = may_pass_on(info, permitted)
-    groups = [FanGroup(label, METHOD_COLOURS[0], pair.generated)]
-    if shown and pair.recorded is not None:
-        groups.append(FanGroup("recorded people, similar tasks", RECORDED_COLOUR, pair.recorded))
+    groups = [FanGroup(label, METHOD_COLOURS[0], generated)]
+    if shown and recorded is not None:
+        groups.append(FanGroup("recorded people, similar tasks", RECORDED_COLOUR, recorded))
     return Fan(
         sequence_id=name,
         dataset=info.dataset,
@@ -169,52 +132,92 @@ def _predicted(run: RunFolder, table: SequenceTable) -> list[str]:
     return [name for name in scored_sequences(run, table).sequence_ids if name in motions]
 
 
-def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> DatasetDiversity:
+def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table:
     constants = _rules(run).metrics
+    info = table.info
     names = _predicted(run, table)
     if not names:
-        raise RunError(f"{run.path}: expected motions on {table.info.dataset}, found none. Run it again: it resumes.")
+        raise RunError(f"{run.path}: expected motions on {info.dataset}, found none. Run it again: it resumes.")
     recordings: list[str] = []
     method: list[dict[str, float]] = []
     people: list[dict[str, float]] = []
-    goals: list[np.ndarray] = []
-    lengths: list[np.ndarray] = []
-    for pair in _pairs(run, table, names):
-        recordings.append(pair.recording_id)
-        method.append(spreads(pair.generated, constants))
-        if pair.recorded is not None:
-            people.append(spreads(pair.recorded, constants))
-        goals.append(pair.goals_apart)
-        lengths.append(pair.lengths_apart)
-        progress(len(method), len(names), table.info.dataset)
-    beside = people if len(people) == len(method) else None
-    return DatasetDiversity(
-        dataset=table.info.dataset,
-        title=table.info.title,
-        synthetic=table.info.synthetic,
-        motions=run.record.samples,
-        sequences=len(names),
-        recordings=len(set(recordings)),
-        spreads=tuple(_spread(info, method, beside, recordings) for info in SPREADS),
-        goals_apart=float(np.median(np.concatenate(goals))) if beside else None,
-        lengths_apart=float(np.median(np.concatenate(lengths))) if beside else None,
+    apart: list[np.ndarray] = []
+    for recording, generated, recorded, distances in _pairs(run, table, names):
+        recordings.append(recording)
+        method.append(spreads(generated, constants))
+        if recorded is not None:
+            people.append(spreads(recorded, constants))
+        apart.append(distances)
+        progress(len(method), len(names), info.dataset)
+    if len(people) == len(method):
+        goals_apart, lengths_apart = np.median(np.concatenate(apart), axis=0)
+        said = (
+            "People: the sequence and similar tasks of other recordings, laid on its goal; an upper bound of what one"
+            f" task brings forth (goals {goals_apart:.2f} m apart in median, lengths {lengths_apart:.2f} s)."
+        )
+    else:
+        people = []
+        said = "People: the table has too few recordings to put people beside one another."
+    notes = [said]
+    rows = []
+    for spread in SPREADS:
+        own = np.array([values[spread.id] for values in method])
+        estimates = {"method": mean_interval(own, recordings, nonnegative=True)}
+        if people:
+            theirs = np.array([values[spread.id] for values in people])
+            estimates["people"] = mean_interval(theirs, recordings, nonnegative=True)
+            estimates["difference"] = difference_interval(own, theirs, recordings, rate=False)
+        cells = [
+            Cell(
+                dataset=info.dataset,
+                metric=name,
+                variant=spread.id,
+                value=each.mean,
+                low=each.low,
+                high=each.high,
+                unit=spread.unit,
+                condition=run.record.condition,
+                method=run.record.method.name,
+                sequences=each.n_sequences,
+                recordings=each.n_recordings,
+                note="; ".join(each.marks),
+            )
+            for name, each in estimates.items()
+        ]
+        rows.append(Row(text={"measure": spread.title, "unit": spread.unit}, cells=tuple(cells)))
+        if "few_recordings" in estimates["method"].marks and len(notes) == 1:
+            notes.append("Few recordings (below ten): the intervals say little.")
+    if info.synthetic:
+        notes.append("Synthetic people: this says nothing about real ones.")
+    count = len(set(recordings))
+    return Table(
+        title=(
+            f"{info.title}: {run.record.method.name}, condition {run.record.condition}; {run.record.samples} motions of"
+            f" each of {len(names)} sequences of {count} recording{'' if count == 1 else 's'}; means over sequences and"
+            " their 95 % intervals"
+        ),
+        dataset=info.dataset,
+        columns=(
+            Column(key="measure", title="measure", text=True),
+            Column(key="unit", title="unit", text=True),
+            Column(key="method", title="method", digits=3),
+            Column(key="people", title="people", digits=3),
+            Column(key="difference", title="method - people", digits=3),
+        ),
+        blocks=(Block(rows=tuple(rows)),),
+        notes=tuple(notes),
     )
 
 
-def _spread(
-    info: SpreadInfo, method: list[dict[str, float]], people: list[dict[str, float]] | None, recordings: list[str]
-) -> SpreadOfRun:
-    own = np.array([values[info.id] for values in method])
-    estimate = mean_interval(own, recordings, nonnegative=True)
-    if people is None:
-        return SpreadOfRun(info, estimate, None, None)
-    theirs = np.array([values[info.id] for values in people])
-    beside = mean_interval(theirs, recordings, nonnegative=True)
-    return SpreadOfRun(info, estimate, beside, difference_interval(own, theirs, recordings, rate=False))
+def _pairs(
+    run: RunFolder, table: SequenceTable, names: Sequence[str]
+) -> Iterator[tuple[str, MotionsToGoal, MotionsToGoal | None, np.ndarray]]:
+    """Yield the motions of some sequences, in table order.
 
-
-def _pairs(run: RunFolder, table: SequenceTable, names: Sequence[str]) -> Iterator[_Pair]:
-    """Yield the motions of some sequences, in table order."""
+    Yields:
+        The recording; the generated and the recorded motions, None where there are too few; and how far the goal
+        (metres) and the length (seconds) of each similar task are from the sequence's own (others, 2).
+    """
     first = RunMotions.open(run, table.info.dataset, label="")
     samples = [replace(first, sample=sample) for sample in range(run.record.samples)]
     tasks = Tasks.read(table)
@@ -241,11 +244,6 @@ def _pairs(run: RunFolder, table: SequenceTable, names: Sequence[str]) -> Iterat
         recorded = None
         if len(laid) == len(samples) - 1:
             recorded = replace(generated, joints=np.stack([chunk.joints.astype(np.float64), *laid]))
-        yield _Pair(
-            name,
-            chunk.strings("recording_id")[0],
-            generated,
-            recorded,
-            np.linalg.norm(tasks.goal_location[others] - goal, axis=-1),
-            np.abs(tasks.seconds[others] - tasks.seconds[row]),
-        )
+        distances = np.linalg.norm(tasks.goal_location[others] - goal, axis=-1)
+        lengths = np.abs(tasks.seconds[others] - tasks.seconds[row])
+        yield chunk.strings("recording_id")[0], generated, recorded, np.stack((distances, lengths), axis=1)

@@ -17,10 +17,12 @@ def test_agreement_of_runs_is_printed_and_reported(tmp_path, capsys):
     assert main(words) == 0
     assert "agreement with recorded people (phi): Prime Success" in capsys.readouterr().out
     out = tmp_path / "agreement.json"
-    (found,) = reported(["analyse", "agreement", run, "--data", table, "--out", str(out)], capsys).runs
-    assert json.loads(out.read_text())["command"] == "analyse agreement"
-    assert found.agreement == made.agreements[0]
-    assert found.unverified == ""
+    rates, by_place = reported(["analyse", "agreement", run, "--data", table, "--out", str(out)], capsys).tables
+    assert json.loads(out.read_text())["command"] == "analyse"
+    (stored,) = made.agreements
+    assert [row.cells[0].value for row in rates.blocks[0].rows] == [rate.phi for rate in stored.rates]
+    assert [row.text["sequences"] for row in by_place.blocks[0].rows] == [str(e.sequences) for e in stored.breakdown]
+    assert not any("unverified" in note for note in by_place.notes)
     assert main(["analyse", "agreement", run]) == 0
     shown = capsys.readouterr().out
     assert "bearing 30 to 90°" in shown

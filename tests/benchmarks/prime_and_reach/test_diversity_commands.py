@@ -26,6 +26,13 @@ def table(tmp_path_factory) -> SequenceTable:
     return fake_dataset(tmp_path_factory.mktemp("data") / "table", 60)
 
 
+def rows_of(words, capsys) -> tuple[dict[str, dict], str]:
+    """Cells of each measure by what they are of, and the notes."""
+    (table,) = reported(words, capsys).tables
+    rows = table.blocks[0].rows
+    return {row.cells[0].variant: {cell.metric: cell for cell in row.cells} for row in rows}, " ".join(table.notes)
+
+
 def made_run(table: SequenceTable, out: Path, **changes) -> str:
     wanted = {"method": "made", "condition": Condition.GOAL_LOCATION, "samples": 3, "limit": 8}
     run_method(RunRequest(**{**wanted, "data": (table.folder,), "out": out, **changes}))
@@ -36,18 +43,14 @@ def test_spreads_stand_beside_those_of_people_with_intervals(table, tmp_path, in
     install("made", adapter_source(body=GENTLE))
     run = made_run(table, tmp_path / "run")
     words = ["analyse", "diversity", run, "--data", str(table.folder)]
-    (found,) = reported(words, capsys).datasets
-    assert (found.motions, found.sequences) == (3, 8)
-    assert found.goals_apart is not None
-    assert found.goals_apart > 0
-    by_name = {spread.measure: spread for spread in found.spreads}
+    by_name, notes = rows_of(words, capsys)
+    assert "m apart in median" in notes
     joint = by_name["apd_joint"]
     # Noise of 5 cm in each coordinate, independently in two motions.
-    assert joint.method.mean == pytest.approx(0.05 * 6**0.5, rel=0.02)
-    assert joint.people is not None
-    assert joint.difference is not None
-    assert joint.difference.mean == pytest.approx(joint.method.mean - joint.people.mean)
-    assert joint.difference.low is not None
+    assert joint["method"].value == pytest.approx(0.05 * 6**0.5, rel=0.02)
+    assert joint["method"].sequences == 8
+    assert joint["difference"].value == pytest.approx(joint["method"].value - joint["people"].value)
+    assert joint["difference"].low is not None
     assert main(words) == 0
     shown = capsys.readouterr().out
     assert "3 motions of each of 8 sequences" in shown
@@ -58,9 +61,9 @@ def test_spreads_stand_beside_those_of_people_with_intervals(table, tmp_path, in
 
 def test_recorded_motion_drawn_several_times_has_no_spread(table, tmp_path, capsys):
     run = made_run(table, tmp_path / "run", method="ground-truth", condition=None)
-    (found,) = reported(["analyse", "diversity", run, "--data", str(table.folder)], capsys).datasets
-    assert [spread.method.mean for spread in found.spreads] == pytest.approx([0.0] * len(found.spreads), abs=1e-12)
-    assert all(spread.people is not None and spread.people.mean > 0 for spread in found.spreads[:4])
+    found, _ = rows_of(["analyse", "diversity", run, "--data", str(table.folder)], capsys)
+    assert [each["method"].value for each in found.values()] == pytest.approx([0.0] * len(found), abs=1e-12)
+    assert all(each["people"].value > 0 for each in list(found.values())[:4])
 
 
 @pytest.mark.parametrize("name", ["fan.png", "fan.svg"])
@@ -105,6 +108,6 @@ def test_a_table_of_one_recording_has_no_people_beside(tmp_path, install, capsys
     install("made", adapter_source(body=GENTLE))
     table = fake_dataset(tmp_path / "table", 12, recordings=1)
     run = made_run(table, tmp_path / "run", split="train", limit=None)
-    (found,) = reported(["analyse", "diversity", run, "--data", str(table.folder)], capsys).datasets
-    assert found.goals_apart is None
-    assert all(spread.people is None and spread.difference is None for spread in found.spreads)
+    found, notes = rows_of(["analyse", "diversity", run, "--data", str(table.folder)], capsys)
+    assert "too few recordings to put people beside one another" in notes
+    assert all(set(each) == {"method"} for each in found.values())
