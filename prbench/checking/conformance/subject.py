@@ -111,6 +111,11 @@ class Answer:
         return None if joints is None else np.asarray(joints)
 
 
+def program_misshaped(answer: Answer) -> bool:
+    """Return True where a program's payload was refused before it became motions."""
+    return not answer.answered and "that cannot be used" in answer.error
+
+
 @dataclass
 class _Watched:
     """Wraps a method and records what goes in and what comes out."""
@@ -225,8 +230,14 @@ class MethodSubject(ABC):
 
     case: ClassVar[str]
     """What it is asked about, for messages: ``sequence`` or ``window``."""
+    things: ClassVar[str] = "motions"
+    """What it answers."""
     asks: ClassVar[str]
     """Name of the check that asks it under every condition."""
+    shape: ClassVar[str]
+    """The shape that is asked for, in words."""
+    shape_remedy: ClassVar[str]
+    """How an answer has that shape."""
     own_generators: ClassVar[Remedy]
     """How a method draws so that nothing decides but what may."""
     own_row: ClassVar[str]
@@ -265,6 +276,10 @@ class MethodSubject(ABC):
     @abstractmethod
     def fitted_spec(self) -> MethodSpec:
         """Return how to make the method fitted to the training cases."""
+
+    @abstractmethod
+    def is_misshapen(self, answer: Answer) -> bool:
+        """Return True if an answer is none, or has another shape than was asked for."""
 
     @abstractmethod
     def batch(self, rows: Sequence[int], condition: Any, *, sample: int = 0) -> Any:
@@ -395,6 +410,14 @@ OWN_GENERATORS = Remedy(
 )
 
 
+_SHAPES = Remedy(
+    "Return prbench.contract.Motions(joints, batch.n_frames): joints is a NumPy array (sequences, frames, 22, 3) with"
+    " at least batch.n_frames.max() frames; behind a shorter motion stands padding.",
+    "Send one row a sequence: its opaque_id, and joints with exactly n_frames times 66 numbers, frame by frame and"
+    " joint by joint, without padding (docs/wire-protocol.md).",
+)
+
+
 class Subject(MethodSubject):
     """A method of prime-and-reach, and the sequences that it is asked about.
 
@@ -406,6 +429,8 @@ class Subject(MethodSubject):
 
     case = "sequence"
     asks = "generates"
+    shape = "(sequences, frames, 22, 3) with the asked lengths"
+    shape_remedy = _SHAPES
     own_generators = OWN_GENERATORS
     own_row = (
         "Every row is complete in itself: draw its noise from its own noise_seed, mask padding in attention, losses and"
@@ -426,6 +451,19 @@ class Subject(MethodSubject):
         if self.spec.program is not None:
             return fitted_to(self.spec, SequenceTable.open(table).with_sequences())
         return replace(self.spec, fit_folder=self.folder / "fit", table_folder=table, fit=fit_to_training_rows)
+
+    def is_misshapen(self, answer: Answer) -> bool:
+        """See :meth:`MethodSubject.is_misshapen`."""
+        if answer.motions is not None:
+            return False
+        returned = answer.returned
+        if program_misshaped(answer) or not isinstance(returned, Motions):
+            return True
+        if not isinstance(returned.joints, np.ndarray):
+            return True
+        if np.issubdtype(returned.joints.dtype, np.floating):
+            return "expected finite positions" not in answer.error
+        return "with decimals" not in answer.error or returned.joints.ndim != 4 or returned.joints.shape[2:] != (22, 3)
 
     @property
     def n_cases(self) -> int:

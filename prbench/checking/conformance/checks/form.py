@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from prbench.checking.conformance.findings import Finding, Remedy, check, failed, passed, skipped, warning
-from prbench.checking.conformance.subject import Answer, MethodSubject, Subject
-from prbench.contract import Condition, Motions
+from prbench.checking.conformance.subject import Answer, MethodSubject, Subject, program_misshaped
 from prbench.errors import PrbenchError
 from prbench.harness.methods.installed import import_python_method, is_python_method
 from prbench.harness.methods.loading import find_adapter, used_weights, weights_digest
@@ -164,12 +163,6 @@ _GENERATE = Remedy(
     "Repair what keeps the program from answering 'generate' with 'motions': its log (stderr) is shown with the error."
     " A program may only refuse options, weights and goals that nobody could reach.",
 )
-_SHAPES = Remedy(
-    "Return prbench.contract.Motions(joints, batch.n_frames): joints is a NumPy array (sequences, frames, 22, 3) with"
-    " at least batch.n_frames.max() frames; behind a shorter motion stands padding.",
-    "Send one row a sequence: its opaque_id, and joints with exactly n_frames times 66 numbers, frame by frame and"
-    " joint by joint, without padding (docs/wire-protocol.md).",
-)
 _DTYPE = Remedy("Return decimals: joints.astype(np.float32), in metres.", "Send joints as list<float>, in metres.")
 _COARSE = Remedy(
     "Compute the last steps (the sum of velocities above all) in float32 and return float32.",
@@ -179,7 +172,6 @@ _LIMIT = Remedy(
     "Raise max_frames (the protocol's sequences have 41 to 241 frames at 20 a second), or set it to None.",
     "Raise max_frames in the hello (the protocol's sequences have 41 to 241 frames at 20 a second), or leave it out.",
 )
-_REFUSED_PAYLOAD = "sent motions that cannot be used"
 _FINITE = (
     "Look for a division by zero or by a length that can be zero (an empty step, a single frame) and for weights that"
     " hold NaN. Frames behind n_frames[i] may hold anything."
@@ -197,12 +189,17 @@ def generates(subject: Subject) -> Iterator[Finding]:
             _LIMIT,
         )
         return
-    answers = {condition: subject.standard(condition) for condition in subject.conditions}
+    yield from answered_everywhere(subject, _GENERATE, said="one motion for each sequence")
+
+
+def answered_everywhere(subject: MethodSubject, remedy: str, *, said: str) -> Iterator[Finding]:
+    """Fail each condition under which a method raises, and a program that ended by itself."""
     yield from by_condition(
-        answers,
-        lambda answer: not answer.answered and not _program_misshaped(answer),
-        _GENERATE,
-        said="one motion for each sequence",
+        {condition: subject.standard(condition) for condition in subject.conditions},
+        lambda answer: not answer.answered and not program_misshaped(answer),
+        remedy,
+        said=said,
+        things=subject.things,
     )
     if restarts := getattr(subject.adapter, "restarts", 0):
         yield failed(
@@ -212,17 +209,20 @@ def generates(subject: Subject) -> Iterator[Finding]:
 
 
 @check("shapes", "motions have the asked shape and lengths", needs=("load",))
-def shapes(subject: Subject) -> Iterator[Finding]:
-    """Compare shapes and lengths with (batch, frames, 22, 3) and the lengths that were asked for."""
-    answers = _answered(subject)
-    yield from by_condition(answers, _misshapen, _SHAPES, said="(sequences, frames, 22, 3) with the asked lengths")
+def shapes(subject: MethodSubject) -> Iterator[Finding]:
+    """Compare shapes and lengths with those that were asked for."""
+    yield from by_condition(
+        _answered(subject), subject.is_misshapen, subject.shape_remedy, said=subject.shape, things=subject.things
+    )
 
 
 @check("dtype", "positions are decimals of enough digits", needs=("load",))
-def dtype(subject: Subject) -> Iterator[Finding]:
+def dtype(subject: MethodSubject) -> Iterator[Finding]:
     """Require floating point, and warn of half precision."""
-    answers = {name: answer for name, answer in _answered(subject).items() if not _misshapen(answer)}
-    yield from by_condition(answers, lambda answer: not _is_floating(answer), _DTYPE, said="floating point")
+    answers = {name: answer for name, answer in _answered(subject).items() if not subject.is_misshapen(answer)}
+    yield from by_condition(
+        answers, lambda answer: not _is_floating(answer), _DTYPE, said="floating point", things=subject.things
+    )
     coarse = [name.value for name, answer in answers.items() if _dtype_of(answer) == np.dtype(np.float16)]
     if coarse:
         said = f"{', '.join(coarse)}: joints come as float16, whose steps are 1 mm at 2 m from the origin."
@@ -230,19 +230,26 @@ def dtype(subject: Subject) -> Iterator[Finding]:
 
 
 @check("finite", "no position is NaN or infinite", needs=("load",))
-def finite(subject: Subject) -> Iterator[Finding]:
+def finite(subject: MethodSubject) -> Iterator[Finding]:
     """Require a finite number in every valid frame."""
+    answers = _answered(subject)
     answers = {
-        name: answer for name, answer in _answered(subject).items() if not _misshapen(answer) and _is_floating(answer)
+        name: answer for name, answer in answers.items() if not subject.is_misshapen(answer) and _is_floating(answer)
     }
-    yield from by_condition(answers, lambda answer: answer.motions is None, _FINITE, said="all positions are numbers")
+    yield from by_condition(
+        answers,
+        lambda answer: "expected finite positions" in answer.error,
+        _FINITE,
+        said="all positions are numbers",
+        things=subject.things,
+    )
 
 
-def _answered(subject: Subject) -> dict[Condition, Answer]:
-    if not len(subject.source.n_frames):
+def _answered(subject: MethodSubject) -> dict[Any, Answer]:
+    if not subject.n_cases:
         return {}
     answers = {condition: subject.standard(condition) for condition in subject.conditions}
-    return {condition: answer for condition, answer in answers.items() if answer.answered or _program_misshaped(answer)}
+    return {condition: answer for condition, answer in answers.items() if answer.answered or program_misshaped(answer)}
 
 
 def by_condition(
@@ -251,7 +258,7 @@ def by_condition(
     remedy: str,
     *,
     said: str,
-    things: str = "motions",
+    things: str,
 ) -> Iterator[Finding]:
     """Fail each condition whose answer is wrong, and pass them together if none is."""
     wrong = {condition: answer for condition, answer in answers.items() if is_wrong(answer)}
@@ -261,24 +268,6 @@ def by_condition(
         yield skipped(f"there are no {things} to look at.")
     elif not wrong:
         yield passed(f"{said}, under {', '.join(condition.value for condition in answers)}.")
-
-
-def _program_misshaped(answer: Answer) -> bool:
-    """A program's payload is refused before it becomes motions."""
-    return not answer.answered and _REFUSED_PAYLOAD in answer.error
-
-
-def _misshapen(answer: Answer) -> bool:
-    if answer.motions is not None:
-        return False
-    if _program_misshaped(answer):
-        return True
-    returned = answer.returned
-    if not isinstance(returned, Motions) or not isinstance(returned.joints, np.ndarray):
-        return True
-    if np.issubdtype(returned.joints.dtype, np.floating):
-        return "expected finite positions" not in answer.error
-    return "with decimals" not in answer.error or returned.joints.ndim != 4 or returned.joints.shape[2:] != (22, 3)
 
 
 def _dtype_of(answer: Answer) -> np.dtype | None:
