@@ -31,12 +31,6 @@ from prbench.release.report import ExportReleaseReport, ImportReleaseReport
     metavar="CANONICAL=THEIRS",
     help="What a field of target_information.json means, for example goal=centre; repeatable.",
 )
-@click.option(
-    "--first-frame",
-    type=click.Choice(["sequence", "previous"]),
-    default="sequence",
-    help="Frame 0 belongs to the sequence (default), or is the frame before it.",
-)
 @opt.on_error_option(what="sequences", them="them")
 @opt.replace_option()
 def import_release(
@@ -46,7 +40,6 @@ def import_release(
     dataset: str | None,
     fps: float | None,
     field_map: tuple[tuple[str, str], ...],
-    first_frame: str,
     on_error: Literal["skip", "fail"],
     replace: bool,
 ) -> Answer:
@@ -60,13 +53,7 @@ def import_release(
 
     if fps is not None and not 1 <= fps <= 1000:
         raise UsageError(f"--fps: expected 1 to 1000, found {fps:g}.")
-    options = ImportOptions(
-        fps=fps,
-        field_map=dict(field_map),
-        first_frame_is_previous=first_frame == "previous",
-        on_error=on_error,
-        replace=replace,
-    )
+    options = ImportOptions(fps=fps, field_map=dict(field_map), on_error=on_error, replace=replace)
     report = import_files(root, out, dataset=dataset, options=options, progress=_tell_step)
     for table in report.tables:
         for warning in table.warnings:
@@ -75,8 +62,8 @@ def import_release(
             note(f"problem: {line}")
         if table.why_not_scored:
             note(f"warning: metrics will be refused: {table.why_not_scored}")
-    for failed in report.failed:
-        note(f"failed: {failed.dataset}: {failed.message}")
+    for name, message in report.failed.items():
+        note(f"failed: {name}: {message}")
     return Answer(report, lambda: _print_imported(report), 0 if report.complete else NOT_EVERYTHING)
 
 

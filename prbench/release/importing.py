@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Float
 
 import prbench
 from prbench.errors import InputFileError, RecordingsWouldBeLost
@@ -40,11 +39,10 @@ from prbench.release.reading import (
     ReleasedDataset,
     ReleasedSequence,
     clean_gaze,
-    parse_point,
     read_release,
 )
-from prbench.release.report import ImportReleaseReport, ImportReport, Inference, NotImported, count_splits
-from prbench.sequences import DatasetInfo, Event, Recording, Sequence, SequenceTable
+from prbench.release.report import ImportReleaseReport, ImportReport, count_splits
+from prbench.sequences import DatasetInfo, Event, Recording, Sequence
 from prbench.sequences.dataset_info import FILE_NAME, FunnelCounts, QuarantinedRecording, strictest
 from prbench.sequences.schema import SCHEMA_VERSION
 from prbench.sequences.sequence import OUTCOMES, SEQUENCES, event_batch, recording_batch, sequence_batch
@@ -55,7 +53,6 @@ _UNKNOWN_ACTION = "unknown"
 _ACTIONS = {"pick": "pick", "grab": "pick", "take": "pick", "put": "put", "place": "put", "drop": "put"}
 _PICKS = re.compile(r"\b(pick|grab|take|taking|took|lift|fetch)", re.IGNORECASE)
 _PUTS = re.compile(r"\b(put|plac|drop|set(s|ting)? down|return)", re.IGNORECASE)
-_HANDS = {"left": "left", "l": "left", "right": "right", "r": "right"}
 
 
 def make_row(
@@ -80,12 +77,10 @@ def make_row(
     joints = read_array(one.motion, (22, 3))[0].astype(np.float64)
     gaze = None if one.gaze is None else read_array(one.gaze, (3,))[0]
     directions, valid = clean_gaze(gaze, len(joints))
-    motion_from_canonical = np.eye(4)
+    motion_from_canonical = one.motion_from_canonical
     if one.block is not None:
-        if one.block["motion_frame"] == "world":
-            motion_from_canonical = one.block["world_from_canonical"]
-    elif found.first_frame_is_previous or not one.is_canonical:
-        motion_from_canonical = one.motion_from_canonical
+        in_world = one.block["motion_frame"] == "world"
+        motion_from_canonical = one.block["world_from_canonical"] if in_world else np.eye(4)
     canonical_from_motion = invert_rigid(motion_from_canonical)
     goal = transform_points(canonical_from_motion, one.goal)
     if (motion_from_canonical != np.eye(4)).any():  # a canonical motion keeps every bit
@@ -94,36 +89,16 @@ def make_row(
         joints = transform_points(canonical_from_motion, joints)
         directions = transform_points(turn, directions)
     primed = one.primed_frame
-    if found.first_frame_is_previous:
-        previous = joints[0]
-        joints = joints[1:]
-        directions = directions[1:]
-        valid = valid[1:]
-        primed -= 1
-    else:
-        previous = 2 * joints[0] - joints[1]
-
-    # The world-aligned box around the release's box of the goal, else the goal itself.
-    corners = goal[None]
-    box = value("object_box")
-    ends = [parse_point(end) for end in box] if isinstance(box, list) and len(box) == 2 else [None]
-    if all(end is not None for end in ends):
-        corners = transform_points(canonical_from_motion, np.array(list(itertools.product(*np.array(ends).T))))
-    world = transform_points(motion_from_canonical, corners)
-
+    world = transform_points(motion_from_canonical, goal)
     text = value("text").strip() if isinstance(value("text"), str) else ""
     action = _action(value("action"), text)
     if not text and action != _UNKNOWN_ACTION:
         text = texts.pick if action == "pick" else texts.put
-    hand = _HANDS.get(str(value("hand")).strip().lower())
-    if hand is not None:
-        wrist = Joint.LEFT_WRIST if hand == "left" else Joint.RIGHT_WRIST
-    else:  # the nearer wrist is taken for the one that reached
-        wrist = WRISTS[int(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).argmin())]
+    # The layout names no hand: the nearer wrist is taken for the one that reached.
+    wrist = WRISTS[int(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).argmin())]
     fps = found.fps
     event_time = (len(joints) - 1) / fps
     kept = {name: one.fields[name] for name in found.unmapped if name in one.fields}
-    name = value("object_name")
     sequence = Sequence(
         sequence_id=one.sequence_id,
         dataset=found.dataset,
@@ -133,9 +108,9 @@ def make_row(
         split_group=one.split_group,
         action=action,
         object_id="",  # the release has none
-        object_name=name.strip() if isinstance(name, str) else "",
+        object_name="",
         text=text,
-        hand=hand,
+        hand=None,
         fps=fps,
         n_frames=len(joints),
         start_time=0.0,
@@ -147,15 +122,15 @@ def make_row(
         prime_kind="unknown",
         prime_time_uncertainty=1 / fps,  # the release counts whole frames
         goal_location=goal,
-        goal_box_world_min=world.min(axis=0),
-        goal_box_world_max=world.max(axis=0),
+        goal_box_world_min=world,
+        goal_box_world_max=world,
         body_movement=body_movement(joints),
         hand_movement=hand_movement(joints, wrist),
         pose_source=POSE_SOURCE,
         head_tilt_deg=head_tilt_deg,
         joints=joints,
-        previous_joints=previous,
-        previous_source="recorded" if found.first_frame_is_previous else "extrapolated",
+        previous_joints=2 * joints[0] - joints[1],
+        previous_source="extrapolated",
         next_joints=2 * joints[-1] - joints[-2],
         next_source="extrapolated",
         head_position=None,
@@ -167,18 +142,12 @@ def make_row(
         extra={name: each if isinstance(each, str) else json.dumps(each) for name, each in kept.items()},
     )
     if one.block is not None and one.further is not None:
-        sequence = _as_exported(sequence, one)
+        # Restore the row that our exporter wrote.
+        values = {name: one.block[name] for name in one.block if name in SEQUENCES.names and name != "extra"}
+        arrays, _ = read_further(one.further, sequence.n_frames)
+        values |= {name: array.astype(bool if name == "gaze_valid" else np.float64) for name, array in arrays.items()}
+        sequence = dataclasses.replace(sequence, **values, extra={**sequence.extra, **one.block["extra"]})
     return sequence, _event(sequence, one.event_id)
-
-
-def _as_exported(plain: Sequence, one: ReleasedSequence) -> Sequence:
-    """Restore the row that our exporter wrote."""
-    assert one.block is not None
-    assert one.further is not None
-    values = {name: one.block[name] for name in one.block if name in SEQUENCES.names and name != "extra"}
-    arrays, _ = read_further(one.further, plain.n_frames)
-    values |= {name: array.astype(bool if name == "gaze_valid" else np.float64) for name, array in arrays.items()}
-    return dataclasses.replace(plain, **values, extra={**plain.extra, **one.block["extra"]})
 
 
 def _action(stated: Any, text: str) -> str:
@@ -194,13 +163,12 @@ def _action(stated: Any, text: str) -> str:
 
 
 def _event(sequence: Sequence, event_id: str) -> Event:
-    names = ("recording_id", "sequence_id", "object_id", "object_name", "action", "hand", "event_time", "prime_time",
-             "prime_kind")  # fmt: skip
-    location: Float[np.ndarray, "3"] = transform_points(sequence.world_from_canonical, sequence.goal_location)
+    same = ("recording_id", "sequence_id", "object_id", "object_name", "action", "hand", "event_time", "prime_time",
+            "prime_kind")  # fmt: skip
     return Event(
         event_id=event_id,
-        **{name: getattr(sequence, name) for name in names},
-        location=location,
+        **{name: getattr(sequence, name) for name in same},
+        location=transform_points(sequence.world_from_canonical, sequence.goal_location),
         box_min=sequence.goal_box_world_min,
         box_max=sequence.goal_box_world_max,
         outcome="sequence",
@@ -252,7 +220,7 @@ def import_release(
         # Before anything is read: a folder that holds something else must not be noticed after an hour.
         require_replaceable(target, FILE_NAME, kind="dataset")
     tables = []
-    failed = []
+    failed = {}
     for name, folder in found:
         try:
             with sole_writer(targets[name]):
@@ -260,7 +228,7 @@ def import_release(
         except (InputFileError, RecordingsWouldBeLost) as error:
             if options.on_error == "fail" or len(found) == 1:
                 raise
-            failed.append(NotImported(dataset=name, message=str(error)))
+            failed[name] = str(error)
     return ImportReleaseReport(tables=tables, failed=failed)
 
 
@@ -308,6 +276,15 @@ def _import_dataset(
     for key, reason in sorted(found.left_out.items()):
         records.append(Recording(f"sequence {key}", "unknown", "", "", 0.0, {}, "failed", reason))
     events: list[Event] = []
+    texts = load_protocol().text
+    head_tilt_deg = manifest.body.head_tilt_deg
+
+    def sequence_rows() -> Iterator[pa.RecordBatch]:
+        for start in range(0, len(found.sequences), _ROWS):
+            chosen = found.sequences[start : start + _ROWS]
+            made = [make_row(found, one, head_tilt_deg=head_tilt_deg, texts=texts) for one in chosen]
+            events.extend(event for _, event in made)
+            yield sequence_batch(sequence for sequence, _ in made)
 
     def event_rows() -> Iterator[pa.RecordBatch]:  # asked for after all sequences were written
         yield event_batch(sorted(events, key=lambda event: event.event_id))
@@ -315,14 +292,12 @@ def _import_dataset(
     info = write_dataset(
         out,
         _describe(found, records, manifest, terms_of(dataset, manifest, exported)),
-        sequences=_sequences(found, manifest, events),
+        sequences=sequence_rows(),
         events=event_rows(),
         recordings=[recording_batch(records)],
         replace=options.replace,
         incomplete=[each.recording_id for each in records] if found.left_out else (),
     )
-    if exported is not None:
-        found.inferences.append(_round_trip(exported, SequenceTable.open(out).info))
     known = None if dataset.startswith(SYNTHETIC_PREFIX) else load_known().datasets.get(dataset)
     report = ImportReport(
         dataset=dataset,
@@ -338,29 +313,6 @@ def _import_dataset(
     )
     report.write()
     return report
-
-
-def _sequences(found: ReleasedDataset, manifest: Manifest, events: list[Event]) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of ``sequences``, each read when it is written, and add their events to a list."""
-    texts = load_protocol().text
-    for start in range(0, len(found.sequences), _ROWS):
-        rows = [
-            make_row(found, one, head_tilt_deg=manifest.body.head_tilt_deg, texts=texts)
-            for one in found.sequences[start : start + _ROWS]
-        ]
-        events += [event for _, event in rows]
-        yield sequence_batch(sequence for sequence, _ in rows)
-
-
-def _round_trip(exported: Mapping[str, Any], info: DatasetInfo) -> Inference:
-    """Compare the imported table with the one that our exporter wrote, by their digests."""
-    same = [kind for kind in ("identity_digest", "content_digest") if exported.get(kind) == getattr(info, kind)]
-    value = "not the same"
-    evidence = f"of the digests agree: {', '.join(same).replace('_', ' ') or 'none'}"
-    if len(same) == 2:
-        value = "unchanged"
-        evidence = "both digests are those of the exported table"
-    return Inference(name="exported_table", value=value, how_surely="certain", evidence=evidence)
 
 
 def terms_of(dataset: str, manifest: Manifest, exported: Mapping[str, Any] | None) -> dict[str, Any]:

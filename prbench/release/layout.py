@@ -54,8 +54,6 @@ class KnownRelease(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     lowest_pelvis_to_head: float
     highest_pelvis_to_head: float
     goal_to_wrist: float
-    goal_to_gaze: float
-    gazing_share: float
     canonical_position: float
     canonical_yaw_deg: float
     unit_gaze_tolerance: float
@@ -113,8 +111,6 @@ class DatasetFiles:
     motions: dict[int, Path]
     gazes: dict[int, Path]
     further: dict[int, Path]
-    unused_names: tuple[str, ...]
-    """Names in the folders of arrays that are no array of a sequence."""
 
 
 @foreign_input()
@@ -164,7 +160,6 @@ def list_files(folder: Path) -> DatasetFiles:
     for name in (TARGETS, EXPORT_RECORD):
         _require_inside(folder, folder / name)
     found: dict[str, dict[int, Path]] = {MOTIONS: {}, GAZES: {}, FURTHER: {}}
-    unused_names = []
     for name in [name for name in found if (folder / name).is_dir()]:
         _require_inside(folder, folder / name)
         with os.scandir(folder / name) as listed:
@@ -176,13 +171,12 @@ def list_files(folder: Path) -> DatasetFiles:
             if entry.is_symlink():
                 _require_inside(folder, path)
             if path.suffix != (".npz" if name == FURTHER else ".npy") or index is None or not entry.is_file():
-                unused_names.append(f"{name}/{entry.name}")
                 continue
             other = found[name].setdefault(index, path)
             if other is not path:
                 names = f"{other.name} and {entry.name}"
                 raise InputFileError(folder / name, f"sequence {index}", expected="one file", found=names)
-    return DatasetFiles(folder, found[MOTIONS], found[GAZES], found[FURTHER], tuple(unused_names))
+    return DatasetFiles(folder, found[MOTIONS], found[GAZES], found[FURTHER])
 
 
 @foreign_input()

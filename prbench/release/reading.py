@@ -19,7 +19,6 @@ from jaxtyping import Bool, Float
 from prbench.errors import InputFileError, UsageError
 from prbench.files.storage import bytes_digest
 from prbench.geometry.skeleton import WRISTS, Joint, canonical_frame
-from prbench.metrics.ray_track import ray_distance
 from prbench.release.layout import (
     SYNTHETIC_PREFIX,
     TARGETS,
@@ -52,8 +51,6 @@ class ImportOptions:
     """Frame rate, where the release does not tell it."""
     field_map: Mapping[str, str] = field(default_factory=dict)
     """Field of the release by canonical name, where its name is not a known one."""
-    first_frame_is_previous: bool = False
-    """Frame 0 of every motion is the frame before the sequence."""
     on_error: Literal["skip", "fail"] = "skip"
     """Leave out sequences (and datasets) that cannot be read, or fail at the first."""
     replace: bool = False
@@ -83,13 +80,9 @@ class ReleasedSequence:
     pelvis_to_head: float
     """Median distance over the frames."""
     motion_from_canonical: Float[np.ndarray, "4 4"]
-    """Pose of the canonical frame of its first frame."""
-    is_canonical: bool
-    """Its motion is given in that frame."""
+    """Pose of the canonical frame of its first frame; exactly the unit matrix where its motion is given in it."""
     goal_to_wrist: float
     """Distance of the goal from the nearer wrist in the last frame."""
-    goal_to_gaze: float | None
-    """Distance of the goal from the gaze ray at the primed frame; None without valid gaze."""
     sequence_id: str
     event_id: str
     recording_id: str
@@ -107,7 +100,6 @@ class ReleasedDataset:
     """Field of the release by canonical name."""
     unmapped: list[str]
     """Fields that stand for no canonical one."""
-    first_frame_is_previous: bool
     fps: float
     inferences: list[Inference]
     sequences: list[ReleasedSequence] = field(default_factory=list)
@@ -161,7 +153,7 @@ def read_release(
     mapping = _map_fields(folder / TARGETS, names, options.field_map)
     fps, rate = _frame_rate(folder, list(entries.values()), mapping, options.fps)
     unmapped = [name for name in names if name not in mapping.values()]
-    found = ReleasedDataset(dataset, files, mapping, unmapped, options.first_frame_is_previous, fps, inferences=[rate])
+    found = ReleasedDataset(dataset, files, mapping, unmapped, fps, inferences=[rate])
     progress(dataset, f"measuring {len(entries)} sequences")
     for key, fields in entries.items():
         _read_sequence(found, key, fields)
@@ -172,47 +164,14 @@ def read_release(
         key, reason = next(iter(left_out.items()))
         more = f" (and {len(left_out) - 1} more sequences)" if len(left_out) > 1 else ""
         raise InputFileError(folder, f"sequence {key}", expected="a complete sequence", found=reason + more)
-    _judge_unit(found)
-    # Tell the frames of motions and goals, and what frame 0 is.
-    blocks = [each.block for each in found.sequences if each.block is not None]
-    # An entry without a block was written or changed by somebody else; then measurements count.
-    if len(blocks) == len(found.sequences):
-        evidence = "stated by the prbench block of every entry"
-        frames = sorted({block["motion_frame"] for block in blocks})
-        found.infer("motion_frame", " and ".join(frames), "certain", evidence)
-        if all(block["goal_frame"] != UNKNOWN for block in blocks):
-            found.infer("goal_frame", AS_THE_MOTIONS, "certain", evidence)
-        else:
-            found.infer("goal_frame", UNKNOWN, "unknown", evidence)
-    else:
-        share = float(np.mean([each.is_canonical for each in found.sequences]))
-        evidence = f"frame 0 stands over the origin, faces +z, lowest joint at 0 in {share:.1%} of the sequences"
-        frame = {1.0: "canonical", 0.0: "world (canonicalised here)"}.get(share, "canonical and world")
-        found.infer("motion_frame", frame, "certain", evidence)
-        limit = load_known().goal_to_wrist
-        distance = float(np.median([each.goal_to_wrist for each in found.sequences]))
-        evidence = f"median distance of goal and nearer wrist in the last frame: {distance:.2f} m"
-        if distance < limit:
-            found.infer("goal_frame", AS_THE_MOTIONS, "likely", evidence)
-        else:
-            found.infer("goal_frame", UNKNOWN, "unknown", f"{evidence}; not below {limit:g} m")
-    if found.first_frame_is_previous:
-        found.infer("frame_0", "the frame before the sequence", "certain", "given by --first-frame previous")
-    else:
-        found.infer("frame_0", "the first frame of the sequence", "assumed", "nothing tells otherwise")
-    _judge_gaze(found)
-    # Warn of counts that differ from the study's, as those of a later release may, and of files that were not used.
-    # Counts of the study say nothing about synthetic people.
-    known = None if found.dataset.startswith(SYNTHETIC_PREFIX) else load_known().datasets.get(found.dataset)
+    _judge(found)
+    # Counts that differ from the study's, as those of a later release may; they say nothing about synthetic people.
+    known = None if dataset.startswith(SYNTHETIC_PREFIX) else load_known().datasets.get(dataset)
     found.warnings += [
         f"{row.split}: {row.found} sequences, the study has {row.study}."
         for row in count_splits((each.subset for each in found.sequences), known)
         if row.study is not None and row.found != row.study
     ]
-    unused = found.files.unused_names
-    if unused:
-        shown = ", ".join(unused[:5]) + (", …" if len(unused) > 5 else "")
-        found.warnings.append(f"{len(unused)} files are no arrays of sequences: {shown}.")
     return found
 
 
@@ -293,37 +252,36 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
         return fields.get(found.mapping.get(canonical, ""))
 
     goal = parse_point(value("goal"))
-    if goal is None:
-        found.note(key, f"goal: expected three finite numbers, found {_shown(value('goal'))}", left_out=True)
     subset = _SUBSETS.get(str(value("subset")).strip().lower())
-    if subset is None:
-        found.note(key, f"subset: expected train or test, found {_shown(value('subset'))}", left_out=True)
     primed = _number(value("primed_frame"))
-    if primed is None:
-        found.note(key, f"primed frame: expected a number, found {_shown(value('primed_frame'))}", left_out=True)
+    for name, expected, read in (
+        ("goal", "three finite numbers", goal),
+        ("subset", "train or test", subset),
+        ("primed_frame", "a number", primed),
+    ):
+        if read is None:
+            text = "nothing" if value(name) is None else repr(value(name))
+            shown = text if len(text) <= 60 else f"{text[:57]}…"
+            found.note(key, f"{name.replace('_', ' ')}: expected {expected}, found {shown}", left_out=True)
     motion = _read_motion(found, key, index)
     if goal is None or subset is None or primed is None or motion is None:
         return
     joints, motion_from_canonical, content = motion
     n_frames = len(joints)
-    if primed != round(primed) or not found.first_frame_is_previous <= primed < n_frames:
+    if primed != round(primed) or not 0 <= primed < n_frames:
         text = f"primed frame: expected one of the frames (0 to the last), found {primed:g} of {n_frames - 1}"
         found.note(key, text, left_out=True)
         return
-    prime = round(primed)
-
-    stated_event = _number(value("event_frame"))
-    if stated_event is not None and stated_event != n_frames - 1:
-        found.note(key, f"event frame: expected {n_frames - 1} for this motion, found {stated_event:g}")
-    gaze, gaze_content = _read_gaze(found, key, index, n_frames)
-    directions, valid = clean_gaze(gaze, n_frames)
-    if gaze is not None and not valid.any():
-        found.note(key, "gaze: no frame has a unit vector")
-    # From the head joint, because the layout holds directions of gaze and no eyes.
-    to_gaze = ray_distance(joints[prime, Joint.HEAD][None], directions[prime][None], goal[None])[0]
-    further, further_content = _read_further(found, key, index, n_frames)
+    gaze_file, gaze_content = _read_gaze(found, key, index, n_frames)
+    further, further_content = found.files.further.get(index), b""
+    if further is not None:
+        try:
+            further_content = read_further(further, n_frames)[1]
+        except InputFileError:
+            found.note(key, "further: damaged or of another motion, not used")
+            further = None
     block = None
-    if further is not None and not found.first_frame_is_previous:
+    if further is not None:
         block = convert_block(value("prbench"), fps=found.fps, primed_frame=primed, n_frames=n_frames)
     source = value("source").strip() if isinstance(value("source"), str) else ""
     event = f"{found.dataset}/{index:010d}"
@@ -339,19 +297,17 @@ def _read_sequence(found: ReleasedDataset, key: str, fields: Mapping[str, Any]) 
             fields=fields,
             index=index,
             motion=found.files.motions[index],
-            gaze=None if gaze is None else found.files.gazes[index],
+            gaze=gaze_file,
             further=further,
             block=block,
             n_frames=n_frames,
             goal=goal,
             subset=subset,
-            primed_frame=prime,
+            primed_frame=round(primed),
             digest=bytes_digest(content + gaze_content + further_content),
             pelvis_to_head=float(np.median(np.linalg.norm(joints[:, Joint.HEAD] - joints[:, Joint.PELVIS], axis=1))),
             motion_from_canonical=motion_from_canonical,
-            is_canonical=_is_canonical(motion_from_canonical),
             goal_to_wrist=float(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).min()),
-            goal_to_gaze=float(to_gaze) if valid[prime] else None,
             **(named if block is None else {name: block[name] for name in named}),
         )
     )
@@ -363,17 +319,20 @@ def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarr
     if path is None:
         found.note(key, "no file in motions", left_out=True)
         return None
-    first = int(found.first_frame_is_previous)
     try:
         joints, content = read_array(path, (22, 3))
         joints = joints.astype(np.float64)
-        if len(joints) < first + 2:
-            problem = f"expected {first + 2} frames or more, found {len(joints)}"
+        if len(joints) < 2:
+            problem = f"expected 2 frames or more, found {len(joints)}"
         elif not np.isfinite(joints).all():
             problem = "expected finite numbers, found NaN or infinity"
         else:
-            # A frame before the sequence is no part of it: place and heading are those of the first pose after it.
-            return joints, canonical_frame(joints[first:]), content
+            rules = load_known()
+            pose = canonical_frame(joints)
+            # The matrix is a turn about y and a shift, so two entries hold the whole angle.
+            yaw = np.degrees(np.arctan2(pose[0, 2], pose[0, 0]))
+            near = np.abs(pose[:3, 3]).max() <= rules.canonical_position and abs(yaw) <= rules.canonical_yaw_deg
+            return joints, np.eye(4) if near else pose, content
     except InputFileError as error:
         problem = f"expected {error.expected}, found {error.found}"
     except ValueError:
@@ -382,8 +341,8 @@ def _read_motion(found: ReleasedDataset, key: str, index: int) -> tuple[np.ndarr
     return None
 
 
-def _read_gaze(found: ReleasedDataset, key: str, index: int, n_frames: int) -> tuple[np.ndarray | None, bytes]:
-    """Return the gaze of a sequence as it stands in the file, and the file's bytes; a missing or wrong one costs it."""
+def _read_gaze(found: ReleasedDataset, key: str, index: int, n_frames: int) -> tuple[Path | None, bytes]:
+    """Return the file of a sequence's gaze and its bytes; None where it is missing or wrong, which costs the gaze."""
     path = found.files.gazes.get(index)
     if path is None:
         found.note(key, "no file in gazes: no gaze")
@@ -396,35 +355,16 @@ def _read_gaze(found: ReleasedDataset, key: str, index: int, n_frames: int) -> t
     if len(gaze) != n_frames:
         found.note(key, f"gaze: expected {n_frames} frames like the motion, found {len(gaze)}: no gaze")
         return None, b""
-    return gaze, content
+    if not clean_gaze(gaze, n_frames)[1].any():
+        found.note(key, "gaze: no frame has a unit vector")
+    return path, content
 
 
-def _read_further(found: ReleasedDataset, key: str, index: int, n_frames: int) -> tuple[Path | None, bytes]:
-    """Return the file of the arrays that only our exporter writes, and its bytes; None where it is not usable."""
-    path = found.files.further.get(index)
-    if path is None:
-        return None, b""
-    try:
-        return path, read_further(path, n_frames)[1]
-    except InputFileError:
-        found.note(key, "further: damaged or of another motion, not used")
-        return None, b""
-
-
-def _is_canonical(motion_from_canonical: Float[np.ndarray, "4 4"]) -> bool:
-    """Return True for a motion whose first frame stands over the origin, faces +z and has its lowest joint at 0."""
-    rules = load_known()
-    # The matrix is a turn about y and a shift, so two entries hold the whole angle.
-    yaw = np.degrees(np.arctan2(motion_from_canonical[0, 2], motion_from_canonical[0, 0]))
-    offset = np.abs(motion_from_canonical[:3, 3]).max()
-    return bool(offset <= rules.canonical_position and abs(yaw) <= rules.canonical_yaw_deg)
-
-
-def _judge_unit(found: ReleasedDataset) -> None:
-    """Check that people have the size of people in metres.
+def _judge(found: ReleasedDataset) -> None:
+    """Check that people have the size of people in metres, and tell the frames of motions and goals.
 
     Raises:
-        InputFileError: if they have not, or another unit is stated.
+        InputFileError: if they have not that size, or another unit is stated.
     """
     rules = load_known()
     units = {str(each.fields.get(found.mapping.get("units", ""), "")).strip().lower() for each in found.sequences}
@@ -445,24 +385,25 @@ def _judge_unit(found: ReleasedDataset) -> None:
     evidence = f"median distance from pelvis to head: {size:.3g}"
     found.infer("units", "metres", "certain" if is_stated else "likely", evidence)
 
-
-def _judge_gaze(found: ReleasedDataset) -> None:
-    """Count how often the gaze passes the goal at the primed frame, which checks frames and rate together."""
-    rules = load_known()
-    rays = [each.goal_to_gaze for each in found.sequences if each.goal_to_gaze is not None]
-    if not rays:
-        found.infer("gaze_on_goal", UNKNOWN, "unknown", "no valid gaze at any primed frame")
-        found.warnings.append("No sequence has a valid gaze at its primed frame.")
+    blocks = [each.block for each in found.sequences if each.block is not None]
+    # An entry without a block was written or changed by somebody else; then measurements count.
+    if len(blocks) == len(found.sequences):
+        evidence = "stated by the prbench block of every entry"
+        frames = sorted({block["motion_frame"] for block in blocks})
+        found.infer("motion_frame", " and ".join(frames), "certain", evidence)
+        known = all(block["goal_frame"] != UNKNOWN for block in blocks)
+        found.infer("goal_frame", AS_THE_MOTIONS if known else UNKNOWN, "certain" if known else "unknown", evidence)
         return
-    share = float(np.mean([ray <= rules.goal_to_gaze for ray in rays]))
-    evidence = f"gaze ray from the head joint within {rules.goal_to_gaze:g} m of the goal at the primed frame"
-    enough = share >= rules.gazing_share
-    found.infer("gaze_on_goal", f"{share:.1%} of {len(rays)} sequences", "likely" if enough else "unknown", evidence)
-    if not enough:
-        found.warnings.append(
-            f"The gaze meets the goal at the primed frame in {share:.0%} of the sequences only (expected: a clear"
-            " majority). Frame, base of the primed frames, or rate is probably wrong; primed frames count from 0."
-        )
+    share = float(np.mean([(each.motion_from_canonical == np.eye(4)).all() for each in found.sequences]))
+    evidence = f"frame 0 stands over the origin, faces +z, lowest joint at 0 in {share:.1%} of the sequences"
+    frame = {1.0: "canonical", 0.0: "world (canonicalised here)"}.get(share, "canonical and world")
+    found.infer("motion_frame", frame, "certain", evidence)
+    distance = float(np.median([each.goal_to_wrist for each in found.sequences]))
+    evidence = f"median distance of goal and nearer wrist in the last frame: {distance:.2f} m"
+    if distance < rules.goal_to_wrist:
+        found.infer("goal_frame", AS_THE_MOTIONS, "likely", evidence)
+    else:
+        found.infer("goal_frame", UNKNOWN, "unknown", f"{evidence}; not below {rules.goal_to_wrist:g} m")
 
 
 def clean_gaze(gaze: np.ndarray | None, n_frames: int) -> tuple[Float[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
@@ -496,8 +437,3 @@ def _number(value: Any) -> float | None:
     except OverflowError:
         return None
     return number if math.isfinite(number) else None
-
-
-def _shown(value: Any) -> str:
-    text = "nothing" if value is None else repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}…"

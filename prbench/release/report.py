@@ -112,28 +112,16 @@ class ImportReport(msgspec.Struct, frozen=True, kw_only=True):
         return lines
 
 
-class NotImported(msgspec.Struct, frozen=True, kw_only=True):
-    """One dataset of the release that could not be imported.
-
-    Attributes:
-        dataset: Name of the dataset.
-        message: What is wrong.
-    """
-
-    dataset: str
-    message: str
-
-
 class ImportReleaseReport(msgspec.Struct, frozen=True, kw_only=True):
     """The result of an import.
 
     Attributes:
         tables: One entry for each table that was written.
-        failed: Datasets that could not be imported.
+        failed: Maps datasets that could not be imported to the reason.
     """
 
     tables: list[ImportReport]
-    failed: list[NotImported]
+    failed: dict[str, str]
 
     @property
     def complete(self) -> bool:

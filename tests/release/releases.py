@@ -16,7 +16,7 @@ from tests.release.tables import looking_sequence
 
 NAMES = {
     "goal": "goal_location", "text": "text_prompt", "subset": "subset", "primed_frame": "primed_frame",
-    "action": "action", "hand": "hand",
+    "action": "action",
 }  # fmt: skip
 
 
@@ -28,7 +28,6 @@ class Style:
     key: Callable[[int], Any] = lambda index: f"{index:010d}"
     goal: Callable[[list[float]], Any] = list
     subset: Callable[[str], Any] = str
-    hand: Callable[[str], Any] = str
 
 
 def rows(n: int = 12, dataset: str = "synthetic-adt") -> list[Row]:
@@ -37,7 +36,7 @@ def rows(n: int = 12, dataset: str = "synthetic-adt") -> list[Row]:
 
 
 def plain_entry(row: Row, style: Style) -> dict[str, Any]:
-    """What the layout promises of one sequence, and action and hand."""
+    """What the layout promises of one sequence, and action."""
     names = style.names
     split = "test" if row.split == "validation" else row.split
     entry = {
@@ -48,8 +47,6 @@ def plain_entry(row: Row, style: Style) -> dict[str, Any]:
     }
     if "action" in names:
         entry[names["action"]] = row.action
-    if "hand" in names and row.hand is not None:
-        entry[names["hand"]] = style.hand(row.hand)
     return entry
 
 

@@ -59,7 +59,6 @@ def test_names_keys_and_spellings_leave_no_trace(data, reference, tmp_path_facto
         names=names,
         key=KEYS[data.draw(st.sampled_from(sorted(KEYS)))],
         subset=lambda subset: SPELLINGS[subset][spelling],
-        hand=data.draw(st.sampled_from([str, str.upper, lambda hand: hand[0]])),
     )
     folder = tmp_path_factory.mktemp("shape")
     write_release(folder / "release", SEQUENCES, style)

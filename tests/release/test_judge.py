@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from prbench.errors import InputFileError, TableError
-from prbench.geometry.skeleton import transform_points
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
-from prbench.release.reading import ImportOptions
 from prbench.sequences import SequenceTable
 from tests.release.imports import imported, motions, table_values, value
 from tests.release.releases import Style, in_world, plain_entry, rows
@@ -65,43 +63,9 @@ def test_world_motions_are_canonicalised_and_goal_and_gaze_with_them(tmp_path) -
 def test_goals_that_fit_nowhere_are_imported_but_never_scored(tmp_path) -> None:
     report = imported(tmp_path, style=Style(goal=lambda goal: [axis + 20 for axis in goal]))
     assert value(report, "goal_frame") == ("unknown", "unknown")
-    assert any("frame, base" in warning.lower() for warning in report.warnings)
     with pytest.raises(TableError, match=r"cannot be scored: .*goals are in an unknown frame"):
         run_method(RunRequest(method="ground-truth", data=(tmp_path / "table",), out=tmp_path / "run"))
     assert not (tmp_path / "run").exists()
-
-
-def test_a_box_in_a_turned_frame_becomes_the_box_around_it(tmp_path) -> None:
-    half = np.array([0.1, 0.2, 0.3])
-
-    def entry(row, style):
-        ends = [(row.goal_location - half).tolist(), (row.goal_location + half).tolist()]
-        return plain_entry(row, style) | {"object_box": ends}
-
-    imported(tmp_path, [in_world(row) for row in ROWS], entry=entry)
-    for name, sign in (("goal_box_world_min", -1), ("goal_box_world_max", 1)):
-        for corner, row in zip(table_values(tmp_path, name), ROWS):
-            world = transform_points(row.world_from_canonical, row.goal_location)
-            np.testing.assert_allclose(corner, world + sign * half, atol=1e-5)
-
-
-def test_a_gaze_that_misses_the_goals_is_a_warning(tmp_path) -> None:
-    report = imported(tmp_path, gaze=lambda row: -row.gaze_direction)
-    assert any("Frame, base of the primed frames, or rate" in warning for warning in report.warnings)
-
-
-def test_frame_zero_can_be_the_frame_before(tmp_path) -> None:
-    imported(tmp_path, options=ImportOptions(first_frame_is_previous=True))
-    rows_back = SequenceTable.open(tmp_path / "table").scalars()
-    assert rows_back["n_frames"].to_pylist() == [row.n_frames - 1 for row in ROWS]
-    assert rows_back["prime_frame"].to_pylist() == [row.prime_frame - 1 for row in ROWS]
-    assert set(rows_back["previous_source"].to_pylist()) == {"recorded"}
-    for motion in motions(tmp_path):
-        np.testing.assert_allclose(motion[0, 0, [0, 2]], 0, atol=1e-6)
-    chunk = next(SequenceTable.open(tmp_path / "table").chunks())
-    np.testing.assert_array_equal(
-        chunk.frames("gaze_valid"), np.concatenate([row.gaze_valid[1:] for row in ROWS]), "gaze is shifted too"
-    )
 
 
 def test_without_a_frame_before_the_motion_is_continued_backwards(tmp_path) -> None:

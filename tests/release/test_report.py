@@ -22,7 +22,7 @@ def test_every_inference_stands_in_the_report_and_in_the_datasets_options(tmp_pa
     written = json.loads((tmp_path / "table" / "import_report.json").read_text("utf-8"))
     names = {each["name"] for each in written["inferred"]}
     assert {
-        "fps", "units", "motion_frame", "goal_frame", "frame_0", "gaze_on_goal",
+        "fps", "units", "motion_frame", "goal_frame",
     } <= names  # fmt: skip
     for each in written["inferred"]:
         assert each["how_surely"] in ("certain", "likely", "assumed", "unknown")
