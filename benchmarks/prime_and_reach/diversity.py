@@ -15,8 +15,8 @@ from prbench.errors import RunError, UsageError
 from prbench.harness.diversity import SPREADS, MotionsToGoal, spreads
 from prbench.harness.first_run import tables_of_runs
 from prbench.harness.intervals import difference_interval, mean_interval
+from prbench.harness.results import cases_of_run
 from prbench.harness.run_folder import RunFolder
-from prbench.harness.score_predictions import scored_sequences
 from prbench.harness.similar_tasks import Tasks, at_length, laid_on_goal, read_motions
 from prbench.protocol.manifests import BenchmarkProtocol, load_protocol
 from prbench.sequences import SequenceTable
@@ -129,7 +129,7 @@ def _rules(run: RunFolder) -> BenchmarkProtocol:
 def _predicted(run: RunFolder, table: SequenceTable) -> list[str]:
     """Sequences of which the run holds motions."""
     motions = RunMotions.open(run, table.info.dataset, label="")
-    return [name for name in scored_sequences(run, table).sequence_ids if name in motions]
+    return [name for name in cases_of_run(run, table)[2].sequence_ids if name in motions]
 
 
 def _measured(run: RunFolder, table: SequenceTable, progress: Progress) -> Table:

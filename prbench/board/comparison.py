@@ -206,7 +206,7 @@ def sequence_scores(path: Path, benchmark: Benchmark, *, only: frozenset[str] | 
     """
     scores = CodedScores.read(path)
     if only is not None:
-        scores = scores.only(only.__contains__)
+        scores = scores.only(only)
     everything = sorted(scores.sequence_ids)
     place_of = {name: place for place, name in enumerate(everything)}
     places = np.array([place_of[name] for name in scores.sequence_ids], dtype=np.int64)

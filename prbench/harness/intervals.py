@@ -247,37 +247,17 @@ def difference_interval(
     return replace(plain, low=max(float(low), -1.0), high=min(float(high), 1.0), method=DIFFERENCE_INTERVAL)
 
 
-@dataclass(frozen=True)
-class UncertaintySources:
-    """Shares of the variance of a mean over sequences; they add up to 1, or are all 0 where nothing varies."""
-
-    recordings: float
-    sequences: float
-    """With one sample a sequence, what samples add is among this share."""
-    samples: float
-
-    @property
-    def largest(self) -> str:
-        """``recordings``, ``sequences`` or ``samples``."""
-        shares = {"recordings": self.recordings, "sequences": self.sequences, "samples": self.samples}
-        return max(shares, key=lambda name: shares[name])
-
-    @property
-    def sentence(self) -> str:
-        """Say which more data would make the interval narrower."""
-        share = round(100 * max(self.recordings, self.sequences, self.samples))
-        if share == 0:
-            return "nothing varies"
-        return f"{share} % of the uncertainty comes from the choice of {self.largest}: more {self.largest} reduce it"
-
-
 def uncertainty_sources(
     values: Float[np.ndarray, " rows"], recording_ids: Ids, sequence_ids: Ids | None = None
-) -> UncertaintySources:
+) -> dict[str, float]:
     """Divide the variance of the mean among recordings, sequences and samples; arguments as :func:`clustered`.
 
     Variance components of the nested analysis of variance with unequal numbers (Searle, Casella and McCulloch 1992,
     chapter 5); a component that comes out below 0 counts as 0.
+
+    Returns:
+        Shares that add up to 1, or are all 0 where nothing varies. With one sample a sequence, what samples add is
+        among the share of ``sequences``.
     """
     data = clustered(values, recording_ids, sequence_ids)
     samples = data.samples.astype(np.float64)
@@ -300,9 +280,8 @@ def uncertainty_sources(
         of_recordings = max((between - of_sequences - from_samples) / usual_size, 0.0)
     parts = np.array([of_recordings * (sequences**2).sum() / n**2, of_sequences / n, from_samples / n])
     total = parts.sum()
-    if total <= EQUAL_WITHIN**2:
-        return UncertaintySources(0.0, 0.0, 0.0)
-    return UncertaintySources(*(float(part / total) for part in parts))
+    shares = parts / total if total > EQUAL_WITHIN**2 else np.zeros(3)
+    return dict(zip(("recordings", "sequences", "samples"), shares.tolist(), strict=True))
 
 
 def _mean_bounds(data: ClusteredValues) -> tuple[float, float] | None:

@@ -161,11 +161,8 @@ class MotionWork(CaseWork):
         agreement_with_people(self._selection, scores, protocol=self._protocol).write(files.path)
 
     def require_beside(self, files: DatasetFolder, scores: CodedScores) -> None:
-        """Compare the agreement with what follows from the scores; written anew where an earlier version wrote none."""
-        agreement = agreement_with_people(self._selection, scores, protocol=self._protocol)
-        require_agreement(files, agreement)
-        if not files.agreement.is_file():
-            agreement.write(files.path)
+        """Compare the agreement with what follows from the scores."""
+        require_agreement(files, agreement_with_people(self._selection, scores, protocol=self._protocol))
 
 
 class PrimeAndReach(Benchmark[SequenceTable, Selection]):

@@ -5,15 +5,16 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 import pyarrow as pa
 from jaxtyping import Int
 
-from prbench.engine import Engine
 from prbench.errors import RunError
-from prbench.harness.benchmark import CaseTable, load_benchmark
+from prbench.harness.benchmark import CaseTable, CaseWork, load_benchmark
 from prbench.harness.intervals import CONFIDENCE, metric_interval, smallest_detectable_unpaired, uncertainty_sources
 from prbench.harness.request import RunRequest
 from prbench.harness.run_folder import record as run_record
@@ -22,64 +23,56 @@ from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.record import RunRecord, TableRecord
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.run_folder.summary import DatasetSummary, MetricSummary
-from prbench.metrics import MetricInfo
 from prbench.metrics.registry import LENGTH_MISMATCH
 from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
 
 
-def scored_again(run: RunFolder, table: CaseTable, engine: Engine) -> CodedScores:
-    """Return the rows of ``scores.parquet`` that the answers of a run have now.
+def request_of(record: RunRecord, data: Sequence[Path], *, folder: Path, **changes: Any) -> RunRequest:
+    """Return the request that a run was made by, as far as its results depend on it.
 
     Args:
-        run: The run; its answers lie in its folder.
-        table: The table that it was made on.
-        engine: Where to score.
-
-    Raises:
-        RunError: if the run is of another table.
-        PredictionsError: if answers are missing, or one cannot be scored.
+        record: What is recorded about it.
+        data: Its tables.
+        folder: Holds the user's own protocol, if the run follows one.
+        changes: Fields of the request that are wanted otherwise.
     """
-    record = run.record
-    require_same_table(run, table)
-    benchmark = load_benchmark(record.benchmark)
-    request = _request_of(run, table)
-    rules = benchmark.rules(request, [table])
-    chosen = next(iter(benchmark.choose(request, [table])))
-    cases = benchmark.answerable(request, chosen, record.method)
-    condition = benchmark.condition(record.condition)
-    work = benchmark.work(request, cases, method=record.method, condition=condition, rules=rules)
-    return CodedScores.of(work.scores(run.dataset(table.info.dataset), engine))
+    own_protocol = folder / PROTOCOL_FILE
+    given: dict[str, Any] = {
+        "method": record.method.name,
+        "data": tuple(data),
+        "benchmark": record.benchmark,
+        "condition": record.condition,
+        "split": record.split,
+        "limit": record.limit,
+        "sequences": record.sequences,
+        "seed": record.seed,
+        "samples": record.samples,
+        "batch_size": record.tables[0].batch_plan.batch_size or 1,
+        "device": record.device,
+        "threads": record.threads,
+        "control": record.control,
+        "protocol": own_protocol if own_protocol.is_file() else None,
+    }
+    return RunRequest(**(given | changes))
 
 
-def _request_of(run: RunFolder, table: CaseTable) -> RunRequest:
-    """Return the request of a run for one of its tables, as far as its scores depend on it."""
-    record = run.record
-    own_protocol = run.path / PROTOCOL_FILE
-    there = load_benchmark(record.benchmark).recordings_of(table) if record.sequences else {}
-    return RunRequest(
-        method=record.method.name,
-        data=(table.folder,),
-        benchmark=record.benchmark,
-        condition=record.condition,
-        split=record.split,
-        limit=record.limit,
-        sequences=tuple(name for name in record.sequences if name in there),
-        seed=record.seed,
-        samples=record.samples,
-        batch_size=_of_table(record, table).batch_plan.batch_size or 1,
-        control=record.control,
-        protocol=own_protocol if own_protocol.is_file() else None,
-    )
+def cases_of_run(run: RunFolder, table: CaseTable, *, limit: int | None = None) -> tuple[RunRequest, Any, Any]:
+    """Choose the cases of a run in one of its tables anew.
 
+    Args:
+        run: The run.
+        table: The table that it was made on.
+        limit: Number of cases, if it is to be another one than the run's.
 
-def require_same_table(run: RunFolder, table: CaseTable) -> None:
-    """Refuse a table that a run was not made on.
+    Returns:
+        The request of the run for this table, the chosen cases, and those of them that the method can answer.
 
     Raises:
-        RunError: naming the digest that differs.
+        RunError: if the run is of another table; names the digest that differs.
     """
     run.dataset(table.info.dataset)
-    recorded = _of_table(run.record, table)
+    record = run.record
+    recorded = next(item for item in record.tables if item.dataset == table.info.dataset)
     for key, found in (("identity_digest", table.identity), ("content_digest", table.content)):
         expected = getattr(recorded, key)
         if expected != found:
@@ -87,15 +80,33 @@ def require_same_table(run: RunFolder, table: CaseTable) -> None:
                 f"{run.path / run_record.FILE_NAME}, tables.{recorded.dataset}.{key}: the run is of table"
                 f" {expected[:12]}…, but {table.folder} is {found[:12]}…. Score it on the table that it was run on."
             )
+    benchmark = load_benchmark(record.benchmark)
+    changes: dict[str, Any] = {} if limit is None else {"limit": limit, "sequences": ()}
+    if record.sequences and limit is None:
+        here = benchmark.recordings_of(table)
+        changes["sequences"] = tuple(name for name in record.sequences if name in here)
+    batch_size = recorded.batch_plan.batch_size or 1
+    request = request_of(record, [table.folder], folder=run.path, batch_size=batch_size, threads=1, **changes)
+    chosen = next(iter(benchmark.choose(request, [table])))
+    return request, chosen, benchmark.answerable(request, chosen, record.method)
 
 
-def _of_table(record: RunRecord, table: CaseTable) -> run_record.TableRecord:
-    return next(item for item in record.tables if item.dataset == table.info.dataset)
+def work_of_run(run: RunFolder, request: RunRequest, cases: Any, table: CaseTable) -> CaseWork:
+    """Return the work on the cases of a run: its answers are scored by it, and lie in its folder."""
+    benchmark = load_benchmark(run.record.benchmark)
+    # Motions that came as a file may have an unstated condition; no score depends on it.
+    known = {condition.value: condition for condition in benchmark.conditions}
+    return benchmark.work(
+        request,
+        cases,
+        method=run.record.method,
+        condition=known.get(run.record.condition, next(iter(known.values()))),
+        rules=benchmark.rules(request, [table]),
+    )
 
 
 _VALUES_WITHIN = 1e-6  # metres, or as little of another unit: what other processors may make of the same motion
 _SHARES_WITHIN = 1e-3  # of the variance, whose small shares are differences of large numbers
-_FORMER_INTERVALS = ("wilson-cluster", "bootstrap", "t-jackknife")  # up to 0.7.0
 _OF_RECORDINGS = frozenset({"recordings", "low", "high", "interval", "marks", "detectable", "uncertainty"})
 _KEYS = ("sequence_id", "sample", "metric", "flag")
 _AGAIN = "Delete it and run the same command again, which scores anew what was generated."
@@ -116,14 +127,9 @@ def require_summary(files: DatasetFolder, made: DatasetSummary, *, grouped: bool
     for key, expected, found in _differences(made, stored):
         if not grouped and key.rpartition(".")[2] in _OF_RECORDINGS:
             continue
-        cause = "One of the two was edited."
-        if key.endswith(".interval") and found in _FORMER_INTERVALS:
-            cause = "An earlier version of prbench wrote it, whose intervals covered too little."
-        if key.endswith(".detectable"):
-            cause = "Up to version 0.9.0 it was corrected for eight metrics, of which seven are compared. " + cause
         raise RunError(
             f"{files.path / run_summary.FILE_NAME}, {key}: expected {expected}, which follows from"
-            f" {files.scores.name}, found {found}. {cause} {_AGAIN}"
+            f" {files.scores.name}, found {found}. One of the two was edited. {_AGAIN}"
         )
 
 
@@ -194,22 +200,20 @@ def _differences(made: DatasetSummary, stored: DatasetSummary) -> Iterator[tuple
 def metric_differences(made: MetricSummary, stored: MetricSummary) -> Iterator[tuple[str, object, object]]:
     """Key, expected and found value of what an entry says otherwise than the scores."""
     within = 1e-9 + _VALUES_WITHIN * abs(made.mean)
-    limits = {"mean": within, "low": within, "high": within, "detectable": within}
     found = msgspec.structs.asdict(stored)
     # The estimator first: bounds of another one differ, too, and say less about the cause.
     for name, value in sorted(msgspec.structs.asdict(made).items(), key=lambda item: item[0] != "interval"):
-        if name == "marks":  # since 0.5.0, values that only arithmetic tells apart are marked as equal, too
-            same = set(value) - {"all_equal"} == set(found[name]) - {"all_equal"}
-        elif name == "uncertainty":
-            same = value.keys() == found[name].keys() and all(
-                abs(share - found[name][source]) <= _SHARES_WITHIN for source, share in value.items()
+        other = found[name]
+        if name == "uncertainty":
+            same = value.keys() == other.keys() and all(
+                abs(share - other[source]) <= _SHARES_WITHIN for source, share in value.items()
             )
-        elif name in limits and value is not None and found[name] is not None:
-            same = abs(value - found[name]) <= limits[name]
+        elif name in ("mean", "low", "high", "detectable") and value is not None and other is not None:
+            same = abs(value - other) <= within
         else:
-            same = value == found[name]
+            same = value == other
         if not same:
-            yield f"{made.metric}.{name}", value, found[name]
+            yield f"{made.metric}.{name}", value, other
 
 
 def summary_of(
@@ -229,11 +233,38 @@ def summary_of(
     # Numbers in the order of the names take the place of the names, which are sorted many times.
     sequences = _ranks(coded.sequence_ids)
     recordings = _ranks([recording_of[name] for name in coded.sequence_ids])
-    metrics = tuple(
-        _summarised(info, coded, coded.rows_of(info.id), sequences, recordings, ranked)
-        for info in infos
-        if info.id in coded.metrics
-    )
+    metrics = []
+    for info in infos:
+        if info.id not in coded.metrics:
+            continue
+        rows = coded.rows_of(info.id)
+        sequence_ids = sequences[coded.sequence[rows]]
+        recording_ids = recordings[coded.sequence[rows]]
+        values = coded.value[rows]
+        estimate = metric_interval(info, values, recording_ids, sequence_ids)
+        shares = uncertainty_sources(values, recording_ids, sequence_ids)
+        flags: Counter[str] = Counter()
+        for text, count in Counter(coded.flag[rows].tolist()).items():
+            for name in coded.flags[text].split(";") if text >= 0 and coded.flags[text] else ():
+                flags[name] += count
+        metrics.append(
+            MetricSummary(
+                metric=info.id,
+                title=info.title,
+                unit=info.unit,
+                mean=estimate.mean,
+                low=estimate.low,
+                high=estimate.high,
+                level=CONFIDENCE,
+                interval=estimate.method,
+                sequences=estimate.n_sequences,
+                recordings=estimate.n_recordings,
+                marks=estimate.marks,
+                flags=dict(sorted(flags.items())),
+                detectable=smallest_detectable_unpaired(values, recording_ids, sequence_ids, comparisons=ranked),
+                uncertainty={name: round(share, 4) for name, share in shares.items()},
+            )
+        )
     says_synthetic = not table.synthetic or "synthetic" in table.title.lower()
     return DatasetSummary(
         dataset=table.dataset,
@@ -251,7 +282,7 @@ def summary_of(
         gaze=record.method.gaze,
         obstacles=record.method.wants_obstacles,
         length_mismatches=max((metric.flags.get(LENGTH_MISMATCH, 0) for metric in metrics), default=0),
-        metrics=metrics,
+        metrics=tuple(metrics),
     )
 
 
@@ -261,46 +292,3 @@ def _ranks(names: Sequence[str]) -> Int[np.ndarray, " names"]:
         return np.arange(len(names))
     place = {name: number for number, name in enumerate(sorted(set(names)))}
     return np.array([place[name] for name in names], dtype=np.int64)
-
-
-def _summarised(
-    info: MetricInfo,
-    scores: CodedScores,
-    rows: Int[np.ndarray, " rows"],
-    sequences: Int[np.ndarray, " sequences"],
-    recordings: Int[np.ndarray, " sequences"],
-    ranked: int,
-) -> MetricSummary:
-    sequence_ids = sequences[scores.sequence[rows]]
-    recording_ids = recordings[scores.sequence[rows]]
-    values = scores.value[rows]
-    estimate = metric_interval(info, values, recording_ids, sequence_ids)
-    sources = uncertainty_sources(values, recording_ids, sequence_ids)
-    shares = {"recordings": sources.recordings, "sequences": sources.sequences, "samples": sources.samples}
-    flags = _counted_flags(scores, rows)
-    return MetricSummary(
-        metric=info.id,
-        title=info.title,
-        unit=info.unit,
-        mean=estimate.mean,
-        low=estimate.low,
-        high=estimate.high,
-        level=CONFIDENCE,
-        interval=estimate.method,
-        sequences=estimate.n_sequences,
-        recordings=estimate.n_recordings,
-        marks=estimate.marks,
-        flags=dict(sorted(flags.items())),
-        detectable=smallest_detectable_unpaired(values, recording_ids, sequence_ids, comparisons=ranked),
-        uncertainty={name: round(share, 4) for name, share in shares.items()},
-    )
-
-
-def _counted_flags(scores: CodedScores, rows: Int[np.ndarray, " rows"]) -> Counter[str]:
-    """Count the rows that carry each flag; a row may carry several."""
-    found: Counter[str] = Counter()
-    flag = scores.flag[rows]
-    for number, count in enumerate(np.bincount(flag[flag >= 0], minlength=len(scores.flags)).tolist()):
-        for name in scores.flags[number].split(";") if count and scores.flags[number] else ():
-            found[name] += count
-    return found

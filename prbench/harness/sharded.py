@@ -20,12 +20,12 @@ from prbench.files.storage import atomic_path, remove_half_written, remove_lefto
 from prbench.harness.methods.loading import forget_loaded_methods
 from prbench.harness.preparation import DEFAULT_PARENT, PreparedRun, prepare_recorded, prepare_run
 from prbench.harness.request import ProgressCallback, RunRequest, silent
+from prbench.harness.results import request_of
 from prbench.harness.run import RunPart, RunReport, generate_all, prepared_folder, remove_empty, scored_parts
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.record import RunRecord
 from prbench.object_stores.inputs import fetched
 from prbench.object_stores.store import is_url
-from prbench.protocol.own_protocol import FILE_NAME as PROTOCOL_FILE
 from prbench.protocol.own_protocol import write_protocol
 
 
@@ -134,26 +134,8 @@ def merge_run_shards(
     """
     folder, shard = shards[0]
     record = msgspec.convert(shard.settings, RunRecord)
-    # The request of the whole run.
-    protocol = folder / PROTOCOL_FILE
-    request = RunRequest(
-        method=record.method.name,
-        data=tuple(data) or tuple(fetched(at) if is_url(at) else Path(at) for at in shard.places.get("data", ())),
-        benchmark=record.benchmark,
-        condition=record.condition,
-        split=record.split,
-        fold=shard.places.get("fold"),
-        limit=record.limit,
-        sequences=record.sequences,
-        seed=record.seed,
-        samples=record.samples,
-        batch_size=record.tables[0].batch_plan.batch_size,
-        device=record.device,
-        threads=record.threads,
-        control=record.control,
-        protocol=protocol if protocol.is_file() else None,
-        out=out,
-    )
+    data = tuple(data) or tuple(fetched(at) if is_url(at) else Path(at) for at in shard.places.get("data", ()))
+    request = request_of(record, data, folder=folder, fold=shard.places.get("fold"), out=out)
     prepared = prepare_recorded(request, record, out)
     require_settings(
         folder,

@@ -15,15 +15,12 @@ import numpy as np
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import RunError
-from prbench.harness.agreement import agreement_with_people, require_agreement
 from prbench.harness.benchmark import CaseTable, load_benchmark
-from prbench.harness.results import require_scores, require_summary, scored_again, summary_of
+from prbench.harness.results import cases_of_run, require_scores, require_summary, summary_of, work_of_run
 from prbench.harness.run_folder.folder import RunFolder
-from prbench.harness.run_folder.record import RunRecord, TableRecord
+from prbench.harness.run_folder.record import TableRecord
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.run_folder.summary import DatasetSummary
-from prbench.harness.score_predictions import scored_sequences
-from prbench.sequences import SequenceTable
 from prbench.shown import quoted
 
 _OTHER_PROTOCOL = (
@@ -63,7 +60,7 @@ class ScoredSequences:
         Args:
             ids: Sequences that were scored.
         """
-        kept = CodedScores.read(self.run.dataset(self.record.dataset).scores).only(ids.__contains__)
+        kept = CodedScores.read(self.run.dataset(self.record.dataset).scores).only(ids)
         record = msgspec.structs.replace(self.record, sequences=len(ids), unsupported=0)
         return summary_of(self.run.record, record, kept, {name: self.recording_of[name] for name in ids})
 
@@ -86,60 +83,35 @@ class RunChecker:
         files = run.dataset(record.dataset)
         scores = CodedScores.read(files.scores)
         table = self.find_table(record)
-        recording_of, grouped = _recordings_of(run.record, scores, table)
-        made = _require_summary_of(run, record, scores, recording_of, grouped=grouped)
-        scored = ScoredSequences(run, record, recording_of)
-        if not any(files.predictions.glob("part-*.parquet")):
-            _require_agreement_of(run, scores, table)
-            return CheckedSummary(made, "its folder holds no motions", scored)
-        if load_benchmark(run.record.benchmark).rules_of(run) is None:
-            return CheckedSummary(made, _OTHER_PROTOCOL, scored)
-        if table is None:
-            why = f"its table of {record.dataset} is not at hand: name it with --data DIR"
-            return CheckedSummary(made, why, scored)
-        require_scores(files, scores, scored_again(run, table, self.engine))
-        _require_agreement_of(run, scores, table)
-        return CheckedSummary(made, "", scored)
-
-
-def _recordings_of(record: RunRecord, scores: CodedScores, table: CaseTable | None) -> tuple[dict[str, str], bool]:
-    """Map each sequence that was scored to its recording; False where nothing says which ones belong together."""
-    names = sorted(scores.sequence_ids)
-    benchmark = load_benchmark(record.benchmark)
-    if table is None:
+        benchmark = load_benchmark(run.record.benchmark)
         # Without the table, ids tell which recording a sequence is of, and so which intervals follow.
-        return {name: benchmark.recording_key(name) for name in names}, benchmark.ids_tell_recordings(names)
-    known = benchmark.recordings_of(table)
-    recording_of = {name: known.get(name, benchmark.recording_key(name)) for name in names}
-    return recording_of, all(name in known for name in names)
-
-
-def _require_summary_of(
-    run: RunFolder, record: TableRecord, scores: CodedScores, recording_of: Mapping[str, str], *, grouped: bool
-) -> DatasetSummary:
-    """The summary that follows from the scores; the stored one where nothing says which sequences belong together."""
-    files = run.dataset(record.dataset)
-    made = summary_of(run.record, record, scores, recording_of)
-    require_summary(files, made, grouped=grouped)
-    return made if grouped else DatasetSummary.read(files.path)
-
-
-def _require_agreement_of(run: RunFolder, scores: CodedScores, table: CaseTable | None) -> None:
-    """Compare the agreement with recorded people with what follows from the scores, where the table is at hand.
-
-    Raises:
-        RunError: if it says something else, or the scores are of sequences that the run was not made on.
-    """
-    if not isinstance(table, SequenceTable):  # other benchmarks have no such file
-        return
-    protocol = run.protocol
-    if protocol is None:
-        return
-    files = run.dataset(table.info.dataset)
-    selection = scored_sequences(run, table)
-    scored = frozenset(scores.sequence_ids)
-    unknown = sorted(scored - frozenset(selection.sequence_ids))
-    if unknown:
-        raise RunError(f"{files.scores}: expected sequences that the run was made on, found {quoted(unknown[0])}.")
-    selection = selection.chosen(np.array([name in scored for name in selection.sequence_ids]))
-    require_agreement(files, agreement_with_people(selection, scores, protocol=protocol))
+        names = sorted(scores.sequence_ids)
+        known = {} if table is None else benchmark.recordings_of(table)
+        grouped = benchmark.ids_tell_recordings(names) if table is None else all(name in known for name in names)
+        recording_of = {name: known.get(name) or benchmark.recording_key(name) for name in names}
+        made = summary_of(run.record, record, scores, recording_of)
+        require_summary(files, made, grouped=grouped)
+        if not grouped:
+            made = DatasetSummary.read(files.path)
+        scored = ScoredSequences(run, record, recording_of)
+        has_motions = any(files.predictions.glob("part-*.parquet"))
+        unverified = ""
+        if not has_motions:
+            unverified = "its folder holds no motions"
+        elif benchmark.rules_of(run) is None:
+            unverified = _OTHER_PROTOCOL
+        elif table is None:
+            unverified = f"its table of {record.dataset} is not at hand: name it with --data DIR"
+        if table is not None and benchmark.rules_of(run) is not None:
+            request, _, cases = cases_of_run(run, table)
+            unknown = sorted(set(names) - set(cases.sequence_ids))
+            if unknown:
+                raise RunError(
+                    f"{files.scores}: expected sequences that the run was made on, found {quoted(unknown[0])}."
+                )
+            if has_motions:
+                work = work_of_run(run, request, cases, table)
+                require_scores(files, scores, CodedScores.of(work.scores(files, self.engine)))
+            cases = cases.chosen(np.isin(cases.sequence_ids, names))
+            work_of_run(run, request, cases, table).require_beside(files, scores)
+        return CheckedSummary(made, unverified, scored)

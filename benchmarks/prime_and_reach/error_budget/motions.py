@@ -12,9 +12,9 @@ from prbench.errors import RunError
 from prbench.geometry.skeleton import BONES, WRISTS, Joint
 from prbench.harness.agreement import goal_places
 from prbench.harness.controls import recorded_through_features
+from prbench.harness.results import cases_of_run
 from prbench.harness.run_folder import RunFolder
 from prbench.harness.run_folder.predictions import Predictions
-from prbench.harness.score_predictions import scored_sequences
 from prbench.harness.scoring import COLUMNS, targets_of
 from prbench.metrics import MotionBatch, ScoringTargets
 from prbench.metrics.bone_length_change import change_of_each_bone
@@ -72,7 +72,7 @@ def diagnosed_motions(run: RunFolder, tables: list[SequenceTable], *, who: str =
                 f"{folder}: expected the motions of the run, found none. Run the method again, which keeps them."
             )
         predictions = Predictions.open(folder)
-        selection = scored_sequences(run, table)
+        selection = cases_of_run(run, table)[2]
         for _, chunk in selection.windows([*COLUMNS, "prime_gap", "recording_id", "next_joints"]):
             targets = targets_of(chunk, chunk.vectors("goal_location"), None)
             place = {
