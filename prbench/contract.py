@@ -19,7 +19,6 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from prbench.entry_points import ADAPTERS
-from prbench.geometry.shapes import Boxes
 from prbench.sequences.table import SequenceTable
 
 _INITIAL_STATE = frozenset({"initial_joints", "previous_joints"})
@@ -68,9 +67,6 @@ class ConditionBatch:
     """The recorded last frame (``goal-pose`` only)."""
     goal_location: Float[np.ndarray, "batch 3"] | None = None
     """Centre of the object, or of the place it is put to (``goal-loc`` only)."""
-    obstacles: Boxes | None = None
-    """The solid boxes around each sequence; only for methods that ask for them (``wants_obstacles``), whose rows no
-    table ranks with the others (docs/specification/scene.md#solid-boxes)."""
 
     def __post_init__(self) -> None:
         for name in sorted(frozenset().union(*GIVEN.values())):
@@ -79,8 +75,6 @@ class ConditionBatch:
                 raise ValueError(f"condition {self.condition.value}: '{name}' must {'not ' if given else ''}be given")
             if given and len(getattr(self, name)) != len(self):
                 raise ValueError(f"'{name}' has {len(getattr(self, name))} rows, the batch has {len(self)}")
-        if self.obstacles is not None and len(self.obstacles) != len(self):
-            raise ValueError(f"'obstacles' are those of {len(self.obstacles)} rows, the batch has {len(self)}")
         if len(self.opaque_id) != len(self) or len(self.noise_seed) != len(self):
             raise ValueError("opaque_id and noise_seed need one entry a sequence")
 
@@ -96,7 +90,6 @@ class ConditionBatch:
             fps=self.fps,
             opaque_id=self.opaque_id[part],
             noise_seed=self.noise_seed[part],
-            obstacles=None if self.obstacles is None else self.obstacles.part(start, stop),
             **{name: getattr(self, name)[part] for name in GIVEN[self.condition]},
         )
 
@@ -160,9 +153,8 @@ class Adapter(Protocol):
     Optional attributes are honoured when present: ``max_frames`` (longer sequences are counted as unsupported,
     never cut), ``native_fps`` (the harness then gives ``n_frames`` and ``fps`` at that rate and resamples the
     result to the table's grid), ``motionless`` (true for a method whose motions stand still; its Foot Skating is
-    printed as a dash), ``gaze`` (true for a method whose motions bring :class:`Gaze`) and ``wants_obstacles`` (true to
-    be given ``batch.obstacles``, the solid boxes around each sequence). Runs of either kind are marked and ranked
-    nowhere.
+    printed as a dash) and ``gaze`` (true for a method whose motions bring :class:`Gaze`; its runs are marked and ranked
+    nowhere).
 
     So is one optional method, ``weights_for(condition) -> Path | None``: the file or folder of the weights that the
     method will use under this condition. ``run.json`` then records their name and digest, and a run is not resumed

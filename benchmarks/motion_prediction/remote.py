@@ -11,8 +11,7 @@ import pyarrow as pa
 from jaxtyping import Float
 
 from prbench.harness.methods.messages import Header, arrow_stream, numbers_by_id
-from prbench.harness.methods.motions import asked_for
-from prbench.harness.methods.remote import Exchange, RemoteMethod, answer_in
+from prbench.harness.methods.remote import RemoteMethod, answer_in
 from prbench_benchmarks.motion_prediction.batch import Condition, Futures, ObservedBatch, Predictor, require_futures
 
 
@@ -42,15 +41,15 @@ class RemotePredictor(RemoteMethod):
             "n_future": batch.n_future,
             "joint_names": list(batch.joint_names),
         }
-        asked = Exchange(
-            header=header,
-            payload=_observed_payload(batch, ids),
+        joints = self.exchange(
+            header,
+            _observed_payload(batch, ids),
+            partial(_futures_in, ids=ids, shape=shape),
             # Twice the size in float64: room for any list type, and still a bound on what is read.
             largest=2 * int(np.prod(shape)) * 8,
-            read=partial(_futures_in, ids=ids, shape=shape),
-            asked_for=asked_for(ids),
+            ids=ids,
         )
-        return Futures(joints=self.exchange(asked))
+        return Futures(joints=joints)
 
 
 def _observed_payload(batch: ObservedBatch, ids: tuple[str, ...]) -> bytes:

@@ -169,10 +169,6 @@ class Boxes:
             np.concatenate([[0], np.cumsum(np.concatenate([np.empty(0, dtype=np.int64), *sizes]))]).astype(np.int64),
         )
 
-    def copied(self) -> Boxes:
-        """The same boxes in arrays of their own."""
-        return Boxes(self.centre.copy(), self.rotation.copy(), self.half_extents.copy(), self.offsets.copy())
-
     def part(self, start: int, stop: int) -> Boxes:
         """The boxes of the sequences ``start`` to ``stop - 1``, without copying."""
         begin = self.offsets[start]

@@ -2,8 +2,7 @@
 
 A :class:`ConditionSource` holds what conditions are made of (first, previous and last frame, text, goal), about 1 kB a
 sequence. It copies these out of the table, so that nothing that a batch refers to leads back to the recorded frames in
-between. A :class:`ConditionStream` holds one window of sequences at a time. The solid boxes around the sequences
-(docs/specification/scene.md#solid-boxes) go to methods that ask for them.
+between. A :class:`ConditionStream` holds one window of sequences at a time.
 """
 
 from __future__ import annotations
@@ -12,9 +11,8 @@ import dataclasses
 import hashlib
 import hmac
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -37,36 +35,33 @@ SCENE_COLUMNS = ["recording_id", "world_from_canonical"]
 _NONE = Boxes(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 3)), np.array([0, 0]))
 
 
-@dataclass(frozen=True)
-class SolidBoxes:
-    """The solid boxes of every recording of a table, world frame, metres."""
+def solid_boxes(table: SequenceTable) -> dict[str, Boxes] | None:
+    """The solid boxes of every recording of a table, world frame, metres; None where it knows of no boxes."""
+    if not table.has_scenes:
+        return None
+    scenes = table.scenes()
+    places: dict[str, list[int]] = {}
+    for place in np.flatnonzero(is_solid(scenes)).tolist():
+        places.setdefault(scenes["recording_id"][place].as_py(), []).append(place)
+    found = {}
+    for name in sorted(places):
+        rows = scenes.take(pa.array(places[name])).combine_chunks()
+        columns = SequenceChunk(rows.to_batches()[0])
+        rotation = Rotation.from_quat(columns.vectors("rotation"), scalar_first=True).as_matrix()
+        ends = np.array([0, len(columns)])
+        found[name] = Boxes(columns.vectors("centre"), rotation, columns.vectors("half_extents"), ends)
+    return found
 
-    table: SequenceTable
 
-    @classmethod
-    def of(cls, table: SequenceTable) -> SolidBoxes | None:
-        """The boxes of a table; None where it knows of none."""
-        return cls(table) if table.has_scenes else None
-
-    @cached_property
-    def _by_recording(self) -> dict[str, Boxes]:
-        rows = self.table.scenes()
-        solid = np.flatnonzero(is_solid(rows))
-        places: dict[str, list[int]] = {}
-        for name, place in zip(rows["recording_id"].take(pa.array(solid)).to_pylist(), solid.tolist(), strict=True):
-            places.setdefault(name, []).append(place)
-        return {name: _boxes(rows.take(pa.array(places[name]))) for name in sorted(places)}
-
-    def around(self, chunk: SequenceChunk) -> Boxes:
-        """The solid boxes of each sequence of a chunk with :data:`SCENE_COLUMNS`, in its canonical frame."""
-        world_from_canonical = chunk.vectors("world_from_canonical").reshape(-1, 4, 4)
-        names = chunk.strings("recording_id")
-        return Boxes.joined(
-            [
-                self._by_recording.get(name, _NONE).placed(invert_rigid(place))
-                for name, place in zip(names, world_from_canonical, strict=True)
-            ]
-        )
+def boxes_around(chunk: SequenceChunk, boxes: Mapping[str, Boxes]) -> Boxes:
+    """The solid boxes of each sequence of a chunk with :data:`SCENE_COLUMNS`, in its canonical frame."""
+    world_from_canonical = chunk.vectors("world_from_canonical").reshape(-1, 4, 4)
+    return Boxes.joined(
+        [
+            boxes.get(name, _NONE).placed(invert_rigid(place))
+            for name, place in zip(chunk.strings("recording_id"), world_from_canonical, strict=True)
+        ]
+    )
 
 
 def is_solid(scenes: pa.Table) -> Bool[np.ndarray, " boxes"]:
@@ -78,12 +73,6 @@ def is_solid(scenes: pa.Table) -> Bool[np.ndarray, " boxes"]:
     # Without a recorded body nobody has shown that a box is hollow.
     entered = np.array(scenes["entered"].to_pylist(), dtype=np.float64)  # NaN where it is null
     return ~(entered > load_scene_constants()["passable"])
-
-
-def _boxes(rows: pa.Table) -> Boxes:
-    columns = SequenceChunk(rows.combine_chunks().to_batches()[0])
-    rotation = Rotation.from_quat(columns.vectors("rotation"), scalar_first=True).as_matrix()
-    return Boxes(columns.vectors("centre"), rotation, columns.vectors("half_extents"), np.array([0, len(columns)]))
 
 
 _COLUMNS = ["text", "goal_location", "joints", "previous_joints", "head_tilt_deg"]
@@ -104,29 +93,17 @@ class ConditionSource:
     goal_location: Float[np.ndarray, "n 3"]
     head_tilt_deg: Float[np.ndarray, " n"]
     """Never part of a condition; the harness's own scripted motion needs it."""
-    obstacles: Boxes | None = None
-    """The solid boxes around each sequence, where the method asks for them."""
 
     @classmethod
-    def read(cls, selection: Selection, *, obstacles: bool = False) -> ConditionSource:
-        """Stream the chosen rows of a table once and keep what conditions need.
-
-        Args:
-            selection: The sequences.
-            obstacles: Keep the solid boxes around them, too.
-
-        Raises:
-            UsageError: if boxes are wanted and the table knows of none.
-        """
-        windows = list(_sources(selection, _scene(selection, obstacles=obstacles)))
-        boxes = [source.obstacles for _, source in windows if source.obstacles is not None]
+    def read(cls, selection: Selection) -> ConditionSource:
+        """Stream the chosen rows of a table once and keep what conditions need."""
+        windows = list(_sources(selection))
         joined = {name: np.concatenate([getattr(source, name) for _, source in windows]) for name in _ARRAYS}
         return cls(
             selection.sequence_ids,
             selection.n_frames,
             selection.fps,
             tuple(itertools.chain.from_iterable(source.text for _, source in windows)),
-            obstacles=Boxes.joined(boxes) if boxes else None,
             **joined,
         )
 
@@ -158,7 +135,6 @@ class ConditionSource:
             fps=self.fps,
             opaque_id=tuple(opaque_ids(ids, salt)),
             noise_seed=tuple(noise_seed(seed, name, sample) for name in ids),
-            obstacles=None if self.obstacles is None else self.obstacles.of_rows(rows),
             **given,
         )
 
@@ -173,10 +149,9 @@ class ConditionSource:
 class ConditionStream:
     """The makings of conditions of a selection, one window in memory at a time."""
 
-    def __init__(self, selection: Selection, *, obstacles: bool = False) -> None:
-        """Prepare to read; arguments and errors are those of :meth:`ConditionSource.read`."""
+    def __init__(self, selection: Selection) -> None:
+        """Prepare to read."""
         self._selection = selection
-        self._scene = _scene(selection, obstacles=obstacles)
         self._windows: Iterator[tuple[slice, ConditionSource]] = iter(())
         self._place = slice(0, 0)
         self._source: ConditionSource | None = None
@@ -191,7 +166,7 @@ class ConditionStream:
             The makings of the window, and the places of the rows among them.
         """
         if self._source is None or rows[0] < self._place.start:
-            self._windows = _sources(self._selection, self._scene)
+            self._windows = _sources(self._selection)
             self._place, self._source = next(self._windows)
         while rows[0] >= self._place.stop:
             self._place, self._source = next(self._windows)
@@ -199,25 +174,9 @@ class ConditionStream:
         return self._source, rows - self._place.start
 
 
-def _scene(selection: Selection, *, obstacles: bool) -> SolidBoxes | None:
-    """Return the solid boxes around sequences, if they are wanted.
-
-    Raises:
-        UsageError: if they are and the table knows of none.
-    """
-    scene = SolidBoxes.of(selection.table) if obstacles else None
-    if obstacles and scene is None:
-        raise UsageError(
-            f"{selection.table.folder}: expected the boxes of the scene (scenes.parquet), which the method"
-            " asks for, found none. Build the table again (ADT, MoGaze, synthetic people), or leave the method's"
-            " option out."
-        )
-    return scene
-
-
-def _sources(selection: Selection, scene: SolidBoxes | None) -> Iterator[tuple[slice, ConditionSource]]:
+def _sources(selection: Selection) -> Iterator[tuple[slice, ConditionSource]]:
     """Yield the makings of the conditions of each window, with its places in the selection."""
-    for place, chunk in selection.windows(_COLUMNS + (SCENE_COLUMNS if scene else [])):
+    for place, chunk in selection.windows(_COLUMNS):
         joints = chunk.joints
         offsets = chunk.offsets
         yield (
@@ -232,7 +191,6 @@ def _sources(selection: Selection, scene: SolidBoxes | None) -> Iterator[tuple[s
                 goal_joints=joints[offsets[1:] - 1],
                 goal_location=chunk.vectors("goal_location").copy(),
                 head_tilt_deg=chunk.numbers("head_tilt_deg").copy(),
-                obstacles=scene.around(chunk) if scene else None,
             ),
         )
 

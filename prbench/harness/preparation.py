@@ -187,7 +187,6 @@ def _method(request: RunRequest, spec: MethodSpec, condition: StrEnum) -> Method
         native_fps=declared.native_fps,
         motionless=declared.motionless,
         gaze=declared.gaze,
-        wants_obstacles=declared.wants_obstacles,
         one_design=declared.one_design,
         isolation=spec.isolation,
     )
@@ -208,7 +207,7 @@ def _weights(
     if isinstance(method.adapter, RemoteMethod):
         declared = method.adapter.weights.get(condition)
         if declared is not None:
-            return declared.name, declared.sha256
+            return declared
         return (given.name, weights_digest(given) if given.exists() else None) if given else (None, None)
     used = used_weights(method.adapter, condition, given, origin=origin)
     return (used.name, weights_digest(used)) if used else (None, None)

@@ -102,11 +102,11 @@ class MotionWork(CaseWork):
         self._method = method
         self._condition = condition
         self._protocol = protocol
-        self._source: ConditionSource | ConditionStream = ConditionStream(selection, obstacles=method.wants_obstacles)
+        self._source: ConditionSource | ConditionStream = ConditionStream(selection)
         self._scored_goals: Float[np.ndarray, "n 3"] | None = None
         # These put conditions of sequences together that lie anywhere in the table.
         if request.control == SHUFFLED_GOAL or request.method == NEAREST_NEIGHBOUR:
-            whole = ConditionSource.read(selection, obstacles=method.wants_obstacles)
+            whole = ConditionSource.read(selection)
             if request.control == SHUFFLED_GOAL:
                 whole = whole.with_goals_of(derangement(selection, seed=request.seed))
                 if request.method in RECORDED_MOTION:

@@ -15,7 +15,7 @@ from prbench.contract import Condition, ConditionBatch, Gaze, Motions
 from prbench.engine import Engine, InProcess
 from prbench.errors import PredictionsError
 from prbench.geometry.shapes import Boxes
-from prbench.harness.conditions import SCENE_COLUMNS, SolidBoxes, opaque_ids, run_salt
+from prbench.harness.conditions import SCENE_COLUMNS, boxes_around, opaque_ids, run_salt, solid_boxes
 from prbench.harness.methods.motions import (
     at_table_rate,
     coordinate_problem,
@@ -154,18 +154,18 @@ def score_recorded(
         The values by metric id, and the goals (canonical frame, metres), both in the order of the selection. Metrics of
         gaze are NaN where a frame that decides has no recorded gaze.
     """
-    scene = SolidBoxes.of(selection.table)
+    scene = solid_boxes(selection.table)
     by_gaze = GAZE_METRICS & set(metrics)
     computed = {info.id for info in METRICS if scene is not None or info.id not in SCENE_METRICS}
     wanted = [info.id for info in METRICS if info.id in metrics and info.id in computed]
     parts: list[dict[str, np.ndarray]] = []
     goals: list[np.ndarray] = []
-    columns = COLUMNS + (_GAZE_COLUMNS if by_gaze else []) + (SCENE_COLUMNS if scene else [])
+    columns = COLUMNS + (_GAZE_COLUMNS if by_gaze else []) + ([] if scene is None else SCENE_COLUMNS)
     for _, chunk in selection.windows(columns, rows=_SCORED_TOGETHER):
         recorded = MotionBatch(chunk.joints, chunk.offsets)
         goals.append(chunk.vectors("goal_location"))
         gaze = _recorded_gaze(chunk) if by_gaze else None
-        boxes = scene.around(chunk) if scene else None
+        boxes = boxes_around(chunk, scene) if scene is not None else None
         values = score(recorded, recorded, targets_of(chunk, goals[-1], gaze, boxes), constants, metrics=wanted)
         parts.append({name: column.value for name, column in values.items()})
         for name in by_gaze:
@@ -189,13 +189,13 @@ def _parts(
     selection: Selection, predictions: Predictions, samples: tuple[int, ...], rules: ScoringRules, size: int
 ) -> Iterator[_Part]:
     names_of = _namer(selection, predictions, rules)
-    scene = SolidBoxes.of(selection.table)
-    columns = COLUMNS + (_GAZE_COLUMNS if rules.recorded_motion else []) + (SCENE_COLUMNS if scene else [])
+    scene = solid_boxes(selection.table)
+    columns = COLUMNS + (_GAZE_COLUMNS if rules.recorded_motion else []) + ([] if scene is None else SCENE_COLUMNS)
     for place, chunk in selection.windows(columns, rows=size):
         names = tuple(names_of(chunk.sequence_ids))
         goals = chunk.vectors("goal_location") if rules.other_goals is None else rules.other_goals[place]
         dataset = selection.table.info.dataset
-        boxes = scene.around(chunk) if scene else None
+        boxes = boxes_around(chunk, scene) if scene is not None else None
         # Not the ids of all motions, which would be sent to a worker with every part.
         asked = predictions.only(names, samples)
         yield _Part(dataset, chunk.batch, goals, names, samples, asked, rules, boxes)

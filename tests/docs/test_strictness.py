@@ -13,7 +13,7 @@ import pytest
 from prbench.contract import Motions
 from prbench.errors import AdapterError
 from prbench.harness.methods.messages import motions_of, motions_payload, parse_header, shown_json
-from prbench.harness.methods.process import ReportedError
+from prbench.harness.methods.process import Fault
 from prbench.harness.methods.remote import Introduction, motions_in
 from tests.docs.exchange import batch
 from tests.docs.test_wire_protocol import section, table
@@ -100,9 +100,9 @@ def test_payloads_that_the_page_accepts_are_read(form: str) -> None:
 
 def test_headers_that_the_page_accepts_are_read() -> None:
     assert parse_header(b'{"message": "error", "colour": 1}\r\n') == {"message": "error", "colour": 1}
-    with pytest.raises(ReportedError, match="reported an error: too hot"):
+    with pytest.raises(Fault, match="reported an error: too hot"):
         motions_in({"message": "error", "text": "too hot"}, None, BATCH, 3)
-    with pytest.raises(ReportedError, match="no reason given"):
+    with pytest.raises(Fault, match="no reason given"):
         motions_in({"message": "error", "batch": 3}, None, BATCH, 3)
 
 

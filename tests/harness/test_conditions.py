@@ -14,22 +14,21 @@ import pytest
 from prbench.cli.summaries import print_scene
 from prbench.contract import GIVEN, Condition, ConditionBatch
 from prbench.errors import UsageError
-from prbench.geometry.skeleton import Joint
 from prbench.harness import planning
 from prbench.harness.conditions import (
     SCENE_COLUMNS,
     ConditionSource,
     ConditionStream,
-    SolidBoxes,
+    boxes_around,
     derangement,
     opaque_ids,
     run_salt,
+    solid_boxes,
 )
 from prbench.harness.planning import select
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import read_scores
 from prbench.harness.run_folder.agreement import DatasetAgreement
-from prbench.harness.run_folder.predictions import Predictions
 from prbench.randomness import noise_seed
 from tests.fakes import fake_box, fake_dataset, fake_sequence
 from tests.harness.test_run import request
@@ -57,18 +56,12 @@ def recorded(source, row):
     return fake_sequence(index)
 
 
-ON_REQUEST = {"obstacles"}
-"""Given only to a method that asks for it, whose rows are marked and never ranked."""
-
-
 @pytest.mark.parametrize("condition", Condition)
 def test_a_batch_holds_exactly_what_the_design_lists(source, condition):
     batch = batch_of(source, condition)
     filled = {f.name for f in dataclasses.fields(batch) if getattr(batch, f.name) is not None}
     assert filled == ALWAYS | SPECIFIED[condition]
-    assert {f.name for f in dataclasses.fields(ConditionBatch)} == ALWAYS | set().union(
-        *SPECIFIED.values()
-    ) | ON_REQUEST
+    assert {f.name for f in dataclasses.fields(ConditionBatch)} == ALWAYS | set().union(*SPECIFIED.values())
     assert set(vars(batch)) == {f.name for f in dataclasses.fields(ConditionBatch)}
 
 
@@ -206,15 +199,15 @@ def table_of_boxes(tmp_path_factory):
 
 
 def test_a_box_that_the_person_entered_is_not_solid(table_of_boxes):
-    scene = SolidBoxes.of(table_of_boxes)
+    scene = solid_boxes(table_of_boxes)
     assert scene is not None
     for chunk in table_of_boxes.chunks(columns=SCENE_COLUMNS):
-        counts = dict(zip(chunk.strings("recording_id"), np.diff(scene.around(chunk).offsets), strict=True))
+        counts = dict(zip(chunk.strings("recording_id"), np.diff(boxes_around(chunk, scene).offsets), strict=True))
         assert {name for name, count in counts.items() if count} == {"rec001", "rec009"}
 
 
 def test_tables_without_boxes_have_no_scene(table):
-    assert SolidBoxes.of(table) is None
+    assert solid_boxes(table) is None
 
 
 def test_a_run_says_how_deep_motions_come_into_boxes_and_recorded_people_do(table_of_boxes, tmp_path, capsys):
@@ -238,47 +231,3 @@ def test_a_run_on_a_table_without_boxes_says_nothing_of_them(table, tmp_path, ca
     assert report.summaries[0].metric("scene_penetration") is None
     print_scene(report.summaries, [agreement])
     assert capsys.readouterr().out == ""
-
-
-ASKS = """
-    import numpy as np
-    from prbench.contract import Condition, Motions
-
-    class Careful:
-        name = "careful"
-        conditions = frozenset({Condition.GOAL_LOCATION})
-        wants_obstacles = True
-
-        def generate(self, batch, *, seed):
-            seen = np.diff(batch.obstacles.offsets).astype(np.float32)
-            batch.obstacles.centre[:] = 7.0  # what a method does to its copy stays its own
-            joints = np.repeat(batch.initial_joints[:, None], int(batch.n_frames.max()), axis=1)
-            joints[:, 1:, 15, 0] += seen[:, None]
-            return Motions(joints, batch.n_frames)
-
-    def load(weights, *, options, device):
-        return Careful()
-"""
-
-
-def test_a_method_that_asks_is_given_the_boxes_and_its_rows_are_marked_and_unranked(table_of_boxes, tmp_path, install):
-    install("careful", ASKS)
-    asked = request(table_of_boxes, tmp_path / "out", "careful", condition=Condition.GOAL_LOCATION, samples=2)
-    report = run_method(asked)
-    assert report.folder.record.method.wants_obstacles
-    assert not report.folder.record.is_usual
-    assert report.summaries[0].run_marks[0].startswith("◊ was given the scene's boxes")
-    predictions = Predictions.open(report.folder.dataset("synthetic-adt").predictions)
-    names = [name for chunk in table_of_boxes.chunks(split="test", columns=[]) for name in chunk.sequence_ids]
-    for sample in (0, 1):
-        rows = predictions.motions(names, sample)
-        first = rows.values[rows.offsets[:-1], Joint.HEAD, 0]
-        second = rows.values[rows.offsets[:-1] + 1, Joint.HEAD, 0]
-        in_box = [float("rec005" not in name) for name in names]
-        assert (second - first).tolist() == pytest.approx(in_box)
-
-
-def test_a_table_without_boxes_refuses_a_method_that_asks_for_them(table, tmp_path, install):
-    install("careful", ASKS)
-    with pytest.raises(UsageError, match=r"expected the boxes of the scene \(scenes\.parquet\)"):
-        run_method(request(table, tmp_path / "out", "careful", condition=Condition.GOAL_LOCATION))

@@ -6,12 +6,11 @@ import io
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Int
 
 from prbench.contract import GIVEN, Condition, ConditionBatch, Gaze, Motions
 from prbench.geometry.skeleton import N_JOINTS
@@ -22,85 +21,54 @@ GAZE_COLUMNS = ("gaze_origin", "gaze_direction")
 _SHAPES = ((), (_NUMBERS,), (N_JOINTS, 3))  # of what a row's list may hold: numbers, or frames in either nesting
 
 
-@dataclass(frozen=True)
-class ReceivedMotions:
-    """Rows in the order of the program."""
+def motions_of(payload: bytes, batch: ConditionBatch, *, gaze: bool = False) -> Motions:
+    """The motions of a ``motions`` message, in the order of the batch; lengths as they were sent.
 
-    ids: tuple[str, ...]
-    joints: Shaped[np.ndarray, "total 22 3"]
-    offsets: Int[np.ndarray, " offsets"]
-    """Row i is ``joints[offsets[i]:offsets[i + 1]]``."""
-    gaze: tuple[Float[np.ndarray, "total 3"], ...] = ()
-    """Origins and directions in the same rows; empty for motions without gaze."""
+    Args:
+        payload: Arrow IPC stream of one record batch with ``opaque_id`` and ``joints``, and columns of gaze if wanted.
+        batch: What was asked for.
+        gaze: There have to be columns of gaze; otherwise they are not looked at.
 
-    @classmethod
-    def read(cls, payload: bytes, *, gaze: bool = False) -> ReceivedMotions:
-        """Read the payload of a ``motions`` message.
-
-        Args:
-            payload: As received.
-            gaze: There have to be columns of gaze; otherwise they are not looked at.
-
-        Raises:
-            ValueError: if it is no Arrow IPC stream of one record batch with ``opaque_id`` and ``joints``, and those
-                of gaze.
-        """
-        rows = _record_batch(payload)
-        wanted = ("opaque_id", "joints", *(GAZE_COLUMNS if gaze else ()))
-        ids = tuple(_texts(_column(rows, "opaque_id", wanted)))
-        # All frames (total, 22, 3) and the offsets of the rows.
-        column = _column(rows, "joints", wanted)
-        if not _is_list(column.type):
-            raise ValueError(f"expected 'joints' as list<float32>, found {column.type}")
-        offsets, values = _unwrapped(column)
-        shape: tuple[int, ...] = ()
-        while _is_list(values.type):
-            inner, within = _unwrapped(values)
-            lengths = np.unique(np.diff(inner))
-            if len(lengths) > 1 or values.null_count:
-                raise ValueError(f"expected {_NUMBERS} numbers in every frame of 'joints', found {_some(lengths)}")
-            # The size of a level that no frame shows, since there are none.
-            shape += (int(lengths[0]) if len(lengths) else (3 if shape else _NUMBERS),)
-            values = within
-        if values.type not in (pa.float32(), pa.float64()):
-            raise ValueError(f"expected 'joints' as list<float32>, found {column.type}")
-        if values.null_count:
-            raise ValueError("expected 'joints' without nulls, found some among its numbers")
-        if shape not in _SHAPES:
-            raise ValueError(f"expected {_NUMBERS} numbers a frame in 'joints', found frames of shape {shape}")
-        if not shape:
-            lengths = np.diff(offsets)
-            broken = np.flatnonzero(lengths % _NUMBERS)
-            if broken.size:
-                row = int(broken[0])
-                raise ValueError(
-                    f"expected a multiple of {_NUMBERS} numbers for sequence {ids[row][:64]}, found {lengths[row]:,}"
-                )
-            offsets = offsets // _NUMBERS
-        joints, offsets = values.to_numpy().reshape(-1, N_JOINTS, 3), offsets
-        rays = tuple(_points(_column(rows, name, wanted), name, ids, offsets) for name in wanted[2:])
-        return cls(ids, joints, offsets, rays)
-
-    def in_order_of(self, asked: Sequence[str]) -> Motions:
-        """The motions padded, row by row as asked for.
-
-        Raises:
-            ValueError: if an id is missing, repeated or unknown.
-        """
-        _require_same_ids(asked, self.ids)
-        rows = {name: row for row, name in enumerate(self.ids)}
-        places = np.array([rows[name] for name in asked])
-        n_frames = np.diff(self.offsets)[places]
-        longest = int(n_frames.max(initial=0))
-
-        def padded(values: np.ndarray) -> np.ndarray:
-            whole = np.zeros((len(asked), longest, *values.shape[1:]), dtype=values.dtype)
-            for row, (place, length) in enumerate(zip(places, n_frames, strict=True)):
-                whole[row, :length] = values[self.offsets[place] : self.offsets[place + 1]]
-            return whole
-
-        gaze = Gaze(*map(padded, self.gaze)) if self.gaze else None
-        return Motions(padded(self.joints), n_frames, gaze=gaze)
+    Raises:
+        ValueError: expected, found and what to do, if it holds something else.
+    """
+    rows = _record_batch(payload)
+    wanted = ("opaque_id", "joints", *(GAZE_COLUMNS if gaze else ()))
+    ids = _texts(_column(rows, "opaque_id", wanted))
+    numbers, ends, levels = _flattened(_column(rows, "joints", wanted), "joints")
+    uneven = next((sizes for sizes in levels if len(sizes) > 1), None)
+    if uneven is not None:
+        found = " and ".join(map(str, uneven[:2]))
+        raise ValueError(f"expected {_NUMBERS} numbers in every frame of 'joints', found {found}")
+    shape = sum(levels, ())
+    if shape not in _SHAPES and len(numbers):
+        raise ValueError(f"expected {_NUMBERS} numbers a frame in 'joints', found frames of shape {shape}")
+    lengths = np.diff(ends)
+    broken = np.flatnonzero(lengths % _NUMBERS)
+    if broken.size:
+        row = int(broken[0])
+        raise ValueError(
+            f"expected a multiple of {_NUMBERS} numbers for sequence {ids[row][:64]}, found {lengths[row]:,}"
+        )
+    offsets = ends // _NUMBERS
+    columns = [numbers.reshape(-1, N_JOINTS, 3)]
+    for name in wanted[2:]:
+        rays, ray_ends, _ = _flattened(_column(rows, name, wanted), name)
+        wrong = np.flatnonzero(np.diff(ray_ends) != 3 * np.diff(offsets))
+        if wrong.size:
+            row = int(wrong[0])
+            raise ValueError(
+                f"expected {3 * (offsets[row + 1] - offsets[row]):,} numbers in '{name}' of sequence {ids[row][:64]},"
+                f" three a frame, found {ray_ends[row + 1] - ray_ends[row]:,}"
+            )
+        columns.append(rays.reshape(-1, 3))
+    places = _places_of(batch.opaque_id, ids)
+    n_frames = np.diff(offsets)[places]
+    padded = [np.zeros((len(places), n_frames.max(initial=0), *each.shape[1:]), each.dtype) for each in columns]
+    for whole, values in zip(padded, columns, strict=True):
+        for row, (place, length) in enumerate(zip(places, n_frames, strict=True)):
+            whole[row, :length] = values[offsets[place] : offsets[place] + length]
+    return Motions(padded[0], n_frames, gaze=Gaze(*padded[1:]) if gaze else None)
 
 
 def numbers_by_id(payload: bytes, asked: Sequence[str], *, name: str, size: int) -> Float[np.ndarray, "rows size"]:
@@ -118,23 +86,44 @@ def numbers_by_id(payload: bytes, asked: Sequence[str], *, name: str, size: int)
     rows = _record_batch(payload)
     wanted = ("opaque_id", name)
     ids = _texts(_column(rows, "opaque_id", wanted))
-    _require_same_ids(asked, ids)
-    column = _column(rows, name, wanted)
-    ends = np.arange(len(column) + 1)
-    values = column
-    while _is_list(values.type):
-        inner, values = _unwrapped(values)
-        ends = inner[ends]
-    if values is column or values.type not in (pa.float32(), pa.float64()) or values.null_count:
-        raise ValueError(f"expected '{name}' as list<float32> without nulls, found {column.type}")
+    places = _places_of(asked, ids)
+    numbers, ends, _ = _flattened(_column(rows, name, wanted), name)
     wrong = np.flatnonzero(np.diff(ends) != size)
     if wrong.size:
         row = int(wrong[0])
         raise ValueError(
             f"expected {size:,} numbers in '{name}' of {ids[row][:64]}, found {ends[row + 1] - ends[row]:,}"
         )
-    place = {identity: row for row, identity in enumerate(ids)}
-    return values.to_numpy().reshape(len(ids), size)[[place[identity] for identity in asked]]
+    return numbers.reshape(len(ids), size)[places]
+
+
+def _flattened(column: pa.Array, name: str) -> tuple[np.ndarray, np.ndarray, list[tuple[int, ...]]]:
+    """Return the numbers of all rows, where each row begins and ends, and the sizes of each level of lists in rows."""
+    ends = np.arange(len(column) + 1)
+    levels: list[tuple[int, ...]] = []
+    values = column
+    while pa.types.is_list(values.type) or pa.types.is_large_list(values.type) or _is_fixed(values.type):
+        if _is_fixed(values.type):
+            offsets = np.arange(len(values) + 1) * values.type.list_size
+            inner = values.flatten()
+        else:
+            # From 0, whatever slice of its buffers the column is.
+            offsets = values.offsets.to_numpy().astype(np.int64)
+            inner = values.values.slice(int(offsets[0]), int(offsets[-1] - offsets[0]))
+            offsets = offsets - offsets[0]
+        if values is not column:
+            levels.append(tuple(np.unique(np.diff(offsets)).tolist()))
+        ends = offsets[ends]
+        values = inner
+    if values is column or values.type not in (pa.float32(), pa.float64()):
+        raise ValueError(f"expected '{name}' as list<float32>, found {column.type}")
+    if values.null_count:
+        raise ValueError(f"expected '{name}' without nulls, found some among its numbers")
+    return values.to_numpy(), ends, levels
+
+
+def _is_fixed(kind: pa.DataType) -> bool:
+    return pa.types.is_fixed_size_list(kind)
 
 
 def _record_batch(payload: bytes) -> pa.RecordBatch:
@@ -160,26 +149,6 @@ def _record_batch(payload: bytes) -> pa.RecordBatch:
     return batches[0]
 
 
-def _points(column: pa.Array, name: str, ids: Sequence[str], offsets: np.ndarray) -> np.ndarray:
-    """Return x y z of all frames, (total, 3), which has to be as many as there are frames of joints."""
-    if not _is_list(column.type):
-        raise ValueError(f"expected '{name}' as list<float32>, found {column.type}")
-    ends, values = _unwrapped(column)
-    while _is_list(values.type):
-        inner, values = _unwrapped(values)
-        ends = inner[ends]
-    if values.type not in (pa.float32(), pa.float64()) or values.null_count:
-        raise ValueError(f"expected '{name}' as list<float32> without nulls, found {column.type}")
-    wrong = np.flatnonzero(np.diff(ends) != 3 * np.diff(offsets))
-    if wrong.size:
-        row = int(wrong[0])
-        raise ValueError(
-            f"expected {3 * (offsets[row + 1] - offsets[row]):,} numbers in '{name}' of sequence {ids[row][:64]}, three"
-            f" a frame, found {ends[row + 1] - ends[row]:,}"
-        )
-    return values.to_numpy().reshape(-1, 3)
-
-
 def _column(rows: pa.RecordBatch, name: str, wanted: Sequence[str]) -> pa.Array:
     found = rows.schema.get_all_field_indices(name)
     if len(found) != 1:
@@ -201,36 +170,27 @@ def _texts(column: pa.Array) -> list[str]:
     return column.to_pylist()
 
 
-def _is_list(type_: pa.DataType) -> bool:
-    return pa.types.is_list(type_) or pa.types.is_large_list(type_) or pa.types.is_fixed_size_list(type_)
+def _places_of(asked: Sequence[str], found: Sequence[str]) -> Int[np.ndarray, " rows"]:
+    """Return the row of each id that was asked for.
 
-
-def _unwrapped(column: pa.Array) -> tuple[np.ndarray, pa.Array]:
-    """Return offsets from 0 and the values between first and last, whatever slice of its buffers a column is."""
-    if pa.types.is_fixed_size_list(column.type):
-        return np.arange(len(column) + 1) * column.type.list_size, column.flatten()
-    offsets = column.offsets.to_numpy().astype(np.int64)
-    return offsets - offsets[0], column.values.slice(int(offsets[0]), int(offsets[-1] - offsets[0]))
-
-
-def _require_same_ids(asked: Sequence[str], found: Sequence[str]) -> None:
+    Raises:
+        ValueError: if an id is missing, repeated or unknown.
+    """
+    place = {name: row for row, name in enumerate(found)}
     repeated = [name for name, times in Counter(found).items() if times > 1]
-    present = set(found)
-    unknown = sorted(present - set(asked))
-    missing = [name for name in asked if name not in present]
+    unknown = sorted(set(found) - set(asked))
+    missing = [name for name in asked if name not in place]
     if repeated or unknown or missing:
         raise ValueError(
             f"expected each of the {len(asked)} ids of the batch once, found {len(found)} rows: missing"
             f" {_some(missing)}, repeated {_some(repeated)}, unknown {_some(unknown)}."
             " Copy opaque_id from the conditions to the motions, one row a sequence"
         )
+    return np.array([place[name] for name in asked], dtype=np.int64)
 
 
-def _some(values: Sequence[object] | np.ndarray) -> str:
-    """A count with the first of them, or the few numbers themselves."""
-    if isinstance(values, np.ndarray):
-        return " and ".join(str(value) for value in values[:2])
-    return f"{len(values)} ({str(values[0])[:100]})" if values else "0"
+def _some(names: Sequence[str]) -> str:
+    return f"{len(names)} ({names[0][:100]})" if names else "0"
 
 
 _POSE = pa.list_(pa.float32(), N_JOINTS * 3)
@@ -324,22 +284,6 @@ def motions_payload(ids: Sequence[str], motions: Motions) -> bytes:
             rays = np.concatenate([ray[:length] for ray, length in zip(values, lengths, strict=True)])
             columns[name] = pa.ListArray.from_arrays(points, pa.array(rays.astype(np.float32).reshape(-1)))
     return arrow_stream(columns)
-
-
-def motions_of(payload: bytes, batch: ConditionBatch, *, gaze: bool = False) -> Motions:
-    """The motions of a payload, in the order of the batch and with the lengths found.
-
-    Whether these are the lengths asked for, and whether the positions are finite, is for the caller to check.
-
-    Args:
-        payload: Of a ``motions`` message.
-        batch: What was asked for.
-        gaze: The program declares gaze, so that its columns are read, too.
-
-    Raises:
-        ValueError: expected, found and what to do, if they are not one motion for each sequence of the batch.
-    """
-    return ReceivedMotions.read(payload, gaze=gaze).in_order_of(batch.opaque_id)
 
 
 def encode_message(header: Header, payload: bytes | None = None) -> list[bytes]:

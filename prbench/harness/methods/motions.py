@@ -40,8 +40,6 @@ class Declared:
     motionless: bool = False
     gaze: bool = False
     """True if its motions bring gaze."""
-    wants_obstacles: bool = False
-    """Must be given the solid boxes around each sequence."""
     one_design: bool = False
     """The K futures of a window are one design: fewer are no part of more."""
 
@@ -76,7 +74,7 @@ class Declared:
             _conditions(stated["conditions"], origin, known),
             _max_frames(stated.get("max_frames"), origin),
             _native_fps(stated.get("native_fps"), origin),
-            **{name: bool(stated.get(name, False)) for name in ("motionless", "gaze", "wants_obstacles", "one_design")},
+            **{name: bool(stated.get(name, False)) for name in ("motionless", "gaze", "one_design")},
         )
 
 
@@ -490,7 +488,6 @@ def own_copy(batch: ConditionBatch) -> ConditionBatch:
     arrays = {field.name: getattr(batch, field.name) for field in dataclasses.fields(batch)}
     return dataclasses.replace(
         batch,
-        obstacles=None if batch.obstacles is None else batch.obstacles.copied(),
         **{name: value.copy() for name, value in arrays.items() if isinstance(value, np.ndarray)},
     )
 

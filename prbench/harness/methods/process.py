@@ -1,7 +1,4 @@
-"""The program of a method while it runs: its environment, its pipes, its log, and how it ends.
-
-The two pipes have a thread each, so that waiting for them can always be given up; pipes cannot be selected on Windows.
-"""
+"""The program of a method while it runs: its environment, its pipes, its log, and how it ends."""
 
 from __future__ import annotations
 
@@ -16,10 +13,10 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Literal
 
 import psutil
 
@@ -64,27 +61,18 @@ def computing_threads(threads: int) -> Iterator[None]:
 
 
 class Fault(Exception):
-    """A program did not do its part. The text completes "its program …"."""
+    """A program did not do its part. The text completes "its program …".
 
+    Args:
+        text: What it did instead.
+        kind: ``ended`` (it is gone or has closed a pipe: starting it again may help), ``late`` (it has not done in time
+            what it was asked for), ``broken`` (what it wrote is not the message that was due) or ``reported`` (it says
+            itself that it failed, and goes on waiting).
+    """
 
-class Ended(Fault):
-    """It is gone, or has closed one of its pipes; starting it again may help."""
-
-
-class TimedOut(Fault):
-    """It has not done in time what it was asked for."""
-
-
-class CutShort(Fault):
-    """It has announced a payload and not written all of it in time."""
-
-
-class BrokenProtocol(Fault):
-    """It wrote to stdout what is no message, or not the message that was due."""
-
-
-class ReportedError(Fault):
-    """It says itself that it failed, and goes on waiting."""
+    def __init__(self, text: str, *, kind: Literal["ended", "late", "broken", "reported"] = "broken") -> None:
+        super().__init__(text)
+        self.kind = kind
 
 
 def excerpt(found: bytes | bytearray, limit: int = 80) -> str:
@@ -116,130 +104,19 @@ def exit_story(status: int) -> str:
 
 
 def _signal_name(number: int) -> str:
-    try:
-        name = signal.Signals(number).name
-    except ValueError:
-        return "unknown"
-    return f"{name}; often the system that ran out of memory" if name == "SIGKILL" else name
+    names = {int(each): each.name for each in signal.Signals} | {9: "SIGKILL; often the system that ran out of memory"}
+    return names.get(number, "unknown")
 
 
-_PART = 512 * 1024
-"""Bytes kept of the beginning of a log, and at least as many of its end, at most twice as many."""
-_TAIL_BYTES = 8192
+EXIT_SECONDS = 5.0
+"""Time for a program to end after its stdin was closed."""
+TERM_SECONDS = 2.0
+"""Time for it to end after SIGTERM."""
 _KEPT_LOGS = 100
-
-
-class ProgramLog:
-    """Takes in stderr all the time, so that a program that writes much is never held up.
-
-    The file is made when the first byte comes. Once it is full, its first half megabyte stays and its latest half
-    megabytes take turns.
-    """
-
-    def __init__(self, stderr: IO[bytes], name: str, pid: int) -> None:
-        self._path = cache_folder() / "logs" / f"{_file_name(name)}-{pid}.log"
-        self._tail = b""
-        self._written = False
-        self._ended = threading.Event()
-        threading.Thread(target=self._drain, args=(stderr,), name=f"log of {name}", daemon=True).start()
-
-    @property
-    def path(self) -> Path | None:
-        """The file; None while nothing was written, or if it could not be."""
-        return self._path if self._written else None
-
-    def tail(self, lines: int = 10) -> list[str]:
-        """Return the last lines, overlong ones cut."""
-        text = self._tail.decode(errors="replace")
-        return [_printable(line) for line in text.splitlines() if line.strip()][-lines:]
-
-    def wait_for_end(self, seconds: float) -> None:
-        """Wait until everything is read; not for ever, since a forgotten child may hold stderr open."""
-        self._ended.wait(seconds)
-
-    def _drain(self, stderr: IO[bytes]) -> None:
-        with contextlib.ExitStack() as open_files:
-            open_files.callback(self._ended.set)
-            open_files.callback(stderr.close)
-            file: _BoundedFile | None = None
-            while chunk := os.read(stderr.fileno(), 65_536):
-                self._tail = (self._tail + chunk)[-_TAIL_BYTES:]
-                if file is None:
-                    file = open_files.enter_context(_BoundedFile(self._path))
-                self._written = file.write(chunk)
-
-
-class _BoundedFile:
-    """A file that keeps its beginning and its latest part; gives up quietly if the disk does not take it."""
-
-    def __init__(self, path: Path) -> None:
-        self._file: IO[bytes] | None = None
-        self._size = self._cut = 0
-        with contextlib.suppress(OSError):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            _prune(path.parent)
-            self._file = path.open("wb", buffering=0)
-
-    def __enter__(self) -> _BoundedFile:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._file is not None:
-            self._file.close()
-
-    def write(self, chunk: bytes) -> bool:
-        """Append; false if there is no file to append to."""
-        if self._file is None:
-            return False
-        try:
-            if self._size + len(chunk) > 2 * _PART:
-                self._begin_latest_part(self._file)
-            self._size += self._file.write(chunk) or 0
-        except OSError:  # a full disk must not stop the program; the last lines are still in memory
-            self._file.close()
-            self._file = None
-            return False
-        return True
-
-    def _begin_latest_part(self, file: IO[bytes]) -> None:
-        # The beginning tells how the program was set up, the end why it failed; the middle goes.
-        kept = min(_PART, self._size)
-        self._cut += self._size - kept
-        file.seek(kept)
-        file.truncate()
-        note = f"\n[… {self._cut:,} bytes cut here by prbench …]\n".encode()
-        file.write(note)
-        self._size = kept
-
-
-def _file_name(name: str) -> str:
-    """Make a file name of the name that a program has in messages: folders and odd characters are left out.
-
-    >>> _file_name("/opt/envs/glide/bin/python '/home/me/my glide.py' --fast")
-    'python-my-glide.py---fast'
-    """
-    without_folders = re.sub(r"[^\s'\"]*[/\\]", "", name)
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", without_folders).strip("-.")[:60] or "program"
-
-
-def _prune(folder: Path) -> None:
-    """Delete all but the newest logs."""
-    logs = sorted(folder.glob("*.log"), key=lambda path: path.stat().st_mtime, reverse=True)
-    for path in logs[_KEPT_LOGS:]:
-        path.unlink(missing_ok=True)
-
-
-def _printable(line: str) -> str:
-    """Remove what would move the cursor or colour a terminal."""
-    line = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", line.expandtabs(4))
-    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in line)[:400]
-
-
+_TAIL_BYTES = 8192
 _CHUNK = 1 << 16
 _SLICE = 0.2
 """Seconds after which a wait looks whether the program still runs."""
-_LINE_PATIENCE = 0.3
-"""Seconds to wait for the rest of a line that is no message, so that it can be shown."""
 _REMEDY = "Its stdout belongs to the protocol: print to stderr"
 
 
@@ -253,219 +130,6 @@ class Deadline:
     def remaining(self) -> float:
         """Seconds, 0 when it is over."""
         return max(0.0, self._end - time.monotonic())
-
-
-class Outbox:
-    """Writes to the program's stdin; one message may wait while another is being written."""
-
-    def __init__(self, stdin: IO[bytes]) -> None:
-        self._waiting: queue.Queue[Sequence[bytes] | None] = queue.Queue(maxsize=1)
-        self.broken = threading.Event()
-        """The program has closed its end."""
-        self.written = self.total = 0
-        """Bytes of the message that is being written."""
-        threading.Thread(target=self._write, args=(stdin,), name="stdin of a program", daemon=True).start()
-
-    def send(self, message: Sequence[bytes], deadline: Deadline) -> None:
-        """Leave a message to be written.
-
-        Raises:
-            TimedOut: if earlier ones are still unread at the deadline.
-        """
-        try:
-            self._waiting.put(message, timeout=deadline.remaining())
-        except queue.Full:
-            raise TimedOut(f"did not read its stdin within {deadline.seconds:g} s ({self.progress()})") from None
-
-    def progress(self) -> str:
-        """Say how much of the message the program has taken."""
-        return f"{self.written:,} of {self.total:,} bytes of the request went into its stdin"
-
-    def close(self) -> None:
-        """Close stdin once all is written; at once if the program reads no more."""
-        try:
-            self._waiting.put_nowait(None)
-        except queue.Full:
-            self.broken.set()
-
-    def _write(self, stdin: IO[bytes]) -> None:
-        with stdin:
-            for message in iter(self._waiting.get, None):
-                self.written, self.total = 0, sum(map(len, message))
-                for piece in message:
-                    if self.broken.is_set() or not self._write_piece(stdin.fileno(), piece):
-                        self.broken.set()
-                        return
-
-    def _write_piece(self, stdin: int, piece: bytes) -> bool:
-        # Without a copy, and in pieces, so that progress can be told when a program stops reading.
-        left = memoryview(piece)
-        while left:
-            try:
-                taken = os.write(stdin, left[:_CHUNK])
-            except OSError:  # a broken pipe, which Windows calls an invalid argument
-                return False
-            self.written += taken
-            left = left[taken:]
-        return True
-
-
-class Inbox:
-    """Reads messages from the program's stdout; at most a megabyte is taken in before it is asked for."""
-
-    def __init__(self, stdout: IO[bytes], ended: Callable[[], str | None], outbox: Outbox) -> None:
-        self._chunks: queue.Queue[bytes] = queue.Queue(maxsize=16)
-        self._buffer = bytearray()
-        self._ended = ended
-        self._outbox = outbox
-        self._discarding = threading.Event()
-        threading.Thread(target=self._read, args=(stdout,), name="stdout of a program", daemon=True).start()
-
-    def receive(self, payload_limit: int, deadline: Deadline) -> tuple[Header, bytes | None]:
-        """Wait for one message.
-
-        Args:
-            payload_limit: Bytes; a larger payload is refused unread.
-            deadline: For the whole message.
-
-        Raises:
-            BrokenProtocol: if what comes is no message.
-            CutShort: if less of the payload comes in time than its header announces.
-            Ended: if the program ends or closes a pipe before the message is complete.
-            TimedOut: if the message is not complete in time.
-        """
-        header = self._header(deadline)
-        if "bytes" not in header:
-            return header, None
-        size = header["bytes"]
-        if size > payload_limit:
-            raise BrokenProtocol(
-                f"announced a payload of {size:,} bytes, where at most {payload_limit:,} can be the answer"
-            )
-        while len(self._buffer) < size:
-            try:
-                self._take_in(deadline, f"{len(self._buffer):,} of {size:,} bytes of its payload")
-            except TimedOut:
-                raise CutShort(_cut_short(size, len(self._buffer), deadline.seconds)) from None
-        return header, self._cut(size)
-
-    def require_silence(self) -> None:
-        """Refuse what was sent without being asked for.
-
-        Raises:
-            BrokenProtocol: showing the beginning of it.
-        """
-        while not self._chunks.empty():
-            self._buffer += self._chunks.get_nowait()
-        if self._buffer:
-            raise BrokenProtocol(
-                f"wrote to stdout without being asked, behind its last answer: {excerpt(self._buffer)}. {_REMEDY}"
-            )
-
-    def discard(self) -> None:
-        """Read on, so that the program can end, but keep nothing."""
-        self._discarding.set()
-
-    def _header(self, deadline: Deadline) -> Header:
-        searched = 0
-        while (end := self._buffer.find(b"\n", searched, HEADER_LIMIT)) < 0:
-            searched = len(self._buffer)
-            if searched >= HEADER_LIMIT:
-                raise BrokenProtocol(
-                    f"wrote {searched:,} bytes without a line end, where a header has at most {HEADER_LIMIT:,}:"
-                    f" {excerpt(self._buffer)}. {_REMEDY}"
-                )
-            if searched and self._buffer[0] != ord("{"):
-                self._refuse_line(deadline)
-            self._take_in(deadline, f"{searched:,} bytes of a header without its end" if searched else "")
-        line = self._cut(end + 1)
-        if not line.startswith(b"{"):
-            raise _no_message(line)
-        try:
-            return parse_header(line)
-        except ValueError as error:
-            raise _no_message(line, f" ({error})") from error
-
-    def _refuse_line(self, deadline: Deadline) -> None:
-        """Take in a little more of what can be no header, so that the message can show it."""
-        patience = Deadline(min(deadline.remaining(), _LINE_PATIENCE))
-        while len(self._buffer) < 400 and b"\n" not in self._buffer:
-            try:
-                self._take_in(patience, "")
-            except (Ended, TimedOut):
-                break
-        raise _no_message(bytes(self._buffer).split(b"\n")[0])
-
-    def _cut(self, size: int) -> bytes:
-        piece = bytes(memoryview(self._buffer)[:size])
-        del self._buffer[:size]
-        return piece
-
-    def _take_in(self, deadline: Deadline, so_far: str) -> None:
-        """Wait for the next bytes."""
-        behind = f", after {so_far}" if so_far else ""
-        patience: Deadline | None = None  # with a program that reads no more
-        while remaining := deadline.remaining():
-            ended = self._ended()
-            try:
-                chunk = self._chunks.get(timeout=min(remaining, _SLICE))
-            except queue.Empty:
-                if ended is not None:  # already before the wait, so nothing of it is on its way
-                    raise Ended(f"{ended}{behind}") from None
-                if self._outbox.broken.is_set():
-                    patience = patience or Deadline(2 * _SLICE)
-                    if not patience.remaining():
-                        raise Ended(f"closed its stdin{behind}") from None
-                continue
-            if not chunk:
-                raise Ended(f"{self._ended_soon() or 'closed its stdout'}{behind}")
-            self._buffer += chunk
-            return
-        unread = self._outbox.written < self._outbox.total
-        raise TimedOut(
-            f"did not answer within {deadline.seconds:g} s{f' ({self._outbox.progress()})' if unread else ''}{behind}"
-        )
-
-    def _ended_soon(self) -> str | None:
-        """Say how the program ended; a pipe closes a moment before its process is gone."""
-        patience = Deadline(1.0)
-        while (ended := self._ended()) is None and patience.remaining():
-            time.sleep(0.01)
-        return ended
-
-    def _read(self, stdout: IO[bytes]) -> None:
-        with stdout:
-            while True:
-                try:
-                    chunk = os.read(stdout.fileno(), _CHUNK)
-                except OSError:
-                    chunk = b""
-                while not self._discarding.is_set():
-                    try:
-                        self._chunks.put(chunk, timeout=_SLICE)
-                        break
-                    except queue.Full:
-                        continue
-                if not chunk:
-                    return
-
-
-def _cut_short(announced: int, written: int, seconds: float) -> str:
-    return (
-        f"announced a payload of {announced:,} bytes and wrote {written:,} of them within {seconds:g} s. 'bytes' has"
-        " to be the size of what follows, all of it written and flushed; if it was still writing, raise the limit with"
-        " --timeout"
-    )
-
-
-def _no_message(line: bytes, reason: str = "") -> BrokenProtocol:
-    return BrokenProtocol(f"wrote a line that is no message: {excerpt(line)}{reason}. {_REMEDY}")
-
-
-EXIT_SECONDS = 5.0
-"""Time for a program to end after its stdin was closed."""
-TERM_SECONDS = 2.0
-"""Time for it to end after SIGTERM."""
 
 
 @dataclass(frozen=True)
@@ -489,7 +153,11 @@ class Program:
 
 
 class ProgramProcess:
-    """A started program. One request at a time; after a fault it is gone."""
+    """A started program. One request at a time; after a fault it is gone.
+
+    Its stderr is a log file. A thread takes in at most a megabyte of its stdout before it is asked for, and each
+    request is written by a thread of its own, so that neither side ever waits for the other beyond the time limit.
+    """
 
     def __init__(self, program: Program) -> None:
         """Start it, in a session and process group of its own: Ctrl-C in the terminal is not for it.
@@ -497,23 +165,35 @@ class ProgramProcess:
         Raises:
             AdapterError: if the command or its folder does not exist, or cannot be run.
         """
-        self._scratch = (
-            tempfile.TemporaryDirectory(prefix="prbench-", ignore_cleanup_errors=True)
-            if program.directory is None
-            else None
-        )
-        self._popen = self._started(program)
-        stdin = self._popen.stdin
-        stdout = self._popen.stdout
-        stderr = self._popen.stderr
-        assert stdin is not None
-        assert stdout is not None
-        assert stderr is not None
+        self._scratch = None
+        if program.directory is None:
+            self._scratch = tempfile.TemporaryDirectory(prefix="prbench-", ignore_cleanup_errors=True)
+        self.log_path = _new_log(program.name)
+        try:
+            with open(self.log_path, "wb") as log:
+                self._popen = subprocess.Popen(
+                    program.words,
+                    bufsize=0,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=log,
+                    cwd=program.directory if self._scratch is None else self._scratch.name,
+                    env=dict(program.environment),
+                    start_new_session=True,
+                    creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # the same on Windows
+                )
+        except (OSError, ValueError) as error:
+            self._clear()
+            raise AdapterError(_cannot_start(program, error)) from error
         self._owner = os.getpid()
         self._known_kin: list[psutil.Process] = []
-        self.log = ProgramLog(stderr, program.name, self._popen.pid)
-        self._outbox = Outbox(stdin)
-        self._inbox = Inbox(stdout, self._ended, self._outbox)
+        self._chunks: queue.Queue[bytes] = queue.Queue(maxsize=16)
+        self._buffer = bytearray()
+        self._discarding = threading.Event()
+        threading.Thread(target=self._read_on, name="stdout of a program", daemon=True).start()
+        self._writer: threading.Thread | None = None
+        self._stdin_broken = threading.Event()
+        self._written = self._total = 0
         self._has_answered = False
         self.over = False
         """It was closed or killed."""
@@ -525,6 +205,21 @@ class ProgramProcess:
         """Process id of what was started, which may be a fence or ``conda run``."""
         return self._popen.pid
 
+    def log_tail(self, lines: int = 10) -> list[str]:
+        """Return the last lines of stderr, overlong ones cut, without what would move the cursor of a terminal."""
+        if not self.log_path.is_file():
+            return []
+        with open(self.log_path, "rb") as file:
+            file.seek(max(0, self.log_path.stat().st_size - _TAIL_BYTES))
+            text = file.read().decode(errors="replace")
+        shown = []
+        for line in text.splitlines():
+            plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", line.expandtabs(4))
+            plain = "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in plain)
+            if plain.strip():
+                shown.append(plain[:400])
+        return shown[-lines:]
+
     def ask(
         self, header: Header, payload: bytes | None = None, *, timeout: float, answer_limit: int
     ) -> tuple[Header, bytes | None]:
@@ -534,19 +229,22 @@ class ProgramProcess:
             header: Header of the message.
             payload: Payload of the message.
             timeout: Seconds for both.
-            answer_limit: Bytes of payload that the answer may have.
+            answer_limit: Bytes of payload that the answer may have; a larger one is refused unread.
 
         Raises:
-            Fault: see :meth:`prbench.harness.methods.process.Inbox.receive`.
+            Fault: if what comes is no message, or not all of it comes in time, or the program ends or closes a pipe.
         """
         deadline = Deadline(timeout)
         try:
             # What a program writes before the first question is taken for its answer, however early or late it comes:
             # the message must not depend on which of the two processes was faster.
-            if self._has_answered:
-                self._inbox.require_silence()
-            self._outbox.send(encode_message(header, payload), deadline)
-            answer = self._inbox.receive(answer_limit, deadline)
+            while self._has_answered and not self._chunks.empty():
+                self._buffer += self._chunks.get_nowait()
+            if self._has_answered and self._buffer:
+                found = excerpt(self._buffer)
+                raise Fault(f"wrote to stdout without being asked, behind its last answer: {found}. {_REMEDY}")
+            self._send(encode_message(header, payload), deadline)
+            answer = self._receive(answer_limit, deadline)
             self._has_answered = True
             return answer
         except BaseException:
@@ -558,8 +256,8 @@ class ProgramProcess:
         if self.over or os.getpid() != self._owner:
             return
         self._known_kin = list(self._kin())  # once the program is gone, nobody knows whose children they were
-        self._outbox.close()
-        self._inbox.discard()
+        self._close_stdin()
+        self._discarding.set()
         try:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.exit_status = self._popen.wait(EXIT_SECONDS)
@@ -571,38 +269,147 @@ class ProgramProcess:
         if self.over or os.getpid() != self._owner:
             return
         self.over = True
-        self._inbox.discard()
+        self._discarding.set()
         try:
             self._signal_all("terminate", TERM_SECONDS)
         finally:  # a second Ctrl-C does not leave anything behind either
             self._signal_all("kill", TERM_SECONDS)
-        self._outbox.close()
-        self.log.wait_for_end(0.5)
+        self._close_stdin()
+        self._clear()
+
+    def _clear(self) -> None:
+        """Remove the folder of its own and an empty log."""
         if self._scratch is not None:
             self._scratch.cleanup()
+        with contextlib.suppress(OSError):
+            if self.log_path.is_file() and not self.log_path.stat().st_size:
+                self.log_path.unlink()
+                self.log_path.parent.rmdir()
 
-    def _started(self, program: Program) -> subprocess.Popen[bytes]:
-        directory = self._scratch.name if self._scratch is not None else program.directory
+    def _close_stdin(self) -> None:
+        # A thread that still writes holds the pipe; it ends when the program does.
+        if self._writer is None or not self._writer.is_alive():
+            with contextlib.suppress(OSError):
+                self._stdin.close()
+
+    @property
+    def _stdin(self) -> IO[bytes]:
+        assert self._popen.stdin is not None
+        return self._popen.stdin
+
+    def _send(self, message: Sequence[bytes], deadline: Deadline) -> None:
+        if self._writer is not None:
+            self._writer.join(deadline.remaining())
+            if self._writer.is_alive():
+                raise Fault(f"did not read its stdin within {deadline.seconds:g} s ({self._progress()})", kind="late")
+        self._written = 0
+        self._total = sum(map(len, message))
+
+        def write() -> None:
+            # Without a copy, and in pieces, so that progress can be told when a program stops reading.
+            try:
+                for piece in message:
+                    left = memoryview(piece)
+                    while left:
+                        taken = os.write(self._stdin.fileno(), left[:_CHUNK])
+                        self._written += taken
+                        left = left[taken:]
+            except (OSError, ValueError):  # a broken pipe, which Windows calls an invalid argument; or it was closed
+                self._stdin_broken.set()
+
+        self._writer = threading.Thread(target=write, name="stdin of a program", daemon=True)
+        self._writer.start()
+
+    def _progress(self) -> str:
+        return f"{self._written:,} of {self._total:,} bytes of the request went into its stdin"
+
+    def _receive(self, payload_limit: int, deadline: Deadline) -> tuple[Header, bytes | None]:
+        """Wait for one message."""
+        while (end := self._buffer.find(b"\n", 0, HEADER_LIMIT)) < 0:
+            found = len(self._buffer)
+            if found >= HEADER_LIMIT:
+                raise Fault(
+                    f"wrote {found:,} bytes without a line end, where a header has at most {HEADER_LIMIT:,}:"
+                    f" {excerpt(self._buffer)}. {_REMEDY}"
+                )
+            if found and self._buffer[0] != ord("{"):
+                break
+            self._take_in(deadline, f"{found:,} bytes of a header without its end" if found else "")
+        line = self._cut(end + 1 if end >= 0 else len(self._buffer))
+        reason = ""
         try:
-            return subprocess.Popen(
-                program.words,
-                bufsize=0,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                cwd=directory,
-                env=dict(program.environment),
-                start_new_session=True,
-                creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # the same on Windows
-            )
-        except (OSError, ValueError) as error:
-            if self._scratch is not None:
-                self._scratch.cleanup()
-            raise AdapterError(_cannot_start(program, error)) from error
+            if line.startswith(b"{"):
+                header = parse_header(line)
+                if "bytes" not in header:
+                    return header, None
+                return header, self._payload(header["bytes"], payload_limit, deadline)
+        except ValueError as error:
+            reason = f" ({error})"
+        raise Fault(f"wrote a line that is no message: {excerpt(line)}{reason}. {_REMEDY}")
 
-    def _ended(self) -> str | None:
-        status = self._popen.poll()
-        return None if status is None else exit_story(status)
+    def _payload(self, size: int, limit: int, deadline: Deadline) -> bytes:
+        if size > limit:
+            raise Fault(f"announced a payload of {size:,} bytes, where at most {limit:,} can be the answer")
+        while (found := len(self._buffer)) < size:
+            try:
+                self._take_in(deadline, f"{found:,} of {size:,} bytes of its payload")
+            except Fault as fault:
+                if fault.kind != "late":
+                    raise
+                raise Fault(
+                    f"announced a payload of {size:,} bytes and wrote {found:,} of them within {deadline.seconds:g} s."
+                    " 'bytes' has to be the size of what follows, all of it written and flushed; if it was still"
+                    " writing, raise the limit with --timeout"
+                ) from None
+        return self._cut(size)
+
+    def _cut(self, size: int) -> bytes:
+        piece = bytes(memoryview(self._buffer)[:size])
+        del self._buffer[:size]
+        return piece
+
+    def _take_in(self, deadline: Deadline, so_far: str) -> None:
+        """Wait for the next bytes."""
+        behind = f", after {so_far}" if so_far else ""
+        patience: Deadline | None = None  # with a program that reads no more
+        while remaining := deadline.remaining():
+            status = self._popen.poll()
+            try:
+                chunk = self._chunks.get(timeout=min(remaining, _SLICE))
+            except queue.Empty:
+                if status is not None:  # already before the wait, so nothing of it is on its way
+                    raise Fault(f"{exit_story(status)}{behind}", kind="ended") from None
+                if self._stdin_broken.is_set():
+                    patience = patience or Deadline(2 * _SLICE)
+                    if not patience.remaining():
+                        raise Fault(f"closed its stdin{behind}", kind="ended") from None
+                continue
+            if chunk:
+                self._buffer += chunk
+                return
+            # A pipe closes a moment before its process is gone.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                status = self._popen.wait(1.0)
+            raise Fault(f"{'closed its stdout' if status is None else exit_story(status)}{behind}", kind="ended")
+        unread = f" ({self._progress()})" if self._written < self._total else ""
+        raise Fault(f"did not answer within {deadline.seconds:g} s{unread}{behind}", kind="late")
+
+    def _read_on(self) -> None:
+        """Take in stdout; a thread, because a wait for a pipe cannot be given up."""
+        stdout = self._popen.stdout
+        assert stdout is not None
+        with stdout:
+            chunk = b"first"
+            while chunk:
+                try:
+                    chunk = os.read(stdout.fileno(), _CHUNK)
+                except OSError:
+                    chunk = b""
+                # Once nobody asks any more it is read on, so that the program can end, but nothing is kept.
+                while not self._discarding.is_set():
+                    with contextlib.suppress(queue.Full):
+                        self._chunks.put(chunk, timeout=_SLICE)
+                        break
 
     def _signal_all(self, how: str, patience: float) -> None:
         """Send a signal to the program and its kin, and wait until they are gone."""
@@ -655,3 +462,22 @@ def _cannot_start(program: Program, error: Exception) -> str:
     if isinstance(error, PermissionError):
         return f"{origin}: '{program.words[0]}' may not be executed. Make it executable, or name its interpreter first."
     return f"{origin}: {error}. Correct the command."
+
+
+def _new_log(name: str) -> Path:
+    """A path for the log of a program; all but the newest logs are deleted.
+
+    Folders and odd characters of the name are left out: ``python-my-glide.py---fast`` of
+    ``/opt/envs/glide/bin/python '/home/me/my glide.py' --fast``.
+    """
+    folder = cache_folder() / "logs"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:  # a cache that cannot be written must not stop the program
+        folder = Path(tempfile.gettempdir())
+    logs = sorted(folder.glob("*.log"), key=lambda path: path.stat().st_mtime, reverse=True)
+    for path in logs[_KEPT_LOGS:]:
+        path.unlink(missing_ok=True)
+    without_folders = re.sub(r"[^\s'\"]*[/\\]", "", name)
+    shown = re.sub(r"[^A-Za-z0-9._-]+", "-", without_folders).strip("-.")[:60] or "program"
+    return folder / f"{shown}-{time.time_ns()}.log"

@@ -26,16 +26,7 @@ from prbench.harness.methods.messages import (
     shown_json,
 )
 from prbench.harness.methods.motions import Declared, asked_for, own_copy, well_formed
-from prbench.harness.methods.process import (
-    BrokenProtocol,
-    Ended,
-    Fault,
-    Program,
-    ProgramLog,
-    ProgramProcess,
-    ReportedError,
-    TimedOut,
-)
+from prbench.harness.methods.process import Fault, Program, ProgramProcess
 from prbench.protocol.manifests import find_benchmark
 
 _SHOWN_TEXT = 2000  # characters of what a program says about its own error
@@ -56,16 +47,15 @@ def motions_in(
         gaze: The program declares gaze.
 
     Raises:
-        ReportedError: if the program says that it failed.
-        BrokenProtocol: if it answers something else than it was asked for.
-        MemoryError: if it says that the batch does not fit in memory.
+        Fault: see :func:`answer_in`.
+        MemoryError: see :func:`answer_in`.
     """
     motions = answer_in(header, payload, number, due="motions", read=lambda sent: motions_of(sent, batch, gaze=gaze))
     passes = header.get("network_passes")
     if passes is None:
         return motions
     if type(passes) is not int or passes < 0:
-        raise BrokenProtocol(f"declared {shown_json(passes)} network_passes, where a whole number of 0 or more was due")
+        raise Fault(f"declared {shown_json(passes)} network_passes, where a whole number of 0 or more was due")
     return replace(motions, cost=Cost(passes))
 
 
@@ -82,46 +72,50 @@ def answer_in(
         read: Turns the payload into the answer; raises ValueError where it cannot.
 
     Raises:
-        ReportedError: if the program says that it failed.
-        BrokenProtocol: if it answers something else than it was asked for.
+        Fault: if the program says that it failed, or answers something else than it was asked for.
         MemoryError: if it says that the batch does not fit in memory.
     """
     kind = header["message"]
     if kind not in (due, "error"):
-        raise BrokenProtocol(f"answered with the message {kind[:80]!r}, where '{due}' or 'error' was due")
-    _require_batch(header, number)
+        raise Fault(f"answered with the message {kind[:80]!r}, where '{due}' or 'error' was due")
+    found = header.get("batch")
+    if (type(found) is not int or found != number) and not (found is None and kind == "error"):
+        answered = "without the number of a batch" if found is None else f"batch {shown_json(found)}"
+        raise Fault(
+            f"answered {answered}, where batch {number} was due: every request has exactly one answer, which repeats"
+            " its number"
+        )
     if kind == "error":
-        raise _reported(header)
+        text = error_text(header)
+        out_of_memory = header.get("out_of_memory")
+        if out_of_memory is not None and not isinstance(out_of_memory, bool):
+            shown = shown_json(out_of_memory)
+            raise Fault(f"reported the error '{text}' with 'out_of_memory' {shown}, where true or false was due")
+        if out_of_memory:
+            raise MemoryError(text)
+        raise Fault(f"reported an error: {text}", kind="reported")
     if payload is None:
-        raise BrokenProtocol(f"answered without a payload, where 'bytes' and as many bytes of {due} were due")
+        raise Fault(f"answered without a payload, where 'bytes' and as many bytes of {due} were due")
     try:
         return read(payload)
     except ValueError as error:
-        raise BrokenProtocol(f"sent {due} that cannot be used: {error}") from error
+        raise Fault(f"sent {due} that cannot be used: {error}") from error
 
 
 def error_text(header: Header) -> str:
     """Return what a program says about its own error, without what would move the cursor or colour a terminal.
 
     Raises:
-        BrokenProtocol: if it is no text.
+        Fault: if it is no text.
     """
     text = header.get("text")
     if text is not None and not isinstance(text, str):
-        raise BrokenProtocol(f"reported an error with the 'text' {shown_json(text)}, where a string was due")
+        raise Fault(f"reported an error with the 'text' {shown_json(text)}, where a string was due")
     said = "" if text is None else text.expandtabs(4).strip()[:_SHOWN_TEXT]
     shown = "".join(
         letter if letter.isprintable() or letter == "\n" else "\N{REPLACEMENT CHARACTER}" for letter in said
     )
     return shown or "no reason given"
-
-
-@dataclass(frozen=True)
-class RemoteWeights:
-    """Weights that a program says it uses under a condition."""
-
-    name: str
-    sha256: str
 
 
 @dataclass(frozen=True)
@@ -131,7 +125,8 @@ class Introduction:
     name: str
     version: str
     declared: Declared
-    weights: Mapping[StrEnum, RemoteWeights] = field(default_factory=dict)
+    weights: Mapping[StrEnum, tuple[str, str]] = field(default_factory=dict)
+    """Name and SHA-256 of the weights that it says it uses under each condition."""
     trainable: bool = False
     """True if the installed method can be fitted to a table; only prbench's own worker says so."""
 
@@ -151,86 +146,58 @@ class Introduction:
             raise AdapterError(
                 f"{origin}: expected it to answer 'hello' with 'hello', found the message {header['message'][:80]!r}."
             )
-        _require_version(header.get("wire"), origin)
-        for flag in ("motionless", "gaze", "one_design"):
-            value = header.get(flag)
-            if value is not None and not isinstance(value, bool):
-                raise AdapterError(
-                    f"{origin}: expected '{flag}' in its hello to be true or false, found {_shown(value)}."
-                )
-        name = header.get("name")
-        if not has_form(name):
+        wire = header.get("wire")
+        if type(wire) is not int or wire != WIRE_VERSION:
+            remedy = f"Send the whole number {WIRE_VERSION}"
+            if type(wire) is int:
+                remedy = "Update prbench" if wire > WIRE_VERSION else "Update the program"
             raise AdapterError(
-                f"{origin}: expected 'name' in its hello to be a text of {NAME_FORM}; found {_shown(name)}."
+                f"{origin}: expected version {WIRE_VERSION} of the wire protocol ('wire' in its hello),"
+                f" found {_shown(wire)}. {remedy}."
             )
         version = header.get("version")
-        is_text = isinstance(version, str) and version.strip() and version.isprintable()
-        if not is_text or len(str(version)) > _TEXT_LIMIT:
-            raise AdapterError(
-                f"{origin}: expected 'version' in its hello to be a text of 1 to {_TEXT_LIMIT} printable characters,"
-                f" found {_shown(version)}."
-            )
-        if not isinstance(header.get("conditions"), list):
-            raise AdapterError(
-                f"{origin}: expected 'conditions' in its hello to be an array of strings,"
-                f" found {_shown(header.get('conditions'))}."
-            )
-        # Obstacles are handed over in this process alone, whatever a program says.
-        declared = Declared.checked({**header, "wants_obstacles": False}, origin=origin, known=conditions)
-        weights = _weights(header.get("weights"), origin, conditions)
-        return cls(str(name), str(version), declared, weights, trainable=header.get("trainable") is True)
+        is_version = isinstance(version, str) and version.strip() and version.isprintable()
+        stated = header.get("weights")
+        weights, fits = _weights({} if stated is None else stated, conditions)
+        checks: list[tuple[str, Any, str]] = [
+            *(
+                (flag, header.get(flag) is None or isinstance(header[flag], bool), "be true or false")
+                for flag in ("motionless", "gaze", "one_design")
+            ),
+            ("name", has_form(header.get("name")), f"be a text of {NAME_FORM}"),
+            (
+                "version",
+                is_version and len(str(version)) <= _TEXT_LIMIT,
+                f"be a text of 1 to {_TEXT_LIMIT} printable characters",
+            ),
+            ("conditions", isinstance(header.get("conditions"), list), "be an array of strings"),
+            (
+                "weights",
+                fits,
+                "give a condition's name and sha256 (64 hexadecimal digits),"
+                ' as {"goal-loc": {"name": …, "sha256": …}}',
+            ),
+        ]
+        for key, holds, expected in checks:
+            if not holds:
+                raise AdapterError(
+                    f"{origin}: expected '{key}' in its hello to {expected}, found {_shown(header.get(key))}."
+                )
+        declared = Declared.checked(header, origin=origin, known=conditions)
+        return cls(str(header["name"]), str(version), declared, weights, trainable=header.get("trainable") is True)
 
 
-def _require_batch(header: Header, number: int) -> None:
-    found = header.get("batch")
-    if (type(found) is int and found == number) or (found is None and header["message"] == "error"):
-        return
-    answered = "without the number of a batch" if found is None else f"batch {shown_json(found)}"
-    raise BrokenProtocol(
-        f"answered {answered}, where batch {number} was due: every request has exactly one answer, which repeats its"
-        " number"
-    )
-
-
-def _reported(header: Header) -> MemoryError | ReportedError:
-    """The failure that a program reports."""
-    text = error_text(header)
-    out_of_memory = header.get("out_of_memory")
-    if out_of_memory is not None and not isinstance(out_of_memory, bool):
-        raise BrokenProtocol(
-            f"reported the error '{text}' with 'out_of_memory' {shown_json(out_of_memory)}, where true or false was due"
-        )
-    return MemoryError(text) if out_of_memory else ReportedError(f"reported an error: {text}")
-
-
-def _require_version(found: object, origin: str) -> None:
-    if type(found) is int and found == WIRE_VERSION:
-        return
-    remedy = "Update prbench" if type(found) is int and found > WIRE_VERSION else "Update the program"
-    if type(found) is not int:
-        remedy = f"Send the whole number {WIRE_VERSION}"
-    raise AdapterError(
-        f"{origin}: expected version {WIRE_VERSION} of the wire protocol ('wire' in its hello),"
-        f" found {_shown(found)}. {remedy}."
-    )
-
-
-def _weights(value: object, origin: str, conditions: type[StrEnum]) -> dict[StrEnum, RemoteWeights]:
+def _weights(stated: object, conditions: type[StrEnum]) -> tuple[dict[StrEnum, tuple[str, str]], bool]:
+    """Return name and digest of the weights of each condition, and True if they are of the right form."""
     known = {condition.value: condition for condition in conditions}
     weights = {}
-    if value is None:
-        return {}
-    stated = value if isinstance(value, dict) else {"": value}  # "" is no condition, and so refused below
-    for condition, entry in stated.items():
+    for condition, entry in stated.items() if isinstance(stated, dict) else [("", None)]:
         name, digest = (entry.get("name"), entry.get("sha256")) if isinstance(entry, dict) else (None, None)
-        fits = isinstance(name, str) and isinstance(digest, str) and re.fullmatch("[0-9a-f]{64}", digest)
-        if condition not in known or not fits:
-            raise AdapterError(
-                f"{origin}: expected 'weights' in its hello to give a condition's name and sha256 (64 hexadecimal"
-                f' digits), as {{"goal-loc": {{"name": …, "sha256": …}}}}, found {_shown(value)}.'
-            )
-        weights[known[condition]] = RemoteWeights(str(name), str(digest))
-    return weights
+        is_digest = isinstance(digest, str) and re.fullmatch("[0-9a-f]{64}", digest)
+        if condition not in known or not isinstance(name, str) or not is_digest:
+            return {}, False
+        weights[known[condition]] = (name, str(digest))
+    return weights, True
 
 
 def _shown(value: object) -> str:
@@ -244,21 +211,6 @@ _SLOW_START = (
     " Let it load its weights with the first batch, or raise start_s under [limits] in a TOML file for it"
     " (docs/environments.md)."
 )
-
-
-@dataclass(frozen=True)
-class Exchange:
-    """One request to a program, and how its answer is read."""
-
-    header: Header
-    """Without the number of the batch."""
-    payload: bytes
-    largest: int
-    """Most bytes of the answer's payload."""
-    read: Callable[[Header, bytes | None, int], Any]
-    """Turns header, payload and the number of the batch into the answer."""
-    asked_for: str
-    """What was asked for, for messages."""
 
 
 class RemoteMethod:
@@ -285,8 +237,8 @@ class RemoteMethod:
         self.motionless = introduction.declared.motionless
         self.gaze = introduction.declared.gaze
         self.one_design = introduction.declared.one_design
-        self.weights: Mapping[StrEnum, RemoteWeights] = introduction.weights
-        """Weights that it says it uses under each condition; empty if it says nothing."""
+        self.weights: Mapping[StrEnum, tuple[str, str]] = introduction.weights
+        """Name and SHA-256 of the weights that it says it uses under each condition; empty if it says nothing."""
         self.trainable = introduction.trainable
 
     @classmethod
@@ -310,8 +262,23 @@ class RemoteMethod:
         hello = {"message": "hello", "wire": WIRE_VERSION, "prbench": prbench.__version__, **cls.said, **settings}
         return cls(program, hello)
 
-    def exchange(self, asked: Exchange) -> Any:
+    def exchange(
+        self,
+        header: Header,
+        payload: bytes,
+        read: Callable[[Header, bytes | None, int], Any],
+        *,
+        largest: int,
+        ids: Any,
+    ) -> Any:
         """Ask the program once, or twice where it crashed.
+
+        Args:
+            header: Of the request, without the number of the batch.
+            payload: Of the request.
+            read: Turns header, payload and the number of the batch into the answer.
+            largest: Most bytes of the answer's payload.
+            ids: Names of the rows, for messages.
 
         Raises:
             AdapterError: if it fails, crashes twice, answers too late or with something else than the protocol asks
@@ -319,14 +286,34 @@ class RemoteMethod:
             MemoryError: if it says that the batch does not fit in memory.
         """
         origin = f"method '{self.name}'"
-        try:
-            return self._asked(asked, origin)
-        except Ended:
-            self.restarts += 1
-        try:
-            return self._asked(asked, origin)
-        except Ended as fault:
-            raise AdapterError(self._told(f"{origin}, twice", fault, asked.asked_for)) from fault
+        for attempt in range(2):
+            if self._closed:
+                raise AdapterError(f"{origin}: asked for motions after its program was closed.")
+            if self._process.over and self._launch(origin) != self._introduction:
+                self._process.close()
+                raise AdapterError(
+                    f"{origin}: expected its program to introduce itself as before it was started again after a crash,"
+                    " found another name, version or declaration. Make its hello depend on its settings alone."
+                )
+            number = self._batches
+            self._batches += 1
+            try:
+                answer, sent = self._process.ask(
+                    {"message": header["message"], "batch": number, **header},
+                    payload,
+                    timeout=self._program.batch_timeout,
+                    answer_limit=largest + _MEGABYTE,
+                )
+                return read(answer, sent, number)
+            except Fault as fault:
+                if fault.kind == "ended" and attempt == 0:
+                    self.restarts += 1
+                    continue
+                if fault.kind not in ("ended", "reported"):
+                    self._process.kill()
+                twice = ", twice" if fault.kind == "ended" else ""
+                raise AdapterError(self._told(f"{origin}{twice}", fault, asked_for(ids))) from fault
+        raise AssertionError("a program is asked twice at most")
 
     @property
     def exit_status(self) -> int | None:
@@ -338,37 +325,6 @@ class RemoteMethod:
         self._closed = True
         self._finalizer()
 
-    def _asked(self, asked: Exchange, origin: str) -> Any:
-        """Ask once.
-
-        Raises:
-            AdapterError: if it failed for good.
-            Ended: if the program did, so that it may be tried again.
-        """
-        if self._closed:
-            raise AdapterError(f"{origin}: asked for motions after its program was closed.")
-        if self._process.over and self._launch(origin) != self._introduction:
-            self._process.close()
-            raise AdapterError(
-                f"{origin}: expected its program to introduce itself as before it was started again after a crash,"
-                " found another name, version or declaration. Make its hello depend on its settings alone."
-            )
-        number, self._batches = self._batches, self._batches + 1
-        try:
-            answer, payload = self._process.ask(
-                {"message": asked.header["message"], "batch": number, **asked.header},
-                asked.payload,
-                timeout=self._program.batch_timeout,
-                answer_limit=asked.largest + _MEGABYTE,
-            )
-            return asked.read(answer, payload, number)
-        except Ended:
-            raise
-        except Fault as fault:
-            if not isinstance(fault, ReportedError):
-                self._process.kill()
-            raise AdapterError(self._told(origin, fault, asked.asked_for)) from fault
-
     def _launch(self, origin: str) -> Introduction:
         process = self._process = ProgramProcess(self._program)
         self._finalizer = weakref.finalize(self, process.close)
@@ -376,7 +332,7 @@ class RemoteMethod:
         try:
             answer, _ = process.ask(self._hello, timeout=self._program.start_timeout, answer_limit=_MEGABYTE)
             if answer["message"] == "error":
-                raise ReportedError(f"refused to start: {error_text(answer)}")
+                raise Fault(f"refused to start: {error_text(answer)}", kind="reported")
             return Introduction.read(answer, origin=origin, conditions=self.all_conditions)
         except Fault as fault:
             process.kill()
@@ -386,26 +342,25 @@ class RemoteMethod:
             raise AdapterError(f"{origin}: its settings cannot be sent: {error}. Put them into a file.") from error
         except AdapterError as error:
             process.kill()
-            raise AdapterError(f"{error}{_log_story(process.log, even_if_empty=False)}") from error
+            raise AdapterError(f"{error}{_log_story(process, even_if_empty=False)}") from error
 
-    def _told(self, origin: str, fault: Fault, asked_for: str = "", *, if_late: str = _SLOW_BATCH) -> str:
+    def _told(self, origin: str, fault: Fault, asked: str = "", *, if_late: str = _SLOW_BATCH) -> str:
         """Describe a fault: what to do about it, what was asked for, and the end of the log."""
         text = f"{origin}: its program {fault}.".replace("..", ".")
-        if isinstance(fault, TimedOut):
+        if fault.kind == "late":
             text += if_late
-        if isinstance(fault, Ended) and self._program.fence is not None:
+        if fault.kind == "ended" and self._program.fence is not None:
             text += (
                 f" It ran apart (--isolate, {self._program.fence}): paths and variables of this machine may be hidden."
             )
-        return text + asked_for + _log_story(self._process.log, even_if_empty=isinstance(fault, Ended | TimedOut))
+        return text + asked + _log_story(self._process, even_if_empty=fault.kind in ("ended", "late"))
 
 
-def _log_story(log: ProgramLog, *, even_if_empty: bool) -> str:
-    lines = log.tail()
+def _log_story(process: ProgramProcess, *, even_if_empty: bool) -> str:
+    lines = process.log_tail()
     if not lines:
         return " It wrote nothing to its log (stderr)." if even_if_empty else ""
-    place = f"the log, {log.path}" if log.path is not None else "its log"
-    return "\n".join([f" The end of {place}:", *(f"    {line}" for line in lines)])
+    return "\n".join([f" The end of the log, {process.log_path}:", *(f"    {line}" for line in lines)])
 
 
 class RemoteAdapter(RemoteMethod):
@@ -427,15 +382,14 @@ class RemoteAdapter(RemoteMethod):
             "fps": float(batch.fps),
             "seed": seed,
         }
-        asked = Exchange(
-            header=header,
-            payload=conditions_payload(batch),
+        return self.exchange(
+            header,
+            conditions_payload(batch),
+            lambda answer, payload, number: motions_in(answer, payload, batch, number, gaze=self.gaze),
             # Twice the size of joints and gaze in float64: room for any list type, and still a bound on what is read.
             largest=2 * len(batch) * int(batch.n_frames.max()) * (N_JOINTS + 2) * 3 * 8,
-            read=lambda answer, payload, number: motions_in(answer, payload, batch, number, gaze=self.gaze),
-            asked_for=asked_for(batch.opaque_id),
+            ids=batch.opaque_id,
         )
-        return self.exchange(asked)
 
 
 def serve_motions(name: str, adapter: Adapter, header: Header, payload: bytes) -> tuple[Header, bytes]:

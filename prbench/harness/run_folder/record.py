@@ -59,7 +59,7 @@ class MethodRecord(msgspec.Struct, frozen=True, kw_only=True):
     gaze: bool = False
     """The motions bring gaze (docs/specification/protocol.md#gaze)."""
     wants_obstacles: bool = False
-    """The method was given the solid boxes around each sequence, which others are not."""
+    """True in runs up to 0.10 whose method was given the solid boxes around each sequence; those are never ranked."""
     one_design: bool = False
     """The K futures of a window are one design, so that fewer have no scores; not written where they are none."""
     isolation: str | None = None

@@ -13,7 +13,7 @@ from prbench import __version__
 from prbench.contract import Adapter, Condition, Cost
 from prbench.errors import AdapterError
 from prbench.harness.methods.motions import generate_checked
-from prbench.harness.methods.remote import RemoteAdapter, RemoteWeights
+from prbench.harness.methods.remote import RemoteAdapter
 from tests.harness.methods.remote.programs import (
     HONEST,
     Workshop,
@@ -68,7 +68,7 @@ def test_the_program_hears_the_settings_and_the_adapter_what_it_declares(worksho
     assert (adapter.name, adapter.version, adapter.max_frames) == ("glide", "2", 99)
     assert (adapter.native_fps, adapter.motionless, adapter.restarts) == (30.0, True, 0)
     assert adapter.conditions == {Condition.TEXT, Condition.NONE}
-    assert adapter.weights == {Condition.TEXT: RemoteWeights("w.npz", "0f" * 32)}
+    assert adapter.weights == {Condition.TEXT: ("w.npz", "0f" * 32)}
     adapter.close()
     assert (workshop.folder / "heard.json").read_text() == (
         f'{{"message": "hello", "wire": 1, "prbench": "{__version__}", "device": "cuda:1", "threads": 3,'

@@ -58,29 +58,6 @@ def test_a_program_inherits_its_three_pipes_and_its_environment_and_nothing_else
     assert set(variables) - {"LC_CTYPE"} == {"PATH", MARK}  # Python itself sets the former
 
 
-def test_a_flood_on_stderr_holds_nothing_up_and_its_log_stays_small(
-    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(process, "_PART", 70_000)
-    source = """
-        hello()
-        header, _ = read()
-        for line in range(20_000):
-            print("line", line, file=sys.stderr)
-        motions(header)
-        read()
-    """
-    adapter = workshop.start(source)
-    adapter.generate(BATCH, seed=0)
-    adapter.close()
-    (file,) = (workshop.cache / "logs").glob("cmd-made-*.log")
-    text = file.read_text()
-    assert text.startswith("line 0\nline 1\n")
-    assert text.endswith("line 19999\n")
-    assert "bytes cut here by prbench" in text
-    assert len(text) < 2 * 70_000 + 100
-
-
 def test_only_the_newest_logs_are_kept(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(process, "_KEPT_LOGS", 2)
     folder = workshop.cache / "logs"
