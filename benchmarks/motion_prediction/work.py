@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -35,26 +35,23 @@ NEAREST_PAST = "nearest-past"
 
 @dataclass(frozen=True)
 class FutureQuestion:
-    """See :class:`prbench.harness.benchmark.Question`; the predictor sees nothing but ``batch``."""
+    """See :meth:`prbench.harness.benchmark.CaseWork.questions`; the predictor sees nothing but ``batch``."""
 
     batch: ObservedBatch
     n_samples: int
 
-    def ask(
-        self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...], measure: Callable[[], None]
-    ) -> Answer:
-        """See :class:`prbench.harness.benchmark.Question`."""
+    def ask(self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...]) -> Answer:
+        """See :meth:`prbench.harness.benchmark.CaseWork.questions`."""
         assert method is not None, "no control of this benchmark"
-        joints, halvings = self._futures(self.batch, method, seed, sequence_ids)
-        measure()
+        joints = self._futures(self.batch, method, seed, sequence_ids)
         n_frames = np.full(len(joints), self.batch.n_future)
         samples = [PredictionRows.from_padded(joints[:, sample], n_frames) for sample in range(self.n_samples)]
-        return Answer(samples, [self.batch.key] * self.n_samples, halvings)
+        return Answer(samples, [self.batch.key] * self.n_samples)
 
     def _futures(
         self, batch: ObservedBatch, method: LoadedMethod, seed: int, ids: tuple[str, ...]
-    ) -> tuple[Float[np.ndarray, "batch samples future joints 3"], int]:
-        """The answer, and how often a batch that did not fit in memory was cut in two."""
+    ) -> Float[np.ndarray, "batch samples future joints 3"]:
+        """The answer; a batch that does not fit in memory is cut in two."""
         try:
             futures = ask(method.adapter, batch, n_samples=self.n_samples, seed=seed)
         except PrbenchError:
@@ -69,13 +66,13 @@ class FutureQuestion:
                     f" ({self.n_samples} samples). Use a device with more memory, or fewer --samples."
                 ) from error
         else:
-            return np.asarray(futures.joints, dtype=np.float32), 0
+            return np.asarray(futures.joints, dtype=np.float32)
         # Outside of the handler: its traceback would hold the tensors of the failed batch.
         release_memory()
         middle = len(batch) // 2
-        first, halved_first = self._futures(batch.chosen(range(middle)), method, seed, ids[:middle])
-        second, halved_second = self._futures(batch.chosen(range(middle, len(batch))), method, seed, ids[middle:])
-        return np.concatenate((first, second)), 1 + halved_first + halved_second
+        first = self._futures(batch.chosen(range(middle)), method, seed, ids[:middle])
+        second = self._futures(batch.chosen(range(middle, len(batch))), method, seed, ids[middle:])
+        return np.concatenate((first, second))
 
 
 class FutureWork(CaseWork):

@@ -15,7 +15,7 @@ import pyarrow as pa
 from prbench.errors import RunError, StorageError
 from prbench.files.storage import atomic_folder, sole_writer, text_digest
 from prbench.harness.results import summary_of
-from prbench.harness.run_folder.cost import RunCost, joined_costs
+from prbench.harness.run_folder.cost import RunCost, total_cost
 from prbench.harness.run_folder.folder import FOLDS_FILE, FoldRun, MergedFrom, RunFolder
 from prbench.harness.run_folder.record import BatchPlanRecord, MethodRecord, RunRecord, TableRecord
 from prbench.harness.run_folder.scores import read_scores, write_scores
@@ -56,7 +56,7 @@ class MergedRun:
                     write_protocol(folder, protocol)
                 files = RunFolder(folder, self.record).dataset(self.summary.dataset)
                 write_scores(files.scores, [self.scores])
-                joined_costs([RunCost.read(run.dataset(self.summary.dataset).cost) for run in self.folds]).write(
+                total_cost([RunCost.read(run.dataset(self.summary.dataset).cost) for run in self.folds]).write(
                     files.cost
                 )
                 MergedFrom(folds=tuple(map(FoldRun.of, self.folds))).write(folder)

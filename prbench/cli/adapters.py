@@ -118,10 +118,9 @@ def _print_details(described: list[Description], *, with_controls: bool) -> None
                 f"<= {each.max_frames}" if each.max_frames else "any",
                 f"{each.native_fps:g}/s" if each.native_fps else "any",
                 ", ".join(each.weights) or "none",
-                f"{each.import_seconds or 0:.1f} + {each.load_seconds or 0:.1f} s",
             )
         )
-    print_columns(("name", "package", "conditions", "trains", "frames", "rate", "weights", "import + load"), rows)
+    print_columns(("name", "package", "conditions", "trains", "frames", "rate", "weights"), rows)
     for problem in problems:
         print(problem)
     if with_controls:

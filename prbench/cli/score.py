@@ -157,7 +157,7 @@ def _print(scored: Sequence[ScoredMotions], out: Path | None) -> None:
 @opt.data_option(required=True)
 @opt.benchmark_option
 @click.option("--condition", type=click.Choice(opt.ALL_CONDITIONS), required=True, help="What the method is given.")
-@opt.out_file_option(".parquet, or .npz for NumPy alone.", required=True)
+@opt.out_file_option(".npz", required=True)
 @opt.seed_option("behind opaque ids and noise seeds")
 @click.option(
     "--samples", type=opt.POSITIVE, metavar="K", help=f"Answers to each case (default {opt.usual_number('samples')})."

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
@@ -119,8 +119,6 @@ class Answer:
     """For each sample the motions of the batch."""
     seeds: list[tuple[int, ...]]
     """For each sample the noise seed of each case."""
-    halvings: int = 0
-    """Number of times that the batch did not fit in memory and was cut in two."""
     network_passes: int | None = None
     """As the method declares them; None where it declares none."""
 
@@ -129,16 +127,13 @@ class Answer:
 class Question(Protocol):
     """The cases of one batch as a method may see them. Goes to a worker as it is, and holds nothing else."""
 
-    def ask(
-        self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...], measure: Callable[[], None]
-    ) -> Answer:
+    def ask(self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...]) -> Answer:
         """Ask the method, and check what it answers.
 
         Args:
             method: The method; None for a control, whose answer the question holds.
             seed: Seed of the run.
             sequence_ids: Ids of the cases, for messages alone.
-            measure: To be called while answers are in memory, after each call of the method.
 
         Raises:
             AdapterError: if the answer breaks the contract.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -55,9 +55,7 @@ class MotionQuestion:
     given: Motions | None
     """Motions that the harness itself supplies (controls), instead of the method's."""
 
-    def ask(
-        self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...], measure: Callable[[], None]
-    ) -> Answer:
+    def ask(self, method: LoadedMethod | None, *, seed: int, sequence_ids: tuple[str, ...]) -> Answer:
         """See :class:`prbench.harness.benchmark.Question`."""
         seeds = [batch.noise_seed for batch in self.conditions]
         if method is None:
@@ -65,17 +63,14 @@ class MotionQuestion:
             return Answer([_rows(self.given)] * len(seeds), seeds)
         samples: list[PredictionRows] = []
         passes: list[int] = []
-        halvings = 0
         for batch in self.conditions:
-            motions, halved = generate_checked(
+            motions, _ = generate_checked(
                 method.adapter, batch, seed=seed, method=method.name, sequence_ids=sequence_ids
             )
             samples.append(_rows(motions))
-            halvings += halved
             if motions.cost is not None:
                 passes.append(motions.cost.network_passes)
-            measure()
-        return Answer(samples, seeds, halvings, sum(passes) if passes else None)
+        return Answer(samples, seeds, sum(passes) if passes else None)
 
 
 def _rows(motions: Motions) -> PredictionRows:

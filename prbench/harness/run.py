@@ -21,19 +21,18 @@ from typing import Any
 import msgspec
 import numpy as np
 import psutil
-import pyarrow as pa
 from jaxtyping import Int
 
 from prbench.engine import Engine, InProcess
 from prbench.errors import AdapterError, MemoryFullError
 from prbench.files.storage import remove_half_written, sole_writer, write_text
-from prbench.harness.benchmark import Answer, Question
+from prbench.harness.benchmark import Question
 from prbench.harness.methods.loading import MethodSpec, count_parameters, forget_loaded_methods, unload_method
 from prbench.harness.methods.process import computing_threads
 from prbench.harness.preparation import DEFAULT_PARENT, PreparedDataset, PreparedRun, prepare_run
 from prbench.harness.request import Progress, ProgressCallback, RunRequest, reported, silent
 from prbench.harness.results import require_scores, require_summary, summary_of
-from prbench.harness.run_folder.cost import BatchCost, read_batch_costs, total_cost
+from prbench.harness.run_folder.cost import RunCost, total_cost
 from prbench.harness.run_folder.folder import DatasetFolder, RunFolder
 from prbench.harness.run_folder.predictions import write_part
 from prbench.harness.run_folder.record import PACKAGE
@@ -72,64 +71,45 @@ def run_batch(task: BatchTask) -> int:
         AdapterError: if the method breaks the contract; nothing is written then.
         StorageError: if the part cannot be written.
     """
-    answer, cost = _controlled(task) if task.method is None else _asked(task, task.method)
+    method = None if task.method is None else task.method.load()
+    if cuda := _used_cuda():
+        cuda.reset_peak_memory_stats()
+    crashes_before = 0 if method is None else method.restarts
+    started = _synchronised_time()
+    with contextlib.nullcontext() if task.method is None else computing_threads(task.method.threads):
+        answer = task.question.ask(method, seed=task.seed, sequence_ids=task.sequence_ids)
+    seconds = _synchronised_time() - started
+    cuda = _used_cuda()
+    # A program's memory is not in the resident size of this process.
+    peak = psutil.Process().memory_info().rss + (0 if method is None else method.program_bytes())
+    cost = RunCost(
+        peak_process_bytes=peak,
+        peak_device_bytes=None if cuda is None else int(cuda.max_memory_allocated()),
+        network_passes_declared=answer.network_passes,
+    )
+    motions = len(answer.samples) * len(task.sequence_ids)
+    frames = sum(int(rows.offsets[-1]) for rows in answer.samples)
+    if method is None:
+        cost = msgspec.structs.replace(cost, motions=motions, frames=frames)
+    else:
+        timed = {"motions": motions, "frames": frames, "seconds": seconds}
+        crashes = method.restarts - crashes_before
+        cost = msgspec.structs.replace(
+            cost,
+            parameters=count_parameters(method.adapter),
+            restarts={f"{task.index:05d}": crashes} if crashes else {},
+            **(timed if method.warmed_up else {f"warm_up_{name}": value for name, value in timed.items()}),
+        )
+        method.warmed_up = True
     cost.write(task.cost)  # first, so that a part on disk is never without its measurement
     write_part(task.part, task.sequence_ids, answer.seeds, answer.samples, protocol_version=task.protocol_version)
     return task.index
-
-
-def _asked(task: BatchTask, spec: MethodSpec) -> tuple[Answer, BatchCost]:
-    method = spec.load()
-    warm_up = not method.warmed_up
-    _reset_device_peak()
-    peak = 0
-
-    def measure() -> None:
-        nonlocal peak
-        peak = max(peak, psutil.Process().memory_info().rss)
-
-    crashes_before = method.restarts
-    started = _synchronised_time()
-    with computing_threads(spec.threads):
-        answer = task.question.ask(method, seed=task.seed, sequence_ids=task.sequence_ids, measure=measure)
-    seconds = _synchronised_time() - started
-    # A program's memory is not in the resident size of this process.
-    peak += method.program_bytes()
-    method.warmed_up = True
-    cost = _cost(task, answer, seconds, warm_up, peak)
-    restarts = method.restarts - crashes_before
-    return answer, msgspec.structs.replace(cost, restarts=restarts, parameters=count_parameters(method.adapter))
-
-
-def _controlled(task: BatchTask) -> tuple[Answer, BatchCost]:
-    answer = task.question.ask(None, seed=task.seed, sequence_ids=task.sequence_ids, measure=lambda: None)
-    return answer, _cost(task, answer, 0.0, False, psutil.Process().memory_info().rss)
-
-
-def _cost(task: BatchTask, answer: Answer, seconds: float, warm_up: bool, peak_process_bytes: int) -> BatchCost:
-    cuda = _used_cuda()
-    return BatchCost(
-        batch=task.index,
-        motions=len(answer.samples) * len(task.sequence_ids),
-        frames=sum(int(rows.offsets[-1]) for rows in answer.samples),
-        seconds=seconds,
-        warm_up=warm_up,
-        peak_process_bytes=peak_process_bytes,
-        peak_device_bytes=(None if cuda is None else int(cuda.max_memory_allocated())),
-        halvings=answer.halvings,
-        network_passes=answer.network_passes,
-    )
 
 
 def _synchronised_time() -> float:
     if cuda := _used_cuda():
         cuda.synchronize()  # the GPU works on after a call has returned
     return time.perf_counter()
-
-
-def _reset_device_peak() -> None:
-    if cuda := _used_cuda():
-        cuda.reset_peak_memory_stats()
 
 
 def _used_cuda() -> Any:
@@ -337,16 +317,17 @@ class RunPart:
         """Score what was generated; what an earlier call wrote has to follow from the motions and the table."""
         files = self.files
         work = self.dataset.work
+        scores = reported(work.scores(files, self.engine), self.dataset.name, len(self.dataset.cases), self.progress)
         if files.finished and files.has_scores():
             stored = CodedScores.read(files.scores)
-            require_scores(files, stored, CodedScores.of(self._scores()))
+            require_scores(files, stored, CodedScores.of(scores))
             require_summary(files, self._summary(stored))
             work.require_beside(files, stored)
         else:
-            write_scores(files.scores, self._scores())
+            write_scores(files.scores, scores)
             measured = files.batch_costs()
             if measured or not files.cost.is_file():  # else only scores were lost, and what was measured still holds
-                total_cost(read_batch_costs(measured), batches=len(self.plan)).write(files.cost)
+                total_cost([RunCost.read(path) for path in measured]).write(files.cost)
             stored = CodedScores.read(files.scores)
             work.write_beside(files, stored)
             # The summary comes last: where it stands, everything else does.
@@ -359,8 +340,3 @@ class RunPart:
         table = next(table for table in record.tables if table.dataset == self.dataset.name)
         cases = self.dataset.cases
         return summary_of(record, table, scores, dict(zip(cases.sequence_ids, cases.recording_ids, strict=True)))
-
-    def _scores(self) -> Iterator[pa.Table]:
-        """The scores of what was generated, some cases at a time."""
-        scores = self.dataset.work.scores(self.files, self.engine)
-        return reported(scores, self.dataset.name, len(self.dataset.cases), self.progress)

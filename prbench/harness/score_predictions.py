@@ -20,7 +20,7 @@ from prbench.harness.preparation import table_record
 from prbench.harness.request import ProgressCallback, reported, silent
 from prbench.harness.results import cases_of_run, summary_of
 from prbench.harness.run_folder import record as run_record
-from prbench.harness.run_folder.cost import total_cost
+from prbench.harness.run_folder.cost import RunCost
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.record import FILE, BatchPlanRecord, MethodRecord, RunRecord, TableRecord
@@ -230,7 +230,7 @@ def _written(
     for part, one in zip(parts, reports, strict=True):
         one.coded.write(part / "scores.parquet")
         if record is not None:
-            total_cost([], batches=0).write(part / "cost.json")  # nothing was measured
+            RunCost().write(part / "cost.json")  # nothing was measured
         one.agreement.write(part)
         one.summary.write(part)
     write_protocol(folder, protocol)

@@ -155,7 +155,7 @@ def settled_by_conditions(
             native_fps=info.native_fps,
             control=control,
         )
-        difference = _first_difference(conditions, conditions_of(tables, wanted).file)
+        difference = _first_difference(conditions, conditions_of(tables, wanted)[0])
         if difference is None:
             break
         different.append(difference)

@@ -11,29 +11,21 @@ import torch
 
 from prbench.board import export
 from prbench.harness.methods.loading import count_parameters
-from prbench.harness.run_folder.cost import BatchCost, total_cost
+from prbench.harness.run_folder.cost import RunCost, total_cost
 from prbench.harness.run_folder.record import FILE
 from tests.board.test_tables import cells, leaderboard, only, write_run
 
 
-def batch(number: int, *, warm_up: bool = False, parameters: int | None = 1_250_000) -> BatchCost:
-    return BatchCost(
-        batch=number,
-        motions=8,
-        frames=800,
-        seconds=8.0 if warm_up else 2.0,
-        warm_up=warm_up,
-        peak_process_bytes=512 * 2**20,
-        peak_device_bytes=None,
-        halvings=0,
-        network_passes=800,
-        parameters=parameters,
-    )
+def batch(*, warm_up: bool = False, parameters: int | None = 1_250_000) -> RunCost:
+    rest = {"peak_process_bytes": 512 * 2**20, "network_passes_declared": 800, "parameters": parameters}
+    if warm_up:
+        return RunCost(warm_up_motions=8, warm_up_frames=800, warm_up_seconds=8.0, **rest)
+    return RunCost(motions=8, frames=800, seconds=2.0, **rest)
 
 
 def test_seconds_without_warm_up_passes_a_motion_memory_and_parameters(tmp_path):
     run = write_run(tmp_path / "a")
-    total_cost([batch(0, warm_up=True), batch(1), batch(2)], batches=3).write(run / "cost.json")
+    total_cost([batch(warm_up=True), batch(), batch()]).write(run / "cost.json")
     header, _, row = cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")
     shown = dict(zip(header, row, strict=True))
     wanted = {"s/motion": "0.250", "Passes/motion": "100", "Memory (MiB)": "512", "Parameters": "1,250,000"}
@@ -51,7 +43,7 @@ def test_seconds_without_warm_up_passes_a_motion_memory_and_parameters(tmp_path)
 
 def test_a_single_batch_is_better_than_nothing(tmp_path):
     run = write_run(tmp_path / "a")
-    total_cost([batch(0, warm_up=True, parameters=None)], batches=1).write(run / "cost.json")
+    total_cost([batch(warm_up=True, parameters=None)]).write(run / "cost.json")
     entry = only(only(leaderboard(tmp_path).tables).rows).entry
     assert (entry.cost.seconds, entry.cost.parameters) == (1.0, None)
 
@@ -59,7 +51,7 @@ def test_a_single_batch_is_better_than_nothing(tmp_path):
 def test_files_controls_and_lost_measurements_have_dashes(tmp_path):
     write_run(tmp_path / "lost")
     run = write_run(tmp_path / "file", "mine", kind=FILE)
-    total_cost([], batches=0).write(run / "cost.json")
+    total_cost([]).write(run / "cost.json")
     _, _, *rows = cells(export(leaderboard(tmp_path), "md"), "synthetic-adt title")
     assert [row[11:15] for row in rows] == [["–"] * 4] * 2
 

@@ -53,6 +53,6 @@ def test_what_is_said_beside_the_report_is_listed_in_the_document(data, tmp_path
 
 def test_mistakes_are_errors_in_the_document(data, tmp_path, capsys):
     words = ["export-conditions", "--data", str(data), "--condition", "none", "--out", str(tmp_path / "c.csv")]
-    refused(words, capsys, code=2, message="ends in .parquet or .npz")
+    refused(words, capsys, code=2, message="ends in .npz")
     words = ["score", str(tmp_path / "gone.npz"), "--data", str(data)]
     refused(words, capsys, code=6, message="gone.npz")

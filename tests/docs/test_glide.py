@@ -17,7 +17,7 @@ import pytest
 
 from prbench.contract import Condition
 from prbench.geometry.skeleton import WRISTS, bone_lengths
-from prbench.harness.offline import ExportRequest, export_conditions, read_conditions
+from prbench.harness.offline import ExportRequest, export_conditions, read_conditions_file
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
 from prbench.harness.run_folder import read_scores
@@ -27,6 +27,7 @@ from tests.docs.by_hand import ByHand
 from tests.docs.exchange import Exchange, decoded
 from tests.docs.interpreters import EXAMPLES, javascript, older_python
 from tests.fakes import STANDING
+from tests.harness.offline.method import batches_of
 
 GOALS = [Condition.GOAL_LOCATION, Condition.GOAL_POSE]
 SOURCE = (EXAMPLES / "glide.py").read_text(encoding="utf-8")
@@ -142,9 +143,9 @@ def test_by_command_by_description_behind_a_fence_and_offline_it_scores_alike(ta
         assert (report.folder.record.method.name, report.folder.record.method.version) == ("glide", "1.0")
         found[name] = (report.folder.path / "scores.parquet").read_bytes()
     assert found["command"] == found["description"] == found["fence"]
-    asked = tmp_path / "asked.parquet"
+    asked = tmp_path / "asked.npz"
     export_conditions(ExportRequest(data=(table.folder,), condition=Condition.GOAL_LOCATION, out=asked))
-    (rows,) = read_conditions(asked)
+    ((_, rows),) = batches_of(read_conditions_file(asked))
     offline = _scores(table, rows.opaque_id, glide.motions(rows), tmp_path / "offline")
     np.testing.assert_array_equal(offline, _values(tmp_path / "command"))
 

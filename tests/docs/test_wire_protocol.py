@@ -279,4 +279,4 @@ def test_every_key_of_a_programs_hello_is_honoured(tmp_path, monkeypatch):
     adapter = RemoteAdapter.start(program, weights=None, options={}, device="cpu", threads=1)
     adapter.close()
     assert (adapter.max_frames, adapter.native_fps, adapter.motionless, adapter.gaze) == (90, 30.0, True, True)
-    assert adapter.weights[Condition.GOAL_LOCATION].sha256 == "0" * 64
+    assert adapter.weights[Condition.GOAL_LOCATION] == ("w", "0" * 64)

@@ -7,9 +7,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from prbench.errors import InputFileError, PredictionsError, RunError, TableError
+from prbench.errors import PredictionsError, RunError, TableError
 from prbench.files import arrays
-from prbench.harness.offline import _read_parquet as read_conditions
 from prbench.harness.run_folder.predictions import Predictions
 from prbench.harness.run_folder.scores import read_scores
 from prbench.sequences.schema import open_parquet
@@ -35,9 +34,8 @@ def many_rows(tmp_path_factory):
         (open_parquet, TableError),
         (Predictions.open, PredictionsError),
         (read_scores, RunError),
-        (read_conditions, InputFileError),
     ],
-    ids=["table", "predictions", "scores", "conditions"],
+    ids=["table", "predictions", "scores"],
 )
 def test_billions_of_rows_in_a_small_file_are_refused(many_rows, read, error):
     with pytest.raises(error, match=r"part-0\.parquet.*9,000,000 rows declared, expected at most 8,388,608"):

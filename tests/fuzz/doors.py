@@ -20,7 +20,7 @@ from prbench.curation.job import native_sources
 from prbench.curation.options import BuildOptions
 from prbench.errors import PrbenchError, UnforeseenInput
 from prbench.harness.methods.programs import read_description
-from prbench.harness.offline import ConditionsFile, read_conditions, read_conditions_file
+from prbench.harness.offline import ConditionsFile, read_conditions_file
 from prbench.synthetic.write_tree import synthesize_tree
 from prbench_adapters.corpora.sources import CorpusOptions, corpus_for, find_groups
 from prbench_adapters.corpora.synthetic import synthesize_corpus_tree
@@ -191,7 +191,7 @@ def _conditions(suffix: str) -> Callable[[Path], None]:
 
 def _conditions_door(suffix: str) -> Door:
     def look(folder: Path) -> Seen:
-        return Seen(digest_of(read_conditions(folder / "input" / f"conditions{suffix}")))
+        return Seen(digest_of(read_conditions_file(folder / "input" / f"conditions{suffix}")))
 
     return Door(f"conditions-{suffix[1:]}", _conditions(suffix), look)
 
@@ -274,7 +274,6 @@ READERS = (
     _corpus("nymeria"),
     _corpus("humanml3d"),
     _conditions_door(".npz"),
-    _conditions_door(".parquet"),
     Door("weights", _weights, _look_at_weights),
     Door("configuration", _configuration, _look_at_configuration, knows_whole=False),
     Door("method-description", _description, _look_at_description, knows_whole=False),

@@ -21,7 +21,7 @@ DAMAGES = {
     "hd-epic": 100,
     "hot3d": 100,
     "mogaze": 100,
-    "adt-egoallo nymeria humanml3d conditions-npz conditions-parquet weights configuration method-description": 6,
+    "adt-egoallo nymeria humanml3d conditions-npz weights configuration method-description": 6,
     "build-adt build-gimo build-hd-epic build-hot3d build-mogaze build-corpus": 4,
     "inspect diff run board import-release score-flat score-padded score-ragged": 6,
 }

@@ -25,7 +25,7 @@ from prbench.harness.controls import GROUND_TRUTH
 from prbench.harness.planning import select
 from prbench.harness.request import RunRequest
 from prbench.harness.run import run_method
-from prbench.harness.run_folder.cost import read_batch_costs
+from prbench.harness.run_folder.cost import RunCost, total_cost
 from prbench.harness.run_folder.folder import RunFolder
 from prbench.harness.run_folder.record import FILE_NAME as RECORD
 from prbench.sequences import SequenceTable
@@ -273,12 +273,11 @@ def with_limit(
         if row.name in failed or not (out / RECORD).is_file():
             continue
         run = RunFolder.open(out)
-        batches = [
-            cost for table in run.record.tables for cost in read_batch_costs(run.dataset(table.dataset).batch_costs())
-        ]
-        frames = sum(cost.frames for cost in batches)
+        files = [run.dataset(table.dataset) for table in run.record.tables]
+        spent_on = total_cost([RunCost.read(path) for each in files for path in each.batch_costs()])
+        frames = spent_on.frames + spent_on.warm_up_frames
         if frames:
-            seconds_per_frame = sum(cost.seconds for cost in batches) / frames
+            seconds_per_frame = (spent_on.seconds + spent_on.warm_up_seconds) / frames
             costs[kind(row)] = RowCost(seconds_per_frame=seconds_per_frame, overhead=overhead)
     if broken is not None and not costs:
         raise PrbenchError(broken)

@@ -10,32 +10,26 @@ import contextlib
 import importlib
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
 import tempfile
-import threading
-import time
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from prbench.errors import PrbenchError
 from prbench.harness.methods.installed import InstalledEntry, list_adapters, offered_twice
 from prbench.harness.methods.loading import find_adapter, load_adapter
 from prbench.harness.methods.motions import Declared
-from prbench.harness.methods.process import python_words, users_environment
+from prbench.harness.methods.process import exit_story, python_words, users_environment
 from prbench.harness.methods.remote import MethodGroup, group_of
 from prbench.protocol.manifests import PROTOCOL_NAME, find_benchmark
 
 TIME_LIMIT = 30.0  # seconds; the slowest of our own takes 5 s on a busy core
-_TAIL = 4096  # bytes of output that are kept
 _LONGEST_LINE = 300  # characters
-_LOOK_EVERY = 0.2  # seconds, to see whether it shall be stopped
 _CHILD = "prbench.harness.methods.describe"
 
 
@@ -57,12 +51,6 @@ class Description:
     """Its motions stand still."""
     weights: tuple[str, ...] = ()
     """Files or folders that it brings, over all its conditions."""
-    import_seconds: float | None = None
-    """Seconds that importing its module took."""
-    load_seconds: float | None = None
-    """Seconds that ``load()`` took after that."""
-    printed: int = 0
-    """Bytes that it wrote to stdout and stderr meanwhile."""
     error: str = ""
     """Reason in one line; empty if there is none."""
 
@@ -89,164 +77,102 @@ def describe_adapters(
     wanted = None if names is None else frozenset(names)
     chosen = [method for method in installed if wanted is None or method.name in wanted]
     twice = offered_twice(installed)
-    stop = threading.Event()
+    running: list[subprocess.Popen[bytes]] = []
 
     def describe(method: InstalledEntry) -> Description:
+        if method.problem:
+            return Description(method, error=method.problem)
         if method.name in twice:
             return Description(method, error="another package offers the same name; uninstall one of them")
-        return describe_adapter(method, benchmark=benchmark, time_limit=time_limit, stop=stop)
+        return _described(method, benchmark, time_limit, running)
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         try:
             return list(pool.map(describe, chosen))
         finally:
-            stop.set()  # after Ctrl-C nobody waits for the rest
+            for process in running:  # after Ctrl-C nobody waits for the rest
+                _end(process)
 
 
-def describe_adapter(
-    method: InstalledEntry,
-    *,
-    benchmark: str = PROTOCOL_NAME,
-    time_limit: float = TIME_LIMIT,
-    stop: threading.Event | None = None,
+def _described(
+    method: InstalledEntry, benchmark: str, time_limit: float, running: list[subprocess.Popen[bytes]]
 ) -> Description:
-    """Import one method in a process of its own and ask it; whatever it does there becomes one line.
-
-    Args:
-        method: As listed.
-        benchmark: Whose method it is.
-        time_limit: Seconds after which the process is ended.
-        stop: Ends it before that, once set.
-    """
-    if method.problem:
-        return Description(method, error=method.problem)
+    """Import one method in a process of its own and ask it; whatever it does there becomes one line."""
     with tempfile.TemporaryDirectory(prefix="prbench-describe-", ignore_cleanup_errors=True) as folder:
         report = Path(folder) / "report.jsonl"
-        child = _Child.start(method, benchmark, report)
-        status = child.wait(time_limit, stop or threading.Event())
+        printed = Path(folder) / "printed"
+        with open(printed, "wb") as output:
+            process = subprocess.Popen(
+                python_words(_CHILD, method.name, benchmark, str(report)),
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=users_environment(),
+                start_new_session=True,
+            )
+        running.append(process)
+        status = None
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            status = process.wait(time_limit)
+        _end(process)  # and what it started
         # Everything that the process put down before it ended, later lines over earlier ones.
-        said: dict = {}
+        said: dict[str, Any] = {}
         for line in report.read_text(encoding="utf-8").splitlines() if report.is_file() else []:
             said |= json.loads(line)
-    if said.get("error"):
-        return Description(method, import_seconds=said.get("import_seconds"), error=_line(said["error"]))
-    if "conditions" in said:
-        declared: dict[str, Any] = {
-            key: tuple(value) if isinstance(value, list) else value for key, value in said.items()
-        }
-        del declared["stage"]
-        return Description(method, printed=child.printed, **declared)
-    return Description(method, printed=child.printed, error=_line(_ending(said, status, time_limit, child.tail)))
+        if "conditions" in said:
+            del said["stage"]
+            return Description(
+                method, **{key: tuple(value) if isinstance(value, list) else value for key, value in said.items()}
+            )
+        error = said.get("error", "")
+        if not error:
+            stages = {"import": "while it was imported", "load": "in load()"}
+            doing = stages.get(said.get("stage", ""), "before it was imported")
+            error = f"took longer than {time_limit:g} s {doing} and was stopped. Import heavy packages on first use"
+            if status is not None:
+                lines = [line for line in printed.read_text(errors="replace")[-4096:].splitlines() if line.strip()]
+                output_end = f"; it last printed: {lines[-1].strip()}" if lines else ""
+                error = f"its process {exit_story(status)} {doing}{output_end}"
+    line = " ".join(error.split())
+    return Description(method, error=line if len(line) <= _LONGEST_LINE else line[: _LONGEST_LINE - 2] + " …")
 
 
-def _ending(said: dict, status: int | None, time_limit: float, tail: str) -> str:
-    """Say how a process ended that never finished its report."""
-    doing = {"import": "while it was imported", "load": "in load()"}.get(
-        said.get("stage", ""), "before it was imported"
-    )
-    if status is None:
-        return f"took longer than {time_limit:g} s {doing} and was stopped. Import heavy packages on first use"
-    last = next((line for line in reversed(tail.splitlines()) if line.strip()), "")
-    output = f"; it last printed: {last.strip()}" if last else ""
-    if status < 0:
-        return f"crashed {doing}: killed by {_signal_name(-status)}{output}"
-    return f"left the process {doing}, with exit status {status}{output}"
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
-
-
-def _line(text: str) -> str:
-    """Return a message as one line of bounded length."""
-    line = " ".join(text.split())
-    return line if len(line) <= _LONGEST_LINE else line[: _LONGEST_LINE - 2] + " …"
-
-
-@dataclass
-class _Child:
-    """The process that imports a method; of what it prints only the end is kept."""
-
-    process: subprocess.Popen[bytes]
-    reader: threading.Thread | None = None
-    printed: int = 0
-    tail: str = ""
-
-    @classmethod
-    def start(cls, method: InstalledEntry, benchmark: str, report: Path) -> _Child:
-        """Start importing a method, from where this process would import it."""
-        process = subprocess.Popen(
-            python_words(_CHILD, method.name, benchmark, str(report)),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env=users_environment(),
-            start_new_session=True,
-        )
-        assert process.stdout is not None
-        child = cls(process)
-        child.reader = threading.Thread(target=child._read, args=(process.stdout,), daemon=True)
-        child.reader.start()
-        return child
-
-    def wait(self, time_limit: float, stop: threading.Event) -> int | None:
-        """The exit status, or None if it had to be stopped; nothing that it started is left behind."""
-        deadline = time.monotonic() + time_limit
-        try:
-            while time.monotonic() < deadline and not stop.is_set():
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    return self.process.wait(_LOOK_EVERY)
-            return None
-        finally:
-            self._stop()
-
-    def _read(self, stream: IO[bytes]) -> None:
-        kept = b""
-        while part := os.read(stream.fileno(), 65536):
-            self.printed += len(part)
-            kept = (kept + part)[-_TAIL:]
-            self.tail = kept.decode("utf-8", "replace")
-
-    def _stop(self) -> None:
-        """End the process and whatever it has started."""
-        if hasattr(os, "killpg"):
-            with contextlib.suppress(ProcessLookupError, PermissionError):  # it has ended, and so has what it started
-                os.killpg(self.process.pid, signal.SIGKILL)
-        else:
-            self.process.kill()
-        self.process.wait()
-        if self.reader is not None:
-            self.reader.join(timeout=1.0)  # something that left the group may still hold the pipe
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process and whatever it has started."""
+    if hasattr(os, "killpg"):
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # it has ended, and so has what it started
+            os.killpg(process.pid, signal.SIGKILL)
+    else:
+        process.kill()
+    process.wait()
 
 
 def main(name: str, benchmark: str, report: Path) -> None:
-    """Import, load and ask the method; ends the process at once, without waiting for threads that it may have left."""
+    """Import, load and ask the method."""
+
+    def write(**values: object) -> None:
+        with open(report, "a", encoding="utf-8") as file:
+            file.write(json.dumps(values) + "\n")
+
     group = group_of(benchmark)
     method = find_adapter(name, entry_points=group.entry_points)
-    _write(report, stage="import")
-    started = time.perf_counter()
+    write(stage="import")
     try:
         importlib.import_module(method.target.partition(":")[0].strip())
     except BaseException as error:  # a plug-in may raise anything, SystemExit and KeyboardInterrupt too
-        said = f"cannot be imported: {type(error).__name__}: {error}".rstrip(".: ")
-        _write(report, error=said + _remedy(error, method))
+        write(error=f"cannot be imported: {type(error).__name__}: {error}".rstrip(".: "))
         return
-    imported = time.perf_counter()
-    _write(report, stage="load", import_seconds=round(imported - started, 3))
+    write(stage="load")
+    origin = f"adapter '{method.name}' (package {method.package} {method.version}, {method.target}): "
     try:
-        adapter = load_adapter(name, None, {}, "cpu", group=group)
-        _write(report, load_seconds=round(time.perf_counter() - imported, 3), **declarations(adapter, group))
+        write(**declarations(load_adapter(name, None, {}, "cpu", group=group), group))
     except PrbenchError as error:
-        said = str(error).removeprefix(_origin(method)).rstrip(".")
-        _write(report, error=said + _remedy(error.__cause__, method))
+        write(error=str(error).removeprefix(origin).rstrip("."))
     except BaseException as error:
-        _write(report, error=f"{type(error).__name__}: {error}")
+        write(error=f"{type(error).__name__}: {error}")
 
 
-def declarations(adapter: Any, group: MethodGroup) -> dict:
+def declarations(adapter: Any, group: MethodGroup) -> dict[str, Any]:
     """Return the declarations of a method as plain values."""
     declared = Declared.by(adapter, origin="it", conditions=group.conditions)
     weights_for = getattr(adapter, "weights_for", None)
@@ -261,44 +187,9 @@ def declarations(adapter: Any, group: MethodGroup) -> dict:
     }
 
 
-def _origin(method: InstalledEntry) -> str:
-    return f"adapter '{method.name}' (package {method.package} {method.version}, {method.target}): "
-
-
-def _remedy(error: BaseException | None, method: InstalledEntry) -> str:
-    """Say how to install a module that is missing, if the package's own metadata tell."""
-    if not isinstance(error, ModuleNotFoundError) or not error.name:
-        return ""
-    missing = error.name.partition(".")[0]
-    for requirement in _requirements(method.package):
-        package = re.match(r"[\w.-]+", requirement)
-        if package is None or _normalised(package[0]) != _normalised(missing):
-            continue
-        extra = re.search(r"extra\s*==\s*['\"]([\w.-]+)['\"]", requirement)
-        wanted = f"{method.package}[{extra[1]}]" if extra else package[0]
-        return f". Run: pip install '{wanted}'"
-    return f". The package does not say what brings the module '{missing}'; see its documentation"
-
-
-def _requirements(package: str) -> list[str]:
-    try:
-        return requires(package) or []
-    except PackageNotFoundError:
-        return []
-
-
-def _normalised(name: str) -> str:
-    return re.sub(r"[-_.]+", "-", name).lower()
-
-
-def _write(report: Path, **values: object) -> None:
-    with open(report, "a", encoding="utf-8") as file:
-        file.write(json.dumps(values) + "\n")
-
-
 if __name__ == "__main__":
     sys.dont_write_bytecode = True  # looking at a method leaves no files in its package
     main(sys.argv[1], sys.argv[2], Path(sys.argv[3]))
-    with contextlib.suppress(Exception):  # a method may have closed or replaced it; what it printed is counted whole
+    with contextlib.suppress(Exception):  # a method may have closed or replaced it
         sys.stdout.flush()
-    os._exit(0)
+    os._exit(0)  # at once, without waiting for threads that the method may have left

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -55,11 +56,29 @@ class Drift:
 def generated(conditions: ConditionsFile, *, batch_size: int = 7) -> list[np.ndarray]:
     """What the method makes of a file, in other batches and another order than a run has."""
     motions: list[np.ndarray] = [np.empty(0)] * len(conditions)
-    for part in reversed(list(conditions.batches(batch_size))):
-        made = Drift().generate(part.batch, seed=0)
-        for i, row in enumerate(part.rows):
+    for rows, batch in reversed(list(batches_of(conditions, batch_size))):
+        made = Drift().generate(batch, seed=0)
+        for i, row in enumerate(rows):
             motions[row] = made.joints[i, : made.n_frames[i]]
     return motions
+
+
+def batches_of(conditions: ConditionsFile, batch_size: int = 64) -> Iterator[tuple[np.ndarray, ConditionBatch]]:
+    """Rows of one sample and one frame rate, and the batch that a method gets of them."""
+    for sample in np.unique(conditions.sample):
+        for fps in np.unique(conditions.fps):
+            rows = np.flatnonzero((conditions.sample == sample) & (conditions.fps == fps))
+            for start in range(0, len(rows), batch_size):
+                part = conditions.rows(rows[start : start + batch_size])
+                batch = ConditionBatch(
+                    condition=conditions.info.condition,
+                    n_frames=part.n_frames.astype(np.int64),
+                    fps=float(fps),
+                    opaque_id=part.opaque_id,
+                    noise_seed=tuple(part.noise_seed.tolist()),
+                    **{name: getattr(part, name) for name in conditions.given},
+                )
+                yield rows[start : start + batch_size], batch
 
 
 def write_parquet(path: Path, conditions: ConditionsFile, motions: list[np.ndarray], *, flat: bool) -> Path:

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import zipfile
 
 import msgspec
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from prbench.contract import GIVEN, Condition
 from prbench.errors import InputFileError, RedistributionError, TableError, UsageError
 from prbench.harness.conditions import opaque_ids, run_salt
-from prbench.harness.offline import ExportRequest, export_conditions, read_conditions, read_conditions_file
+from prbench.harness.offline import ExportRequest, export_conditions, read_conditions_file
 from prbench.randomness import noise_seed
 from prbench.sequences import DatasetInfo
 from tests.fakes import fake_dataset, fake_sequence
+from tests.harness.offline.method import batches_of
 
 ALWAYS = {"opaque_id", "sample", "noise_seed", "n_frames", "fps"}
-FORMATS = (".parquet", ".npz")
 
 
 @pytest.fixture(scope="module")
@@ -40,10 +38,8 @@ def with_terms(table, redistribution):
 
 @pytest.mark.parametrize("condition", Condition)
 def test_the_columns_are_those_of_the_condition_and_no_others(table, tmp_path, condition):
-    export([table], tmp_path / "c.parquet", condition)
     export([table], tmp_path / "c.npz", condition)
     expected = ALWAYS | GIVEN[condition]
-    assert set(pq.read_schema(tmp_path / "c.parquet").names) == expected
     with np.load(tmp_path / "c.npz") as arrays:  # pickles are off by default
         assert set(arrays.files) == expected | {"prbench_conditions"}
         assert {name: arrays[name].dtype.kind for name in ALWAYS} == {
@@ -51,17 +47,11 @@ def test_the_columns_are_those_of_the_condition_and_no_others(table, tmp_path, c
         }  # fmt: skip
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_the_file_says_how_it_was_made_and_nothing_more(table, other, tmp_path, suffix):
-    path = tmp_path / f"c{suffix}"
+def test_the_file_says_how_it_was_made_and_nothing_more(table, other, tmp_path):
+    path = tmp_path / "c.npz"
     export([table, other], path, seed=3, samples=2, limit=5, max_frames=110)
-    if suffix == ".npz":
-        with np.load(path) as arrays:
-            text = str(arrays["prbench_conditions"])
-    else:
-        metadata = pq.read_schema(path).metadata
-        assert set(metadata) == {b"prbench_conditions"}
-        text = metadata[b"prbench_conditions"]
+    with np.load(path) as arrays:
+        text = str(arrays["prbench_conditions"])
     said = json.loads(text)
     tables = said.pop("tables")
     assert said == {
@@ -75,25 +65,19 @@ def test_the_file_says_how_it_was_made_and_nothing_more(table, other, tmp_path, 
     )
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_nothing_in_the_file_names_dataset_recording_object_or_folder(table, other, tmp_path, suffix):
-    path = tmp_path / f"c{suffix}"
+def test_nothing_in_the_file_names_dataset_recording_object_or_folder(table, other, tmp_path):
+    path = tmp_path / "c.npz"
     export([table, other], path, "goal-pose")
-    content = path.read_bytes()
-    if suffix == ".parquet":
-        content += repr(pq.read_table(path, columns=["opaque_id", "text"]).to_pydict()).encode()
-    else:
-        with zipfile.ZipFile(path) as archive:
-            names = " ".join(archive.namelist()).encode()
-            content = names + b"".join(archive.read(name).replace(b"\0", b"") for name in archive.namelist())
+    with zipfile.ZipFile(path) as archive:
+        names = " ".join(archive.namelist()).encode()
+        content = names + b"".join(archive.read(name).replace(b"\0", b"") for name in archive.namelist())
     assert b"goal-pose" in content, "the search looks at what is there"
     for told in ("synthetic", "rec001", "450846385587", "WoodenBowl", "fake", str(tmp_path), str(table.folder.parent)):
         assert told.encode() not in content
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_values_are_those_of_the_sequences(table, tmp_path, suffix):
-    path = tmp_path / f"c{suffix}"
+def test_values_are_those_of_the_sequences(table, tmp_path):
+    path = tmp_path / "c.npz"
     export([table], path, "goal-pose", seed=9, samples=2)
     conditions = read_conditions_file(path)
     truths = [fake_sequence(index) for index in range(60)]
@@ -114,30 +98,19 @@ def test_values_are_those_of_the_sequences(table, tmp_path, suffix):
         assert np.array_equal(conditions.goal_joints[row], truth.joints[-1])
 
 
-def test_both_formats_hold_the_same(table, other, tmp_path):
-    for suffix in FORMATS:
-        export([table, other], tmp_path / f"c{suffix}", samples=2)
-    one, two = (read_conditions_file(tmp_path / f"c{suffix}") for suffix in FORMATS)
-    for field in dataclasses.fields(one):
-        a, b = getattr(one, field.name), getattr(two, field.name)
-        assert np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b, field.name
-        assert getattr(a, "dtype", None) == getattr(b, "dtype", None)
-
-
 def test_rows_of_all_tables_stand_by_opaque_id_then_sample(table, other, tmp_path):
-    report = export([table, other], tmp_path / "c.parquet", "none", samples=3)
-    rows = pq.read_table(tmp_path / "c.parquet")
-    keys = list(zip(rows["opaque_id"].to_pylist(), rows["sample"].to_pylist()))
+    report = export([table, other], tmp_path / "c.npz", "none", samples=3)
+    rows = read_conditions_file(tmp_path / "c.npz")
+    keys = list(zip(rows.opaque_id, rows.sample.tolist()))
     assert keys == sorted(keys)
     assert len(keys) == report.rows == 3 * (15 + 6)
     assert report.sequences == {"synthetic-adt": 15, "synthetic-gimo": 6}
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-def test_the_same_request_gives_the_same_bytes_in_any_order_of_the_tables(table, other, tmp_path, suffix):
-    export([table, other], tmp_path / f"a{suffix}", samples=2)
-    export([other, table], tmp_path / f"b{suffix}", samples=2)
-    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+def test_the_same_request_gives_the_same_bytes_in_any_order_of_the_tables(table, other, tmp_path):
+    export([table, other], tmp_path / "a.npz", samples=2)
+    export([other, table], tmp_path / "b.npz", samples=2)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
 def test_split_limit_and_max_frames_choose_as_a_run_does(table, tmp_path):
@@ -152,7 +125,7 @@ def test_split_limit_and_max_frames_choose_as_a_run_does(table, tmp_path):
 
 def test_batches_are_what_a_method_gets_and_never_repeat_a_sequence(table, tmp_path):
     export([table], tmp_path / "c.npz", samples=2)
-    batches = read_conditions(tmp_path / "c.npz", batch_size=4)
+    batches = [batch for _, batch in batches_of(read_conditions_file(tmp_path / "c.npz"), 4)]
     assert [len(batch) for batch in batches] == [4, 4, 4, 3] * 2
     for batch in batches:
         assert len(set(batch.opaque_id)) == len(batch)
@@ -180,14 +153,14 @@ def test_conditions_without_recorded_poses_may_always_leave(tmp_path, condition)
 
 
 def test_non_commercial_terms_are_said_beside_the_file(tmp_path):
-    export([with_terms(fake_dataset(tmp_path / "t", 12), "non-commercial")], tmp_path / "c.parquet")
+    export([with_terms(fake_dataset(tmp_path / "t", 12), "non-commercial")], tmp_path / "c.npz")
     assert "non-commercial" in (tmp_path / "c.NOTICE.txt").read_text()
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"out": "c.csv"}, r"expected a name that ends in .parquet or .npz, found '.csv'"),
+        ({"out": "c.csv"}, r"expected a name that ends in .npz, found '.csv'"),
         ({"condition": "text", "control": "shuffled-goal"}, "condition 'text' gives no goal to shuffle"),
         ({"samples": 0}, "--samples: expected 1 or more, found 0"),
         ({"seed": -1}, "--seed: expected 0 or more"),
@@ -234,23 +207,12 @@ def test_a_changed_npz_is_refused_by_name(table, tmp_path, changes, message):
     export([table], tmp_path / "c.npz")
     changed_npz(tmp_path / "c.npz", **changes)
     with pytest.raises(InputFileError, match=message):
-        read_conditions(tmp_path / "c.npz")
+        read_conditions_file(tmp_path / "c.npz")
 
 
-def test_files_that_are_no_conditions_are_refused(table, tmp_path):
-    with pytest.raises(InputFileError, match=r"c.parquet: expected a conditions file, found no file"):
-        read_conditions(tmp_path / "c.parquet")
+def test_files_that_are_no_conditions_are_refused(tmp_path):
     with pytest.raises(InputFileError, match=r"c.npz: expected an .npz file, found no file"):
-        read_conditions(tmp_path / "c.npz")
-    for suffix in FORMATS:
-        (tmp_path / f"c{suffix}").write_bytes(b"nothing of the kind")
-        with pytest.raises(InputFileError, match="expected a readable"):
-            read_conditions(tmp_path / f"c{suffix}")
-    export([table], tmp_path / "d.parquet")
-    rows = pq.read_table(tmp_path / "d.parquet")
-    pq.write_table(rows.drop_columns(["text"]), tmp_path / "d.parquet")
-    with pytest.raises(InputFileError, match="expected the columns opaque_id string"):
-        read_conditions(tmp_path / "d.parquet")
-    pq.write_table(rows.replace_schema_metadata(None), tmp_path / "d.parquet")
-    with pytest.raises(InputFileError, match="with prbench_conditions in its metadata"):
-        read_conditions(tmp_path / "d.parquet")
+        read_conditions_file(tmp_path / "c.npz")
+    (tmp_path / "c.npz").write_bytes(b"nothing of the kind")
+    with pytest.raises(InputFileError, match="expected a readable"):
+        read_conditions_file(tmp_path / "c.npz")

@@ -69,7 +69,7 @@ def test_the_page_lists_the_arrays_that_there_are(table, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["export-conditions", "--condition", "none", "--out", "{tmp}/c.csv"], 2, "ends in .parquet or .npz"),
+        (["export-conditions", "--condition", "none", "--out", "{tmp}/c.csv"], 2, "ends in .npz"),
         (["score", "{tmp}/gone.npz"], 6, "gone.npz: expected an .npz file, found no file"),
         (["score", "{tmp}/gone.npz", "--conditions", "{tmp}/none.npz"], 3, "none.npz: expected an .npz file"),
         (["score", "{tmp}", "--name", " "], 2, "--name: expected a name of 1 to 100 characters"),

@@ -94,12 +94,12 @@ def scores_of(folder):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_of_predictions_scores_as_the_run_does(tables, shared, tmp_path, form):
-    if not (shared / "c.parquet").exists():
+    if not (shared / "c.npz").exists():
         run(tables, shared / "run", **VARIANTS[0])
-        export(tables, shared / "c.parquet", **VARIANTS[0])
-    conditions = read_conditions_file(shared / "c.parquet")
+        export(tables, shared / "c.npz", **VARIANTS[0])
+    conditions = read_conditions_file(shared / "c.npz")
     path = FORMS[form](tmp_path, conditions, method.generated(conditions))
-    reports = score(tables, path, conditions=shared / "c.parquet", out=tmp_path / "offline", name="drift")
+    reports = score(tables, path, conditions=shared / "c.npz", out=tmp_path / "offline", name="drift")
     expected = scores_of(shared / "run")
     assert [report.summary.dataset for report in reports] == list(expected) == ["synthetic-adt", "synthetic-gimo"]
     for report in reports:
@@ -166,8 +166,8 @@ def test_the_file_holds_what_a_run_and_a_resumed_run_show(tables, tmp_path, monk
     seen = seen_in_a_run(monkeypatch)
     run(tables, tmp_path / "run", **variant)
     shown = sorted((row_of(batch, i) for batch in seen for i in range(len(batch))), key=lambda row: row[:2])
-    conditions = export(tables, tmp_path / "c.parquet", **variant)
-    exported = [row_of(part.batch, i) for part in conditions.batches(7) for i in range(len(part.rows))]
+    conditions = export(tables, tmp_path / "c.npz", **variant)
+    exported = [row_of(batch, i) for rows, batch in method.batches_of(conditions, 7) for i in range(len(rows))]
     assert sorted(exported, key=lambda row: row[:2]) == shown
 
     seen.clear()
@@ -283,10 +283,10 @@ def test_missing_sequences_of_several_tables_stand_in_one_message(tables, tmp_pa
 
 def test_offline_scores_stand_in_a_leaderboard_beside_runs(tables, tmp_path):
     run(tables, tmp_path / "runs/inside", **VARIANTS[1])
-    conditions = export(tables, tmp_path / "c.parquet", **VARIANTS[1])
+    conditions = export(tables, tmp_path / "c.npz", **VARIANTS[1])
     path = method.write_padded(tmp_path / "made.npz", conditions, method.generated(conditions))
     for _ in range(2):  # the same again is no mistake
-        score(tables, path, conditions=tmp_path / "c.parquet", out=tmp_path / "runs/outside", name="drifted")
+        score(tables, path, conditions=tmp_path / "c.npz", out=tmp_path / "runs/outside", name="drifted")
     collected = collect_runs([tmp_path / "runs"])
     rows = collected.rows
     assert [(row.method, row.record.method.kind, row.record.condition) for row in rows] == [
@@ -343,7 +343,7 @@ def test_a_limit_that_leaves_nothing_is_refused(table, tmp_path):
 
 
 def test_the_rows_of_a_file_are_read_whatever_library_sorted_them(table, tmp_path):
-    conditions = export([table], tmp_path / "c.parquet", condition="none")
+    conditions = export([table], tmp_path / "c.npz", condition="none")
     path = method.write_parquet(tmp_path / "made.parquet", conditions, method.generated(conditions), flat=True)
     (expected,) = score([table], path, seed=0)
     shuffled = pq.read_table(path).take(np.random.default_rng(0).permutation(15))
