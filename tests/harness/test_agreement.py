@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -176,15 +175,3 @@ def test_an_edited_agreement_is_refused_wherever_the_table_is_at_hand(table, tmp
         checked(tmp_path / "out", table)
     with pytest.raises(RunError, match=r"agreement\.json"):
         run_method(request(table, tmp_path / "out", "scripted", control="shuffled-goal"))
-
-
-def test_a_run_of_an_earlier_version_gets_its_agreement_when_it_is_run_again(table, tmp_path):
-    run_method(request(table, tmp_path / "out", "scripted"))
-    before = (tmp_path / "out/agreement.json").read_bytes()
-    (tmp_path / "out/agreement.json").unlink()
-    checked(tmp_path / "out", table)
-    with pytest.raises(RunError, match="expected the agreement with recorded people, found no file"):
-        DatasetAgreement.read(tmp_path / "out")
-    run_method(request(table, tmp_path / "out", "scripted"))
-    assert (tmp_path / "out/agreement.json").read_bytes() == before
-    shutil.rmtree(tmp_path / "out")

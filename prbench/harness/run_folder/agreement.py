@@ -117,7 +117,6 @@ class DatasetAgreement(msgspec.Struct, frozen=True, kw_only=True):
         return read_record(
             path,
             cls,
-            missing=f"{path}: expected the agreement with recorded people, found no file. Run the method again, which"
-            " adds it, or score the motions again.",
+            missing=f"{path}: expected the agreement with recorded people, found no file. Score the motions again.",
             remedy="Delete it and run the method again.",
         )
