@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import click
 
 from prbench.cli import options as opt
+from prbench.cli.builds import NOT_EVERYTHING
 from prbench.cli.commands import Answer, SeveralValues, command, note, progress
 from prbench.cli.terminal import print_table
 

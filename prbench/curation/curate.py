@@ -197,7 +197,7 @@ def _sequence(
         action=event.action,
         object_id=event.object_id,
         object_name=event.object_name,
-        text=protocol.text.pick if event.action == "pick" else protocol.text.put,
+        text=protocol.text[event.action],
         hand=event.hand,
         fps=grid.fps,
         n_frames=grid.n_frames,
@@ -236,7 +236,8 @@ def _event_record(
 ) -> Event:
     place = event.place
     published = event.published_priming
-    wrists = {wrist.side: wrist.position for wrist in wrists_at(recording.hands, recording.body, event.event_time)}
+    known = wrists_at(recording.hands, recording.body, event.event_time)
+    wrists = {side: position for side, (position, _) in known.items()}
     return Event(
         event_id=event.event_id,
         recording_id=recording.recording_id,

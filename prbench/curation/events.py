@@ -13,7 +13,7 @@ from jaxtyping import Float
 from prbench.curation.in_hand import LONGEST_SURE_GAP, Departure, Holding, contact_streams, find_holdings, nearest_hand
 from prbench.protocol.manifests import InHandRule
 from prbench.recording import AnnotatedEvent, PublishedPriming, Recording
-from prbench.recording.streams import Action, HandSource, ReachingHand, Side, reaching_hand, wrists_at
+from prbench.recording.streams import Action, HandSource, Side, reaching_hand, wrists_at
 
 
 @dataclass(frozen=True)
@@ -136,9 +136,12 @@ def _event(recording: Recording, holding: Holding, action: Action, rest: Departu
         rejected = Decision("tracking_lost", "location", rest.gap_length, LONGEST_SURE_GAP)
     low, high = holding.track.world_box(rest.position[None], rest.rotation[None])
     place = Place((low[0] + high[0]) / 2, low[0], high[0])
-    reaching = None
+    reaching: tuple[Side | None, HandSource | None] = (None, None)
     if rejected is None or rejected.outcome != "other_wearer":
-        reaching = _reaching_hand(recording, hand, distance, rule, rest.time, place)
+        if hand is not None and distance <= rule.distance:
+            reaching = (hand, "contact")
+        else:  # the contact points were lost, so the wrists tell
+            reaching = reaching_hand(wrists_at(recording.hands, recording.body, rest.time), place.location)
     return PickPutEvent(
         event_id=event_id(recording, holding.track.object_id, action, rest.time),
         object_id=holding.track.object_id,
@@ -146,30 +149,12 @@ def _event(recording: Recording, holding: Holding, action: Action, rest: Departu
         action=action,
         event_time=rest.time,
         place=place,
-        hand=None if reaching is None else reaching.side,
-        hand_source=None if reaching is None else reaching.source,
+        hand=reaching[0],
+        hand_source=reaching[1],
         displacement=holding.displacement,
         tracking_gap=rest.gap_length if rest.gap_length > LONGEST_SURE_GAP else None,
         rejected=rejected,
     )
-
-
-def _reaching_hand(
-    recording: Recording, hand: Side | None, distance: float, rule: InHandRule, time: float, place: Place
-) -> ReachingHand | None:
-    """The hand in contact; where none is, because contact points were lost, the wrists tell.
-
-    Args:
-        recording: For its wrists.
-        hand: Nearest of the hands whose contact points were measured.
-        distance: From its contact points to the object, metres.
-        rule: Up to which distance they touch.
-        time: Of the event, seconds.
-        place: Where the object rests then.
-    """
-    if hand is not None and distance <= rule.distance:
-        return ReachingHand(hand, "contact")
-    return reaching_hand(wrists_at(recording.hands, recording.body, time), place.location)
 
 
 def _put_without_place(recording: Recording, holding: Holding, time: float) -> PickPutEvent:

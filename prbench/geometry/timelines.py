@@ -97,22 +97,6 @@ def slerp(
 
 
 @dataclass(frozen=True)
-class ClockMap:
-    """Affine map from one clock to another: ``target = source * (1 + drift_ppm * 1e-6) + offset``, seconds."""
-
-    offset: float = 0.0
-    drift_ppm: float = 0.0
-
-    def __call__(self, source: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Times on the target clock."""
-        return source * (1.0 + self.drift_ppm * 1e-6) + self.offset
-
-    def inverse(self, target: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Times on the source clock."""
-        return (target - self.offset) / (1.0 + self.drift_ppm * 1e-6)
-
-
-@dataclass(frozen=True)
 class SequenceGrid:
     """The frame times of one sequence: uniform, ending exactly at the event (docs/specification/curation.md#clip)."""
 

@@ -140,13 +140,6 @@ class SplitRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     validation_below: float
 
 
-class TextTemplates(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The text condition of each action."""
-
-    pick: str
-    put: str
-
-
 class MetricConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Constants of the metrics: metres, seconds, and degrees where a name says so.
 
@@ -202,7 +195,8 @@ class BenchmarkProtocol(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     conditions: tuple[str, ...]
     curation: CurationConstants
     splits: SplitRule
-    text: TextTemplates
+    text: dict[Literal["pick", "put"], str]
+    """The text condition of each action."""
     metrics: MetricConstants
     breakdown: BreakdownConstants
 

@@ -12,7 +12,7 @@ one that they lose may be the one that reached: so a single known wrist counts o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -400,25 +400,11 @@ LEAST_DIFFERENCE = 0.02
 """Metres by which the other wrist must be farther away. Annotated places are no more exact than that."""
 
 
-@dataclass(frozen=True)
-class Wrist:
-    """One wrist at one instant."""
-
-    side: Side
-    position: Float[np.ndarray, "3"]
-    """World, metres."""
-    source: Literal["tracked", "body"]
+Wrists = Mapping[Side, tuple[Float[np.ndarray, "3"], Literal["tracked", "body"]]]
+"""Position (world, metres) and source of each known wrist at one instant."""
 
 
-@dataclass(frozen=True)
-class ReachingHand:
-    """The hand of an event, and what told it."""
-
-    side: Side
-    source: HandSource
-
-
-def wrists_at(hands: Sequence[HandStream], body: BodyStream | None, time: float) -> tuple[Wrist, ...]:
+def wrists_at(hands: Sequence[HandStream], body: BodyStream | None, time: float) -> Wrists:
     """The wearer's known wrists at one instant, left before right: as tracked, else the body's.
 
     Args:
@@ -426,39 +412,39 @@ def wrists_at(hands: Sequence[HandStream], body: BodyStream | None, time: float)
         body: The wearer's body, where there is one.
         time: Seconds.
     """
-    wrists = []
+    wrists = {}
     for side, joint in zip(SIDES, WRISTS, strict=True):
-        position = None
-        source = "tracked"
-        for stream in hands:
-            if stream.side == side and stream.contact == "wrist" and position is None:
-                position = _point_at(stream.times, stream.points[:, 0], stream.valid, time)
-        if position is None and body is not None:
-            position = _point_at(body.times, body.joints[:, joint], body.valid, time)
-            source = "body"
-        if position is not None:
-            wrists.append(Wrist(side, position, source))
-    return tuple(wrists)
+        sources = [
+            (stream.times, stream.points[:, 0], stream.valid, "tracked")
+            for stream in hands
+            if stream.side == side and stream.contact == "wrist"
+        ]
+        if body is not None:
+            sources.append((body.times, body.joints[:, joint], body.valid, "body"))
+        for times, points, valid, source in sources:
+            position = _point_at(times, points, valid, time)
+            if position is not None:
+                wrists[side] = (position, source)
+                break
+    return wrists
 
 
-def reaching_hand(wrists: Sequence[Wrist], place: Float[np.ndarray, "3"]) -> ReachingHand | None:
-    """The hand whose wrist is nearest to a place; None where the wrists do not decide.
+def reaching_hand(wrists: Wrists, place: Float[np.ndarray, "3"]) -> tuple[Side | None, HandSource | None]:
+    """The hand whose wrist is nearest to a place, and what told it; None and None where the wrists do not decide.
 
     They do not where none is known, where the nearest is too far away, and where both are about equally far.
 
     Args:
-        wrists: At the instant of the event, at most one a side.
+        wrists: At the instant of the event.
         place: World, metres.
     """
-    if not wrists:
-        return None
-    distances = [float(np.linalg.norm(wrist.position - place)) for wrist in wrists]
-    nearest = int(np.argmin(distances))
-    if distances[nearest] > (_FARTHEST_LONE_WRIST if len(wrists) == 1 else _FARTHEST_WRIST):
-        return None
-    if len(wrists) == 2 and abs(distances[0] - distances[1]) < LEAST_DIFFERENCE:
-        return None
-    return ReachingHand(wrists[nearest].side, wrists[nearest].source)
+    distances = {side: float(np.linalg.norm(position - place)) for side, (position, _) in wrists.items()}
+    if not distances:
+        return None, None
+    nearest = min(distances, key=lambda side: distances[side])
+    is_near = distances[nearest] <= (_FARTHEST_LONE_WRIST if len(wrists) == 1 else _FARTHEST_WRIST)
+    is_clear = len(wrists) == 1 or abs(distances["left"] - distances["right"]) >= LEAST_DIFFERENCE
+    return (nearest, wrists[nearest][1]) if is_near and is_clear else (None, None)
 
 
 def _point_at(

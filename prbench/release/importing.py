@@ -22,7 +22,7 @@ from prbench.errors import InputFileError, RecordingsWouldBeLost
 from prbench.files.bounded import foreign_input
 from prbench.files.storage import file_digest, read_json, require_replaceable, sole_writer, text_digest
 from prbench.geometry.skeleton import WRISTS, Joint, invert_rigid, transform_points
-from prbench.protocol.manifests import Manifest, TextTemplates, digest_of, load_citations, load_manifest, load_protocol
+from prbench.protocol.manifests import Manifest, digest_of, load_citations, load_manifest, load_protocol
 from prbench.release.layout import (
     EXPORT_RECORD,
     SYNTHETIC_PREFIX,
@@ -56,7 +56,7 @@ _PUTS = re.compile(r"\b(put|plac|drop|set(s|ting)? down|return)", re.IGNORECASE)
 
 
 def make_row(
-    found: ReleasedDataset, one: ReleasedSequence, *, head_tilt_deg: float, texts: TextTemplates
+    found: ReleasedDataset, one: ReleasedSequence, *, head_tilt_deg: float, texts: Mapping[str, str]
 ) -> tuple[Sequence, Event]:
     """Read one sequence again and convert it; times count from the first frame, unless its block tells them.
 
@@ -93,7 +93,7 @@ def make_row(
     text = value("text").strip() if isinstance(value("text"), str) else ""
     action = _action(value("action"), text)
     if not text and action != _UNKNOWN_ACTION:
-        text = texts.pick if action == "pick" else texts.put
+        text = texts[action]
     # The layout names no hand: the nearer wrist is taken for the one that reached.
     wrist = WRISTS[int(np.linalg.norm(joints[-1, WRISTS] - goal, axis=1).argmin())]
     fps = found.fps

@@ -34,7 +34,7 @@ def test_pick_and_put_become_two_sequences() -> None:
     assert outcomes(result) == ["sequence", "sequence"]
     assert [row.sequence_id for row in result.sequences] == [event.sequence_id for event in result.events]
     assert [row.prime_time for row in result.sequences] == [pytest.approx(LOOK_A), pytest.approx(LOOK_B)]
-    assert [row.text for row in result.sequences] == [PROTOCOL.text.pick, PROTOCOL.text.put]
+    assert [row.text for row in result.sequences] == [PROTOCOL.text["pick"], PROTOCOL.text["put"]]
     assert result.record.outcomes == {"sequence": 2}
     assert sequence_batch(result.sequences).num_rows == 2
 

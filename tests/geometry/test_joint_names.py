@@ -20,19 +20,19 @@ def test_shoulder_means_collar_or_shoulder_by_the_names_beside_it() -> None:
         for side in ("Left", "Right")
     ]
     joints = ["Hips", "Chest", "Spine", "Spine1", "Neck", "Head", *sides]
-    matched = match_names(joints)
-    names = [joints[column] for column in matched.columns]
-    assert -1 not in matched.columns
+    columns, _, _ = match_names(joints)
+    names = [joints[column] for column in columns]
+    assert -1 not in columns
     assert names[Joint.LEFT_SHOULDER] == "LeftShoulder"
     assert names[Joint.LEFT_COLLAR] == "LeftCollar"
     assert [names[Joint.SPINE1], names[Joint.SPINE2], names[Joint.SPINE3]] == ["Spine", "Spine1", "Chest"]
     suit = [joint.name for joint in skeleton().joints]
-    of_suit = match_names(suit)
-    assert suit[of_suit.columns[Joint.LEFT_COLLAR]] == "LeftShoulder"
-    assert suit[of_suit.columns[Joint.LEFT_SHOULDER]] == "LeftArm"
+    of_suit, _, _ = match_names(suit)
+    assert suit[of_suit[Joint.LEFT_COLLAR]] == "LeftShoulder"
+    assert suit[of_suit[Joint.LEFT_SHOULDER]] == "LeftArm"
 
 
 def test_names_that_nobody_knows_are_told() -> None:
-    matched = match_names(["Hips", "Schwanz"])
-    assert matched.unmatched == ("Schwanz",)
-    assert matched.columns.count(-1) == 21
+    columns, unmatched, _ = match_names(["Hips", "Schwanz"])
+    assert unmatched == ("Schwanz",)
+    assert columns.count(-1) == 21

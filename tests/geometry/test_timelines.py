@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from prbench.errors import StreamsDoNotOverlap
 from prbench.geometry.timelines import (
-    ClockMap,
     SequenceGrid,
     covered,
     interpolate,
@@ -81,16 +80,6 @@ def test_slerp_of_one_sample_and_of_no_query() -> None:
     one = np.array([[1.0, 0, 0, 0]])
     assert slerp(np.array([3.0]), one, np.array([0.0, 9.0])).tolist() == [one[0].tolist()] * 2
     assert slerp(TIMES, np.tile(one, (5, 1)), np.empty(0)).shape == (0, 4)
-
-
-@given(offset=st.floats(-1e4, 1e4), drift=st.floats(-500, 500), query=queries)
-def test_a_clock_map_undoes_its_inverse(offset: float, drift: float, query: np.ndarray) -> None:
-    clock = ClockMap(offset, drift)
-    np.testing.assert_allclose(clock.inverse(clock(query)), query, atol=1e-9)
-
-
-def test_a_clock_that_is_fast_by_100_ppm_gains_a_centisecond_in_100_seconds() -> None:
-    assert ClockMap(5.0, 100.0)(np.array([0.0, 100.0])).tolist() == pytest.approx([5.0, 105.01])
 
 
 def test_a_sequence_of_three_seconds_and_two_of_lead_at_20_frames_a_second() -> None:

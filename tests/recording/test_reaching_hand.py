@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from prbench.geometry.skeleton import N_JOINTS, WRISTS
-from prbench.recording.streams import BodyStream, HandStream, Wrist, reaching_hand, wrists_at
+from prbench.recording.streams import BodyStream, HandStream, reaching_hand, wrists_at
 
 PLACE = np.zeros(3)
 
 
-def at(side, distance: float, source="tracked") -> Wrist:
-    return Wrist(side, np.array([distance, 0.0, 0.0]), source)
+def at(side, distance: float, source="tracked"):
+    return side, (np.array([distance, 0.0, 0.0]), source)
 
 
 @pytest.mark.parametrize(
@@ -28,14 +28,12 @@ def at(side, distance: float, source="tracked") -> Wrist:
     ],
 )
 def test_the_nearest_wrist_counts_where_it_is_near_and_clearly_nearer(wrists, hand) -> None:
-    found = reaching_hand(wrists, PLACE)
-    assert (None if found is None else found.side) == hand
+    assert reaching_hand(dict(wrists), PLACE)[0] == hand
 
 
 def test_the_source_is_that_of_the_nearest_wrist() -> None:
-    found = reaching_hand((at("left", 0.5), at("right", 0.1, "body")), PLACE)
-    assert found is not None
-    assert (found.side, found.source) == ("right", "body")
+    wrists = dict((at("left", 0.5), at("right", 0.1, "body")))
+    assert reaching_hand(wrists, PLACE) == ("right", "body")
 
 
 def _tracked(side, x: float, unseen: tuple[float, float] = (0.0, 0.0)) -> HandStream:
@@ -53,17 +51,17 @@ def _body(left: float, right: float) -> BodyStream:
 
 def test_a_wrist_is_the_tracked_one_and_the_bodys_only_where_tracking_lost_it() -> None:
     hands = (_tracked("right", 2.0), _tracked("left", 1.0, unseen=(4.9, 5.2)))
-    left, right = wrists_at(hands, _body(1.1, 2.1), 5.05)
-    assert (left.side, left.source, left.position[0]) == ("left", "body", pytest.approx(1.1))
-    assert (right.side, right.source, right.position[0]) == ("right", "tracked", pytest.approx(2.0))
+    wrists = wrists_at(hands, _body(1.1, 2.1), 5.05)
+    found = [(side, source, position[0]) for side, (position, source) in wrists.items()]
+    assert found == [("left", "body", pytest.approx(1.1)), ("right", "tracked", pytest.approx(2.0))]
 
 
 def test_a_wrist_that_neither_source_knows_is_left_out() -> None:
     hands = (_tracked("left", 1.0, unseen=(4.9, 5.2)), _tracked("right", 2.0))
-    assert [wrist.side for wrist in wrists_at(hands, None, 5.05)] == ["right"]
-    assert wrists_at((), _body(1.0, 2.0), 11.0) == (), "after the end of the body"
+    assert list(wrists_at(hands, None, 5.05)) == ["right"]
+    assert wrists_at((), _body(1.0, 2.0), 11.0) == {}, "after the end of the body"
 
 
 def test_other_contact_points_are_no_wrists() -> None:
     fingers = HandStream("left", "middle_finger_base", np.arange(3.0), np.zeros((3, 1, 3)), np.ones(3, dtype=bool))
-    assert wrists_at((fingers,), None, 1.0) == ()
+    assert wrists_at((fingers,), None, 1.0) == {}

@@ -63,7 +63,7 @@ def _sequences(split: str) -> Iterator[Sequence]:
                 action=event.action,
                 object_id=event.object_id,
                 object_name=event.object_name,
-                text=getattr(protocol.text, event.action),
+                text=protocol.text[event.action],
                 hand=event.hand,
                 fps=FPS,
                 n_frames=len(clip.joints),

@@ -125,10 +125,10 @@ def annotated_events(
         published, remarks = published_priming(sides, readings.priming, readings.clock, thresholds)
     events = []
     for side, time, priming in zip(sides, times.tolist(), published, strict=True):
-        location = hand = None
+        location = hand = source = None
         if side.mask is not None and side.mask.location is not None:
             location = transform_points(Y_UP_FROM_Z_UP, side.mask.location)
-            hand = reaching_hand(wrists_at(wrists, body, time), location)
+            hand, source = reaching_hand(wrists_at(wrists, body, time), location)
         events.append(
             AnnotatedEvent(
                 native_key=f"{side.track.object_id}/{side.track.track_id}/{'start' if side.is_start else 'end'}",
@@ -139,8 +139,8 @@ def annotated_events(
                 location=location,
                 box_min=None,
                 box_max=None,
-                hand=None if hand is None else hand.side,
-                hand_source=None if hand is None else hand.source,
+                hand=hand,
+                hand_source=source,
                 published_priming=priming,
             )
         )

@@ -242,7 +242,7 @@ def annotated_events(
         for action, frame, (position, rotation) in ends:
             low, high = track.world_box(position[None], rotation[None])
             centre = (low[0] + high[0]) / 2
-            hand = reaching_hand(wrists_at((), body, frame / RATE), centre)
+            hand, source = reaching_hand(wrists_at((), body, frame / RATE), centre)
             events.append(
                 AnnotatedEvent(
                     native_key=f"{number}/{action}",
@@ -253,8 +253,8 @@ def annotated_events(
                     location=centre,
                     box_min=low[0],
                     box_max=high[0],
-                    hand=None if hand is None else hand.side,
-                    hand_source=None if hand is None else hand.source,
+                    hand=hand,
+                    hand_source=source,
                 )
             )
     return tuple(events), tuple(remarks)

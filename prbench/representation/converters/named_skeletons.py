@@ -267,11 +267,11 @@ def joint_map_by_names(names: Sequence[str], *, name: str = "bvh") -> JointMap:
     Raises:
         UsageError: if a limb joint is not found.
     """
-    matched = match_names(names)
+    columns, _, _ = match_names(names)
     return JointMap.of(
         name,
         names,
-        {target: names[column] for target, column in zip(NAMES, matched.columns) if column >= 0},
+        {target: names[column] for target, column in zip(NAMES, columns) if column >= 0},
     )
 
 
