@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,7 +104,14 @@ class EvaluatedClips:
                 # P&R tables have one text a sequence; corpora have captions of several kinds.
                 captions = row.texts if allowed is None else allowed.get(row.sequence_id, ())
                 if captions and row.motion.n_frames >= SNIPPET:
-                    clips.append(Clip(row.sequence_id, captions, _kept(row.motion)))
+                    motion = row.motion  # copied, so as not to keep the chunk alive from which it was read
+                    motion = Motion(
+                        motion.joints.copy(),
+                        motion.previous_joints.copy(),
+                        motion.next_joints.copy(),
+                        motion.goal_location,
+                    )
+                    clips.append(Clip(row.sequence_id, captions, motion))
                 else:
                     left_out += 1
         if len(clips) < BATCH:
@@ -160,11 +167,6 @@ def _captions_of(table: SequenceTable | CorpusTable, kinds: frozenset[str]) -> d
     return dict(zip(scalars["sequence_id"].to_pylist(), texts))
 
 
-def _kept(motion: Motion) -> Motion:
-    """A copy that does not keep the chunk alive from which it was read."""
-    return Motion(motion.joints.copy(), motion.previous_joints.copy(), motion.next_joints.copy(), motion.goal_location)
-
-
 def token_vectors(
     name: str, tables: Iterable[SequenceTable | CorpusTable], *, words: str = "", path: str = ""
 ) -> tuple[TokenVectors, str]:
@@ -192,14 +194,11 @@ def token_vectors(
     tables = list(tables)
     vectors = WordVectors.read(Path(words))
     source = ", ".join(str(table.folder) for table in tables)
-    return GloveCaptions(vectors, _tokens(tables), source=source), vectors.digest
-
-
-def _tokens(tables: Iterable[SequenceTable | CorpusTable]) -> dict[str, str]:
-    """The ``word/POS`` tokens of every caption; P&R tables have none."""
+    # The ``word/POS`` tokens of every caption; P&R tables have none.
     corpora = (table for table in tables if isinstance(table, CorpusTable))
-    rows = (row for table in corpora for row in table.scalars()["captions"].to_pylist())
-    return {caption["text"]: caption["tokens"] for row in rows for caption in row}
+    captions = (caption for table in corpora for row in table.scalars()["captions"].to_pylist() for caption in row)
+    tokens = {caption["text"]: caption["tokens"] for caption in captions}
+    return GloveCaptions(vectors, tokens, source=source), vectors.digest
 
 
 _AT_ONCE = 128
@@ -216,6 +215,8 @@ class Extractor:
         statistics: Already weighted for an evaluator (:meth:`prbench.representation.Statistics.for_evaluator`).
         tokens: Vectors of the words of a text.
         device: Where the networks run.
+        digest: SHA-256 of the weights.
+        words_digest: Digest of the user's word vectors and lists; empty if it needs none.
     """
 
     def __init__(
@@ -228,11 +229,20 @@ class Extractor:
         statistics: Statistics,
         tokens: TokenVectors,
         device: str = "cpu",
+        digest: str = "",
+        words_digest: str = "",
     ) -> None:
         self.configuration, self.statistics, self.tokens, self.device = configuration, statistics, tokens, device
+        self.digest, self.words_digest = digest, words_digest
         self.movement, self.motion, self.text = (
             network.eval().requires_grad_(False).to(device) for network in (movement, motion, text)
         )
+
+    @property
+    def vectorisation(self) -> str:
+        """Name of the way in which it reads texts; numbers of different ways never stand in one column."""
+        name = self.configuration.text
+        return f"{name}/{self.words_digest[:12]}" if self.words_digest else name
 
     @torch.inference_mode()
     def embed_motions(self, features: Sequence[Float[np.ndarray, "_ 263"]]) -> Float[np.ndarray, "motions dimension"]:
@@ -250,10 +260,17 @@ class Extractor:
             raise ValueError(f"motion {row}: expected {limits} frames, found {lengths[row]}")
         snippets = lengths // SNIPPET
         embeddings = np.empty((len(lengths), self.configuration.embedding), dtype=np.float32)
-        for rows in _similar(snippets):
-            standardised = _standardised([features[row] for row in rows], snippets[rows], self.statistics)
+        # Similar lengths together: batches differ in padding, never in what they embed.
+        order = np.argsort(snippets, kind="stable")
+        for start in range(0, len(order), _AT_ONCE):
+            rows = order[start : start + _AT_ONCE]
+            # Standardised without the contacts, then padded with zeros to the longest.
+            batch = np.zeros((len(rows), int(snippets[rows].max()) * SNIPPET, MOVEMENT_FEATURES), dtype=np.float32)
+            for place, row in enumerate(rows):
+                n = snippets[row] * SNIPPET
+                batch[place, :n] = self.statistics.standardise(features[row][:n])[:, :MOVEMENT_FEATURES]
             counts = torch.from_numpy(snippets[rows]).to(self.device)
-            steps = self.movement(torch.from_numpy(standardised).to(self.device), counts * SNIPPET)
+            steps = self.movement(torch.from_numpy(batch).to(self.device), counts * SNIPPET)
             embedded = self.motion(steps, counts)
             embeddings[rows] = embedded.float().cpu().numpy()
         return embeddings
@@ -276,22 +293,3 @@ def cut_tokens(
     lengths = np.minimum((~encoded.padding).sum(axis=1), configuration.most_tokens)
     longest = int(lengths.max(initial=1))
     return torch.from_numpy(encoded.tokens[:, :longest]), torch.from_numpy(lengths)
-
-
-def _similar(lengths: Int[np.ndarray, " n"]) -> Iterator[Int[np.ndarray, " rows"]]:
-    """Rows in batches of similar length."""
-    # Similar lengths together: batches differ in padding, never in what they embed.
-    order = np.argsort(lengths, kind="stable")
-    for start in range(0, len(order), _AT_ONCE):
-        yield order[start : start + _AT_ONCE]
-
-
-def _standardised(
-    features: Sequence[Float[np.ndarray, "_ 263"]], snippets: Int[np.ndarray, " n"], statistics: Statistics
-) -> Float[np.ndarray, "n frames 259"]:
-    """Drop the contacts, standardise, then pad with zeros to the longest."""
-    batch = np.zeros((len(features), int(snippets.max()) * SNIPPET, MOVEMENT_FEATURES), dtype=np.float32)
-    for row, (motion, count) in enumerate(zip(features, snippets)):
-        kept = statistics.standardise(motion[: count * SNIPPET])
-        batch[row, : count * SNIPPET] = kept[:, :MOVEMENT_FEATURES]
-    return batch

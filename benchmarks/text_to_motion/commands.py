@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import msgspec
 
 from prbench.cli.commands import Answer, command, note, progress
 from prbench.cli.options import (
@@ -25,7 +24,7 @@ from prbench.errors import UsageError
 
 if TYPE_CHECKING:
     from prbench_benchmarks.text_to_motion.metrics import Repeated
-    from prbench_benchmarks.text_to_motion.report import WrittenEvaluation
+    from prbench_benchmarks.text_to_motion.report import TextEvaluation
 
 _TITLES = {
     "r_precision_top_1": "R-precision top 1, %",
@@ -43,7 +42,7 @@ _TITLES = {
     section="run",
     example="prbench evaluate-text --evaluator evaluator/weights.safetensors --corpus corpora/nymeria --method mdm"
     " --out text.json",
-    report="prbench_benchmarks.text_to_motion.report:WrittenEvaluation",
+    report="prbench_benchmarks.text_to_motion.report:TextEvaluation",
 )
 @click.option("--evaluator", type=PATH, required=True, metavar="FILE", help="Weights of a t2m-evaluator.")
 @click.option("--corpus", type=PATH, required=True, metavar="DIR", help="A built corpus or dataset.")
@@ -90,8 +89,6 @@ def evaluate_text(
 ) -> Answer:
     """Measure how well motions match texts, with a trained text-motion evaluator."""
     from prbench_benchmarks.text_to_motion import evaluate
-    from prbench_benchmarks.text_to_motion.generated import MethodRequest
-    from prbench_benchmarks.text_to_motion.report import WrittenEvaluation
 
     of_methods = {"weights": weights, "option": options, "multimodality": given["multimodality"]}
     for name, value in of_methods.items():
@@ -99,18 +96,19 @@ def evaluate_text(
             raise UsageError(f"--{name} belongs to a method; name one with --method.")
     requested = None
     if method:
-        requested = MethodRequest(name=method, weights=weights, options=options, device=device, batch_size=batch_size)
+        requested = evaluate.MethodRequest(
+            name=method, weights=weights, options=options, device=device, batch_size=batch_size
+        )
     request = evaluate.TextEvaluationRequest(kinds=frozenset(kinds), method=requested, device=device, **given)
     with progress("evaluating") as show:
         evaluation = evaluate.evaluate_text(request, show)
     evaluation.write(out)
     for remark in evaluation.notes:
         note(remark)
-    report = WrittenEvaluation(**msgspec.structs.asdict(evaluation), out=out)
-    return Answer(report, lambda: _print(report))
+    return Answer(evaluation, lambda: _print(evaluation, out))
 
 
-def _print(report: WrittenEvaluation) -> None:
+def _print(report: TextEvaluation, out: Path) -> None:
     metrics = [name for name in _TITLES if any(name in row.metrics for row in report.rows)]
     table = [(_TITLES[name], *(_cell(name, row.metrics.get(name)) for row in report.rows)) for name in metrics]
     repetitions = report.rows[0].repetitions
@@ -120,7 +118,7 @@ def _print(report: WrittenEvaluation) -> None:
     )
     columns = range(1, len(report.rows) + 1)
     print_table(title, ("metric", *(row.source for row in report.rows)), table, numbers=columns)
-    print(f"written: {report.out}")
+    print(f"written: {out}")
 
 
 def _cell(name: str, value: Repeated | None) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -11,25 +11,42 @@ import torch
 from jaxtyping import Float
 
 import prbench
+from prbench.contract import Adapter, Condition, ConditionBatch, Trainable
 from prbench.errors import UsageError
+from prbench.files.storage import text_digest
+from prbench.harness.methods.loading import chosen_condition, load_adapter, weights_digest
+from prbench.harness.methods.motions import Declared, generate_checked, native_frames
+from prbench.randomness import noise_seed
+from prbench.representation import encode
 from prbench_adapters.training.store import open_table
-from prbench_benchmarks.text_to_motion.clips import EvaluatedClips, Extractor, Pass, draw, recorded_features
-from prbench_benchmarks.text_to_motion.generated import Generator, MethodRequest, Prompt
+from prbench_benchmarks.text_to_motion.clips import (
+    Clip,
+    Draw,
+    EvaluatedClips,
+    Extractor,
+    Pass,
+    draw,
+    longest,
+    recorded_features,
+)
 from prbench_benchmarks.text_to_motion.metrics import (
     DIVERSITY_PAIRS,
     FEWEST,
+    METRICS,
     MULTIMODALITY,
     MULTIMODALITY_PROMPTS,
     MULTIMODALITY_SAMPLES,
     EmbeddedPairs,
+    Repeated,
+    RPrecision,
     draw_multimodality_pairs,
     measure_motions,
     measure_pairs,
     multimodality,
 )
 from prbench_benchmarks.text_to_motion.networks import EvaluatorConfiguration
-from prbench_benchmarks.text_to_motion.report import ResultRow, RowTally, TextEvaluation
-from prbench_benchmarks.text_to_motion.training import LoadedEvaluator, load_evaluator
+from prbench_benchmarks.text_to_motion.report import ResultRow, TextEvaluation
+from prbench_benchmarks.text_to_motion.training import load_evaluator
 
 _REPETITIONS = 20
 _REPETITIONS_WITH_MULTIMODALITY = 5
@@ -38,6 +55,19 @@ REAL = "real"
 MISMATCHED = "real, texts shuffled"
 Progress = Callable[[int, int, str], None]
 """Called with finished repetitions, all repetitions, and a word."""
+Features = Float[np.ndarray, "n 263"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MethodRequest:
+    """The method whose motions are evaluated, and its settings."""
+
+    name: str
+    weights: Path | None = None
+    """Weights; None for the method's default."""
+    options: tuple[tuple[str, str], ...] = ()
+    device: str = "cpu"
+    batch_size: int = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,11 +101,101 @@ class TextEvaluationRequest:
         return self.repetitions or (_REPETITIONS_WITH_MULTIMODALITY if self.multimodality else _REPETITIONS)
 
 
-def silent(done: int, total: int, last: str) -> None:
-    """Show nothing."""
+@dataclass
+class _Row:
+    """The repetitions of one row so far."""
+
+    values: dict[str, list[float]] = field(default_factory=dict)
+    rankings: list[RPrecision] = field(default_factory=list)
+    motions: int = 0
+
+    def add(self, pairs: EmbeddedPairs, more: dict[str, float]) -> None:
+        """Take in one repetition: what its pairs measure, and other values."""
+        measured, ranking = measure_pairs(pairs)
+        for name, value in (measured | more).items():
+            self.values.setdefault(name, []).append(value)
+        self.rankings.append(ranking)
+        self.motions = len(pairs.captions)
+
+    def result(self, source: str, method: MethodRequest | None = None, unsupported: int = 0) -> ResultRow:
+        """The row after at least one repetition."""
+        return ResultRow(
+            source=source,
+            metrics={name: Repeated.of(self.values[name]) for name in METRICS if name in self.values},
+            motions=self.motions,
+            ranked_pairs=self.rankings[-1].n_pairs,
+            dropped_pairs=self.rankings[-1].n_dropped,
+            duplicate_captions=float(np.mean([each.n_duplicates for each in self.rankings])),
+            repetitions=len(self.rankings),
+            weights_sha256=None if method is None else weights_digest(method.weights),
+            options=dict(method.options) if method else {},
+            unsupported=unsupported,
+        )
 
 
-def evaluate_text(request: TextEvaluationRequest, progress: Progress = silent) -> TextEvaluation:
+@dataclass(frozen=True)
+class _Passes:
+    """What all repetitions share."""
+
+    request: TextEvaluationRequest
+    evaluator: Extractor
+    clips: tuple[Clip, ...]
+    supported: tuple[Clip, ...]
+    """Those that the method can generate."""
+    texts: dict[str, np.ndarray]
+    """Embedded once for all repetitions; only crops change."""
+    adapter: Adapter | None
+
+    def embedded(self, drawn: Sequence[Draw], features: Sequence[Features]) -> EmbeddedPairs:
+        """Put motions beside their texts in the evaluator's space."""
+        text = np.stack([self.texts[one.caption] for one in drawn])
+        return EmbeddedPairs(tuple(one.caption for one in drawn), text, self.evaluator.embed_motions(features))
+
+    def recorded(self, taken: Pass) -> EmbeddedPairs:
+        """All clips, with the crops and captions of a pass."""
+        configuration = self.evaluator.configuration
+        drawn = [draw(clip, taken, configuration) for clip in self.clips]
+        return self.embedded(drawn, [recorded_features(*pair, configuration) for pair in zip(self.clips, drawn)])
+
+    def generated(self, taken: Pass) -> EmbeddedPairs:
+        """Motions of the method for the prompts of a pass."""
+        clips = self._prompts(taken, self.request.prompts)
+        drawn = [draw(clip, taken, self.evaluator.configuration) for clip in clips]
+        prompts = [(clip.sequence_id, one, taken.repetition) for clip, one in zip(clips, drawn)]
+        return self.embedded(drawn, self._features(prompts))
+
+    def multimodality(self, taken: Pass) -> float:
+        """Compare motions of the same prompts with different noise."""
+        # Noise of no other pass.
+        first = (taken.repetition + 1) * MULTIMODALITY_SAMPLES + self.request.chosen_repetitions
+        clips = self._prompts(taken, MULTIMODALITY_PROMPTS)
+        prompts = [
+            (clip.sequence_id, draw(clip, taken, self.evaluator.configuration), sample)
+            for clip in clips
+            for sample in range(first, first + MULTIMODALITY_SAMPLES)
+        ]
+        found = self.evaluator.embed_motions(self._features(prompts))
+        pairs = draw_multimodality_pairs(MULTIMODALITY_SAMPLES, taken.generator("pairs"))
+        return multimodality(found.reshape(len(clips), MULTIMODALITY_SAMPLES, -1), pairs)
+
+    def motions(self, pairs: EmbeddedPairs, reference: np.ndarray, taken: Pass) -> dict[str, float]:
+        """FID to recorded motions, and diversity."""
+        generator = taken.generator("diversity")
+        return measure_motions(pairs.motion, reference, generator, diversity_pairs=self.request.diversity_pairs)
+
+    def _prompts(self, taken: Pass, most: int) -> list[Clip]:
+        number = min(most, len(self.supported))
+        places = taken.generator("prompts").choice(len(self.supported), number, replace=False)
+        return [self.supported[place] for place in places]
+
+    def _features(self, prompts: Sequence[tuple[str, Draw, int]]) -> list[Features]:
+        assert self.adapter is not None and self.request.method is not None  # noqa: PT018
+        return _generated(
+            self.adapter, self.request.method, prompts, self.evaluator.configuration, seed=self.request.seed
+        )
+
+
+def evaluate_text(request: TextEvaluationRequest, progress: Progress = lambda *_: None) -> TextEvaluation:
     """Evaluate recorded motions, and a method's if one is named.
 
     Raises:
@@ -85,142 +205,65 @@ def evaluate_text(request: TextEvaluationRequest, progress: Progress = silent) -
         AdapterError: if the method cannot be loaded, takes no text, or breaks the contract.
     """
     torch.set_num_threads(request.threads)
+    tables = [open_table(request.corpus)]
     evaluator = load_evaluator(
-        request.evaluator,
-        [open_table(request.corpus)],
-        device=request.device,
-        words=request.words,
-        text_path=request.text_path,
+        request.evaluator, tables, device=request.device, words=request.words, text_path=request.text_path
     )
-    configuration = evaluator.extractor.configuration
-    clips = EvaluatedClips.read(request.corpus, split=request.split, kinds=request.kinds, fps=configuration.fps)
-    generator = Generator.load(request.method, seed=request.seed, fps=configuration.fps) if request.method else None
-    evaluation = _Evaluation(request, evaluator, clips, generator)
+    configuration = evaluator.configuration
+    read = EvaluatedClips.read(request.corpus, split=request.split, kinds=request.kinds, fps=configuration.fps)
+    method = request.method
+    adapter = None if method is None else _loaded(method)
+    supported = tuple(clip for clip in read.clips if adapter is None or _supports(adapter, clip, configuration))
+    fewest = min(len(supported), request.prompts) if method else len(read.clips)
+    # Diversity draws two disjoint sets of so many motions from one pass.
+    if fewest <= request.diversity_pairs:
+        raise UsageError(
+            f"diversity over {request.diversity_pairs} pairs needs more than {request.diversity_pairs}"
+            f" motions, found {fewest}. Use a larger split, or lower --diversity-pairs; the number is then"
+            " comparable with others of as many pairs only."
+        )
+    texts = dict(zip(read.captions(), evaluator.embed_texts(read.captions())))
+    passes = _Passes(request, evaluator, read.clips, supported, texts, adapter)
+    real = _Row()
+    mismatched = _Row()
+    made = _Row()
     for repetition in range(request.chosen_repetitions):
-        evaluation.repeat(repetition)
+        # All rows are compared with the same pass over the recorded motions, one of its own: against the same crops,
+        # real motion would get an FID of 0.
+        reference = passes.recorded(Pass(request.seed, repetition, "reference")).motion
+        taken = Pass(request.seed, repetition, "real")
+        pairs = passes.recorded(taken).shuffled(taken.generator("order"))
+        real.add(pairs, passes.motions(pairs, reference, taken))
+        mismatched.add(pairs.mismatched(), {})
+        if method is not None:
+            extra = {}
+            if request.multimodality:
+                extra[MULTIMODALITY] = passes.multimodality(Pass(request.seed, repetition, "multimodality"))
+            taken = Pass(request.seed, repetition, "generated")
+            pairs = passes.generated(taken)
+            made.add(pairs, passes.motions(pairs, reference, taken) | extra)
         progress(repetition + 1, request.chosen_repetitions, "repetitions")
-    return evaluation.result()
-
-
-class _Evaluation:
-    """The state between repetitions."""
-
-    def __init__(
-        self,
-        request: TextEvaluationRequest,
-        evaluator: LoadedEvaluator,
-        clips: EvaluatedClips,
-        generator: Generator | None,
-    ) -> None:
-        self.request, self.evaluator, self.clips, self.generator = request, evaluator, clips, generator
-        self.extractor: Extractor = evaluator.extractor
-        self.configuration: EvaluatorConfiguration = evaluator.extractor.configuration
-        self.texts = dict(zip(clips.captions(), self.extractor.embed_texts(clips.captions())))
-        self.real, self.mismatched, self.generated = RowTally(), RowTally(), RowTally()
-        self.supported = [
-            clip for clip in clips.clips if generator is None or generator.supports(clip, self.configuration)
-        ]
-        self._require_enough()
-
-    def repeat(self, repetition: int) -> None:
-        """One repetition of every row; all are compared with the same pass over the recorded motions."""
-        # FID is taken against a pass of its own: against the same crops, real motion would get 0.
-        reference = self._recorded(Pass(self.request.seed, repetition, "reference")).motion
-        taken = Pass(self.request.seed, repetition, "real")
-        pairs = self._recorded(taken).shuffled(taken.generator("order"))
-        self._add(self.real, pairs, reference, taken)
-        self.mismatched.add(measure_pairs(pairs.mismatched()), {}, len(pairs.captions))
-        if self.generator is not None:
-            taken = Pass(self.request.seed, repetition, "generated")
-            extra = {MULTIMODALITY: self._multimodality(repetition)} if self.request.multimodality else {}
-            self._add(self.generated, self._generated(taken), reference, taken, extra)
-
-    def result(self) -> TextEvaluation:
-        """Everything that was measured, with what decides it."""
-        rows = [self.real.result(REAL), self.mismatched.result(MISMATCHED)]
-        if self.generator is not None:
-            unsupported = len(self.clips.clips) - len(self.supported)
-            rows.append(self.generated.result(self.generator.request.name, self.generator, unsupported))
-        info = self.clips.table.info
-        request = self.request
-        return TextEvaluation(
-            vectorisation=self.evaluator.vectorisation,
-            evaluator_sha256=self.evaluator.digest,
-            representation=self.configuration.representation,
-            dataset=info.dataset,
-            corpus_content_digest=info.content_digest,
-            split=request.split,
-            kinds=tuple(sorted(request.kinds)),
-            clips=len(self.clips.clips),
-            left_out=self.clips.left_out,
-            distinct_captions=len(self.texts),
-            seed=request.seed,
-            diversity_pairs=request.diversity_pairs,
-            prbench_version=prbench.__version__,
-            rows=tuple(rows),
-            notes=_notes(rows, request),
-        )
-
-    def _add(
-        self,
-        row: RowTally,
-        pairs: EmbeddedPairs,
-        reference: Float[np.ndarray, "recorded dimension"],
-        taken: Pass,
-        extra: dict[str, float] | None = None,
-    ) -> None:
-        motions = measure_motions(
-            pairs.motion, reference, taken.generator("diversity"), diversity_pairs=self.request.diversity_pairs
-        )
-        row.add(measure_pairs(pairs), motions | (extra or {}), len(pairs.captions))
-
-    def _recorded(self, taken: Pass) -> EmbeddedPairs:
-        drawn = [draw(clip, taken, self.configuration) for clip in self.clips.clips]
-        features = [recorded_features(*pair, self.configuration) for pair in zip(self.clips.clips, drawn)]
-        return self._pairs([one.caption for one in drawn], features)
-
-    def _generated(self, taken: Pass) -> EmbeddedPairs:
-        n_prompts = min(self.request.prompts, len(self.supported))
-        chosen = taken.generator("prompts").choice(len(self.supported), n_prompts, replace=False)
-        clips = [self.supported[place] for place in chosen]
-        drawn = [draw(clip, taken, self.configuration) for clip in clips]
-        prompts = [Prompt(clip.sequence_id, one, taken.repetition) for clip, one in zip(clips, drawn)]
-        return self._pairs([one.caption for one in drawn], self._features(prompts))
-
-    def _multimodality(self, repetition: int) -> float:
-        """Motions of the same prompts with different noise, in a pass of their own."""
-        taken = Pass(self.request.seed, repetition, "multimodality")
-        n_prompts = min(MULTIMODALITY_PROMPTS, len(self.supported))
-        chosen = taken.generator("prompts").choice(len(self.supported), n_prompts, replace=False)
-        first = (repetition + 1) * MULTIMODALITY_SAMPLES + self.request.chosen_repetitions  # noise of no other pass
-        prompts = [
-            Prompt(self.supported[place].sequence_id, draw(self.supported[place], taken, self.configuration), sample)
-            for place in chosen
-            for sample in range(first, first + MULTIMODALITY_SAMPLES)
-        ]
-        embedded = self.extractor.embed_motions(self._features(prompts))
-        pairs = draw_multimodality_pairs(MULTIMODALITY_SAMPLES, taken.generator("pairs"))
-        return multimodality(embedded.reshape(n_prompts, MULTIMODALITY_SAMPLES, -1), pairs)
-
-    def _features(self, prompts: Sequence[Prompt]) -> list[np.ndarray]:
-        assert self.generator is not None
-        found = dict(self.generator.features(prompts, self.configuration))
-        return [found[place] for place in range(len(prompts))]
-
-    def _pairs(self, captions: Sequence[str], features: Sequence[np.ndarray]) -> EmbeddedPairs:
-        # Texts are embedded once for all repetitions; only crops change.
-        text = np.stack([self.texts[caption] for caption in captions])
-        return EmbeddedPairs(tuple(captions), text, self.extractor.embed_motions(features))
-
-    def _require_enough(self) -> None:
-        fewest = min(len(self.supported), self.request.prompts) if self.generator else len(self.clips.clips)
-        # Diversity draws two disjoint sets of so many motions from one pass.
-        if fewest <= self.request.diversity_pairs:
-            raise UsageError(
-                f"diversity over {self.request.diversity_pairs} pairs needs more than {self.request.diversity_pairs}"
-                f" motions, found {fewest}. Use a larger split, or lower --diversity-pairs; the number is then"
-                " comparable with others of as many pairs only."
-            )
+    rows = [real.result(REAL), mismatched.result(MISMATCHED)]
+    if method is not None:
+        rows.append(made.result(method.name, method, len(read.clips) - len(supported)))
+    info = read.table.info
+    return TextEvaluation(
+        vectorisation=evaluator.vectorisation,
+        evaluator_sha256=evaluator.digest,
+        representation=configuration.representation,
+        dataset=info.dataset,
+        corpus_content_digest=info.content_digest,
+        split=request.split,
+        kinds=tuple(sorted(request.kinds)),
+        clips=len(read.clips),
+        left_out=read.left_out,
+        distinct_captions=len(texts),
+        seed=request.seed,
+        diversity_pairs=request.diversity_pairs,
+        prbench_version=prbench.__version__,
+        rows=tuple(rows),
+        notes=_notes(rows, request),
+    )
 
 
 def _notes(rows: Sequence[ResultRow], request: TextEvaluationRequest) -> tuple[str, ...]:
@@ -240,3 +283,69 @@ def _notes(rows: Sequence[ResultRow], request: TextEvaluationRequest) -> tuple[s
             notes.append(f"{row.source}: {row.unsupported} clips are longer than the method can generate.")
     notes.append("the evaluator is a network fitted to a training split: real motion is no upper bound.")
     return tuple(notes)
+
+
+def _loaded(method: MethodRequest) -> Adapter:
+    adapter = load_adapter(method.name, method.weights, dict(method.options), method.device)
+    chosen_condition(method.name, adapter, Condition.TEXT)
+    if isinstance(adapter, Trainable) and method.weights is None:
+        raise UsageError(f"the method '{method.name}' learns from a table first; give it --weights.")
+    return adapter
+
+
+def _supports(adapter: Adapter, clip: Clip, configuration: EvaluatorConfiguration) -> bool:
+    """Return True if the method can generate as many frames as a clip may ask for."""
+    declared = Declared.by(adapter, origin=f"adapter '{adapter.name}'")
+    if declared.max_frames is None:
+        return True
+    fps = configuration.fps
+    native = native_frames(np.array([longest(clip, configuration)]), fps=fps, native_fps=declared.native_fps or fps)
+    return int(native[0]) <= declared.max_frames
+
+
+def _generated(
+    adapter: Adapter,
+    method: MethodRequest,
+    prompts: Sequence[tuple[str, Draw, int]],
+    configuration: EvaluatorConfiguration,
+    *,
+    seed: int,
+) -> list[Features]:
+    """Generate motions for sequence ids with their texts and lengths, each with the noise of a sample, and encode them.
+
+    Motions of similar length are made together, so that little is computed for padding; the place breaks ties, so
+    that the order is fixed.
+    """
+    order = sorted(range(len(prompts)), key=lambda place: (prompts[place][1].n_frames, place))
+    found: dict[int, Features] = {}
+    for start in range(0, len(order), method.batch_size):
+        places = order[start : start + method.batch_size]
+        chosen = [prompts[place] for place in places]
+        batch = ConditionBatch(
+            condition=Condition.TEXT,
+            n_frames=np.array([one.n_frames for _, one, _ in chosen], dtype=np.int64),
+            fps=configuration.fps,
+            # Methods must not recognise sequences, so they see a digest in place of the id.
+            opaque_id=tuple(text_digest("opaque", str(seed), name)[:16] for name, _, _ in chosen),
+            noise_seed=tuple(noise_seed(seed, name, sample) for name, _, sample in chosen),
+            text=tuple(one.caption for _, one, _ in chosen),
+        )
+        ids = [name for name, _, _ in chosen]
+        motions, _ = generate_checked(adapter, batch, seed=seed, method=method.name, sequence_ids=ids)
+        for place, (name, one, _), joints in zip(places, chosen, motions.joints):
+            source = f"{method.name}'s motion for {name}"
+            found[place] = generated_features(joints[: one.n_frames], configuration, name=source)
+    return [found[place] for place in range(len(prompts))]
+
+
+def generated_features(
+    joints: Float[np.ndarray, "n 22 3"], configuration: EvaluatorConfiguration, *, name: str
+) -> Features:
+    """Features of a generated motion, which is canonical as it is; its last step is taken once more for the last row.
+
+    Raises:
+        InputFileError: if a pose cannot be encoded; it begins with ``name``.
+    """
+    # A row of features describes the step to the next frame, and the last frame has none.
+    beyond = 2 * joints[-1] - joints[-2]
+    return encode(joints, next_joints=beyond, mode=configuration.representation, source=name, upright=False)

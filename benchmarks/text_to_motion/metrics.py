@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 FEWEST = 1000
-"""Below this many samples a warning says that the number is biased upwards."""
+"""FID of fewer samples is biased upwards; whoever reports it says so."""
 DIVERSITY_PAIRS = 300
 MULTIMODALITY_PROMPTS = 100
 MULTIMODALITY_SAMPLES = 30
@@ -26,10 +25,6 @@ FID = "fid"
 _DISTANCE = "multimodal_distance"
 _DIVERSITY = "diversity"
 MULTIMODALITY = "multimodality"
-
-
-class FewSamplesWarning(UserWarning):
-    """The covariance of an embedding is estimated from few samples."""
 
 
 def fid(real: Float[np.ndarray, "real dimension"], generated: Float[np.ndarray, "generated dimension"]) -> float:
@@ -46,12 +41,8 @@ def fid(real: Float[np.ndarray, "real dimension"], generated: Float[np.ndarray, 
     Raises:
         ValueError: if a set has fewer than two samples or holds NaN or infinity.
     """
-    fewest = min(len(real), len(generated))
-    if fewest < 2:
+    if min(len(real), len(generated)) < 2:
         raise ValueError(f"FID needs two samples or more of each kind, found {len(real)} and {len(generated)}")
-    if fewest < FEWEST:
-        message = f"FID of {len(real)} and {len(generated)} samples: biased upwards below {FEWEST}."
-        warnings.warn(message, FewSamplesWarning, stacklevel=2)
     real = real.astype(np.float64)
     generated = generated.astype(np.float64)
     if not (np.isfinite(real).all() and np.isfinite(generated).all()):
@@ -59,7 +50,12 @@ def fid(real: Float[np.ndarray, "real dimension"], generated: Float[np.ndarray, 
     first = np.atleast_2d(np.cov(real, rowvar=False))
     second = np.atleast_2d(np.cov(generated, rowvar=False))
     means = np.square(real.mean(axis=0) - generated.mean(axis=0)).sum()
-    return float(means + np.trace(first) + np.trace(second) - 2.0 * _trace_of_root(first, second))
+    # The root of a symmetric matrix instead of that of C1 C2: no complex numbers, no jitter.
+    values, vectors = np.linalg.eigh(first)
+    root = vectors * np.sqrt(np.clip(values, 0.0, None))
+    eigenvalues = np.linalg.eigvalsh(root.T @ second @ root)
+    trace = float(np.sqrt(np.clip(eigenvalues, 0.0, None)).sum())
+    return float(means + np.trace(first) + np.trace(second) - 2.0 * trace)
 
 
 def multimodal_distance(
@@ -149,37 +145,24 @@ def r_precision(
     n = len(text) // BATCH * BATCH
     if n == 0:
         raise ValueError(f"R-precision needs at least {BATCH} pairs, found {len(text)}")
-    ranks = np.concatenate([_ranks(text[i : i + BATCH], motion[i : i + BATCH]) for i in range(0, n, BATCH)])
-    top = np.array([np.mean(ranks < k) for k in range(1, TOP + 1)])
-    duplicates = sum(_duplicates(captions[i : i + BATCH]) for i in range(0, n, BATCH)) if captions is not None else 0
+    ranks = []
+    duplicates = 0
+    for start in range(0, n, BATCH):
+        part = slice(start, start + BATCH)
+        # Differences, not the expanded square, whose cancellation would break ties by rounding.
+        difference = text[part, None].astype(np.float64) - motion[None, part].astype(np.float64)
+        distances = np.sqrt(np.square(difference).sum(axis=-1))  # (texts, motions)
+        # Other motions that are as near to each text as its own, or nearer.
+        ranks.append((distances <= distances.diagonal()[:, None]).sum(axis=1) - 1)
+        if captions is not None:
+            duplicates += sum(count for count in Counter(captions[part]).values() if count > 1)
+    top = np.array([np.mean(np.concatenate(ranks) < k) for k in range(1, TOP + 1)])
     return RPrecision(top, n, len(text) - n, duplicates)
-
-
-def _trace_of_root(first: Float[np.ndarray, "d d"], second: Float[np.ndarray, "d d"]) -> float:
-    # The root of a symmetric matrix instead of that of C1 C2: no complex numbers, no jitter.
-    values, vectors = np.linalg.eigh(first)
-    root = vectors * np.sqrt(np.clip(values, 0.0, None))
-    eigenvalues = np.linalg.eigvalsh(root.T @ second @ root)
-    return float(np.sqrt(np.clip(eigenvalues, 0.0, None)).sum())
 
 
 def _mean_distance(first: Float[np.ndarray, "*rows dimension"], second: Float[np.ndarray, "*rows dimension"]) -> float:
     difference = first.astype(np.float64) - second.astype(np.float64)
     return float(np.sqrt(np.square(difference).sum(axis=-1)).mean())
-
-
-def _ranks(
-    text: Float[np.ndarray, "batch dimension"], motion: Float[np.ndarray, "batch dimension"]
-) -> Int[np.ndarray, " batch"]:
-    """Count the other motions that are as near to each text as its own, or nearer."""
-    difference = text[:, None].astype(np.float64) - motion[None].astype(np.float64)
-    # Differences, not the expanded square, whose cancellation would break ties by rounding.
-    distances = np.sqrt(np.square(difference).sum(axis=-1))  # (texts, motions)
-    return (distances <= distances.diagonal()[:, None]).sum(axis=1) - 1
-
-
-def _duplicates(captions: Sequence[str]) -> int:
-    return sum(count for count in Counter(captions).values() if count > 1)
 
 
 _R_PRECISION = tuple(f"r_precision_top_{k}" for k in range(1, TOP + 1))
@@ -206,24 +189,15 @@ class EmbeddedPairs:
         return EmbeddedPairs(captions, np.roll(self.text, 1, axis=0), self.motion)
 
 
-@dataclass(frozen=True)
-class Measured:
-    """One repetition."""
-
-    values: dict[str, float]
-    """Values by the ids of :data:`METRICS`."""
-    ranking: RPrecision
-
-
-def measure_pairs(pairs: EmbeddedPairs) -> Measured:
-    """R-precision and multimodal distance.
+def measure_pairs(pairs: EmbeddedPairs) -> tuple[dict[str, float], RPrecision]:
+    """R-precision and multimodal distance by the ids of :data:`METRICS`, and the ranking behind them.
 
     Raises:
         ValueError: if there are fewer than 32 pairs.
     """
     ranking = r_precision(pairs.text, pairs.motion, pairs.captions)
     values = dict(zip(_R_PRECISION, ranking.top.tolist()))
-    return Measured(values | {_DISTANCE: multimodal_distance(pairs.text, pairs.motion)}, ranking)
+    return values | {_DISTANCE: multimodal_distance(pairs.text, pairs.motion)}, ranking
 
 
 def measure_motions(
@@ -233,16 +207,13 @@ def measure_motions(
     *,
     diversity_pairs: int = DIVERSITY_PAIRS,
 ) -> dict[str, float]:
-    """FID to recorded motions, and diversity. That few samples bias FID is said once, by whoever reports it.
+    """FID to recorded motions, and diversity.
 
     Raises:
         ValueError: if there are not more motions than pairs.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FewSamplesWarning)
-        distance = fid(recorded, motion)
     pairs = draw_diversity_pairs(len(motion), generator, n_pairs=diversity_pairs)
-    return {FID: distance, _DIVERSITY: diversity(motion, pairs)}
+    return {FID: fid(recorded, motion), _DIVERSITY: diversity(motion, pairs)}
 
 
 class Repeated(msgspec.Struct, frozen=True):

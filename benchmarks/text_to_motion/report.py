@@ -6,19 +6,16 @@ A file holds everything that decides its numbers, and the numbers.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
-import numpy as np
 
 from prbench.files.bounded import foreign_input, read_whole
 from prbench.files.storage import sole_writer, write_json
 from prbench.metrics import exported_unit
 from prbench.protocol.published import load_published, published_table
 from prbench.tables import Block, Cell, Column, Row, Table, metric_cell
-from prbench_benchmarks.text_to_motion.generated import Generator
-from prbench_benchmarks.text_to_motion.metrics import METRICS, Measured, Repeated
+from prbench_benchmarks.text_to_motion.metrics import Repeated
 
 SCHEMA_VERSION = 1
 
@@ -50,40 +47,6 @@ class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
     weights_sha256: str | None = None
     options: dict[str, str] = {}
     unsupported: int = 0
-
-
-@dataclass
-class RowTally:
-    """The measurements of one row's repetitions so far."""
-
-    values: dict[str, list[float]] = field(default_factory=dict)
-    last: Measured | None = None
-    motions: int = 0
-    duplicates: list[int] = field(default_factory=list)
-
-    def add(self, measured: Measured, values: dict[str, float], motions: int) -> None:
-        """Take in one repetition over so many motions: the metrics of its pairs, and those of its motions."""
-        for name, value in (measured.values | values).items():
-            self.values.setdefault(name, []).append(value)
-        self.last, self.motions = measured, motions
-        self.duplicates.append(measured.ranking.n_duplicates)
-
-    def result(self, source: str, generator: Generator | None = None, unsupported: int = 0) -> ResultRow:
-        """The row after at least one repetition."""
-        assert self.last is not None
-        ranking = self.last.ranking
-        return ResultRow(
-            source=source,
-            metrics={name: Repeated.of(self.values[name]) for name in METRICS if name in self.values},
-            motions=self.motions,
-            ranked_pairs=ranking.n_pairs,
-            dropped_pairs=ranking.n_dropped,
-            duplicate_captions=float(np.mean(self.duplicates)),
-            repetitions=len(self.duplicates),
-            weights_sha256=generator.weights_sha256 if generator else None,
-            options=dict(generator.request.options) if generator else {},
-            unsupported=unsupported,
-        )
 
 
 class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
@@ -138,16 +101,6 @@ class TextEvaluation(msgspec.Struct, frozen=True, kw_only=True):
     def read(cls, path: Path) -> TextEvaluation:
         """Read what :meth:`write` wrote."""
         return msgspec.json.decode(read_whole(path), type=cls)
-
-
-class WrittenEvaluation(TextEvaluation, frozen=True, kw_only=True):
-    """An evaluation and where it stands.
-
-    Attributes:
-        out: The file that the numbers were written to.
-    """
-
-    out: Path
 
 
 _METRICS = {

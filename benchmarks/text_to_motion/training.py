@@ -292,23 +292,6 @@ _MOVEMENT_ENCODER = frozenset({"movement_width", "representation", "fps"})
 """Fields of the configuration that describe the movement encoder, which stage ``contrastive`` takes over."""
 
 
-@dataclass(frozen=True)
-class LoadedEvaluator:
-    """An evaluator and the names of what it is made of."""
-
-    extractor: Extractor
-    digest: str
-    """SHA-256 of its file."""
-    words_digest: str
-    """Digest of the user's word vectors and lists; empty if it needs none."""
-
-    @property
-    def vectorisation(self) -> str:
-        """Name of the way in which it reads texts; numbers of different ways never stand in one column."""
-        name = self.extractor.configuration.text
-        return f"{name}/{self.words_digest[:12]}" if self.words_digest else name
-
-
 def t2m_evaluator() -> EvaluatorTask:
     """Entry point ``t2m-evaluator``."""
     return EvaluatorTask()
@@ -337,7 +320,7 @@ class EvaluatorTask:
             UsageError: if the table does not describe an evaluator, or stage and initial weights do not fit together.
             InputFileError: if the initial weights or the word vectors do not fit it.
         """
-        configuration, objective = read_model_table(model)
+        configuration, objective = split_model_table(model, EvaluatorConfiguration, EvaluatorObjective)
         data.require_fit(
             "the evaluator",
             representation=configuration.representation,
@@ -358,7 +341,7 @@ class EvaluatorTask:
             configuration,
             objective,
             stage=cast(Stage, stage),
-            statistics=_statistics(start, data),
+            statistics=data.train.statistics().for_evaluator() if start is None else _stored_statistics(start),
             tokens=tokens,
             words_digest=words_digest,
             origin=tuple(lines),
@@ -370,15 +353,6 @@ class EvaluatorTask:
             start.require_same(module.configuration, apart_from=irrelevant)
             start.load_into(module.movement, "movement")
         return module
-
-
-def read_model_table(model: Mapping[str, Any]) -> tuple[EvaluatorConfiguration, EvaluatorObjective]:
-    """Split the table ``[model]`` into the networks and what they are trained for.
-
-    Raises:
-        UsageError: for an unknown key or a value of a wrong kind.
-    """
-    return split_model_table(model, EvaluatorConfiguration, EvaluatorObjective)
 
 
 def _require_stage(stage: str, initial: Path | None, objective: EvaluatorObjective) -> None:
@@ -395,12 +369,6 @@ def _require_stage(stage: str, initial: Path | None, objective: EvaluatorObjecti
         )
 
 
-def _statistics(start: Weights | None, data: TrainingData) -> Statistics:
-    if start is None:
-        return data.train.statistics().for_evaluator()
-    return _stored_statistics(start)
-
-
 def _stored_statistics(weights: Weights) -> Statistics:
     mean, std = (weights.require(f"statistics.{name}", (N_FEATURES,)).numpy() for name in ("mean", "std"))
     return Statistics(mean, std)
@@ -414,7 +382,7 @@ def load_evaluator(
     device: str = "cpu",
     words: Path | None = None,
     text_path: str | None = None,
-) -> LoadedEvaluator:
+) -> Extractor:
     """Read a trained evaluator.
 
     Args:
@@ -433,13 +401,20 @@ def load_evaluator(
     weights.require_representation(configuration.representation)
     tokens, words_digest = token_vectors(configuration.text, tables, words=str(words or ""), path=text_path or "")
     # Other word vectors would load without an error and give numbers that mean nothing.
-    _require_words(weights, words_digest)
+    trained_with = weights.metadata.get("words", "")
+    if trained_with != words_digest:
+        raise InputFileError(
+            weights.path,
+            "header entry 'words'",
+            expected=f"the word vectors and lists that it was trained with (sha256 {trained_with[:12]}…)",
+            found=f"others (sha256 {words_digest[:12]}…)",
+        )
     movement = MovementEncoder(configuration.movement_width)
     motion = MotionEncoder(configuration)
     text = TextEncoder(configuration, tokens.dimension)
     for name, network in (("movement", movement), ("motion", motion), ("text", text)):
         weights.load_into(network, name)
-    extractor = Extractor(
+    return Extractor(
         configuration,
         movement,
         motion,
@@ -447,16 +422,6 @@ def load_evaluator(
         statistics=_stored_statistics(weights),
         tokens=tokens,
         device=device,
+        digest=weights.digest,
+        words_digest=words_digest,
     )
-    return LoadedEvaluator(extractor, weights.digest, words_digest)
-
-
-def _require_words(weights: Weights, digest: str) -> None:
-    trained_with = weights.metadata.get("words", "")
-    if trained_with != digest:
-        raise InputFileError(
-            weights.path,
-            "header entry 'words'",
-            expected=f"the word vectors and lists that it was trained with (sha256 {trained_with[:12]}…)",
-            found=f"others (sha256 {digest[:12]}…)",
-        )

@@ -11,10 +11,16 @@ from prbench.cli.main import main
 from prbench.contract import Condition, Motions
 from prbench.errors import AdapterError, InputFileError, TableError, UsageError
 from prbench.representation import encode
-from prbench_benchmarks.text_to_motion import generated
+from prbench_benchmarks.text_to_motion import evaluate
 from prbench_benchmarks.text_to_motion.clips import EvaluatedClips, Pass, draw, recorded_features
-from prbench_benchmarks.text_to_motion.evaluate import MISMATCHED, REAL, TextEvaluationRequest, evaluate_text
-from prbench_benchmarks.text_to_motion.generated import MethodRequest, generated_features
+from prbench_benchmarks.text_to_motion.evaluate import (
+    MISMATCHED,
+    REAL,
+    MethodRequest,
+    TextEvaluationRequest,
+    evaluate_text,
+    generated_features,
+)
 from prbench_benchmarks.text_to_motion.networks import EvaluatorConfiguration
 from prbench_benchmarks.text_to_motion.report import TextEvaluation
 from prbench_benchmarks.text_to_motion.training import load_evaluator
@@ -47,7 +53,7 @@ class Swaying:
 @pytest.fixture
 def swaying(monkeypatch):
     method = Swaying()
-    monkeypatch.setattr(generated, "load_adapter", lambda *_: method)
+    monkeypatch.setattr(evaluate, "load_adapter", lambda *_: method)
     return method
 
 
@@ -68,7 +74,7 @@ def test_a_trained_evaluator_ranks_real_pairs_above_shuffled_ones(build, batch, 
     trained(module, batch, 80)
     loaded = load_evaluator(saved(module), [corpus])
     features = [batch.features[i, : int(n)].numpy() for i, n in enumerate(batch.n_frames)]
-    text, motion = loaded.extractor.embed_texts(batch.text), loaded.extractor.embed_motions(features)
+    text, motion = loaded.embed_texts(batch.text), loaded.embed_motions(features)
     own = np.linalg.norm(text - motion, axis=1).mean()
     assert own < 0.7 * np.linalg.norm(text - np.roll(motion, 1, axis=0), axis=1).mean()
 
@@ -82,7 +88,7 @@ def test_an_evaluator_read_from_its_file_embeds_as_it_did_in_training(build, bat
     standardised = (batch.features - module.mean) / module.std
     snippets = module.movement(standardised[..., :259][:, : int(counts.max()) * 4], counts * 4)
     expected = module.motion(snippets, counts).detach().numpy()
-    np.testing.assert_allclose(loaded.extractor.embed_motions(features), expected, atol=1e-5)
+    np.testing.assert_allclose(loaded.embed_motions(features), expected, atol=1e-5)
 
 
 def test_recorded_motions_and_a_method_get_their_rows(request_for, swaying, tmp_path):

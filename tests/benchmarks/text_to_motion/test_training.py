@@ -16,13 +16,13 @@ from prbench_adapters.training.configuration import (
     load_configuration,
 )
 from prbench_adapters.training.loop import fit
-from prbench_adapters.training.task import TrainingTask
+from prbench_adapters.training.task import TrainingTask, split_model_table
 from prbench_adapters.training.weights import read_weights
 from prbench_benchmarks.text_to_motion.training import (
+    EvaluatorConfiguration,
     EvaluatorObjective,
     contrastive_losses,
     different_texts,
-    read_model_table,
     reconstruction_losses,
     t2m_evaluator,
 )
@@ -156,7 +156,7 @@ def test_stages_and_initial_weights_have_to_fit(build, saved):
 def test_model_tables_that_describe_no_evaluator_are_refused(build):
     for wrong in ({"movement_widht": 8}, {"text": "clip"}, {"window": 10}):
         with pytest.raises(UsageError, match=r"\[model\]"):
-            read_model_table(TINY | wrong)
+            split_model_table(TINY | wrong, EvaluatorConfiguration, EvaluatorObjective)
     with pytest.raises(UsageError, match=r"data\.max_frames"):
         build(max_frames=40)
     with pytest.raises(UsageError, match=r"data\.mode"):
@@ -190,7 +190,7 @@ def test_the_task_is_installed_and_its_configurations_describe_evaluators(data):
     for name in names:
         for stage in t2m_evaluator().stages:
             found = load_configuration(name, package=task.configurations, task=task.name, stage=stage)
-            configuration, objective = read_model_table(found.model)
+            configuration, objective = split_model_table(found.model, EvaluatorConfiguration, EvaluatorObjective)
             assert configuration.representation == found.data.mode
             assert configuration.max_frames >= found.data.max_frames
             assert found.training.ema == 0.0  # an average would go on moving a frozen encoder
