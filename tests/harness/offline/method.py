@@ -109,6 +109,15 @@ def write_ragged(path: Path, conditions: ConditionsFile, motions: list[np.ndarra
     return path
 
 
+def write_named(path: Path, conditions: ConditionsFile, motions: list[np.ndarray]) -> Path:
+    """One array a sequence, its samples in it."""
+    arrays: dict[str, list[np.ndarray]] = {}
+    for name, motion in zip(conditions.opaque_id, motions):
+        arrays.setdefault(name, []).append(motion)
+    np.savez(path, **{name: np.stack(drawn) for name, drawn in arrays.items()})
+    return path
+
+
 def _beside(conditions: ConditionsFile) -> dict[str, np.ndarray]:
     return {
         "opaque_id": np.array(conditions.opaque_id),

@@ -33,6 +33,7 @@ FORMS = {
     "flat": lambda path, *rest: method.write_parquet(path / "made.parquet", *rest, flat=True),
     "padded": lambda path, *rest: method.write_padded(path / "made.npz", *rest),
     "ragged": lambda path, *rest: method.write_ragged(path / "made.npz", *rest),
+    "named": lambda path, *rest: method.write_named(path / "made.npz", *rest),
 }
 VARIANTS = [
     {"condition": "goal-loc", "samples": 2, "seed": 5},

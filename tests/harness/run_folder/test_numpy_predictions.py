@@ -244,3 +244,24 @@ def test_gaze_of_another_shape_or_half_of_it_is_refused(tmp_path):
         Predictions.open(saved(tmp_path / "p.npz", gaze_origin=rays))
     with pytest.raises(PredictionsError, match=r"'gaze_direction': expected the shape \(3, 5, 3\)"):
         Predictions.open(saved(tmp_path / "p.npz", gaze_origin=rays, gaze_direction=rays[:, :4]))
+
+
+def test_arrays_named_by_their_sequence_are_motions_and_samples_of_them(tmp_path):
+    one = np.random.default_rng(0).normal(size=(4, 22, 3)).astype(np.float32)
+    two = np.random.default_rng(1).normal(size=(2, 3, 22, 3))
+    path = tmp_path / "named.npz"
+    np.savez(path, **{"adt/a/1": one, "adt/b/2": two})
+    predictions = Predictions.open(path)
+    assert predictions.id_column == "sequence_id"
+    assert list(predictions.ids) == ["adt/a/1", "adt/b/2", "adt/b/2"]
+    assert list(predictions.samples) == [0, 0, 1]
+    joints, _ = predictions.store.motions([2, 0])
+    np.testing.assert_array_equal(joints[0], two[1].astype(np.float32))
+    np.testing.assert_array_equal(joints[1], one)
+
+
+def test_named_arrays_of_another_type_are_refused(tmp_path):
+    path = tmp_path / "named.npz"
+    np.savez(path, **{"adt/a/1": np.zeros((4, 22, 3), dtype=np.int32)})
+    with pytest.raises(PredictionsError, match=r"'adt/a/1': expected float32 or float64, found int32"):
+        Predictions.open(path)

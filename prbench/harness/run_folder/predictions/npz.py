@@ -1,12 +1,14 @@
-"""Predictions as ``.npz``: ids beside one array of all motions.
+"""Predictions as ``.npz``: ids beside one array of all motions, or one array a sequence.
 
 ``joints`` is padded, (n, N, 22, 3), or holds the frames of all motions after one another, (total, 22, 3); in both
-forms ``n_frames`` tells how many frames each has, and a pose may also be 66 numbers.
+forms ``n_frames`` tells how many frames each has, and a pose may also be 66 numbers. Without ``joints`` and ids every
+array is named by its sequence, (frames, 22, 3) or (samples, frames, 22, 3).
 """
 
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from prbench.limits import MOST_MOTIONS
 _LARGEST_COLUMN = 1024**3  # bytes of ids or lengths, many times what any table needs
 _LARGEST_ARRAY = 64 * 1024**3  # bytes of all motions
 _PADDED_FRAMES = 1000  # to which any motion may be padded; wider arrays are refused before they are unpacked
+_OPAQUE_ID = re.compile(r"[0-9a-f]{64}")
 _FORMS = "(n, N, 22, 3) padded, or (total, 22, 3) after one another, of float32 or float64"
 
 
@@ -43,6 +46,10 @@ def read_npz(path: Path) -> dict[str, Any]:
 def _read(archive: Archive, path: Path) -> dict[str, Any]:
     present = list(archive.members)
     id_column = next((name for name in ("sequence_id", "opaque_id") if name in present), None)
+    if id_column is None and present and "joints" not in present:
+        named = _read_by_name(archive, path)
+        if named is not None:
+            return named
     absent = [name for name in ("joints", "n_frames") if name not in present]
     if id_column is None or absent:
         itself = " These look like conditions, not motions." if "noise_seed" in present and "joints" in absent else ""
@@ -102,6 +109,35 @@ def _read(archive: Archive, path: Path) -> dict[str, Any]:
         "n_frames": n_frames,
         "store": store,
         "has_gaze": bool(gaze),
+    }
+
+
+def _read_by_name(archive: Archive, path: Path) -> dict[str, Any] | None:
+    """Read one array a sequence; None if some array has not the shape of motions."""
+    headers = {name: archive.header(name) for name in archive.members}
+    shapes = [header.shape for header in headers.values()]
+    if not all(len(shape) in (3, 4) and shape[-2:] == (N_JOINTS, 3) for shape in shapes):
+        return None
+    if sum(shape[0] if len(shape) == 4 else 1 for shape in shapes) > MOST_MOTIONS:
+        raise PredictionsError(f"{path}: expected at most {MOST_MOTIONS:,} motions.")
+    keys: list[tuple[str, int]] = []
+    motions: list[np.ndarray] = []
+    for name, header in headers.items():
+        if not _is_floating(header.dtype):
+            raise PredictionsError(f"{path}, '{name}': expected float32 or float64, found {header.dtype}.")
+        values = as_float32(archive.read(name, largest=_LARGEST_ARRAY))
+        for sample, motion in enumerate(values.reshape(-1, *header.shape[-3:])):
+            keys.append((name, sample))
+            motions.append(motion)
+    ids = tuple(name for name, _ in keys)
+    return {
+        "paths": (path,),
+        "id_column": "opaque_id" if all(map(_OPAQUE_ID.fullmatch, ids)) else "sequence_id",
+        "ids": ids,
+        "samples": tuple(sample for _, sample in keys),
+        "n_frames": np.array([len(motion) for motion in motions], dtype=np.int64),
+        "store": ArrayMotions(tuple(motions), tuple(f"{path}, '{name}', sample {sample}" for name, sample in keys)),
+        "has_gaze": False,
     }
 
 
