@@ -5,13 +5,12 @@ Source: docs/specification/aria-mps.md#folder-tree.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import msgspec
 import numpy as np
-import pyarrow as pa
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
@@ -40,12 +39,12 @@ _ROLES: dict[str, tuple[str, ...]] = {
     mps.GAZE: mps.GAZE_FILES,
     mps.CALIBRATION: (mps.CALIBRATION_FILE,),
     mps.WRISTS: (mps.WRISTS_FILE,),
-    mps.HAND_TRACKING: (mps.HAND_TRACKING_FILE,),
 }
+"""Names of the file of each role, the preferred one first."""
 _SUMMARIES = {
     mps.SLAM_SUMMARY: (mps.TRAJECTORY, mps.CALIBRATION),
     mps.GAZE_SUMMARY: (mps.GAZE,),
-    mps.HAND_SUMMARY: (mps.WRISTS, mps.HAND_TRACKING),
+    mps.HAND_SUMMARY: (mps.WRISTS,),
 }
 """A summary lies beside one of the files that it speaks of."""
 UNREADABLE = "unreadable archive: "
@@ -66,15 +65,33 @@ def find_mps_files(root: Path) -> tuple[InputFile, ...]:
     Raises:
         InputFileError: if ``root`` is an archive and damaged.
     """
-    present = _files_of_archive(root) if root.is_file() else _files_below(root)
-    found = {role: file for role, names in _ROLES.items() if (file := _best(present, names, role))}
+    wanted = {name for names in _ROLES.values() for name in names} | {mps.SUMMARY_FILE}
+    present: list[InputFile] = []
+    unreadable = []
+    for path in [root] if root.is_file() else sorted(root.rglob("*")):
+        if path.name in wanted:
+            present.append(input_file("", path))
+        elif path == root or (path.suffix == ".zip" and path.is_file()):
+            try:
+                members = sorted(archive_members(path).items())
+                present += [InputFile("", path, size, member) for member, size in members]
+            except InputFileError:
+                if path == root:
+                    raise
+                # One damaged archive does not hide the files beside it; reading names it where something is missing.
+                unreadable.append(input_file(f"{UNREADABLE}{path.name}", path))
+    found: dict[str, InputFile] = {}
+    for role, names in _ROLES.items():
+        candidates = [file for file in present if _place(file).name in names]
+        if candidates:
+            best = min(candidates, key=lambda file: _rank(file, names))
+            found[role] = InputFile(role, best.path, best.size, best.member)
     for role, companions in _SUMMARIES.items():
-        beside = [_folder(found[companion]) for companion in companions if companion in found]
-        summaries = [file for file in present if _name(file) == mps.SUMMARY_FILE and _folder(file) in beside]
-        if summaries:
-            found[role] = InputFile(role, summaries[0].path, summaries[0].size, summaries[0].member)
-    unreadable = (file.path for file in present if file.role == UNREADABLE)
-    return (*found.values(), *(input_file(f"{UNREADABLE}{path.name}", path) for path in unreadable))
+        folders = [_place(found[companion]).parent for companion in companions if companion in found]
+        for file in reversed(present):
+            if _place(file).name == mps.SUMMARY_FILE and _place(file).parent in folders:
+                found[role] = InputFile(role, file.path, file.size, file.member)
+    return (*found.values(), *unreadable)
 
 
 def find_gaze_file(folder: Path) -> Path | None:
@@ -82,56 +99,15 @@ def find_gaze_file(folder: Path) -> Path | None:
     return next((folder / name for name in mps.GAZE_FILES if is_present(folder / name)), None)
 
 
-def is_personalized(file: InputFile) -> bool:
-    """Return True where a gaze file was made with the wearer's own calibration."""
-    return _name(file) in mps.PERSONALIZED_GAZE_FILES
-
-
-def _files_below(root: Path) -> list[InputFile]:
-    wanted = {name for names in _ROLES.values() for name in names} | {mps.SUMMARY_FILE}
-    files = []
-    for path in sorted(root.rglob("*")):
-        if path.name in wanted:
-            files.append(input_file("", path))
-        elif path.suffix == ".zip" and path.is_file():
-            files += _files_of_archive_if_whole(path)
-    return files
-
-
-def _files_of_archive_if_whole(archive: Path) -> list[InputFile]:
-    """One damaged archive does not hide the files beside it; reading names it where something is missing."""
-    try:
-        return _files_of_archive(archive)
-    except InputFileError:
-        return [input_file(UNREADABLE, archive)]
-
-
-def _files_of_archive(archive: Path) -> list[InputFile]:
-    return [InputFile("", archive, size, member) for member, size in sorted(archive_members(archive).items())]
-
-
-def _best(present: Sequence[InputFile], names: Sequence[str], role: str) -> InputFile | None:
-    candidates = [file for file in present if _name(file) in names]
-    if not candidates:
-        return None
-    best = min(candidates, key=lambda file: _rank(file, names))
-    return InputFile(role, best.path, best.size, best.member)
+def _place(file: InputFile) -> PurePosixPath:
+    """Where a file lies; an archive counts as a folder."""
+    return PurePosixPath((file.path / file.member).as_posix())
 
 
 def _rank(file: InputFile, names: Sequence[str]) -> tuple[int, bool, int, bool, str]:
-    folder = _folder(file)
+    folder = _place(file).parent
     unusual = folder.name not in _USUAL_FOLDERS
-    return names.index(_name(file)), unusual, len(folder.parts), bool(file.member), str(folder)
-
-
-def _name(file: InputFile) -> str:
-    return PurePosixPath(file.member).name if file.member else file.path.name
-
-
-def _folder(file: InputFile) -> PurePosixPath:
-    """The folder of a file; an archive counts as one."""
-    path = file.path / file.member if file.member else file.path
-    return PurePosixPath(path.as_posix()).parent
+    return names.index(_place(file).name), unusual, len(folder.parts), bool(file.member), str(folder)
 
 
 _ANYTHING = msgspec.json.Decoder()
@@ -146,39 +122,28 @@ def read_warnings(path: Source) -> tuple[str, ...]:
     Raises:
         InputFileError: if the file is damaged, or an operator reports an ERROR: the stream is then not to be used.
     """
+    summary = decode_json(path, _ANYTHING)
     warnings = []
-    for operator, report in _reports(decode_json(path, _ANYTHING)):
-        if report["status"] == "ERROR":
-            raise InputFileError(
-                shown(path),
-                operator,
-                expected="no operator with the status ERROR",
-                found=f"ERROR{_reason(report)}",
-                remedy="The services could not compute this stream; leave the recording out, or request it again.",
-            )
-        if report["status"] == "WARNING":
-            warnings.append(f"{shown(path).parent.name}: {operator} warns{_reason(report)}")
+    for operator, entry in summary.items() if isinstance(summary, dict) else ():
+        for report in entry if isinstance(entry, list) else [entry]:  # some operators hold a list of reports
+            if not isinstance(report, dict) or report.get("status") not in ("ERROR", "WARNING"):
+                continue
+            details = [report.get("message"), *report.get("errors", []), *report.get("warnings", [])]
+            said = "; ".join(str(detail) for detail in details if detail)[:160]
+            reason = f" ({said})" if said else ""
+            if report["status"] == "ERROR":
+                raise InputFileError(
+                    shown(path),
+                    str(operator),
+                    expected="no operator with the status ERROR",
+                    found=f"ERROR{reason}",
+                    remedy="The services could not compute this stream; leave the recording out, or request it again.",
+                )
+            warnings.append(f"{shown(path).parent.name}: {operator} warns{reason}")
     return tuple(warnings)
 
 
-def _reports(summary: object) -> Iterator[tuple[str, dict]]:
-    """Every entry that has a status, with the name of its operator; some operators hold a list of them."""
-    if not isinstance(summary, dict):
-        return
-    for operator, value in summary.items():
-        for report in value if isinstance(value, list) else [value]:
-            if isinstance(report, dict) and "status" in report:
-                yield str(operator), report
-
-
-def _reason(report: dict) -> str:
-    details = [report.get("message"), *report.get("errors", []), *report.get("warnings", [])]
-    said = "; ".join(str(detail) for detail in details if detail)
-    return f" ({said[:160]})" if said else ""
-
-
 _LIKE_DEGREES = "Such angles look like degrees, or are damaged; use the file as it was released."
-_Columns = Callable[[str], tuple[str, ...]]
 
 
 class _Translation(msgspec.Struct):
@@ -205,15 +170,10 @@ class OnlineCalibration:
     """Maps a camera's label (``camera-slam-left``, ``camera-slam-right``, ``camera-rgb``) to its pose."""
 
     @property
-    def slam_baseline(self) -> float:
-        """Distance between the two SLAM cameras, metres; it tells the size of the glasses."""
-        left, right = (self.device_from_camera[f"camera-slam-{side}"] for side in ("left", "right"))
-        return float(np.linalg.norm(left[:3, 3] - right[:3, 3]))
-
-    @property
     def size(self) -> mps.GlassesSize:
-        """Size of the glasses."""
-        return mps.glasses_size(self.slam_baseline)
+        """Size of the glasses, which the distance between the two SLAM cameras tells."""
+        left, right = (self.device_from_camera[f"camera-slam-{side}"] for side in ("left", "right"))
+        return mps.glasses_size(float(np.linalg.norm(left[:3, 3] - right[:3, 3])))
 
 
 _REQUIRED = {
@@ -235,42 +195,37 @@ def read_mps(found: RecordingFiles, *, thin: bool = True) -> mps.MpsReadings:
     Raises:
         InputFileError: if trajectory or gaze is missing, damaged, or reported as an ERROR.
     """
-    trajectory_file, gaze_file = (_require(found, role) for role in (mps.TRAJECTORY, mps.GAZE))
-    remarks = [*_warnings(found, mps.SLAM_SUMMARY), *_warnings(found, mps.GAZE_SUMMARY)]
-    gaze = read_gaze_angles(source_of(gaze_file))
-    poses = source_of(trajectory_file)
+    files = {file.role: file for file in found.files}
+    for role in (mps.TRAJECTORY, mps.GAZE):
+        if role not in files:
+            for archive in (file for file in found.files if file.role.startswith(UNREADABLE)):
+                archive_members(archive.path)  # says what is wrong with it
+            found.require(role, _REQUIRED[role])  # says what was looked for
+    sources = {role: source_of(file) for role, file in files.items()}
+    summaries = [sources[role] for role in (mps.SLAM_SUMMARY, mps.GAZE_SUMMARY) if role in sources]
+    remarks = [remark for summary in summaries for remark in read_warnings(summary)]
+    gaze = read_gaze_angles(sources[mps.GAZE])
+    poses = sources[mps.TRAJECTORY]
     trajectory = read_near(poses, gaze.time_us) if thin else read_trajectory(poses)
-    file = _file(found, mps.CALIBRATION)
-    calibration = None if file is None else read_first_calibration(source_of(file))
-    wrists, hand_remarks = _read_wrists(found)
+    remarks += trajectory.remarks
+    calibration = read_first_calibration(sources[mps.CALIBRATION]) if mps.CALIBRATION in sources else None
+    wrists = None
+    if mps.WRISTS in sources:
+        try:
+            remarks += read_warnings(sources[mps.HAND_SUMMARY]) if mps.HAND_SUMMARY in sources else ()
+        except InputFileError as error:
+            remarks.append(f"the hands are not used: {error}")
+        else:
+            wrists = read_wrists(sources[mps.WRISTS])
     return mps.MpsReadings(
         trajectory=trajectory,
         gaze=gaze,
-        gaze_kind="personalized" if is_personalized(gaze_file) else "general",
+        gaze_kind="personalized" if _place(files[mps.GAZE]).name in mps.PERSONALIZED_GAZE_FILES else "general",
         wrists=wrists,
         glasses_size=None if calibration is None else calibration.size,
         device_from_rgb=None if calibration is None else calibration.device_from_camera["camera-rgb"],
-        messages=(*remarks, *trajectory.remarks, *hand_remarks),
+        messages=tuple(remarks),
     )
-
-
-def _require(found: RecordingFiles, role: str) -> InputFile:
-    file = _file(found, role)
-    if file is None:
-        for archive in (other for other in found.files if other.role.startswith(UNREADABLE)):
-            archive_members(archive.path)  # says what is wrong with it
-        found.require(role, _REQUIRED[role])  # says what was looked for
-        raise AssertionError("a missing role was found")
-    return file
-
-
-def _file(found: RecordingFiles, role: str) -> InputFile | None:
-    return next((file for file in found.files if file.role == role), None)
-
-
-def _warnings(found: RecordingFiles, role: str) -> tuple[str, ...]:
-    file = _file(found, role)
-    return () if file is None else read_warnings(source_of(file))
 
 
 def read_gaze_angles(path: Source) -> mps.GazeAngles:
@@ -285,23 +240,12 @@ def read_gaze_angles(path: Source) -> mps.GazeAngles:
     # Schema B has a yaw for each eye, the other two schemas have one for both.
     two_eyes = mps.YAW not in names and mps.LEFT_YAW in names
     yaws = (mps.LEFT_YAW, mps.RIGHT_YAW) if two_eyes else (mps.YAW,)
-    optional = (
-        *mps.YAW_RANGE,
-        *mps.LEFT_YAW_RANGE,
-        *mps.RIGHT_YAW_RANGE,
-        *mps.PITCH_RANGE,
-        mps.DEPTH,
-    )
-    wanted = (*yaws, mps.PITCH, *(name for name in optional if name in names))
-    table = read_columns(path, {mps.TIME_COLUMN: int, **dict.fromkeys(wanted, float)})
+    ranges = (*mps.YAW_RANGE, *mps.LEFT_YAW_RANGE, *mps.RIGHT_YAW_RANGE, *mps.PITCH_RANGE)
+    optional = [name for name in (*ranges, mps.DEPTH) if name in names]
+    table = read_columns(path, {mps.TIME_COLUMN: int, **dict.fromkeys((*yaws, mps.PITCH, *optional), float)})
     if len(table) == 0:
-        raise InputFileError(
-            shown(path),
-            "",
-            expected="gaze rows",
-            found="none",
-            remedy="Without gaze nothing is primed; download it again.",
-        )
+        remedy = "Without gaze nothing is primed; download it again."
+        raise InputFileError(shown(path), "", expected="gaze rows", found="none", remedy=remedy)
     require_increasing(path, table[mps.TIME_COLUMN].to_numpy(), unit="us")
     columns = {name: table[name].to_numpy() for name in table.column_names}
     for name in (*yaws, mps.PITCH):  # their bounds steer no ray
@@ -313,18 +257,14 @@ def read_gaze_angles(path: Source) -> mps.GazeAngles:
     def pair(names: tuple[str, str]) -> np.ndarray:
         return np.column_stack([columns.get(name, unknown) for name in names])
 
-    yaw = mps.combined_yaw(columns[mps.LEFT_YAW], columns[mps.RIGHT_YAW]) if two_eyes else columns[mps.YAW]
-    yaw_range = (
-        mps.combined_yaw(pair(mps.LEFT_YAW_RANGE), pair(mps.RIGHT_YAW_RANGE)) if two_eyes else pair(mps.YAW_RANGE)
-    )
-    return mps.GazeAngles(
-        columns[mps.TIME_COLUMN],
-        yaw,
-        columns[mps.PITCH],
-        columns.get(mps.DEPTH, unknown),
-        yaw_range,
-        pair(mps.PITCH_RANGE),
-    )
+    if two_eyes:
+        yaw = mps.combined_yaw(columns[mps.LEFT_YAW], columns[mps.RIGHT_YAW])
+        yaw_range = mps.combined_yaw(pair(mps.LEFT_YAW_RANGE), pair(mps.RIGHT_YAW_RANGE))
+    else:
+        yaw = columns[mps.YAW]
+        yaw_range = pair(mps.YAW_RANGE)
+    depth = columns.get(mps.DEPTH, unknown)
+    return mps.GazeAngles(columns[mps.TIME_COLUMN], yaw, columns[mps.PITCH], depth, yaw_range, pair(mps.PITCH_RANGE))
 
 
 def read_first_calibration(path: Source) -> OnlineCalibration:
@@ -338,10 +278,13 @@ def read_first_calibration(path: Source) -> OnlineCalibration:
             row = msgspec.json.decode(file.readline(LONGEST_LINE), type=_CalibrationRow)
     except (FileNotFoundError, msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputFileError(shown(path), "line 1", expected="a calibration record", found=str(error)) from error
+    poses = {}
     for camera in row.cameras:
-        quaternion = np.array([(camera.pose.quaternion[0], *camera.pose.quaternion[1])])
-        require_poses(path, np.array([camera.pose.translation]), quaternion)
-    poses = {camera.label: _transform(camera.pose) for camera in row.cameras}
+        quaternion = (camera.pose.quaternion[0], *camera.pose.quaternion[1])
+        require_poses(path, np.array([camera.pose.translation]), np.array([quaternion]))
+        poses[camera.label] = np.eye(4)
+        poses[camera.label][:3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+        poses[camera.label][:3, 3] = camera.pose.translation
     missing = {"camera-slam-left", "camera-slam-right", "camera-rgb"} - poses.keys()
     if missing:
         raise InputFileError(
@@ -350,32 +293,8 @@ def read_first_calibration(path: Source) -> OnlineCalibration:
     return OnlineCalibration(row.tracking_timestamp_us, poses)
 
 
-def _transform(pose: _Translation) -> np.ndarray:
-    transform = np.eye(4)
-    quaternion = (pose.quaternion[0], *pose.quaternion[1])
-    transform[:3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
-    transform[:3, 3] = pose.translation
-    return transform
-
-
-def _read_wrists(found: RecordingFiles) -> tuple[mps.WristPositions | None, tuple[str, ...]]:
-    """Wrists and palms: of the file made for them (10 Hz), else of the landmarks; None where neither is usable."""
-    wrists = _file(found, mps.WRISTS)
-    landmarks = _file(found, mps.HAND_TRACKING)
-    if wrists is None and landmarks is None:
-        return None, ()
-    try:
-        remarks = _warnings(found, mps.HAND_SUMMARY)
-    except InputFileError as error:
-        return None, (f"the hands are not used: {error}",)
-    if wrists is not None:
-        return read_wrists(source_of(wrists)), remarks
-    assert landmarks is not None
-    return read_hand_tracking(source_of(landmarks)), remarks
-
-
 def read_wrists(path: Source) -> mps.WristPositions:
-    """Read ``wrist_and_palm_poses.csv``, old or new.
+    """Read ``wrist_and_palm_poses.csv``, old or new; the palms stay unread.
 
     A hand counts as seen where its confidence is above 0 and its wrist is a number; where it was not, other columns
     may say -1 or 0.
@@ -383,17 +302,12 @@ def read_wrists(path: Source) -> mps.WristPositions:
     Raises:
         InputFileError: if the file or a column is missing, time runs backwards.
     """
-    return _read(path, lambda side: _axes(f"{side}_wrist_device"), lambda side: _axes(f"{side}_palm_device"))
-
-
-def _read(path: Source, wrist: _Columns, palm: _Columns) -> mps.WristPositions:
     confidences = tuple(f"{side}_tracking_confidence" for side in mps.SIDES)
-    numbers = (*confidences, *(name for side in mps.SIDES for name in (*wrist(side), *palm(side))))
-    table = read_columns(path, {mps.TIME_COLUMN: int, **dict.fromkeys(numbers, float)})
+    axes = [tuple(f"t{axis}_{side}_wrist_device" for axis in "xyz") for side in mps.SIDES]
+    table = read_columns(path, {mps.TIME_COLUMN: int, **dict.fromkeys((*confidences, *axes[0], *axes[1]), float)})
     time_us = table[mps.TIME_COLUMN].to_numpy()
     require_increasing(path, time_us, unit="us")
-    wrists = _points(table, wrist)
-    palms = _points(table, palm)
+    wrists = np.stack([column_vectors(table, names) for names in axes], axis=1)
     confidence = np.nan_to_num(column_vectors(table, confidences), nan=0.0)
     # A hand without a wrist is not seen, whatever its confidence says.
     seen = (confidence > 0) & np.isfinite(wrists).all(axis=2)
@@ -401,26 +315,4 @@ def _read(path: Source, wrist: _Columns, palm: _Columns) -> mps.WristPositions:
         time_us,
         np.where(seen, confidence, np.minimum(confidence, 0.0)),
         np.where(seen[..., None], wrists, np.nan),
-        np.where(seen[..., None], palms, np.nan),
-    )
-
-
-def _points(table: pa.Table, columns: _Columns) -> np.ndarray:
-    return np.stack([column_vectors(table, columns(side)) for side in mps.SIDES], axis=1)
-
-
-def _axes(name: str) -> tuple[str, ...]:
-    return tuple(f"t{axis}_{name}" for axis in "xyz")
-
-
-def read_hand_tracking(path: Source) -> mps.WristPositions:
-    """Read wrists and palms of ``hand_tracking_results.csv``: landmarks 5 and 20 of 21.
-
-    Raises:
-        InputFileError: as :func:`read_wrists`.
-    """
-    return _read(
-        path,
-        lambda side: _axes(f"{side}_landmark_{mps.WRIST_LANDMARK}_device"),
-        lambda side: _axes(f"{side}_landmark_{mps.PALM_LANDMARK}_device"),
     )

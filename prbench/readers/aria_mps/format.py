@@ -46,7 +46,6 @@ PERSONALIZED_GAZE_FILES = GAZE_FILES[:2]
 TRAJECTORY_FILE = "closed_loop_trajectory.csv"
 CALIBRATION_FILE = "online_calibration.jsonl"
 WRISTS_FILE = "wrist_and_palm_poses.csv"
-HAND_TRACKING_FILE = "hand_tracking_results.csv"
 SUMMARY_FILE = "summary.json"
 SLAM_FOLDER = "slam"
 GAZE_FOLDER = "eye_gaze"
@@ -56,16 +55,12 @@ TRAJECTORY = "trajectory"
 GAZE = "gaze"
 CALIBRATION = "calibration"
 WRISTS = "wrists"
-HAND_TRACKING = "hand_tracking"
 SLAM_SUMMARY = "slam_summary"
 GAZE_SUMMARY = "gaze_summary"
 HAND_SUMMARY = "hand_summary"
 """Roles of the files of one recording."""
 
 SIDES = ("left", "right")
-WRIST_LANDMARK = 5
-PALM_LANDMARK = 20
-"""Indices among the 21 points in :data:`HAND_TRACKING_FILE`."""
 
 LONGEST_POSE_STEP = 0.05
 """Seconds; a longer step is a gap that is never bridged (choice)."""
@@ -193,14 +188,15 @@ class GazeAngles:
 
 @dataclass(frozen=True)
 class WristPositions:
-    """Wrists and palms of the left and the right hand in the device frame."""
+    """Wrists of the left and the right hand in the device frame."""
 
     time_us: Int[np.ndarray, " n"]
     confidence: Float[np.ndarray, "n 2"]
     """0 or less where the hand was not seen."""
     wrist: Float[np.ndarray, "n 2 3"]
     """Metres; NaN where the hand was not seen."""
-    palm: Float[np.ndarray, "n 2 3"]
+    palm: Float[np.ndarray, "n 2 3"] | None = None
+    """Not read, only written."""
 
 
 @dataclass(frozen=True)

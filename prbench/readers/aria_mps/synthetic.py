@@ -357,6 +357,7 @@ def write_mps(readings: mps.MpsReadings, folder: Path, *, only: Collection[str] 
         for index, side in enumerate(mps.SIDES):
             columns[f"{side}_tracking_confidence"] = wrists.confidence[:, index]
             for part, points in (("wrist", wrists.wrist), ("palm", wrists.palm)):
+                assert points is not None  # as sensed
                 names = [f"t{axis}_{side}_{part}_device" for axis in "xyz"]
                 columns |= split_columns(names, np.nan_to_num(points[:, index], nan=0.0))
         write_csv(hands / mps.WRISTS_FILE, columns)

@@ -48,7 +48,7 @@ SLAM_MAP = "slam map"
 """Roles of the files of a video, beside those of MPS and EgoAllo."""
 
 _SLAM_ROLES = frozenset({mps.TRAJECTORY, mps.CALIBRATION, mps.SLAM_SUMMARY})
-_GAZE_ROLES = frozenset({mps.GAZE, mps.WRISTS, mps.HAND_TRACKING, mps.GAZE_SUMMARY, mps.HAND_SUMMARY})
+_GAZE_ROLES = frozenset({mps.GAZE, mps.WRISTS, mps.GAZE_SUMMARY, mps.HAND_SUMMARY})
 
 
 def find_recordings(root: Path | str, options: HdEpicOptions) -> tuple[RecordingFiles, ...]:
@@ -181,7 +181,7 @@ def _archive_or_folder(folder: Path, name: str) -> Path | None:
     return archive if is_present(archive) else None
 
 
-_MPS = {mps.GAZE: "gaze", mps.WRISTS: "hands", mps.HAND_TRACKING: "hands"}
+_MPS = {mps.GAZE: "gaze", mps.WRISTS: "hands"}
 
 
 def extents(found: RecordingFiles, recording: Recording | None) -> tuple[Extent, ...]:

@@ -100,7 +100,8 @@ def test_calibration_tells_the_size(samples, reference_values) -> None:
     assert calibration.time_us == expected["timestamp_us"]
     rgb = calibration.device_from_camera["camera-rgb"]
     assert rgb == pytest.approx(np.array(expected["T_device_rgb"]), abs=1e-6)
-    assert calibration.slam_baseline == pytest.approx(expected["slam_baseline_m"], abs=1e-6)
+    left, right = (calibration.device_from_camera[f"camera-slam-{side}"][:3, 3] for side in ("left", "right"))
+    assert np.linalg.norm(left - right) == pytest.approx(expected["slam_baseline_m"], abs=1e-6)
     assert calibration.size == expected["size"]
 
 

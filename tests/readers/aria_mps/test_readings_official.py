@@ -13,7 +13,6 @@ from prbench.readers.aria_mps.files import (
     find_mps_files,
     read_first_calibration,
     read_gaze_angles,
-    read_hand_tracking,
     read_wrists,
 )
 from prbench.readers.aria_mps.to_recording import mps_streams
@@ -127,7 +126,7 @@ def test_the_first_calibration(folder) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:WristAndPalmPoses:UserWarning")
-def test_wrists_and_palms(folder) -> None:
+def test_wrists(folder) -> None:
     path = file_of(folder, mps.WRISTS)
     theirs, ours = official.hand_tracking.read_wrist_and_palm_poses(str(path)), read_wrists(path)
     assert len(theirs) == len(ours.time_us)
@@ -141,20 +140,4 @@ def test_wrists_and_palms(folder) -> None:
             seen += 1
             assert ours.confidence[row, side] == pytest.approx(hand.confidence, abs=1e-6)
             assert ours.wrist[row, side] == pytest.approx(hand.wrist_position_device, abs=1e-6)
-            assert ours.palm[row, side] == pytest.approx(hand.palm_position_device, abs=1e-6)
     assert seen > 5
-
-
-@pytest.mark.parametrize("version", ["v1", "v2"])
-def test_landmarks(samples, version) -> None:
-    path = samples / f"mps/mps_sample/hand_tracking/hand_tracking_results_{version}.csv"
-    theirs, ours = official.hand_tracking.read_hand_tracking_results(str(path)), read_hand_tracking(path)
-    assert len(theirs) == len(ours.time_us)
-    for row, entry in enumerate(theirs):
-        for side, hand in enumerate((entry.left_hand, entry.right_hand)):
-            if hand is None or hand.confidence <= 0:
-                assert np.isnan(ours.wrist[row, side]).all()
-                continue
-            landmarks = np.array(hand.landmark_positions_device)
-            assert ours.wrist[row, side] == pytest.approx(landmarks[mps.WRIST_LANDMARK], abs=1e-6)
-            assert ours.palm[row, side] == pytest.approx(landmarks[mps.PALM_LANDMARK], abs=1e-6)
