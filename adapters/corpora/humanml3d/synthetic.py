@@ -8,7 +8,6 @@ Features (``new_joint_vecs``) are not written: nothing reads them yet.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from jaxtyping import Float
 from prbench.files.storage import atomic_path, write_text
 from prbench.geometry.skeleton import canonical_frame, invert_rigid, transform_points
 from prbench.synthetic.activities import NarratedMotion
-from prbench.synthetic.layouts import Damage, Defect, removed
+from prbench.synthetic.layouts import Defect, removed
 from prbench_adapters.corpora.humanml3d import files as layout
 
 _LONGEST = 9.9
@@ -109,18 +108,11 @@ def _texts(root: Path, name: str) -> Path:
     return root / layout.TEXTS_FOLDER / f"{name}.txt"
 
 
-def _on_joints(change: Callable[[np.ndarray], np.ndarray]) -> Damage:
-    def apply(root: Path, name: str) -> None:
-        joints = change(np.load(_joints(root, name), allow_pickle=False))
-        with atomic_path(_joints(root, name)) as temporary:
-            np.save(temporary, joints, allow_pickle=False)
-
-    return apply
-
-
-def _with_nan(joints: np.ndarray) -> np.ndarray:
+def _nan_joints(root: Path, name: str) -> None:
+    joints = np.load(_joints(root, name), allow_pickle=False)
     joints[5, 3, 1] = np.nan
-    return joints
+    with atomic_path(_joints(root, name)) as temporary:
+        np.save(temporary, joints, allow_pickle=False)
 
 
 def _features_only(root: Path, name: str) -> None:
@@ -129,11 +121,6 @@ def _features_only(root: Path, name: str) -> None:
     _joints(root, name).unlink()
     with atomic_path(root / layout.FEATURES_FOLDER / f"{name}.npy") as temporary:
         np.save(temporary, np.zeros((n, 263), dtype=np.float32), allow_pickle=False)
-
-
-def _cut_line(root: Path, name: str) -> None:
-    content = _texts(root, name).read_text()
-    _texts(root, name).write_text(content[: len(content) // 2].rsplit("#", 2)[0])
 
 
 def _not_listed(root: Path, name: str) -> None:
@@ -149,16 +136,9 @@ def _nan_times(root: Path, name: str) -> None:
 
 
 DEFECTS = (
-    Defect("nan-joints", "a joint of one frame is NaN", _on_joints(_with_nan), "failed", "frame 5"),
-    Defect("millimetres", "joints in millimetres", _on_joints(lambda joints: joints * 1e3), "failed", "metres"),
-    Defect(
-        "flat", "joints of another shape", _on_joints(lambda joints: joints.reshape(len(joints), -1)), "failed", "22, 3"
-    ),
-    Defect(
-        "features-only", "the features are there, the joints are not", _features_only, "failed", "263 features only"
-    ),
+    Defect("nan-joints", "a joint of one frame is NaN", _nan_joints, "failed", "frame 5"),
+    Defect("features-only", "features without joints", _features_only, "failed", "263 features only"),
     Defect("missing-texts", "the text file is missing", removed(_texts), "failed", ".txt"),
-    Defect("cut-texts", "the text file is cut", _cut_line, "failed", "caption#tokens#from#to"),
     Defect("not-listed", "the motion stands in no split list", _not_listed, "skipped", "not listed"),
     Defect("nan-times", "nan instead of 0.0 for whole motions", _nan_times, "read", ""),
 )

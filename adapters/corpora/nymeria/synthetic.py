@@ -247,12 +247,6 @@ def _jump(arrays: Arrays) -> None:
     arrays["timestamps_us"][len(arrays["timestamps_us"]) // 2 :] += 24_003_000_000
 
 
-def _back_and_forth(arrays: Arrays) -> None:
-    """Let the clock jump there and back, which a test of the end point alone lets pass."""
-    third = len(arrays["timestamps_us"]) // 3
-    arrays["timestamps_us"][third : 2 * third] -= 61_400
-
-
 def _no_rotation(arrays: Arrays) -> None:
     arrays["segment_qWXYZ"][100:140, 24:28] = 0.0
 
@@ -260,28 +254,6 @@ def _no_rotation(arrays: Arrays) -> None:
 def _no_position(arrays: Arrays) -> None:
     n = len(arrays["segment_tXYZ"])
     arrays["segment_tXYZ"][n // 4 : n // 4 + 30, 9] = np.nan
-
-
-def _without(key: str) -> Callable[[Arrays], None]:
-    def change(arrays: Arrays) -> None:
-        del arrays[key]
-
-    return change
-
-
-def _another_rate(arrays: Arrays) -> None:
-    arrays["frameRate"] = np.array([60])
-
-
-def _fewer_frames(arrays: Arrays) -> None:
-    arrays["segment_qWXYZ"] = arrays["segment_qWXYZ"][:-7]
-
-
-def _y_up(arrays: Arrays) -> None:
-    """Turn another axis up, with the head where the suit has the feet."""
-    position = arrays["segment_tXYZ"].reshape(-1, nymeria.N_SEGMENTS, 3)
-    arrays["segment_tXYZ"] = position[..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0])
-    arrays["segment_tXYZ"][..., 2] -= position[..., 2]
 
 
 def _swapped(arrays: Arrays) -> None:
@@ -337,24 +309,12 @@ def _another_head(root: Path, recording: str) -> None:
 
 DEFECTS = (
     Defect("clock-jump", "the suit's clock jumps by 24,003 s", _on_arrays(_jump), "read", "cut at 1 jumps"),
-    Defect("clock-there-and-back", "jumps that cancel out", _on_arrays(_back_and_forth), "read", "cut at 2 jumps"),
     Defect("zero-quaternions", "a segment loses its rotation", _on_arrays(_no_rotation), "read", "repeat the frame"),
     Defect("nan-positions", "positions of 30 frames are NaN", _on_arrays(_no_position), "read", "30 frames without"),
     Defect("missing-suit", "the suit's file is missing", removed(_suit), "failed", "xdata.npz"),
-    Defect("no-timestamps", "the suit has no times", _on_arrays(_without("timestamps_us")), "failed", "timestamps_us"),
-    Defect("frames-mismatch", "fewer rotations than times", _on_arrays(_fewer_frames), "failed", "of the shape"),
-    Defect("wrong-rate", "the suit ran at 60 Hz", _on_arrays(_another_rate), "failed", "frameRate"),
-    Defect("upside-down", "another axis is up", _on_arrays(_y_up), "failed", "Z up"),
     Defect("swapped-sides", "left and right are exchanged", _on_arrays(_swapped), "failed", "Left and right"),
     Defect("cut-archive", "the suit's file is cut in half", cut_in_half(_suit), "failed", "xdata.npz"),
     Defect("empty-narrations", "text files without a byte", _empty_texts, "read", "no texts of the chosen kinds"),
-    Defect(
-        "no-narrations",
-        "no text files",
-        lambda root, name: shutil.rmtree(root / name / "narration"),
-        "read",
-        "no texts",
-    ),
     Defect("milliseconds", "text times in milliseconds", _on_rows(_milliseconds), "failed", "milliseconds"),
     Defect("unsorted-rows", "text rows in reverse order", _on_rows(lambda rows: rows[::-1]), "read", ""),
     Defect("repeated-row", "the first text row stands twice", _on_rows(_repeated), "read", ""),

@@ -31,15 +31,6 @@ def _without(pattern: str) -> Damage:
     return apply
 
 
-def _cut_in_half(name: str) -> Damage:
-    def apply(root: Path, recording: str) -> None:
-        path = root / recording / name
-        content = path.read_bytes()
-        path.write_bytes(content[: len(content) // 2 + 7])
-
-    return apply
-
-
 def _cut_a_model(root: Path, recording: str) -> None:
     uid = (root / recording / hot3d.OBJECTS_FILE).read_text(encoding="utf-8").splitlines()[1].split(",")[0]
     path = root / LIBRARY / f"{uid}.glb"
@@ -58,29 +49,13 @@ def _call_it_quest(content: dict) -> None:
     content["headset"] = "Quest3"
 
 
-def _forget_status(content: dict) -> None:
-    del content["gt_available_status"]
-
-
 def _with_rows(name: str, change: Callable[[Rows], Rows]) -> Damage:
     """Return a damage that changes the lines of a table below its header."""
     return lambda root, recording: change_cells(root / recording / name, change)
 
 
-def _repeat_a_row(rows: Rows) -> Rows:
-    return [*rows[:10], rows[9], *rows[10:]]
-
-
 def _disorder(rows: Rows) -> Rows:
     return rows[::-1]
-
-
-def _lose_a_number(rows: Rows) -> Rows:
-    return [[*row[:2], "nan", *row[3:]] if number == 40 else row for number, row in enumerate(rows)]
-
-
-def _stretch_a_quaternion(rows: Rows) -> Rows:
-    return [[*row[:5], "1.5", *row[6:]] if number == 40 else row for number, row in enumerate(rows)]
 
 
 def _move_elsewhere(rows: Rows) -> Rows:
@@ -143,24 +118,16 @@ def _lose_hands(root: Path, recording: str) -> None:
 
 DEFECTS: tuple[Defect, ...] = (
     Defect("missing-objects", "dynamic_objects.csv is not there", missing(hot3d.OBJECTS_FILE), "failed", "this file"),
-    Defect("missing-headset", "no headset trajectory", missing(hot3d.HEADSET_FILE), "failed", hot3d.HEADSET_FILE),
-    Defect("missing-hands", "no hand poses", missing(hot3d.UMETRACK_FILE), "failed", hot3d.UMETRACK_FILE),
     Defect("missing-slam", "no trajectory of the services", missing(_TRAJECTORY), "failed", TRAJECTORY_FILE),
-    Defect("missing-gaze", "no gaze file", _without(f"{{}}/{_GAZE_FILES}"), "failed", "gaze"),
     Defect("missing-profile", "no hand model: wrists only", missing(hot3d.PROFILE_FILE), "read", "wrists only"),
     Defect(
         "missing-bodies", "no outputs of EgoAllo", _without(f"{{}}/{OUTPUT_FOLDER}/*"), "read", "no EgoAllo outputs"
     ),
     Defect("missing-models", "no object models", _without(f"{LIBRARY}/*.glb"), "read", "objects without a model"),
-    Defect("cut-objects", "dynamic_objects.csv ends early", _cut_in_half(hot3d.OBJECTS_FILE), "failed", "truncated"),
     Defect("cut-model", "an object model ends early", _cut_a_model, "failed", "binary glTF"),
     Defect("withheld", "a test participant", _metadata(_withhold), "skipped", "withholds the ground truth"),
     Defect("quest", "recorded with Quest 3", _metadata(_call_it_quest), "skipped", "no gaze"),
-    Defect("no-status", "metadata without flags", _metadata(_forget_status), "failed", "gt_available_status"),
-    Defect("repeated-row", "a row twice", _with_rows(hot3d.OBJECTS_FILE, _repeat_a_row), "failed", "repeated"),
     Defect("backwards", "rows from last to first", _with_rows(hot3d.OBJECTS_FILE, _disorder), "failed", "backwards"),
-    Defect("nan", "a pose without number", _with_rows(hot3d.OBJECTS_FILE, _lose_a_number), "failed", "finite"),
-    Defect("bad-rotation", "no rotation", _with_rows(hot3d.OBJECTS_FILE, _stretch_a_quaternion), "failed", "length 1"),
     Defect("other-world", "another world", _with_rows(hot3d.HEADSET_FILE, _move_elsewhere), "failed", "not one world"),
     Defect("clock-jump", "the clock jumps", _with_rows(hot3d.HEADSET_FILE, _shift_a_third), "failed", "no drift"),
     Defect("slam-gap", "a second without SLAM", _with_rows(_TRAJECTORY, _lose_slam), "read", "clocks aligned"),
