@@ -40,7 +40,7 @@ from prbench.readers.hot3d.to_recording import recording_from_hot3d
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
 from prbench.synthetic.people.kinematics import unit
 from prbench.synthetic.people.truth import seen_again
-from prbench.synthetic.performance import ObjectMotion, Performance, TrueEvent
+from prbench.synthetic.performance import Performance, TrueEvent
 from prbench.synthetic.sensors import Sensing, Switches, device_start_us, sensor_generator, tracked, untracked, within
 
 _BASES = ((0.20, -0.10, 0.18), (1.00, 0.00, 0.28), (1.00, 0.02, 0.00), (0.95, 0.00, -0.25), (0.86, -0.04, -0.48))
@@ -67,6 +67,8 @@ _SPREAD = 0.03
 """Radians; never 0, at which the dataset's own toolkit divides by zero."""
 _ROOT = 0
 _WRIST = 1
+_FIRSTS = range(0, umetrack.N_ANGLES, umetrack.JOINTS_A_FINGER)
+"""First joint of each finger."""
 
 
 def synthetic_hand(length: float) -> HandModel:
@@ -74,7 +76,8 @@ def synthetic_hand(length: float) -> HandModel:
     fingers = [np.cumsum([base, *steps], axis=0) for base, steps in zip(_BASES, _STEPS, strict=True)]
     joints = np.concatenate([*fingers, np.zeros((2, 3))])
     bones = [first + step for first in range(0, 20, 4) for step in (1, 2, 3)]
-    tips = np.array([joints[first + 3] + _TIP * unit(joints[first + 3] - joints[first + 2]) for first in _firsts()])
+    tips = np.array([joints[first + 3] + _TIP * unit(joints[first + 3] - joints[first + 2]) for first in _FIRSTS])
+    one_hot = np.eye(umetrack.N_BONES)
     points = []
     weights = []
     for bone, joint in enumerate(bones, start=2):
@@ -88,20 +91,31 @@ def synthetic_hand(length: float) -> HandModel:
         aside = unit(np.cross(along, (0.0, 1.0, 0.0)))
         above = np.cross(aside, along)
         points.append(centre + _THICKNESS * np.array([aside, above, -aside, -above]))
-        weights.append(np.tile(share * _one_hot(_WRIST) + (1 - share) * _one_hot(bone), (4, 1)))
+        weights.append(np.tile(share * one_hot[_WRIST] + (1 - share) * one_hot[bone], (4, 1)))
     palm = np.array([(x, y, z) for x in _PALM_ALONG for z in _PALM_ACROSS for y in (-0.12, 0.12)])
     points.append(palm)
-    weights.append(np.tile(0.2 * _one_hot(_ROOT) + 0.8 * _one_hot(_WRIST), (len(palm), 1)))
-    landmarks, landmark_weights = _landmarks(joints, tips)
+    weights.append(np.tile(0.2 * one_hot[_ROOT] + 0.8 * one_hot[_WRIST], (len(palm), 1)))
     vertices = np.concatenate(points)
+    # Landmarks: the tips, wrist, two of the thumb, three of every other finger, palm; each fixed to one bone.
+    others = [joints[first + step] for first in (4, 8, 12, 16) for step in (1, 2, 3)]
+    landmarks = np.array([*tips, np.zeros(3), joints[2], joints[3], *others, (0.7, -0.12, 0.0)])
+    fixed = [4, 7, 10, 13, 16, _WRIST, 2, 3]
+    fixed += [bone for last in (7, 10, 13, 16) for bone in (_WRIST, last - 2, last - 1)]
+    # A strip over each group of four vertices; nothing is computed from them.
+    corners = np.arange(0, len(vertices), 4)[:, None]
+    # Lengths in metres, as a reader computes them from rounded millimetres.
+    placed, rest, marks = (
+        np.round(shares * length / umetrack.METRES_A_UNIT, _DECIMALS) * umetrack.METRES_A_UNIT
+        for shares in (vertices, joints, landmarks)
+    )
     return HandModel(
-        vertices=_metres(vertices, length),
+        vertices=placed,
         weights=np.concatenate(weights),
-        joint_positions=_metres(joints, length),
+        joint_positions=rest,
         joint_axes=np.array([*_THUMB_AXES, *_FINGER_AXES * 4, (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]),
-        landmarks=_metres(landmarks, length),
-        landmark_weights=landmark_weights,
-        triangles=_triangles(len(vertices)),
+        landmarks=marks,
+        landmark_weights=one_hot[[*fixed, _WRIST]],
+        triangles=np.concatenate([corners + np.array(face) for face in ((0, 1, 2), (0, 2, 3))]),
     )
 
 
@@ -121,42 +135,11 @@ def finger_angles(closed: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 22"]:
     """Return the joint angles of a hand between open (0) and closed around something (1), radians."""
     angles = np.zeros((len(closed), umetrack.N_JOINTS))
     bend = _OPEN + closed * (_CLOSED - _OPEN)
-    for first in _firsts():
+    for first in _FIRSTS:
         angles[:, first] = _SPREAD
         angles[:, first + 1 : first + 4] = bend[:, None]
     angles[:, 0:4] = 0.3 * bend[:, None]
     return angles
-
-
-def _firsts() -> range:
-    return range(0, umetrack.N_ANGLES, umetrack.JOINTS_A_FINGER)
-
-
-def _landmarks(
-    joints: Float[np.ndarray, "22 3"], tips: Float[np.ndarray, "5 3"]
-) -> tuple[Float[np.ndarray, "21 3"], Float[np.ndarray, "21 17"]]:
-    """Return the tips, wrist, two of the thumb, three of every other finger, palm; each fixed to one bone."""
-    thumb = [joints[2], joints[3]]
-    others = [joints[first + step] for first in (4, 8, 12, 16) for step in (1, 2, 3)]
-    points = np.array([*tips, np.zeros(3), *thumb, *others, (0.7, -0.12, 0.0)])
-    bones = [4, 7, 10, 13, 16, _WRIST, 2, 3]
-    bones += [bone for last in (7, 10, 13, 16) for bone in (_WRIST, last - 2, last - 1)]
-    return points, np.array([_one_hot(bone) for bone in (*bones, _WRIST)])
-
-
-def _triangles(n_vertices: int) -> Int[np.ndarray, "f 3"]:
-    """Return a strip over each group of four vertices; nothing is computed from them."""
-    first = np.arange(0, n_vertices, 4)[:, None]
-    return np.concatenate([first + np.array(corners) for corners in ((0, 1, 2), (0, 2, 3))])
-
-
-def _metres(shares: Float[np.ndarray, "n 3"], length: float) -> Float[np.ndarray, "n 3"]:
-    """Return lengths in metres, as a reader computes them from rounded millimetres."""
-    return np.round(shares * length / umetrack.METRES_A_UNIT, _DECIMALS) * umetrack.METRES_A_UNIT
-
-
-def _one_hot(bone: int) -> Float[np.ndarray, "17"]:
-    return np.eye(umetrack.N_BONES)[bone]
 
 
 RATE = 30.0
@@ -201,7 +184,10 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     times = performance.times[0] + since
     hands = tuple(_sense_hand(sensing, side, times, time_ns) for side in (0, 1))
     trajectory = mps.trajectory
-    row = _nearest(trajectory.time_us, start_us + np.rint(since * 1e6).astype(np.int64))
+    query = start_us + np.rint(since * 1e6).astype(np.int64)
+    right = np.clip(np.searchsorted(trajectory.time_us, query), 1, len(trajectory.time_us) - 1)
+    before = query - trajectory.time_us[right - 1] <= trajectory.time_us[right] - query
+    row = np.where(before, right - 1, right)
     hand_length = float(np.linalg.norm(performance.finger_bases[0, 0] - performance.joints[0, Joint.LEFT_WRIST]))
     # Flags of the RGB frames.
     rgb = time_ns[::2]
@@ -257,11 +243,6 @@ def _has_wrong_start(sensing: Sensing) -> bool:
     return sensing.strength("hand_start") > 0 and sensing.performance.index % _WRONG_EVERY == _WRONG_FIRST
 
 
-def _nearest(time_us: Int[np.ndarray, " n"], query: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
-    right = np.clip(np.searchsorted(time_us, query), 1, len(time_us) - 1)
-    return np.where(query - time_us[right - 1] <= time_us[right] - query, right - 1, right)
-
-
 def _sense_objects(
     sensing: Sensing, times: Float[np.ndarray, " n"], time_ns: Int[np.ndarray, " n"]
 ) -> tuple[hot3d.Hot3dObject, ...]:
@@ -273,7 +254,13 @@ def _sense_objects(
         rotation = Rotation.from_quat(slerp(track, motion.rotation, times), scalar_first=True)
         position = interpolate(track, motion.position, times) - rotation.apply(_ORIGIN)
         position, rotation = tracked(sensing, motion.object_id, position, rotation, size=_OBJECT_NOISE, scale=scale)
-        seen = ~(untracked(performance, motion, times) | _gaps(sensing, motion, times))
+        # Runs of missing rows.
+        rng = sensing.generator(f"object-gaps-{motion.object_id}")
+        share = _GAP_SHARE * sensing.strength("object_gaps")
+        count = rng.poisson(share * performance.duration / np.mean(_GAP_LENGTH))
+        starts = rng.uniform(times[0], times[-1], count)
+        gaps = within(times, np.column_stack([starts, starts + rng.uniform(*_GAP_LENGTH, count)]))
+        seen = ~(untracked(performance, motion, times) | gaps)
         uid = native_object_id(motion.object_id)
         objects.append(
             hot3d.Hot3dObject(
@@ -292,15 +279,6 @@ def box_mesh(half_extents: Float[np.ndarray, "3"]) -> hot3d.ObjectMesh:
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = np.array([face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))])
     return hot3d.ObjectMesh(np.round(corners * half_extents + _ORIGIN, _METRES), faces)
-
-
-def _gaps(sensing: Sensing, motion: ObjectMotion, times: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Return the runs of missing rows."""
-    rng = sensing.generator(f"object-gaps-{motion.object_id}")
-    share = _GAP_SHARE * sensing.strength("object_gaps")
-    count = rng.poisson(share * sensing.performance.duration / np.mean(_GAP_LENGTH))
-    starts = rng.uniform(times[0], times[-1], count)
-    return within(times, np.column_stack([starts, starts + rng.uniform(*_GAP_LENGTH, count)]))
 
 
 def _sense_hand(
@@ -385,42 +363,52 @@ def write(readings: hot3d.Hot3dReadings, folder: Path) -> None:
         bodies = {entry.object_id: entry.rows for entry in readings.objects}
         write_csv(target / hot3d.OBJECTS_FILE, pose_columns(bodies))
         write_csv(target / hot3d.HEADSET_FILE, pose_columns({_HEADSET_UID: readings.headset}))
-        # Write one line an instant, also where no hand is tracked.
-        path = target / hot3d.UMETRACK_FILE
+        # One line an instant, also where no hand is tracked.
         lines: dict[int, dict[str, object]] = {time: {} for time in readings.headset.time_ns.tolist()}
         for hand in readings.hands:
-            numbers = zip(
-                hand.time_ns.tolist(),
-                hand.position.tolist(),
-                hand.rotation.tolist(),
-                hand.angles.tolist(),
-                strict=True,
-            )
-            for time, position, rotation, angles in numbers:
+            columns = (hand.time_ns, hand.position, hand.rotation, hand.angles)
+            for time, position, rotation, angles in zip(*(column.tolist() for column in columns), strict=True):
                 lines[time][hot3d.HAND_KEYS[hand.side]] = {
                     "wrist_xform": {"t_xyz": position, "q_wxyz": rotation},
                     "joint_angles": angles,
                     "hand_confidence": 1.0,
                 }
         records = [{"timestamp_ns": time, "hand_poses": poses} for time, poses in lines.items()]
-        write_bytes(path, b"".join(msgspec.json.encode(record) + b"\n" for record in records))
+        content = b"".join(msgspec.json.encode(record) + b"\n" for record in records)
+        write_bytes(target / hot3d.UMETRACK_FILE, content)
         if readings.hand_model is not None:
             write_json(target / hot3d.PROFILE_FILE, {"hand_model": profile(readings.hand_model)})
-        _write_masks(readings, target / hot3d.MASK_FOLDER)
+        rgb = readings.headset.time_ns[::2]
+        truth = hot3d.MaskRows(rgb, np.ones(len(rgb), dtype=bool))
+        streams = (hot3d.RGB_STREAM, *hot3d.SLAM_STREAMS)
+        for name, rows in {**dict.fromkeys(_OTHER_MASKS, truth), **readings.masks}.items():
+            # One row a camera and frame: the RGB frame, then both SLAM cameras' one after it.
+            slam = rows.time_ns + round(SLAM_DELAY * 1e9)
+            columns = {
+                hot3d.TIME: np.column_stack([rows.time_ns, slam, slam]).ravel(),
+                hot3d.STREAM: np.tile(streams, len(rows.time_ns)),
+                hot3d.MASK: np.repeat(np.where(rows.good, "True", "False"), len(streams)),
+            }
+            write_csv(target / hot3d.MASK_FOLDER / f"mask_{name}.csv", columns)
         write_mps(readings.mps, target / hot3d.MPS_FOLDER)
         write_outputs(readings.egoallo_outputs, target / ego.OUTPUT_FOLDER)
 
 
 def write_library_part(readings: hot3d.Hot3dReadings, folder: Path) -> None:
     """Write names and models of one recording's objects."""
-    instances = {
-        entry.object_id: _instance(entry.object_id, entry.name, hot3d.LIBRARY_OBJECT) for entry in readings.objects
-    }
-    write_json(folder / hot3d.INSTANCES_FILE, instances)
-    for entry in readings.objects:
+    objects = readings.objects
+    names = {entry.object_id: _instance(entry.object_id, entry.name, hot3d.LIBRARY_OBJECT) for entry in objects}
+    write_json(folder / hot3d.INSTANCES_FILE, names)
+    for entry in objects:
         if entry.mesh is not None:
             content = glb_bytes(entry.mesh, name=entry.name, turned=int(entry.object_id) % 2 == 1)
             write_bytes(folder / f"{entry.object_id}.glb", content)
+
+
+def _write_below(readings: hot3d.Hot3dReadings, root: Path) -> None:
+    """Write one folder a recording; names and models of its objects wait for :func:`_finish`."""
+    write(readings, root / readings.recording_id)
+    write_library_part(readings, root / SHARED_PARTS / readings.recording_id)
 
 
 def glb_bytes(mesh: hot3d.ObjectMesh, *, name: str, turned: bool) -> bytes:
@@ -464,13 +452,11 @@ def glb_bytes(mesh: hot3d.ObjectMesh, *, name: str, turned: bool) -> bytes:
         "buffers": [{"byteLength": len(content)}],
     }
     text = json.dumps(description).encode()
-    chunks = _chunk(_JSON, text, b" ") + _chunk(_BINARY, content, b"\0")
+    chunks = b""
+    for kind, part, padding in ((_JSON, text, b" "), (_BINARY, content, b"\0")):
+        part += padding * (-len(part) % 4)
+        chunks += struct.pack("<II", len(part), kind) + part
     return struct.pack("<III", _MAGIC, 2, 12 + len(chunks)) + chunks
-
-
-def _chunk(kind: int, content: bytes, padding: bytes) -> bytes:
-    content += padding * (-len(content) % 4)
-    return struct.pack("<II", len(content), kind) + content
 
 
 def _finish(root: Path) -> None:
@@ -479,8 +465,7 @@ def _finish(root: Path) -> None:
     Raises:
         StorageError: if the disk is full or the folder cannot be written.
     """
-    headset = {_HEADSET_UID: _instance(_HEADSET_UID, "Aria", "headset")}
-    instances: dict[str, object] = dict(headset)
+    instances: dict[str, object] = {_HEADSET_UID: _instance(_HEADSET_UID, "Aria", "headset")}
     library = root / LIBRARY
     library.mkdir(exist_ok=True)
     for part in sorted((root / SHARED_PARTS).iterdir()):
@@ -508,46 +493,28 @@ def pose_columns(bodies: dict[str, hot3d.PoseRows]) -> dict[str, object]:
 
 def profile(model: HandModel) -> dict[str, object]:
     """Return the hand model with the keys of ``umetrack_hand_user_profile.json``, lengths in millimetres."""
-    bones = model.landmark_weights.argmax(axis=1)
-    firsts = [joint % umetrack.JOINTS_A_FINGER == 0 for joint in range(umetrack.N_JOINTS)]
-    return {
+    n = umetrack.N_JOINTS
+    assert model.landmarks is not None  # as invented
+    assert model.landmark_weights is not None
+    assert model.triangles is not None
+    points = {
+        "joint_rest_positions": model.joint_positions,
+        "landmark_rest_positions": model.landmarks,
+        "mesh_vertices": model.vertices,
+    }
+    content = {
         "dense_bone_weights": model.weights.tolist(),
         "hand_scale": 1.0,
-        "joint_first_child": [_UNSET] * umetrack.N_JOINTS,
-        "joint_frame_index": [_UNSET] * umetrack.N_JOINTS,
-        "joint_limits": [[-np.pi, np.pi]] * umetrack.N_JOINTS,
-        "joint_next_sibling": [_UNSET] * umetrack.N_JOINTS,
-        "joint_parent": [_UNSET if first else float(joint - 1) for joint, first in enumerate(firsts)],
-        "joint_rest_positions": _millimetres(model.joint_positions),
+        "joint_limits": [[-np.pi, np.pi]] * n,
+        "joint_parent": [_UNSET if joint % umetrack.JOINTS_A_FINGER == 0 else float(joint - 1) for joint in range(n)],
         "joint_rotation_axes": model.joint_axes.tolist(),
-        "landmark_rest_bone_indices": [[int(bone)] * 3 for bone in bones],
+        "landmark_rest_bone_indices": [[int(bone)] * 3 for bone in model.landmark_weights.argmax(axis=1)],
         "landmark_rest_bone_weights": [[1.0, 0.0, 0.0]] * umetrack.N_LANDMARKS,
-        "landmark_rest_positions": _millimetres(model.landmarks),
         "mesh_triangles": model.triangles.astype(float).tolist(),
-        "mesh_vertices": _millimetres(model.vertices),
+        **dict.fromkeys(("joint_first_child", "joint_frame_index", "joint_next_sibling"), [_UNSET] * n),
+        **{name: np.round(part / umetrack.METRES_A_UNIT, 6).tolist() for name, part in points.items()},
     }
-
-
-def _millimetres(points: np.ndarray) -> list[list[float]]:
-    return np.round(points / umetrack.METRES_A_UNIT, 6).tolist()
-
-
-def _write_masks(readings: hot3d.Hot3dReadings, folder: Path) -> None:
-    all_times = readings.headset.time_ns
-    truth = hot3d.MaskRows(all_times[::2], np.ones(len(all_times[::2]), dtype=bool))
-    for name, rows in {**dict.fromkeys(_OTHER_MASKS, truth), **readings.masks}.items():
-        write_csv(folder / f"mask_{name}.csv", _mask_columns(rows))
-
-
-def _mask_columns(rows: hot3d.MaskRows) -> dict[str, object]:
-    """Return one row a camera and frame: the RGB frame, then both SLAM cameras' one after it."""
-    slam = rows.time_ns + round(SLAM_DELAY * 1e9)
-    streams = (hot3d.RGB_STREAM, *hot3d.SLAM_STREAMS)
-    return {
-        hot3d.TIME: np.column_stack([rows.time_ns, slam, slam]).ravel(),
-        hot3d.STREAM: np.tile(streams, len(rows.time_ns)),
-        hot3d.MASK: np.repeat(np.where(rows.good, "True", "False"), len(streams)),
-    }
+    return dict(sorted(content.items()))
 
 
 def _instance(uid: str, name: str, kind: str) -> dict[str, object]:
@@ -559,12 +526,6 @@ def _instance(uid: str, name: str, kind: str) -> dict[str, object]:
         "motion_type": "dynamic",
         "rigidity": "rigid",
     }
-
-
-def _write_below(readings: hot3d.Hot3dReadings, root: Path) -> None:
-    """Write one folder a recording; the models of its objects wait for :func:`_finish`."""
-    write(readings, root / readings.recording_id)
-    write_library_part(readings, root / SHARED_PARTS / readings.recording_id)
 
 
 def _events(performance: Performance) -> tuple[TrueEvent, ...]:
