@@ -126,7 +126,7 @@ def _headings(joints: torch.Tensor, mode: Mode) -> tuple[torch.Tensor, torch.Ten
     )
     across = _unit(across)
     forward = torch.stack((across[..., 2], -across[..., 0]), 1)  # x and z of Y x across: (B, 2, M)
-    kernel = _constants(joints.dtype, joints.device).kernel
+    kernel, *_ = _constants(joints.dtype, joints.device)
     edged = pad(forward, (HEADING_RADIUS, HEADING_RADIUS), mode="replicate").flatten(0, 1)[:, None]
     smooth = conv1d(edged, kernel[None, None])[:, 0].unflatten(0, forward.shape[:2])
     x, z = _unit(smooth, dim=1).unbind(1)
@@ -154,13 +154,13 @@ def _rotations(joints: torch.Tensor, cos: torch.Tensor, sin: torch.Tensor) -> to
     The shortest rotation from the rest direction u to the bone direction v is the reflection at u followed by the one
     at the direction half-way between them: ``(2 w w' - 1)(2 u u' - 1)``.
     """
-    constants = _constants(joints.dtype, joints.device)
+    _, rest, half_turn, signs = _constants(joints.dtype, joints.device)
     bones = _unit(joints[:, :, 1:] - joints[:, :, PARENTS[1:]])
-    midway = bones + constants.rest
+    midway = bones + rest
     opposite = midway.square().sum(-1, keepdim=True) < OPPOSITE**2
-    midway = _unit(torch.where(opposite, constants.half_turn, midway))
-    turned = 2 * midway[..., :, None] * midway[..., None, :] - constants.identity
-    bone_rotations = turned * constants.signs[:, None, :]
+    midway = _unit(torch.where(opposite, half_turn, midway))
+    turned = 2 * midway[..., :, None] * midway[..., None, :] - torch.eye(3, dtype=joints.dtype, device=joints.device)
+    bone_rotations = turned * signs[:, None, :]
 
     zero = torch.zeros_like(cos)
     one = torch.ones_like(cos)
@@ -182,22 +182,8 @@ def _unit(vectors: torch.Tensor, dim: int = -1) -> torch.Tensor:
     return vectors * torch.where(square > _TINY**2, square, 1.0).rsqrt()
 
 
-class _Constants:
-    """The skeleton as tensors."""
-
-    def __init__(self, dtype: torch.dtype, device: torch.device) -> None:
-        self.kernel, self.rest, self.half_turn, self.signs, self.identity = (
-            torch.as_tensor(value, dtype=dtype, device=device)
-            for value in (
-                heading_kernel(),
-                REST_DIRECTIONS[1:],
-                HALF_TURN_MIDWAYS[1:],
-                REFLECTION_SIGNS[1:],
-                ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-            )
-        )
-
-
 @lru_cache(maxsize=8)
-def _constants(dtype: torch.dtype, device: torch.device) -> _Constants:
-    return _Constants(dtype, device)
+def _constants(dtype: torch.dtype, device: torch.device) -> tuple[torch.Tensor, ...]:
+    """The kernel of headings; and of the skeleton: rest directions, half-turn midways and reflection signs."""
+    arrays = (heading_kernel(), REST_DIRECTIONS[1:], HALF_TURN_MIDWAYS[1:], REFLECTION_SIGNS[1:])
+    return tuple(torch.as_tensor(value, dtype=dtype, device=device) for value in arrays)

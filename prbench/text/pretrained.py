@@ -49,16 +49,17 @@ class _Pretrained:
 
     name: str
     dimension: int
-    variable: str
-    hub_id: str
-    expected: str
+    _variable: str
+    _hub_id: str
+    _expected: str
     """Content of the files, as a message says it."""
-    remedy: str
+    _remedy: str
+    _most_pieces: int
 
     def __init__(self, path: Path | str | None = None) -> None:
         if importlib.util.find_spec("transformers") is None:
             raise MissingExtraError("transformers", "text", f"the text encoder '{self.name}'")
-        self.source = str(path or os.environ.get(self.variable) or self.hub_id)
+        self.source = str(path or os.environ.get(self._variable) or self._hub_id)
         self._loaded: tuple[Any, Any] | None = None
         self._vectors = lru_cache(maxsize=_MOST_KEPT)(self._encode_one)
 
@@ -71,20 +72,21 @@ class _Pretrained:
         return padded([self._vectors(text) for text in texts], self.dimension)
 
     def _encode_one(self, text: str) -> Float[np.ndarray, "tokens dimension"]:
+        import torch
+
+        if self._loaded is None:
+            self._loaded = self._load()
+        tokenizer, model = self._loaded
+        pieces = tokenizer([text], truncation=True, max_length=self._most_pieces, return_tensors="pt")
+        with torch.inference_mode():
+            return self._vectors_of(model, pieces).float().numpy()
+
+    def _vectors_of(self, model: Any, pieces: Any) -> Any:
         raise NotImplementedError
 
     def _classes(self) -> tuple[Any, Any]:
         """The classes of tokenizer and model in transformers."""
         raise NotImplementedError
-
-    def _fault(self, tokenizer: Any, model: Any) -> str | None:
-        """Say what makes loaded files those of another model; None if they fit."""
-        raise NotImplementedError
-
-    def _tokenizer_and_model(self) -> tuple[Any, Any]:
-        if self._loaded is None:
-            self._loaded = self._load()
-        return self._loaded
 
     def _load(self) -> tuple[Any, Any]:
         """Run no code of a repository, and ask nobody else where a folder is given."""
@@ -97,17 +99,21 @@ class _Pretrained:
             tokenizer = tokenizer_class.from_pretrained(self.source, **careful)
             loaded = model_class.from_pretrained(self.source, **careful, use_safetensors=True, output_loading_info=True)
         except (OSError, ValueError, KeyError, RuntimeError) as error:
-            raise self._unusable(f"none that can be loaded ({_first_line(error)})") from error
+            why = str(error).strip().partition("\n")[0].rstrip(".")[:300] or type(error).__name__
+            raise self._unusable(f"none that can be loaded ({why})") from error
         model, report = loaded
         if missing := sorted(report["missing_keys"]):  # they would be random numbers
             raise self._unusable(f"a model without '{missing[0]}'")
-        fault = self._fault(tokenizer, model)
-        if fault is not None:
-            raise self._unusable(fault)
+        dimension = getattr(model.config, "projection_dim", None) or model.config.dim
+        if dimension != self.dimension:
+            raise self._unusable(f"a model of dimension {dimension}")
+        # A vocabulary may be made up: transformers takes a missing one for an empty one.
+        if self.name == CLIP and len(tokenizer) != model.config.vocab_size:
+            raise self._unusable(f"a vocabulary of {len(tokenizer)} pieces for a model of {model.config.vocab_size}")
         return tokenizer, model.eval().requires_grad_(False)
 
     def _unusable(self, found: str) -> InputFileError:
-        return InputFileError(self.source, "", expected=self.expected, found=found, remedy=self.remedy)
+        return InputFileError(self.source, "", expected=self._expected, found=found, remedy=self._remedy)
 
 
 class DistilBert(_Pretrained):
@@ -119,32 +125,23 @@ class DistilBert(_Pretrained):
 
     name = DISTILBERT
     dimension = 768
-    variable = DISTILBERT_VARIABLE
-    hub_id = _DISTILBERT_HUB_ID
-    expected = f"DistilBERT base uncased (dimension {dimension}) as safetensors"
-    remedy = (
+    _variable = DISTILBERT_VARIABLE
+    _hub_id = _DISTILBERT_HUB_ID
+    _expected = f"DistilBERT base uncased (dimension {dimension}) as safetensors"
+    _remedy = (
         "Download config.json, model.safetensors, tokenizer.json, tokenizer_config.json and vocab.txt of"
         f" '{_DISTILBERT_HUB_ID}' on a machine with internet, put them into one folder, and name that folder with the"
         f" environment variable {DISTILBERT_VARIABLE} or the option for the text encoder's path."
     )
     _most_pieces = 512  # DistilBERT has no more positions; longer texts are cut
 
-    def _encode_one(self, text: str) -> Float[np.ndarray, "pieces 768"]:
-        import torch
-
-        tokenizer, model = self._tokenizer_and_model()
-        pieces = tokenizer([text], truncation=True, max_length=self._most_pieces, return_tensors="pt")
-        with torch.inference_mode():
-            states = model(input_ids=pieces["input_ids"], attention_mask=pieces["attention_mask"]).last_hidden_state
-        return states[0].float().numpy()
+    def _vectors_of(self, model: Any, pieces: Any) -> Any:
+        return model(input_ids=pieces["input_ids"], attention_mask=pieces["attention_mask"]).last_hidden_state[0]
 
     def _classes(self) -> tuple[Any, Any]:
         from transformers import DistilBertModel, DistilBertTokenizerFast
 
         return DistilBertTokenizerFast, DistilBertModel
-
-    def _fault(self, tokenizer: Any, model: Any) -> str | None:  # noqa: ARG002 - any vocabulary fits
-        return None if model.config.dim == self.dimension else f"a model of dimension {model.config.dim}"
 
 
 class Clip(_Pretrained):
@@ -162,26 +159,21 @@ class Clip(_Pretrained):
 
     name = CLIP
     dimension = 512
-    variable = CLIP_VARIABLE
-    hub_id = _CLIP_HUB_ID
-    expected = f"CLIP ViT-B/32 (text vectors of {dimension} numbers) as safetensors"
-    remedy = (
+    _variable = CLIP_VARIABLE
+    _hub_id = _CLIP_HUB_ID
+    _expected = f"CLIP ViT-B/32 (text vectors of {dimension} numbers) as safetensors"
+    _remedy = (
         "Save text tower and vocabulary into one folder on a machine with internet: "
         'python -c "from transformers import CLIPTextModelWithProjection as M, CLIPTokenizerFast as T; '
         f"[part.from_pretrained('{_CLIP_HUB_ID}').save_pretrained('clip-vit-b32') for part in (M, T)]\" "
         f"and name that folder with the environment variable {CLIP_VARIABLE} or the option for the text encoder's path."
     )
-    _most_pieces = 20  # between the two special ones; MDM and GMD cut longer captions there
+    _most_pieces = 22  # the two special ones among them; MDM and GMD cut longer captions there
 
-    def _encode_one(self, text: str) -> Float[np.ndarray, "1 512"]:
-        import torch
-
-        tokenizer, model = self._tokenizer_and_model()
-        pieces = tokenizer([text], truncation=True, max_length=self._most_pieces + 2, return_tensors="pt")["input_ids"]
-        with torch.inference_mode():
-            states = model(input_ids=pieces).last_hidden_state[0]
-            vector = model.text_projection(states[int(pieces[0].argmax())])
-        return vector.float().numpy()[None]
+    def _vectors_of(self, model: Any, pieces: Any) -> Any:
+        ids = pieces["input_ids"]
+        states = model(input_ids=ids).last_hidden_state[0]
+        return model.text_projection(states[int(ids[0].argmax())])[None]
 
     def _classes(self) -> tuple[Any, Any]:
         from transformers import (
@@ -189,22 +181,6 @@ class Clip(_Pretrained):
             CLIPTokenizerFast,  # pyright: ignore[reportAttributeAccessIssue] - an alias made late
         )
 
-        class TextTower(CLIPTextModelWithProjection):
-            """Silent about the parts of a whole CLIP that it does not need."""
-
-            _keys_to_ignore_on_load_unexpected = _OF_IMAGES
-
-        return CLIPTokenizerFast, TextTower
-
-    def _fault(self, tokenizer: Any, model: Any) -> str | None:
-        """Refuse also a vocabulary that would be made up: transformers takes a missing one for an empty one."""
-        if model.config.projection_dim != self.dimension:
-            return f"a model of dimension {model.config.projection_dim}"
-        if len(tokenizer) != model.config.vocab_size:
-            return f"a vocabulary of {len(tokenizer)} pieces for a model of {model.config.vocab_size}"
-        return None
-
-
-def _first_line(error: BaseException) -> str:
-    """Say what went wrong, short enough for a message."""
-    return str(error).strip().partition("\n")[0].rstrip(".")[:300] or type(error).__name__
+        # Silent about the parts of a whole CLIP that it does not need.
+        silent = {"_keys_to_ignore_on_load_unexpected": _OF_IMAGES}
+        return CLIPTokenizerFast, type("TextTower", (CLIPTextModelWithProjection,), silent)

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Num
 
 from prbench.errors import InputFileError, UsageError, did_you_mean
+from prbench.files.bounded import require_rows
 from prbench.geometry.skeleton import (
     N_JOINTS,
     PARENTS,
@@ -154,8 +155,16 @@ def at_times(
     Raises:
         InputFileError: if there is no frame, time does not increase, or the motion is too short.
     """
-    if not len(times) or (np.diff(times) <= 0).any():
-        raise InputFileError(source, "times", expected="increasing times, at least one", found=_fault(times))
+    if not len(times):
+        raise InputFileError(source, "times", expected="increasing times, at least one", found="none")
+    require_rows(
+        source,
+        np.diff(times) <= 0,
+        lambda row: f"increasing times, after {times[row]:g} s",
+        lambda row: f"{times[row + 1]:g} s",
+        place="frame",
+        first=1,
+    )
     covered = float(times[-1] - times[0])
     most = int(np.floor((covered + _ROUNDING) * wanted_fps)) + 1
     wanted = most if n_frames is None else n_frames
@@ -169,13 +178,6 @@ def at_times(
         )
     query = times[0] + np.arange(wanted) / wanted_fps
     return interpolate(times.astype(np.float64), values, query).astype(np.result_type(values.dtype, np.float32))
-
-
-def _fault(times: np.ndarray) -> str:
-    if not len(times):
-        return "none"
-    frame = int(np.flatnonzero(np.diff(times) <= 0)[0]) + 1
-    return f"{times[frame]:g} s after {times[frame - 1]:g} s on frame {frame}"
 
 
 _BEND = 0.01  # metres between knee and the line from hip to ankle; below it a leg says nothing about its front
@@ -201,55 +203,45 @@ def check_limbs(joints: Float[np.ndarray, "frames 22 3"], *, source: Path | str 
     check_finite(joints, source)
     if not len(joints):
         raise InputFileError(source, "", expected="one frame or more", found="none")
-    lengths = {limb: _median_length(joints, limb) for pair in _LIMB_PAIRS for limb in pair}
-    _check_unit(lengths, source)
-    for left, right in _LIMB_PAIRS:
-        for limb in (left, right):
-            if not _LIMB_LENGTHS[0] < lengths[limb] < _LIMB_LENGTHS[1]:
-                raise _no_limb(
-                    source, limb, f"{_LIMB_LENGTHS[0] * 100:.0f} to {_LIMB_LENGTHS[1] * 100:.0f} cm", lengths[limb]
+    bones = np.linalg.norm(joints[:, 1:] - joints[:, PARENTS[1:]], axis=-1)
+    median = dict(zip(Joint, [0.0, *np.median(bones, axis=0).tolist()]))
+    # All limbs too long or too short by one factor: another unit.
+    factor = float(np.median([median[end] for pair in _LIMB_PAIRS for end in pair])) / _ADULT_LIMB
+    if factor < _TINIEST_BODY:
+        raise InputFileError(source, "", expected="joints of a body", found="joints that lie on one another")
+    if not 1 / 3 < factor < 3:
+        name = min(UNITS, key=lambda unit: abs(np.log(factor * UNITS[unit])))
+        remedy = f"This looks like {name}: say unit='{name}'."
+        if not 1 / 2 < factor * UNITS[name] < 2:
+            remedy = f"If the model's bodies are normalised, unit={1 / factor:.3g} (metres a unit) makes them adults."
+        raise InputFileError(
+            source,
+            "unit",
+            expected="a body in metres, whose thighs, shins and arms are 20 to 50 cm long",
+            found=f"limbs {factor:.3g} times as long as an adult's",
+            remedy=remedy,
+        )
+    shortest, longest = _LIMB_LENGTHS
+    for pair in _LIMB_PAIRS:
+        for end, other in (pair, pair[::-1]):
+            expected = ""
+            if not shortest < median[end] < longest:
+                expected = f"{shortest * 100:.0f} to {longest * 100:.0f} cm"
+            elif not 1 / _LIMB_RATIO < median[end] / max(median[other], 1e-9) < _LIMB_RATIO:
+                expected = f"about {median[other] * 100:.0f} cm, as on the other side"
+            if expected:
+                raise InputFileError(
+                    source,
+                    f"{Joint(PARENTS[end]).name.lower()} to {end.name.lower()}",
+                    expected=expected,
+                    found=f"{median[end] * 100:.1f} cm in the median frame",
+                    remedy="The order of the joints is another one: name the skeleton (joint_map) and compare its list"
+                    " with yours.",
                 )
-        if not 1 / _LIMB_RATIO < lengths[left] / lengths[right] < _LIMB_RATIO:
-            raise _no_limb(source, left, f"about {lengths[right] * 100:.0f} cm, as on the right", lengths[left])
 
 
 _LIMB_PAIRS = tuple((Joint[f"LEFT_{end}"], Joint[f"RIGHT_{end}"]) for end in ("KNEE", "ANKLE", "ELBOW", "WRIST"))
 """Joints in which thighs, shins, upper arms and forearms end."""
-
-
-def _check_unit(lengths: dict[Joint, float], source: Path | str) -> None:
-    """All limbs too long or too short by one factor: another unit."""
-    factor = float(np.median(list(lengths.values()))) / _ADULT_LIMB
-    if 1 / 3 < factor < 3:
-        return
-    if factor < _TINIEST_BODY:
-        raise InputFileError(source, "", expected="joints of a body", found="joints that lie on one another")
-    name = min(UNITS, key=lambda unit: abs(np.log(factor * UNITS[unit])))
-    fits = 1 / 2 < factor * UNITS[name] < 2
-    raise InputFileError(
-        source,
-        "unit",
-        expected="a body in metres, whose thighs, shins and arms are 20 to 50 cm long",
-        found=f"limbs {factor:.3g} times as long as an adult's",
-        remedy=f"This looks like {name}: say unit='{name}'."
-        if fits
-        else f"If the model's bodies are normalised, unit={1 / factor:.3g} (metres a unit) makes them adults.",
-    )
-
-
-def _median_length(joints: np.ndarray, end: Joint) -> float:
-    return float(np.median(np.linalg.norm(joints[:, end] - joints[:, PARENTS[end]], axis=-1)))
-
-
-def _no_limb(source: Path | str, end: Joint, expected: str, length: float) -> InputFileError:
-    bone = f"{Joint(PARENTS[end]).name.lower()} to {end.name.lower()}"
-    return InputFileError(
-        source,
-        bone,
-        expected=expected,
-        found=f"{length * 100:.1f} cm in the median frame",
-        remedy="The order of the joints is another one: name the skeleton (joint_map) and compare its list with yours.",
-    )
 
 
 def front_of_legs(joints: Float[np.ndarray, "frames 22 3"], *, feet: bool = True) -> float | None:

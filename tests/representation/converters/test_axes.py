@@ -91,7 +91,7 @@ def test_uneven_times_are_taken_as_they_are() -> None:
 
 
 def test_times_that_stand_still_are_named() -> None:
-    with pytest.raises(InputFileError, match=r"0\.1 s after 0\.1 s on frame 2"):
+    with pytest.raises(InputFileError, match=r"frame 2: expected increasing times, after 0\.1 s, found 0\.1 s"):
         at_times(np.array([0.0, 0.1, 0.1]), np.zeros((3, 3)))
     with pytest.raises(InputFileError, match="at least one"):
         at_times(np.zeros(0), np.zeros((0, 3)))
