@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from prbench.geometry.skeleton import BONES
 from prbench.metrics.batch import MotionBatch, ScoringPair
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.registry import MetricFamily, MetricValues, detail
 from prbench.protocol.manifests import MetricConstants
 
 _NO_LENGTH = 1e-6  # metres; what float32 resolves a few metres from the origin
@@ -55,16 +55,6 @@ def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues]:
 
 
 FAMILY = MetricFamily(
-    (
-        MetricInfo(
-            "bone_length_change",
-            "Bone length change",
-            "ratio",
-            higher_is_better=False,
-            main=False,
-            position=18,
-            compares_with_recorded=False,
-        ),
-    ),
+    (detail("bone_length_change", "Bone length change", "ratio", 18, higher_is_better=False),),
     _compute,
 )

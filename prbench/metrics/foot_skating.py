@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from prbench.geometry.skeleton import TOES
 from prbench.metrics.batch import MotionBatch, ScoringPair, moving_sum, odd_window
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues, detail
 from prbench.protocol.manifests import MetricConstants
 
 Fps = float | Float[np.ndarray, " n"]
@@ -127,15 +127,7 @@ FAMILY = MetricFamily(
             compares_with_recorded=False,
             irrelevant_if_motionless=True,
         ),
-        MetricInfo(
-            "contact_share",
-            "Foot contact",
-            "ratio",
-            higher_is_better=None,
-            main=False,
-            position=17,
-            compares_with_recorded=False,
-        ),
+        detail("contact_share", "Foot contact", "ratio", 17, higher_is_better=None),
     ),
     _compute,
 )

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from prbench.metrics.batch import MotionBatch, ScoringPair
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.registry import MetricFamily, MetricValues, detail
 from prbench.protocol.manifests import MetricConstants
 
 
@@ -48,24 +48,8 @@ def _compute(pair: ScoringPair, _: MetricConstants) -> tuple[MetricValues, Metri
 
 FAMILY = MetricFamily(
     (
-        MetricInfo(
-            "first_frame_error",
-            "First frame error",
-            "m",
-            higher_is_better=False,
-            main=False,
-            position=19,
-            compares_with_recorded=True,
-        ),
-        MetricInfo(
-            "first_step",
-            "First step",
-            "m",
-            higher_is_better=None,
-            main=False,
-            position=20,
-            compares_with_recorded=False,
-        ),
+        detail("first_frame_error", "First frame error", "m", 19, higher_is_better=False, compares_with_recorded=True),
+        detail("first_step", "First step", "m", 20, higher_is_better=None),
     ),
     _compute,
 )

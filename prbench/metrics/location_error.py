@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from prbench.geometry.skeleton import Joint
 from prbench.metrics.batch import MotionBatch, ScoringPair
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues, detail
 from prbench.protocol.manifests import MetricConstants
 
 
@@ -51,13 +51,12 @@ FAMILY = MetricFamily(
             compares_with_recorded=True,
             title_in_study="Loc Err",
         ),
-        MetricInfo(
+        detail(
             "location_error_horizontal",
             "Location Error (horizontal)",
             "rate",
+            16,
             higher_is_better=False,
-            main=False,
-            position=16,
             compares_with_recorded=True,
         ),
     ),

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from prbench.geometry.skeleton import TOES, Joint
 from prbench.metrics.batch import MotionBatch, ScoringPair
 from prbench.metrics.bone_length_change import bone_length_change
 from prbench.metrics.foot_skating import Fps, slow_slides
-from prbench.metrics.posture import floating, largest_trunk_tilt, lowest_pelvis, penetration
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
-from prbench.metrics.smoothness import largest_jerk
+from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues, detail
 from prbench.protocol.manifests import MetricConstants
+
+_FEET = (Joint.LEFT_ANKLE, Joint.RIGHT_ANKLE, *TOES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +52,63 @@ def largest_speed(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
     way[:-1] = np.sqrt(step[:, 0] ** 2 + step[:, 1] ** 2 + step[:, 2] ** 2).max(axis=0)
     way[motion.last] = 0.0  # the step from one sequence to the next is none
     return np.maximum.reduceat(way, motion.first) * np.asarray(fps)
+
+
+def largest_jerk(motion: MotionBatch, fps: Fps) -> Float[np.ndarray, " n"]:
+    """Largest norm of the third difference over frames and joints times fps³, m/s³; 0 for fewer than four frames.
+
+    Source: docs/specification/metrics.md#largest-jerk.
+    """
+    # The norm of the third difference that starts at each row; 0 for the last three rows of a sequence.
+    norms = np.zeros((len(motion.columns), len(motion.values)))
+    third = np.diff(motion.columns, n=3, axis=-1)
+    norms[:, :-3] = np.sqrt(third[:, 0] ** 2 + third[:, 1] ** 2 + third[:, 2] ** 2)
+    for k in range(3):
+        norms[:, motion.last - k] = 0.0
+    return np.maximum.reduceat(norms.max(axis=0), motion.first) * np.asarray(fps) ** 3
+
+
+def floating(motion: MotionBatch) -> Float[np.ndarray, " n"]:
+    """Greatest height of the lower foot: max over frames of the lowest ankle or toe, at least 0; metres.
+
+    Args:
+        motion: Canonical frame, metres.
+    """
+    lowest_foot = motion.columns[list(_FEET), 1].min(axis=0)
+    return np.maximum(np.maximum.reduceat(lowest_foot, motion.first), 0.0)
+
+
+def penetration(motion: MotionBatch) -> Float[np.ndarray, " n"]:
+    """Greatest depth of a joint below the floor in any frame, at least 0; metres.
+
+    Args:
+        motion: Canonical frame, metres.
+    """
+    lowest_joint = motion.columns[:, 1].min(axis=0)
+    return np.maximum(-np.minimum.reduceat(lowest_joint, motion.first), 0.0)
+
+
+def lowest_pelvis(motion: MotionBatch) -> Float[np.ndarray, " n"]:
+    """Smallest height of the pelvis above the floor in any frame, metres.
+
+    Args:
+        motion: Canonical frame, metres.
+    """
+    return np.minimum.reduceat(motion.columns[Joint.PELVIS, 1], motion.first)
+
+
+def largest_trunk_tilt(motion: MotionBatch) -> Float[np.ndarray, " n"]:
+    """Largest angle between the line from pelvis to neck and the vertical in any frame, degrees.
+
+    Args:
+        motion: Any frame with Y up, metres.
+
+    Returns:
+        0 for an upright trunk, 90 for a level one, 180 for one upside down; 0 where neck and pelvis coincide.
+    """
+    trunk = motion.columns[Joint.NECK] - motion.columns[Joint.PELVIS]
+    tilt = np.rad2deg(np.arctan2(np.sqrt(trunk[0] ** 2 + trunk[2] ** 2), trunk[1]))
+    return np.maximum.reduceat(tilt, motion.first)
 
 
 def body_numbers(motion: MotionBatch, fps: Fps, constants: MetricConstants) -> BodyNumbers:
@@ -126,19 +184,6 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
     )
 
 
-def _number(name: str, title: str, unit: str, position: int, *, higher_is_better: bool | None) -> MetricInfo:
-    """Describe a number that decides."""
-    return MetricInfo(
-        name,
-        title,
-        unit,
-        higher_is_better=higher_is_better,
-        main=False,
-        position=position,
-        compares_with_recorded=False,
-    )
-
-
 FAMILY = MetricFamily(
     (
         MetricInfo(
@@ -151,12 +196,12 @@ FAMILY = MetricFamily(
             position=8,
             compares_with_recorded=False,
         ),
-        _number("floating", "Floating", "m", 21, higher_is_better=False),
-        _number("penetration", "Penetration", "m", 22, higher_is_better=False),
-        _number("slow_slides", "Slow slides", "ratio", 23, higher_is_better=False),
+        detail("floating", "Floating", "m", 21, higher_is_better=False),
+        detail("penetration", "Penetration", "m", 22, higher_is_better=False),
+        detail("slow_slides", "Slow slides", "ratio", 23, higher_is_better=False),
         # Of jerk and speed, less is no merit within the limits: a body that stands still has none.
-        _number("largest_jerk", "Largest jerk", "m/s³", 24, higher_is_better=None),
-        _number("largest_speed", "Largest speed", "m/s", 25, higher_is_better=None),
+        detail("largest_jerk", "Largest jerk", "m/s³", 24, higher_is_better=None),
+        detail("largest_speed", "Largest speed", "m/s", 25, higher_is_better=None),
     ),
     _compute,
 )

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from prbench.metrics.batch import MotionBatch, ScoringPair, ScoringTargets, ranges
 from prbench.metrics.ray_track import CandidateFrames, RayTrack, candidate_frames, head_track, untrusted
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues, detail
 from prbench.protocol.manifests import MetricConstants
 
 Variant = Literal["equation", "arrival", "onset", "angle"]
@@ -157,24 +157,8 @@ FAMILY = MetricFamily(
             position=2,
             compares_with_recorded=False,
         ),
-        MetricInfo(
-            "prime_success_onset",
-            "Prime Success (onset)",
-            "rate",
-            higher_is_better=True,
-            main=False,
-            position=11,
-            compares_with_recorded=False,
-        ),
-        MetricInfo(
-            "prime_success_angle",
-            "Prime Success (fixed angle)",
-            "rate",
-            higher_is_better=True,
-            main=False,
-            position=12,
-            compares_with_recorded=False,
-        ),
+        detail("prime_success_onset", "Prime Success (onset)", "rate", 11, higher_is_better=True),
+        detail("prime_success_angle", "Prime Success (fixed angle)", "rate", 12, higher_is_better=True),
     ),
     _compute,
 )

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from prbench.metrics.batch import MotionBatch, ScoringPair, ScoringTargets
 from prbench.metrics.prime_success import Variant, primed
 from prbench.metrics.ray_track import CandidateFrames, RayTrack, candidate_frames, gaze_track, untrusted
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.registry import MetricFamily, MetricValues, detail
 from prbench.protocol.manifests import MetricConstants
 
 
@@ -58,24 +58,8 @@ INVALID = "invalid_gaze_samples"
 
 FAMILY = MetricFamily(
     (
-        MetricInfo(
-            "prime_success_gaze",
-            "Prime Success (gaze)",
-            "rate",
-            higher_is_better=True,
-            main=False,
-            position=28,
-            compares_with_recorded=False,
-        ),
-        MetricInfo(
-            "prime_success_gaze_arrival",
-            "Prime Success (gaze, arrival)",
-            "rate",
-            higher_is_better=True,
-            main=False,
-            position=29,
-            compares_with_recorded=False,
-        ),
+        detail("prime_success_gaze", "Prime Success (gaze)", "rate", 28, higher_is_better=True),
+        detail("prime_success_gaze_arrival", "Prime Success (gaze, arrival)", "rate", 29, higher_is_better=True),
     ),
     _compute,
     needs_gaze=True,

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from prbench.geometry.skeleton import WRISTS
 from prbench.metrics.batch import MotionBatch, ScoringPair, final_reaching_wrist
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues, detail
 from prbench.protocol.manifests import MetricConstants
 
 
@@ -90,22 +90,13 @@ FAMILY = MetricFamily(
             position=3,
             compares_with_recorded=False,
         ),
-        MetricInfo(
-            "reach_success_final",
-            "Reach Success (final)",
-            "rate",
-            higher_is_better=True,
-            main=False,
-            position=14,
-            compares_with_recorded=False,
-        ),
-        MetricInfo(
+        detail("reach_success_final", "Reach Success (final)", "rate", 14, higher_is_better=True),
+        detail(
             "reach_wrist",
             "Reach Success (recorded wrist)",
             "rate",
+            15,
             higher_is_better=True,
-            main=False,
-            position=15,
             compares_with_recorded=True,
         ),
     ),

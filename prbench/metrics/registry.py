@@ -76,6 +76,27 @@ class MetricInfo:
         return " ↑" if self.higher_is_better else " ↓"
 
 
+def detail(
+    id: str,
+    title: str,
+    unit: str,
+    position: int,
+    *,
+    higher_is_better: bool | None,
+    compares_with_recorded: bool = False,
+) -> MetricInfo:
+    """Describe a metric that stands in the scores of single runs alone."""
+    return MetricInfo(
+        id,
+        title,
+        unit,
+        higher_is_better=higher_is_better,
+        main=False,
+        position=position,
+        compares_with_recorded=compares_with_recorded,
+    )
+
+
 def printed_scale(unit: str) -> float:
     """Return the factor from a stored value to the printed one: 100 for rates, 1 for all other units."""
     return 100.0 if unit == "rate" else 1.0
@@ -160,8 +181,25 @@ def score_pair(
     chunk_frames: int,
 ) -> dict[str, MetricValues]:
     """Compute the wanted metrics chunk by chunk; see :func:`prbench.metrics.score`."""
-    wanted = _wanted(pair, families, metrics)
-    _check(pair, wanted, allow_length_mismatch=allow_length_mismatch)
+    targets = pair.targets
+    known = {info.id: family for family in families for info in family.metrics}
+    unknown = sorted(set(metrics or ()) - known.keys())
+    if unknown:
+        raise ValueError(f"unknown metric '{unknown[0]}'; known ones are: {', '.join(known)}")
+    wanted = []
+    for family in families:
+        lacks_gaze = family.needs_gaze and targets.gaze is None
+        lacks_scene = family.needs_scene and targets.scene is None
+        if metrics is not None and not any(info.id in metrics for info in family.metrics):
+            continue
+        if metrics is None and (lacks_gaze or lacks_scene):
+            continue
+        if lacks_gaze:
+            raise ValueError("a metric of gaze was asked for, but the targets hold no gaze")
+        if lacks_scene:
+            raise ValueError("a metric of the scene was asked for, but the targets hold no boxes")
+        wanted.append(family)
+    _check(pair, max((family.minimum_frames for family in wanted), default=1), allow_length_mismatch)
     chunks = []
     for start, stop in pair.predicted.chunk_bounds(chunk_frames):
         part = pair.part(start, stop)
@@ -170,64 +208,34 @@ def score_pair(
         chunks.append({values.metric: values for family in wanted for values in family.compute(part, constants)})
     # The whole batch is known here; a chunk would flag only its own sequences.
     mismatch = pair.predicted.n_frames != pair.recorded.n_frames
-    ids = [info.id for info in _infos(wanted, metrics)]
-    return {metric: _joined(metric, [chunk[metric] for chunk in chunks], mismatch) for metric in ids}
+    infos = [info for family in wanted for info in family.metrics if metrics is None or info.id in metrics]
+    found = {}
+    for info in sorted(infos, key=lambda info: info.position):
+        parts = [chunk[info.id] for chunk in chunks]
+        names = parts[0].flags if parts else ()
+        flags = {name: np.concatenate([part.flags[name] for part in parts]) for name in names}
+        if parts and mismatch.any():
+            flags[LENGTH_MISMATCH] = mismatch
+        raised = {name: mask for name, mask in flags.items() if mask.any()}
+        value = np.concatenate([part.value for part in parts]) if parts else np.empty(0)
+        found[info.id] = MetricValues(info.id, value, raised)
+    return found
 
 
-def _wanted(
-    pair: ScoringPair, families: tuple[MetricFamily, ...], metrics: Collection[str] | None
-) -> tuple[MetricFamily, ...]:
-    known = {info.id: family for family in families for info in family.metrics}
-    unknown = sorted(set(metrics or ()) - known.keys())
-    if unknown:
-        raise ValueError(f"unknown metric '{unknown[0]}'; known ones are: {', '.join(known)}")
-    if metrics is None:
-        return tuple(family for family in families if _is_given(family, pair))
-    chosen = tuple(family for family in families if any(info.id in metrics for info in family.metrics))
-    if any(family.needs_gaze for family in chosen) and pair.targets.gaze is None:
-        raise ValueError("a metric of gaze was asked for, but the targets hold no gaze")
-    if any(family.needs_scene for family in chosen) and pair.targets.scene is None:
-        raise ValueError("a metric of the scene was asked for, but the targets hold no boxes")
-    return chosen
-
-
-def _is_given(family: MetricFamily, pair: ScoringPair) -> bool:
-    """Return True where the targets hold what a family needs beside goals and times."""
-    has_gaze = pair.targets.gaze is not None or not family.needs_gaze
-    return has_gaze and (pair.targets.scene is not None or not family.needs_scene)
-
-
-def _infos(families: tuple[MetricFamily, ...], metrics: Collection[str] | None) -> list[MetricInfo]:
-    infos = [info for family in families for info in family.metrics if metrics is None or info.id in metrics]
-    return sorted(infos, key=lambda info: info.position)
-
-
-def _check(pair: ScoringPair, families: tuple[MetricFamily, ...], *, allow_length_mismatch: bool) -> None:
+def _check(pair: ScoringPair, minimum: int, allow_length_mismatch: bool) -> None:
     predicted = pair.predicted
     recorded = pair.recorded
-    if not len(pair.targets) == predicted.n_sequences == recorded.n_sequences:
+    targets = pair.targets
+    if not len(targets) == predicted.n_sequences == recorded.n_sequences:
         raise ValueError(
             f"expected as many predicted as recorded motions and targets, found {predicted.n_sequences},"
-            f" {recorded.n_sequences} and {len(pair.targets)}"
+            f" {recorded.n_sequences} and {len(targets)}"
         )
     if not allow_length_mismatch:
         require_equal_lengths(predicted, recorded)
-    if pair.targets.gaze is not None and len(pair.targets.gaze.valid) != len(predicted.values):
-        raise ValueError(f"expected {len(predicted.values)} gaze rays, found {len(pair.targets.gaze.valid)}")
-    if pair.targets.scene is not None and len(pair.targets.scene) != len(pair.targets):
-        raise ValueError(
-            f"expected the boxes of {len(pair.targets)} sequences, found those of {len(pair.targets.scene)}"
-        )
-    minimum = max((family.minimum_frames for family in families), default=1)
+    if targets.gaze is not None and len(targets.gaze.valid) != len(predicted.values):
+        raise ValueError(f"expected {len(predicted.values)} gaze rays, found {len(targets.gaze.valid)}")
+    if targets.scene is not None and len(targets.scene) != len(targets):
+        raise ValueError(f"expected the boxes of {len(targets)} sequences, found those of {len(targets.scene)}")
     predicted.require_frames(minimum)
     recorded.require_frames(minimum)
-
-
-def _joined(metric: str, parts: list[MetricValues], mismatch: np.ndarray) -> MetricValues:
-    if not parts:
-        return MetricValues(metric, np.empty(0), {})
-    flags = {name: np.concatenate([part.flags[name] for part in parts]) for name in parts[0].flags}
-    if mismatch.any():
-        flags[LENGTH_MISMATCH] = mismatch
-    raised = {name: mask for name, mask in flags.items() if mask.any()}
-    return MetricValues(metric, np.concatenate([part.value for part in parts]), raised)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from prbench.geometry.shapes import Boxes, deepest
 from prbench.metrics.batch import MotionBatch, ScoringPair, ScoringTargets
-from prbench.metrics.registry import MetricFamily, MetricInfo, MetricValues
+from prbench.metrics.registry import MetricFamily, MetricValues, detail
 from prbench.protocol.manifests import MetricConstants, load_scene_constants
 
 
@@ -63,24 +63,8 @@ def _compute(pair: ScoringPair, constants: MetricConstants) -> tuple[MetricValue
 
 FAMILY = MetricFamily(
     (
-        MetricInfo(
-            "scene_penetration",
-            "Scene penetration",
-            "ratio",
-            higher_is_better=False,
-            main=False,
-            position=41,
-            compares_with_recorded=False,
-        ),
-        MetricInfo(
-            "scene_depth",
-            "Scene penetration (depth)",
-            "m",
-            higher_is_better=False,
-            main=False,
-            position=42,
-            compares_with_recorded=False,
-        ),
+        detail("scene_penetration", "Scene penetration", "ratio", 41, higher_is_better=False),
+        detail("scene_depth", "Scene penetration (depth)", "m", 42, higher_is_better=False),
     ),
     _compute,
     needs_scene=True,

@@ -1,4 +1,4 @@
-"""Foot Skating, contact, bone lengths, jitter and jerk: worked cases, golden values, slow references."""
+"""Foot Skating, contact, bone lengths and jerk: worked cases, golden values, slow references."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from prbench.geometry.skeleton import BONES, TOES, Joint
 from prbench.metrics.batch import odd_window
 from prbench.metrics.bone_length_change import bone_length_change
 from prbench.metrics.foot_skating import contact_share, foot_skating, toe_steps
-from prbench.metrics.smoothness import jitter, max_jerk
+from prbench.metrics.plausible import largest_jerk
 from tests.metrics.motions import CONSTANTS, FPS, STANDING, batch, random_motion, standing
 
 
@@ -81,14 +81,13 @@ def test_golden_values_of_the_reference_programs(samples: Path, dtype) -> None:
     golden = np.load(samples / "metrics" / "foot_skating_jitter_jerk.npz", allow_pickle=False)
     names = [f"m{i}" for i in range(11)]
     motion = batch(*(golden[f"{name}_joints"].astype(dtype) for name in names))
-    ratio, roughness, jerk = foot_skating(motion, FPS, CONSTANTS), jitter(motion, FPS), max_jerk(motion)
+    ratio = foot_skating(motion, FPS, CONSTANTS)
+    jerk = largest_jerk(motion, FPS) / FPS**3
     steps = toe_steps(motion, FPS, CONSTANTS)
     for i, name in enumerate(names):
         assert ratio[i] == golden[f"{name}_skating_ratio"]
         velocity = (steps.contact * steps.averaged_speed)[:, motion.first[i] : motion.last[i]]
         np.testing.assert_allclose(velocity, golden[f"{name}_skate_velocity"], atol=1e-6)
-        static = str(golden[f"{name}_kind"]) == "static"
-        assert roughness[i] == pytest.approx(golden[f"{name}_jitter"], rel=1e-4, abs=1e-2 if static else 0)
         assert jerk[i] == pytest.approx(golden[f"{name}_max_jerk"], abs=1e-7)
 
 
@@ -100,17 +99,6 @@ def test_the_tolerance_decides_no_golden_value(samples: Path) -> None:
         for tolerance in (0.0, CONSTANTS.foot_tolerance, 100 * CONSTANTS.foot_tolerance)
     ]
     assert ratios[0] == ratios[1] == ratios[2]
-
-
-def test_jitter_and_jerk_of_a_cubic() -> None:
-    motion = standing(9) + np.arange(9)[:, None, None] ** 3 * np.array([0.001, 0, 0])
-    assert jitter(batch(standing(4), motion), 20.0) == pytest.approx([0, 48])
-    assert max_jerk(batch(standing(4), motion)) == pytest.approx([0, 0.006])
-
-
-def test_jitter_needs_four_frames() -> None:
-    with pytest.raises(ValueError, match="sequence 0: expected 4 frames or more, found 3"):
-        jitter(batch(standing(3)), FPS)
 
 
 def test_a_bone_that_grows_by_a_tenth_in_one_frame() -> None:

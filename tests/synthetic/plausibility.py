@@ -16,7 +16,6 @@ from prbench.metrics.batch import MotionBatch, ScoringTargets
 from prbench.metrics.foot_skating import contact_share, foot_skating
 from prbench.metrics.prime_success import prime_success
 from prbench.metrics.reach_success import reach_success
-from prbench.metrics.smoothness import jitter
 from prbench.protocol.manifests import load_protocol
 from prbench.synthetic.activities import NarratedMotion
 from prbench.synthetic.people.kinematics import forward_of
@@ -35,6 +34,12 @@ Moving = Performance | NarratedMotion
 """What is measured: joints, rotations and contacts at a uniform rate."""
 _SMALLEST = ("knee_smallest", "elbow_smallest", "lowest_joint")
 """Numbers whose extreme over several motions is the smallest; of the others it is the largest."""
+
+
+def jitter(motion: MotionBatch, fps: float) -> Float[np.ndarray, " n"]:
+    """Mean over frames and joints of the third difference's norm times fps³, m/s³."""
+    motions = np.split(motion.values, motion.offsets[1:-1])
+    return np.array([np.linalg.norm(np.diff(one, n=3, axis=0), axis=-1).mean() * fps**3 for one in motions])
 
 
 @dataclass(frozen=True)
