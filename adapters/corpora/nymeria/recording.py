@@ -129,10 +129,24 @@ def gaze_in_suit_world(
 
 
 @dataclass(frozen=True)
-class SuitRecording:
-    """Reads one sequence without its texts; see :class:`prbench_adapters.corpora.nymeria.source.NymeriaSource`."""
+class NymeriaWindows:
+    """One sequence without its texts (see :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`)."""
 
     source: NymeriaSource
+    skip_reason: None = None
+    """Sequences that are known for bad texts have sound bodies: nothing is left out."""
+    joint_set: str = SMPL22.name
+
+    @property
+    def recording_id(self) -> str:
+        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
+        return self.source.identity.recording_id
+
+    @property
+    def settings(self) -> str:
+        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
+        options = described_options(self.source.options)
+        return text_digest(digest_of(load_manifest("nymeria")), self.source.identity.split, *map(str, options.items()))
 
     @foreign_input()
     def input_digest(self) -> str:
@@ -140,8 +154,16 @@ class SuitRecording:
         gaze = self._gaze_file()
         return text_digest(self.source.input_digest(), "" if gaze is None else file_digest(gaze))
 
+    def without_places(self, message: str) -> str:
+        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
+        return self.source.without_places(message)
+
+    def cut(self, protocol: PredictionProtocol) -> Iterator[CutRun]:
+        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
+        yield from runs_of_recording(self._read(), protocol.windows, split=self.source.identity.split)
+
     @foreign_input()
-    def read(self) -> Recording:
+    def _read(self) -> Recording:
         """Body on the suit's clock, and gaze where trajectory, gaze file and clock allow it.
 
         Raises:
@@ -210,47 +232,6 @@ class SuitRecording:
         directions, valid = gaze_in_suit_world(clean, mounted, times, angles)
         # Nothing of motion prediction needs where gaze comes from.
         return GazeStream(times, np.zeros((len(times), 3)), directions, valid), ""
-
-
-@dataclass(frozen=True)
-class NymeriaWindows:
-    """One sequence of Nymeria (see :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`)."""
-
-    source: NymeriaSource
-
-    @property
-    def recording_id(self) -> str:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
-        return self.source.identity.recording_id
-
-    @property
-    def skip_reason(self) -> str | None:
-        """Sequences that are known for bad texts have sound bodies: nothing is left out."""
-        return None
-
-    @property
-    def joint_set(self) -> str:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
-        return SMPL22.name
-
-    @property
-    def settings(self) -> str:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
-        options = described_options(self.source.options)
-        return text_digest(digest_of(load_manifest("nymeria")), self.source.identity.split, *map(str, options.items()))
-
-    def input_digest(self) -> str:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
-        return SuitRecording(self.source).input_digest()
-
-    def without_places(self, message: str) -> str:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
-        return self.source.without_places(message)
-
-    def cut(self, protocol: PredictionProtocol) -> Iterator[CutRun]:
-        """See :class:`prbench_benchmarks.motion_prediction.windows.NativeWindows`."""
-        recording = SuitRecording(self.source).read()
-        yield from runs_of_recording(recording, protocol.windows, split=self.source.identity.split)
 
 
 def plan_windows(

@@ -11,7 +11,6 @@ their lengths, as in any output of a body model.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -157,15 +156,6 @@ _SHORTEST_WINDOW = 2  # frames
 _DAY = "20000101-000000"
 
 
-@dataclass(frozen=True)
-class _Pose:
-    """Frames of a body in the performance's world."""
-
-    joints: Float[np.ndarray, "n 22 3"]
-    rotations: Float[np.ndarray, "n 22 4"]
-    """Of the model's joints, world."""
-
-
 def sense_egoallo(
     performance: Performance,
     trajectory: AriaTrajectory,
@@ -209,13 +199,13 @@ def sense_egoallo(
     pelvis = interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
     rest = synthetic_smplh().of(shape_of(performance))
     joints = ego.forward_kinematics(rest, pelvis, rotations[:, Joint.PELVIS], _local(rotations))
-    pose = _estimate(sensing, _Pose(joints, rotations), times, number)
+    joints, rotations = _estimate(sensing, joints, rotations, times, number)
     # The root pose in the native world, and local rotations; float32, as the files hold them.
     turn = Rotation.from_matrix(native_from_world[:3, :3])
-    root = turn * Rotation.from_quat(pose.rotations[:, Joint.PELVIS], scalar_first=True)
-    position = turn.apply(pose.joints[:, Joint.PELVIS]) + native_from_world[:3, 3]
+    root = turn * Rotation.from_quat(rotations[:, Joint.PELVIS], scalar_first=True)
+    position = turn.apply(joints[:, Joint.PELVIS]) + native_from_world[:3, 3]
     poses = np.hstack([root.as_quat(scalar_first=True), position])
-    root, body = poses.astype(np.float32), _local(pose.rotations).astype(np.float32)
+    root, body = poses.astype(np.float32), _local(rotations).astype(np.float32)
     device = Rotation.from_quat(trajectory.rotation[rows], scalar_first=True)
     device_cpf = device_from_cpf(size)
     position = trajectory.position[rows] + device.apply(device_cpf[:3, 3])
@@ -236,54 +226,52 @@ def sense_egoallo(
     )
 
 
-def _estimate(sensing: Sensing, true: _Pose, times: Float[np.ndarray, " n"], window: Int[np.ndarray, " n"]) -> _Pose:
-    """Return the body as it would be guessed: shifted as a whole, with limbs bent so that hands and feet stay near."""
+def _estimate(
+    sensing: Sensing,
+    true: Float[np.ndarray, "n 22 3"],
+    rotations: Float[np.ndarray, "n 22 4"],
+    times: Float[np.ndarray, " n"],
+    window: Int[np.ndarray, " n"],
+) -> tuple[Float[np.ndarray, "n 22 3"], Float[np.ndarray, "n 22 4"]]:
+    """Return joints and rotations as they would be guessed: shifted as a whole, limbs bent so that ends stay near.
+
+    Rotations are those of the model's joints, in the performance's world.
+    """
     height = sensing.strength("root_height") * _ROOT_HEIGHT
     limbs = sensing.strength("limb_wobble")
     slip = sensing.strength("foot_slip")
     if height == limbs == slip == 0.0:
-        return true
+        return true, rotations
     draws = sensing.generator("egoallo-height").normal(0.0, height, int(window.max(initial=0)) + 1)
-    joints = true.joints.copy()
+    joints = true.copy()
     joints[..., 1] += draws[window, None]
-    pose = _Pose(joints, true.rotations.copy())
+    rotations = rotations.copy()
+
+    def wander(rms: float, band: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
+        return np.column_stack([wobble(times, rms, *band, rng) for _ in range(3)])
+
+    def move(upper: int, middle: int, end: int, bend: np.ndarray, shift: np.ndarray) -> None:
+        """Bring the end of a limb to its true place plus ``shift``, its middle joint wandering by ``bend``."""
+        bones = true[:, middle] - true[:, upper], true[:, end] - true[:, middle]
+        lengths = float(np.linalg.norm(bones[0][0])), float(np.linalg.norm(bones[1][0]))
+        pole = true[:, middle] - (true[:, upper] + true[:, end]) / 2 + bend
+        joint, tip = two_bone(joints[:, upper], true[:, end] + shift, lengths, pole, _STRETCH)
+        for at, bone, new in ((upper, bones[0], joint - joints[:, upper]), (middle, bones[1], tip - joint)):
+            turned = _shortest_turn(bone, new) * Rotation.from_quat(rotations[:, at], scalar_first=True)
+            rotations[:, at] = turned.as_quat(scalar_first=True)
+        joints[:, middle], joints[:, end] = joint, tip
+
     rng_limbs = sensing.generator("egoallo-limbs")
     rng_feet = sensing.generator("egoallo-feet")
     for side in (0, 1):
-        bend, reach = (_wander(times, rms, _LIMB_HZ, rng_limbs) * limbs for rms in (_LIMB_WOBBLE, _WRIST_WOBBLE))
+        bend, reach = (wander(rms, _LIMB_HZ, rng_limbs) * limbs for rms in (_LIMB_WOBBLE, _WRIST_WOBBLE))
         length = np.linalg.norm(reach, axis=1, keepdims=True)
         reach *= soft_limit(length / _WRIST_LIMIT, 0.5, 0.95) * _WRIST_LIMIT / np.maximum(length, 1e-12)
-        _bend(pose, true, (Joint.LEFT_SHOULDER, Joint.LEFT_ELBOW, Joint.LEFT_WRIST), side, bend, reach)
-        bend = _wander(times, _LIMB_WOBBLE, _LIMB_HZ, rng_limbs) * limbs
-        step = _wander(times, _FOOT_SLIP, _FOOT_HZ, rng_feet) * (slip, 0.0, slip)
-        _bend(pose, true, (Joint.LEFT_HIP, Joint.LEFT_KNEE, Joint.LEFT_ANKLE), side, bend, step)
-    return pose
-
-
-def _wander(
-    times: Float[np.ndarray, " n"], rms: float, band: tuple[float, float], rng: np.random.Generator
-) -> Float[np.ndarray, "n 3"]:
-    return np.column_stack([wobble(times, rms, *band, rng) for _ in range(3)])
-
-
-def _bend(
-    pose: _Pose,
-    true: _Pose,
-    limb: tuple[Joint, Joint, Joint],
-    side: int,
-    bend: Float[np.ndarray, "n 3"],
-    shift: Float[np.ndarray, "n 3"],
-) -> None:
-    """Bring the end of one limb to its true place plus ``shift``, its middle joint wandering by ``bend``; in place."""
-    upper, middle, end = (joint + side for joint in limb)
-    bones = true.joints[:, middle] - true.joints[:, upper], true.joints[:, end] - true.joints[:, middle]
-    lengths = float(np.linalg.norm(bones[0][0])), float(np.linalg.norm(bones[1][0]))
-    pole = true.joints[:, middle] - (true.joints[:, upper] + true.joints[:, end]) / 2 + bend
-    joint, tip = two_bone(pose.joints[:, upper], true.joints[:, end] + shift, lengths, pole, _STRETCH)
-    for at, bone, new in ((upper, bones[0], joint - pose.joints[:, upper]), (middle, bones[1], tip - joint)):
-        turned = _shortest_turn(bone, new) * Rotation.from_quat(pose.rotations[:, at], scalar_first=True)
-        pose.rotations[:, at] = turned.as_quat(scalar_first=True)
-    pose.joints[:, middle], pose.joints[:, end] = joint, tip
+        move(Joint.LEFT_SHOULDER + side, Joint.LEFT_ELBOW + side, Joint.LEFT_WRIST + side, bend, reach)
+        bend = wander(_LIMB_WOBBLE, _LIMB_HZ, rng_limbs) * limbs
+        step = wander(_FOOT_SLIP, _FOOT_HZ, rng_feet) * (slip, 0.0, slip)
+        move(Joint.LEFT_HIP + side, Joint.LEFT_KNEE + side, Joint.LEFT_ANKLE + side, bend, step)
+    return joints, rotations
 
 
 def _shortest_turn(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "n 3"]) -> Rotation:
