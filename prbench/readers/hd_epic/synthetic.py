@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 import tempfile
 import zipfile
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
 
-import msgspec
 import numpy as np
 from jaxtyping import Float
 
@@ -79,16 +78,6 @@ class SensedVideo:
     readings: hd_epic.HdEpicReadings
     """With whole MPS readings and without body."""
     bodies: tuple[EgoAlloOutput, ...]
-
-
-@dataclass(frozen=True)
-class Sighting:
-    """One end of a movement."""
-
-    side: Literal["start", "end"]
-    seconds: float
-    """Of the video, as annotated."""
-    event: TrueEvent
 
 
 def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | None = None) -> SensedVideo:
@@ -165,8 +154,7 @@ def _annotated_tracks(sensing: Sensing, clock: hd_epic.VideoClock) -> tuple[hd_e
             end=max(end, start + _SHORTEST_TRACK),
             masks=(),
         )
-        sightings = (Sighting("start", track.start, pick), Sighting("end", track.end, put))
-        tracks.append(masks_of(sensing, track, sightings))
+        tracks.append(masks_of(sensing, track, (pick, put)))
     return tuple(sorted(tracks, key=lambda track: (track.start, track.end, track.object_id, track.track_id)))
 
 
@@ -191,46 +179,31 @@ def _identifier(performance: Performance, what: str) -> str:
     return hashlib.sha256(f"{performance.recording_id} {what}".encode()).hexdigest()[:16]
 
 
-def masks_of(sensing: Sensing, track: hd_epic.ObjectTrack, sightings: Sequence[Sighting]) -> hd_epic.ObjectTrack:
+def masks_of(sensing: Sensing, track: hd_epic.ObjectTrack, ends: tuple[TrueEvent, TrueEvent]) -> hd_epic.ObjectTrack:
     """Return the track with its masks: one at either end, rarely none or a third, listed in either order."""
     performance = sensing.performance
     rng = sensing.generator(f"masks-{track.track_id}")
     points = rng.normal(0.0, _POINT_NOISE, (2, 3)) * sensing.strength("annotated_points")
     lost = rng.random(2) < _MISSING * sensing.strength("mask_losses")
     has_middle, is_reversed = rng.random(2) < (_MIDDLE_MASK, _REVERSED)
-    masks = [
-        _mask(performance, track, sighting, sighting.event.goal + offset)
-        for sighting, offset, missing in zip(sightings, points, lost, strict=False)
-        if not missing
-    ]
+    masks = []
+    for side, seconds, event, offset, missing in zip(
+        ("start", "end"), (track.start, track.end), ends, points, lost, strict=True
+    ):
+        if not missing:
+            frame = round(seconds * hd_epic.FPS)
+            place = np.round(transform_points(NATIVE_FROM_WORLD, event.goal + offset), _METRES)
+            box = _box(performance, event, frame)
+            fixture = _fixture(performance, event.goal)
+            masks.append(hd_epic.ObjectMask(_mask_id(track, side), frame, place, box, fixture))
     if has_middle and track.end - track.start > 1.0 and len(masks) == 2:
         # Draw a mask somewhere in between, in the hand.
-        event = sightings[0].event
         frame = round((track.start + track.end) / 2 * hd_epic.FPS)
         known = [mask.location for mask in masks if mask.location is not None]
-        masks.append(
-            hd_epic.ObjectMask(
-                mask_id=_mask_id(track, "middle"),
-                frame=frame,
-                location=np.round(np.mean(known, axis=0), _METRES),
-                box_px=_box(performance, event, frame),
-                fixture=None,
-            )
-        )
+        place = np.round(np.mean(known, axis=0), _METRES)
+        box = _box(performance, ends[0], frame)
+        masks.append(hd_epic.ObjectMask(_mask_id(track, "middle"), frame, place, box, None))
     return dataclasses.replace(track, masks=tuple(masks[::-1] if is_reversed else masks))
-
-
-def _mask(
-    performance: Performance, track: hd_epic.ObjectTrack, sighting: Sighting, point: Float[np.ndarray, "3"]
-) -> hd_epic.ObjectMask:
-    frame = round(sighting.seconds * hd_epic.FPS)
-    return hd_epic.ObjectMask(
-        mask_id=_mask_id(track, sighting.side),
-        frame=frame,
-        location=np.round(transform_points(NATIVE_FROM_WORLD, point), _METRES),
-        box_px=_box(performance, sighting.event, frame),
-        fixture=_fixture(performance, sighting.event.goal),
-    )
 
 
 def _mask_id(track: hd_epic.ObjectTrack, what: str) -> str:
@@ -331,19 +304,6 @@ _COMPRESSION = 1
 _CREATED = (2000, 1, 1, 0, 0, 0)  # of every entry of an archive: the time of writing would change its bytes
 
 
-class _Share(msgspec.Struct):
-    """The entries that one video adds to the annotations."""
-
-    video: str
-    participant: str
-    associations: dict[str, Any]
-    masks: dict[str, Any]
-    priming: dict[str, Any]
-
-
-_SHARE = msgspec.json.Decoder(_Share)
-
-
 def slam_number(video: str) -> str:
     """Return the number of the SLAM archive that holds a synthetic video: its own, at the end of its name."""
     return str(int(video.rpartition("_")[2]))
@@ -355,10 +315,25 @@ def _write_video(readings: hd_epic.HdEpicReadings, data: Path) -> None:
     Raises:
         StorageError: if the disk is full or the folder cannot be written.
     """
-    assert isinstance(readings.glasses, mps.MpsReadings)
     own = data / hd_epic.VIDEOS_FOLDER / readings.participant_id
-    write_csv(own / f"{readings.video}{hd_epic.TIME_SUFFIX}", _time_columns(readings.clock))
-    write_json(own / f"{readings.video}{hd_epic.LOG_SUFFIX}", _log(readings.clock))
+    times = readings.clock.device_ns
+    columns = {
+        hd_epic.MP4_TIME: np.arange(len(times)) * 1e9 / hd_epic.FPS,
+        hd_epic.RELATIVE_TIME: times - times[0],
+        hd_epic.DEVICE_TIME: times,
+    }
+    write_csv(own / f"{readings.video}{hd_epic.TIME_SUFFIX}", columns)
+    log = {
+        "num_mp4_frames": len(times),
+        "down_sampling_factor_": 1,
+        "num_skipped_frames": int((np.diff(times) > 1.5e9 / hd_epic.FPS).sum()),
+        "num_duplicated_frames_": readings.clock.repeats,
+        "num_invalid_frames_": 0,
+        "first_video_timestamp_ns": int(times[0]),
+        "end_video_timestamp_ns": int(times[-1]),
+        "video_duration_ns": int(times[-1]) - int(times[0]),
+    }
+    write_json(own / f"{readings.video}{hd_epic.LOG_SUFFIX}", log)
     base = data / hd_epic.MPS_FOLDER / readings.participant_id
     number = slam_number(readings.video)
     _write_archive(base / hd_epic.MULTI_SLAM_FOLDER / f"{number}.zip", number, readings.glasses, _SLAM_ROLES)
@@ -377,35 +352,10 @@ def _write_archive(path: Path, folder: str, readings: mps.MpsReadings, roles: Co
                 archive.writestr(entry, file.read_bytes(), compresslevel=_COMPRESSION)
 
 
-def _time_columns(clock: hd_epic.VideoClock) -> dict[str, object]:
-    return {
-        hd_epic.MP4_TIME: np.arange(len(clock.device_ns)) * 1e9 / hd_epic.FPS,
-        hd_epic.RELATIVE_TIME: clock.device_ns - clock.device_ns[0],
-        hd_epic.DEVICE_TIME: clock.device_ns,
-    }
-
-
-def _log(clock: hd_epic.VideoClock) -> dict[str, int]:
-    first = int(clock.device_ns[0])
-    last = int(clock.device_ns[-1])
-    skipped = int((np.diff(clock.device_ns) > 1.5e9 / hd_epic.FPS).sum())
-    return {
-        "num_mp4_frames": len(clock.device_ns),
-        "down_sampling_factor_": 1,
-        "num_skipped_frames": skipped,
-        "num_duplicated_frames_": clock.repeats,
-        "num_invalid_frames_": 0,
-        "first_video_timestamp_ns": first,
-        "end_video_timestamp_ns": last,
-        "video_duration_ns": last - first,
-    }
-
-
 def _share(readings: hd_epic.HdEpicReadings) -> dict[str, object]:
-    masks = {mask.mask_id: mask for track in readings.tracks for mask in track.masks}
-    sides = readings.priming or ()
+    """Return the entries that one video adds to the annotations."""
     objects: dict[str, dict[str, object]] = {}
-    for side in sides:
+    for side in readings.priming or ():
         number, _, name = side.key.partition("/")
         primed = side.frame_primed >= 0
         objects.setdefault(number, {})[name] = {
@@ -419,48 +369,43 @@ def _share(readings: hd_epic.HdEpicReadings) -> dict[str, object]:
                 "prime_gap": (side.frame - side.frame_primed) / hd_epic.FPS if primed else -1,
             },
         }
+    tracks: dict[str, list[hd_epic.ObjectTrack]] = {}
+    for track in readings.tracks:
+        tracks.setdefault(track.object_id, []).append(track)
+    associations = {}
+    for key, own in tracks.items():
+        is_unordered = hashlib.sha256(key.encode()).digest()[0] % _UNORDERED == 0
+        listed = [
+            {
+                "track_id": track.track_id,
+                "time_segment": [track.start, track.end],
+                "masks": [mask.mask_id for mask in track.masks],
+            }
+            for track in (own[::-1] if is_unordered else own)
+        ]
+        associations[key] = {"name": own[0].name, "tracks": listed}
+    masks = {
+        mask.mask_id: {
+            "frame_number": mask.frame,
+            "3d_location": None if mask.location is None else mask.location.tolist(),
+            "bbox": None if mask.box_px is None else mask.box_px.tolist(),
+            "fixture": mask.fixture or hd_epic.NO_FIXTURE,
+        }
+        for track in readings.tracks
+        for mask in track.masks
+    }
     return {
         "video": readings.video,
         "participant": readings.participant_id,
-        "associations": _associations(readings),
-        "masks": {key: _written_mask(mask) for key, mask in masks.items()},
+        "associations": associations,
+        "masks": masks,
         "priming": objects,
-    }
-
-
-def _associations(readings: hd_epic.HdEpicReadings) -> dict[str, object]:
-    objects: dict[str, list[hd_epic.ObjectTrack]] = {}
-    for track in readings.tracks:
-        objects.setdefault(track.object_id, []).append(track)
-    return {
-        key: {
-            "name": tracks[0].name,
-            "tracks": [
-                {
-                    "track_id": track.track_id,
-                    "time_segment": [track.start, track.end],
-                    "masks": [mask.mask_id for mask in track.masks],
-                }
-                for track in (tracks[::-1] if hashlib.sha256(key.encode()).digest()[0] % _UNORDERED == 0 else tracks)
-            ],
-        }
-        for key, tracks in objects.items()
-    }
-
-
-def _written_mask(mask: hd_epic.ObjectMask) -> dict[str, object]:
-    return {
-        "frame_number": mask.frame,
-        "3d_location": None if mask.location is None else mask.location.tolist(),
-        "bbox": None if mask.box_px is None else mask.box_px.tolist(),
-        "fixture": mask.fixture or hd_epic.NO_FIXTURE,
     }
 
 
 def _to_recording(readings: SensedVideo, manifest: Manifest, *, dataset: str) -> Recording:
     """Return the streams of one synthetic video, thinned as its reader thins them."""
     video = readings.readings
-    assert isinstance(video.glasses, mps.MpsReadings)
     bodies = body_from_outputs(readings.bodies, synthetic_smplh())
     seen = dataclasses.replace(video, glasses=mps.thinned(video.glasses), body=bodies)
     return recording_from_hd_epic(seen, manifest, dataset=dataset)
@@ -476,19 +421,18 @@ def _write_below(readings: SensedVideo, root: Path) -> None:
 
 def _finish(root: Path) -> None:
     """Write annotations and SLAM maps of all videos, and the synthetic body model."""
-    parts = [_SHARE.decode(path.read_bytes()) for path in sorted((root / SHARED_PARTS).glob("*.json"))]
+    parts = [json.loads(path.read_bytes()) for path in sorted((root / SHARED_PARTS).glob("*.json"))]
     annotations = root / hd_epic.ANNOTATIONS_FOLDER
     movements = annotations / hd_epic.MOVEMENTS_FOLDER
-    write_json(movements / hd_epic.ASSOCIATIONS_FILE, {part.video: part.associations for part in parts})
-    write_json(movements / hd_epic.MASKS_FILE, {part.video: part.masks for part in parts})
-    priming = annotations / hd_epic.PRIMING_FOLDERS[0] / hd_epic.PRIMING_FILE
-    write_json(priming, {part.video: part.priming for part in parts})
-    for participant in {part.participant for part in parts}:
-        numbers = {
-            f"{participant}/{part.video}.vrs": slam_number(part.video)
-            for part in parts
-            if part.participant == participant
-        }
+    for path, key in (
+        (movements / hd_epic.ASSOCIATIONS_FILE, "associations"),
+        (movements / hd_epic.MASKS_FILE, "masks"),
+        (annotations / hd_epic.PRIMING_FOLDERS[0] / hd_epic.PRIMING_FILE, "priming"),
+    ):
+        write_json(path, {part["video"]: part[key] for part in parts})
+    for participant in {part["participant"] for part in parts}:
+        videos = [part["video"] for part in parts if part["participant"] == participant]
+        numbers = {f"{participant}/{video}.vrs": slam_number(video) for video in videos}
         multi = root / hd_epic.DATA_FOLDER / hd_epic.MPS_FOLDER / participant / hd_epic.MULTI_SLAM_FOLDER
         write_json(multi / hd_epic.SLAM_MAP_FILE, numbers)
     write_smplh_model(root / ego.MODEL_FILE)
