@@ -44,7 +44,7 @@ _ITEM_TYPES = {
     b"ByteStorage": "<u1",
 }
 _MACHINE = {"protocol_version": 1001, "little_endian": True, "type_sizes": {"short": 2, "int": 4, "long": 4}}
-_STORAGE = re.compile(
+STORAGE = re.compile(
     b"".join(re.escape(pickle.dumps(part, protocol=2)) for part in (0x1950A86A20F9469CFC6C, 1001, _MACHINE))
     + rb"\x80\x02\(X\x07\0\0\0storageq\0ctorch\n(?P<kind>\w+)\nq\x01X(?P<length>.)\0\0\0(?P<key>\d+)q\x02"
     + rb"X.\0\0\0[a-z]+(?::\d+)?q\x03(?:K(?P<byte>.)|M(?P<short>..)|J(?P<long>....))Ntq\x04Q\."
@@ -98,7 +98,7 @@ class _TensorUnpickler(pickle._Unpickler):
         self._left -= len(raw)
         if self._left < 0:
             raise ValueError(f"storages of more than {LARGEST_PICKLE:,} bytes")
-        head = _STORAGE.match(raw)
+        head = STORAGE.match(raw)
         if head is None or head["length"][0] != len(head["key"]) or head["kind"] not in _ITEM_TYPES:
             raise _Foreign("a storage in another form than torch pickles it")
         size = int.from_bytes(head["byte"] or head["short"] or head["long"], "little")

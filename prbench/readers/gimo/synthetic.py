@@ -7,12 +7,11 @@ parameters hold root and translation only, and limbs come from the skeleton of t
 
 from __future__ import annotations
 
+import copyreg
 import csv
 import io
 import json
 import pickle
-import re
-import struct
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import cache
@@ -30,6 +29,7 @@ from prbench.randomness import named_generator
 from prbench.readers.aria_mps.format import gaze_directions_cpf
 from prbench.readers.gimo import format as gimo
 from prbench.readers.gimo.bvh import POSITION_CHANNELS, BvhJoint, BvhMotion
+from prbench.readers.gimo.pickles import STORAGE
 from prbench.readers.gimo.to_recording import recording_from_gimo
 from prbench.synthetic import GENERATOR_VERSION
 from prbench.synthetic.layouts import SHARED_PARTS, Layout
@@ -95,16 +95,8 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         hint=known[0] if known and performance.index % 2 else None,
     )
     # Draw how suit and scan lie in the room. The scan, with its scale, belongs to the room: others share it.
-    room = named_generator(
-        "prbench-synth",
-        GENERATOR_VERSION,
-        performance.seed,
-        performance.preset,
-        performance.world,
-        "room",
-        performance.room_id,
-        "scan",
-    )
+    seed = (performance.seed, performance.preset, performance.world)
+    room = named_generator("prbench-synth", GENERATOR_VERSION, *seed, "room", performance.room_id, "scan")
     scale = float(np.round(room.uniform(*_SCALE), 4))
     room_from_scene = np.eye(4)
     room_from_scene[:3, :3] = Rotation.from_rotvec(room.normal(size=3)).as_matrix()
@@ -118,7 +110,7 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         matrix[:3, 3] *= scale
     transform = gimo.SceneTransform(scale, scene_from_body, room_from_scene)
     body_from_room = invert_rigid(transform.room_from_body())
-    times = _frame_seconds(sensing.performance, segment)
+    times = performance.times[0] + np.arange(len(segment.frames)) / gimo.FRAME_RATE
     head = sensing.head(times)
     gaze = sensing.gaze(times)
     gaze /= np.linalg.norm(gaze, axis=1, keepdims=True)
@@ -132,10 +124,12 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
         segment=segment,
         transform=transform,
         body=gimo.LocalSkeleton(
-            _sense_skeleton(sensing, body_from_room), _sense_poses(sensing, segment, body_from_room)
+            _sense_skeleton(sensing, body_from_room), _sense_poses(sensing, segment.frames, times, body_from_room)
         ),
         gaze=gimo.GazePoints(segment.frames[~lost], transform_points(scan_from_room, points)[~lost]),
-        events=tuple(gimo.EventFrame(event_frame(performance, event), event.hand) for event in picks(performance)),
+        events=tuple(
+            gimo.EventFrame(frame, event.hand) for frame, event in zip(known, picks(performance), strict=True)
+        ),
     )
 
 
@@ -199,27 +193,20 @@ def _crossings(
     return np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
 
 
-def _frame_seconds(performance: Performance, segment: gimo.Segment) -> Float[np.ndarray, " n"]:
-    """Return the performance seconds of the segment's frames."""
-    return performance.times[0] + np.arange(len(segment.frames)) / gimo.FRAME_RATE
-
-
-def _sense_poses(sensing: Sensing, segment: gimo.Segment, body_from_room: Float[np.ndarray, "4 4"]) -> gimo.SmplxPoses:
+def _sense_poses(
+    sensing: Sensing, frames: np.ndarray, times: np.ndarray, body_from_room: Float[np.ndarray, "4 4"]
+) -> gimo.SmplxPoses:
     performance = sensing.performance
-    times = _frame_seconds(performance, segment)
     pelvis = transform_points(
         body_from_room, interpolate(performance.times, performance.joints[:, Joint.PELVIS], times)
     )
-    pelvis = pelvis + sensing.generator("fit-noise").normal(0.0, _ROOT_NOISE, pelvis.shape) * sensing.strength(
-        "body_noise"
-    )
-    turned = Rotation.from_quat(
-        slerp(performance.times, performance.rotations[:, Joint.PELVIS], times), scalar_first=True
-    )
-    orient = (Rotation.from_matrix(body_from_room[:3, :3]) * turned).as_rotvec()
+    noise = sensing.generator("fit-noise").normal(0.0, _ROOT_NOISE, pelvis.shape)
+    pelvis = pelvis + noise * sensing.strength("body_noise")
+    turned = slerp(performance.times, performance.rotations[:, Joint.PELVIS], times)
+    orient = Rotation.from_matrix(body_from_room[:3, :3]) * Rotation.from_quat(turned, scalar_first=True)
     return gimo.SmplxPoses(
-        frames=segment.frames,
-        orient=orient.astype(np.float32),
+        frames=frames,
+        orient=orient.as_rotvec().astype(np.float32),
         trans=(pelvis - np.array(gimo.REST_PELVIS)).astype(np.float32),
         latent=np.zeros((len(times), gimo.N_LATENT), dtype=np.float32),
     )
@@ -263,8 +250,6 @@ def _sense_skeleton(sensing: Sensing, body_from_room: Float[np.ndarray, "4 4"]) 
 _UNUSED_KEYS = {"lhand": 45, "rhand": 45, "beta": 10, "expression": 10, "jaw_pose": 3}
 _CONE_POINTS = 8
 _UNNAMED_COLUMNS = 3
-_TEXT = re.compile(rb"X(?P<length>.{4})(?P<key>\d{6,20})", re.DOTALL)
-_KEY = b"X" + struct.pack("<I", 1) + b"0"
 
 
 def write_sequence(readings: gimo.GimoReadings, folder: Path) -> None:
@@ -302,44 +287,37 @@ def pickled_tensors(values: Mapping[str, np.ndarray], *, requires_grad: Collecti
         requires_grad: Names of those that the writing program had optimised.
     """
     import torch
+    from torch.storage import TypedStorage, _load_from_bytes
+
+    def reduced(storage: Any) -> Any:
+        raw = torch.empty(0, dtype=torch.float32).set_(storage._untyped_storage).numpy().astype("<f4").tobytes()
+        return _load_from_bytes, (_storage_head(len(raw) // 4) + raw,)
 
     tensors = {
         name: torch.tensor(array, dtype=torch.float32, requires_grad=name in requires_grad)
         for name, array in values.items()
     }
     buffer = io.BytesIO()
-    _Pickler(buffer, protocol=4).dump(tensors)
+    pickler = pickle.Pickler(buffer, protocol=4)
+    pickler.dispatch_table = copyreg.dispatch_table | {TypedStorage: reduced}
+    pickler.dump(tensors)
     return buffer.getvalue()
 
 
-class _Pickler(pickle.Pickler):
-    """Writes storages from templates, everything else as usual."""
-
-    def reducer_override(self, obj: Any) -> Any:
-        import torch
-        from torch.storage import TypedStorage, _load_from_bytes
-
-        if not isinstance(obj, TypedStorage):
-            return NotImplemented
-        raw = torch.empty(0, dtype=torch.float32).set_(obj._untyped_storage).numpy().astype("<f4").tobytes()
-        return _load_from_bytes, (_storage_head(len(raw) // 4) + raw,)
-
-
-# torch writes the memory address of a storage as its key, so that equal tensors would give other bytes each time.
 @cache
 def _storage_head(size: int) -> bytes:
-    """Return what ``torch.save`` writes before float32 numbers, with a fixed key for the memory address."""
+    """Return what ``torch.save`` writes before float32 numbers, with a fixed key in the place of the memory address.
+
+    The address would give equal tensors other bytes each time.
+    """
     import torch
 
     buffer = io.BytesIO()
     torch.save(torch.zeros(size)._typed_storage(), buffer, _use_new_zipfile_serialization=False)
     head = buffer.getvalue()[: -4 * size]
-    return _TEXT.sub(_fixed_key, head)
-
-
-def _fixed_key(match: re.Match[bytes]) -> bytes:
-    known = struct.unpack("<I", match["length"])[0]
-    return _KEY + match["key"][known:] if known <= len(match["key"]) else match[0]
+    match = STORAGE.match(buffer.getvalue())
+    assert match is not None, "our own reader knows the form"
+    return head.replace(match["length"] + bytes(3) + match["key"], b"\x01" + bytes(3) + b"0")
 
 
 def _write_gaze(gaze: gimo.GazePoints, folder: Path) -> None:
@@ -386,20 +364,11 @@ def _joint_lines(motion: BvhMotion, index: int, indent: str) -> list[str]:
 def write_table(path: Path, segments: Sequence[gimo.Segment]) -> None:
     """Write ``dataset.csv`` as the fuller copies have it."""
     header = [*gimo.TABLE_COLUMNS, gimo.ACTIVITY_COLUMN, *[""] * _UNNAMED_COLUMNS]
-    rows = [
-        [
-            segment.sequence,
-            segment.start_frame,
-            segment.end_frame,
-            segment.scene,
-            segment.transformation,
-            segment.training,
-            segment.activity,
-            "" if segment.hint is None else segment.hint,
-            *[""] * (_UNNAMED_COLUMNS - 1),
-        ]
-        for segment in segments
-    ]
+    rows = []
+    for segment in segments:
+        frames = (segment.start_frame, segment.end_frame)
+        named = [segment.sequence, *frames, segment.scene, segment.transformation, segment.training, segment.activity]
+        rows.append([*named, "" if segment.hint is None else segment.hint, *[""] * (_UNNAMED_COLUMNS - 1)])
     _write_csv(path, [header, *rows], encoding="utf-8-sig")
 
 
@@ -419,14 +388,6 @@ def _write_csv(path: Path, rows: Sequence[Sequence[object]], *, encoding: str) -
 
 def _matrix_text(matrix: Float[np.ndarray, "4 4"]) -> str:
     return "\n".join(" ".join(repr(value) for value in row) for row in matrix.tolist()) + "\n"
-
-
-def _as_known(shown: Performance, event: TrueEvent) -> TrueEvent:
-    """Return a pick whose goal is the wrist on the annotated frame."""
-    frame = event_frame(shown, event) - first_frame(shown)
-    instant = np.array([shown.times[0] + frame / gimo.FRAME_RATE])
-    wrist = interpolate(shown.times, shown.joints[:, WRISTS[event.hand == "right"]], instant)[0]
-    return replace(seen_again(event, shown, wrist, wrist, gaze_period=1 / gimo.FRAME_RATE), goal=wrist)
 
 
 def _write_below(readings: gimo.GimoReadings, root: Path) -> None:
@@ -459,7 +420,14 @@ def _events(performance: Performance) -> tuple[TrueEvent, ...]:
     head = performance.joints[:, Joint.HEAD]
     apart = points - head
     shown = replace(performance, eye=head, gaze=apart / np.linalg.norm(apart, axis=1, keepdims=True))
-    return tuple(_as_known(shown, event) for event in picks(performance))
+    known = []
+    for event in picks(performance):
+        frame = event_frame(shown, event) - first_frame(shown)
+        instant = np.array([shown.times[0] + frame / gimo.FRAME_RATE])
+        wrist = interpolate(shown.times, shown.joints[:, WRISTS[event.hand == "right"]], instant)[0]
+        seen = seen_again(event, shown, wrist, wrist, gaze_period=1 / gimo.FRAME_RATE)
+        known.append(replace(seen, goal=wrist))
+    return tuple(known)
 
 
 LAYOUT = Layout(

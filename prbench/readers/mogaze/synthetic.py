@@ -9,13 +9,13 @@ fixed: where the back bends, the upper body is up to a centimetre further along 
 from __future__ import annotations
 
 import itertools
+import json
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import h5py
-import msgspec
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
@@ -60,22 +60,18 @@ _JOINT_OF_LINK: dict[str, Joint] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class SolvedBody:
-    """A joint state without noise."""
-
-    state: Float[np.ndarray, "n 66"]
-    """Columns as in :data:`prbench.readers.mogaze.format.STATE_COLUMNS`."""
-    fixed: dict[str, float]
-    """The 60 scaling values, metres."""
-
-
-def solve_body(joints: Float[np.ndarray, "n 22 3"], rotations: Float[np.ndarray, "n 22 4"]) -> SolvedBody:
+def solve_body(
+    joints: Float[np.ndarray, "n 22 3"], rotations: Float[np.ndarray, "n 22 4"]
+) -> tuple[Float[np.ndarray, "n 66"], dict[str, float]]:
     """Solve the joint state and the fixed offsets of a performance.
 
     Args:
         joints: World frame, Y up, metres.
         rotations: See :attr:`prbench.synthetic.performance.Performance.rotations`.
+
+    Returns:
+        The state without noise (columns as in :data:`prbench.readers.mogaze.format.STATE_COLUMNS`), and the 60 scaling
+        values, metres.
     """
     hips = (joints[:, Joint.LEFT_HIP] + joints[:, Joint.RIGHT_HIP]) / 2
     places = {"base": hips} | {link: joints[:, joint] for link, joint in _JOINT_OF_LINK.items()}
@@ -107,12 +103,21 @@ def solve_body(joints: Float[np.ndarray, "n 22 3"], rotations: Float[np.ndarray,
             turned[f"{letter}{name}"] = segment[Joint(joint + side)] * leg
         for name, joint in (("Ankle", Joint.LEFT_ANKLE), ("Toe", Joint.LEFT_FOOT)):
             turned[f"{letter}{name}"] = segment[Joint(joint + side)] * trunk
-    fixed = _fixed_offsets(places, turned)
-    angles = [turned["base"].as_euler("XYZ")]
-    angles += [(turned[PARENT_LINKS[link]].inv() * turned[link]).as_euler("XYZ") for link in LINKS[1:]]
+    # Offsets without a joint in the model are nothing but zeros.
+    fixed = dict.fromkeys(OFFSET_KEYS, 0.0)
     to_native = Rotation.from_matrix(_TO_WORLD.T)
-    angles[0] = (to_native * turned["base"]).as_euler("XYZ")
-    return SolvedBody(np.hstack([to_native.apply(hips), *angles]), fixed)
+    angles = [(to_native * turned["base"]).as_euler("XYZ")]
+    for link in LINKS[1:]:
+        parent = PARENT_LINKS[link]
+        inverse = turned[parent].inv()
+        angles.append((inverse * turned[link]).as_euler("XYZ"))
+        local = inverse.apply(places[link] - places[parent])
+        middle = local[int(np.argmax(local[:, 2]))] if link == "torso" else np.median(local, axis=0)
+        for axis, letter in enumerate("XYZ"):
+            key = f"{link}Trans{letter}"
+            if key in MODEL_OFFSETS:
+                fixed[key] = float(middle[axis])
+    return np.hstack([to_native.apply(hips), *angles]), fixed
 
 
 def _tipped(frames: Rotation, axis: str, towards: Float[np.ndarray, "n 3"]) -> Rotation:
@@ -124,20 +129,6 @@ def _tipped(frames: Rotation, axis: str, towards: Float[np.ndarray, "n 3"]) -> R
     cosine = np.einsum("ni,ni->n", present, wanted)[:, None]
     angle = np.arctan2(sine, cosine)
     return Rotation.from_rotvec(about * np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-12)) * frames
-
-
-def _fixed_offsets(places: dict[str, np.ndarray], turned: dict[str, Rotation]) -> dict[str, float]:
-    """Return the 60 values; those without a joint in the model are nothing but zeros."""
-    fixed = dict.fromkeys(OFFSET_KEYS, 0.0)
-    for link in LINKS[1:]:
-        parent = PARENT_LINKS[link]
-        local = turned[parent].inv().apply(places[link] - places[parent])
-        middle = local[int(np.argmax(local[:, 2]))] if link == "torso" else np.median(local, axis=0)
-        for axis, letter in enumerate("XYZ"):
-            key = f"{link}Trans{letter}"
-            if key in MODEL_OFFSETS:
-                fixed[key] = float(middle[axis])
-    return fixed
 
 
 GOGGLES_ID = 1
@@ -169,7 +160,14 @@ def sense(performance: Performance, *, noise: float = 1.0, switches: Switches | 
     """
     sensing = Sensing(performance, noise, switches or Switches())
     times = sensing.times(mogaze.RATE)
-    state, fixed = _sense_body(sensing, times)
+    acted = sensing.performance
+    joints = interpolate(acted.times, acted.joints, times)
+    turned = [_turned(acted, acted.rotations[:, joint], times) for joint in range(joints.shape[1])]
+    state, fixed = solve_body(joints, np.stack(turned, axis=1))
+    noise_of_body = sensing.generator("body-noise-0")
+    shift = noise_of_body.normal(0.0, _ROOT_NOISE, (len(times), 3))
+    tremble = noise_of_body.normal(0.0, _BODY_TURN, (len(times), state.shape[1] - 3))
+    state = state + np.hstack([shift, tremble]) * sensing.strength("body_noise")
     # Draw the rotation from the eye tracker's camera to the goggles, another one in every recording.
     tracker = Rotation.from_quat(sensor_generator(performance, "calibration").normal(size=4))
     # The gaze points in the eye tracker's camera, millimetres, and confidence.
@@ -235,17 +233,6 @@ def body_names(performance: Performance) -> dict[str, str]:
         number = used[motion.name]
         names[motion.object_id] = motion.name if number == 1 else f"{motion.name}_{number}"
     return names
-
-
-def _sense_body(sensing: Sensing, times: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, "n 66"], dict[str, float]]:
-    performance = sensing.performance
-    joints = interpolate(performance.times, performance.joints, times)
-    turned = [_turned(performance, performance.rotations[:, joint], times) for joint in range(joints.shape[1])]
-    solved = solve_body(joints, np.stack(turned, axis=1))
-    rng = sensing.generator("body-noise-0")
-    shift = rng.normal(0.0, _ROOT_NOISE, (len(times), 3))
-    tremble = rng.normal(0.0, _BODY_TURN, (len(times), solved.state.shape[1] - 3))
-    return solved.state + np.hstack([shift, tremble]) * sensing.strength("body_noise"), solved.fixed
 
 
 def _turned(
@@ -320,20 +307,6 @@ _FACES = (
 )  # fmt: skip
 
 
-class _SceneEntry(msgspec.Struct, frozen=True):
-    """One body of the scene as recordings hand it over."""
-
-    body_id: int
-    name: str
-    mesh: str
-    """Name of its file; empty without a mesh."""
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-
-
-_ENTRIES = msgspec.json.Decoder(list[_SceneEntry])
-
-
 def write(readings: mogaze.MogazeReadings, root: Path) -> None:
     """Write the four files of one recording below the dataset's folder.
 
@@ -348,21 +321,6 @@ def write(readings: mogaze.MogazeReadings, root: Path) -> None:
             h5py.File(temporary, "w", track_order=False) as file,
         ):
             writer(file, readings)
-
-
-def _write_scene(root: Path, entries: dict[int, _SceneEntry]) -> None:
-    """Write ``scene.xml`` and one box mesh for each shape that it names."""
-    lines = ['<?xml version="1.0"?>', "<scene>"]
-    meshes: dict[str, _SceneEntry] = {}
-    for key, entry in sorted(entries.items()):
-        lines.append(f'  <body id="{key}" name={quoteattr(entry.name)}>')
-        if entry.mesh:
-            meshes[entry.mesh] = entry
-            lines.append(f"    <meshfile src={quoteattr(f'mogaze/{mogaze.MESH_FOLDER}/{entry.mesh}')}/>")
-        lines += [f"    <color>{_COLOUR}</color>", "  </body>"]
-    for name, entry in sorted(meshes.items()):
-        write_text(root / mogaze.MESH_FOLDER / name, box_mesh(np.array(entry.low), np.array(entry.high)))
-    write_text(root / mogaze.SCENE_FILE, "\n".join([*lines, "</scene>", ""]))
 
 
 def box_mesh(low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> str:
@@ -404,27 +362,33 @@ def _write_segments(file: h5py.File, readings: mogaze.MogazeReadings) -> None:
     entry.attrs[mogaze.LABELS_ATTRIBUTE] = np.array(list(labels), dtype="S")
 
 
-def _scene_entry(body: mogaze.MogazeBody) -> _SceneEntry:
-    kind = mogaze.kind_of_body(body.name)
-    known = load_manifest("mogaze").object_extents.get(kind)
-    shared = known is not None and np.array_equal(np.transpose(known), [body.box_min, body.box_max])
-    own_mesh = f"{kind}.obj" if shared else f"body_{body.body_id}.obj"
-    mesh = "" if body.name == mogaze.GOGGLES else own_mesh
-    return _SceneEntry(body.body_id, body.name, mesh, tuple(body.box_min.tolist()), tuple(body.box_max.tolist()))
-
-
 def _write_below(readings: mogaze.MogazeReadings, root: Path) -> None:
-    """Write four files, and the recording's share of the scene."""
+    """Write four files, and the recording's share of the scene: name, mesh and box of each body, by id."""
     write(readings, root)
-    entries = [_scene_entry(body) for body in readings.bodies]
-    write_json(root / SHARED_PARTS / f"{readings.recording_id}.json", msgspec.to_builtins(entries))
+    extents = load_manifest("mogaze").object_extents
+    share = {}
+    for body in readings.bodies:
+        kind = mogaze.kind_of_body(body.name)
+        shared = kind in extents and np.array_equal(np.transpose(extents[kind]), [body.box_min, body.box_max])
+        mesh = f"{kind}.obj" if shared else f"body_{body.body_id}.obj"
+        box = [body.box_min.tolist(), body.box_max.tolist()]
+        share[str(body.body_id)] = [body.name, "" if body.name == mogaze.GOGGLES else mesh, box]
+    write_json(root / SHARED_PARTS / f"{readings.recording_id}.json", share)
 
 
 def _finish(root: Path) -> None:
-    """Write scene and meshes of all recordings."""
-    parts = sorted((root / SHARED_PARTS).glob("*.json"))
-    entries = [entry for part in parts for entry in _ENTRIES.decode(part.read_bytes())]
-    _write_scene(root, {entry.body_id: entry for entry in entries})
+    """Write ``scene.xml`` of all recordings, and one box mesh for each shape that it names."""
+    entries: dict[int, Any] = {}
+    for part in sorted((root / SHARED_PARTS).glob("*.json")):
+        entries |= {int(key): entry for key, entry in json.loads(part.read_bytes()).items()}
+    lines = ['<?xml version="1.0"?>', "<scene>"]
+    for key, (name, mesh, (low, high)) in sorted(entries.items()):
+        lines.append(f'  <body id="{key}" name={quoteattr(name)}>')
+        if mesh:
+            write_text(root / mogaze.MESH_FOLDER / mesh, box_mesh(np.array(low), np.array(high)))
+            lines.append(f"    <meshfile src={quoteattr(f'mogaze/{mogaze.MESH_FOLDER}/{mesh}')}/>")
+        lines += [f"    <color>{_COLOUR}</color>", "  </body>"]
+    write_text(root / mogaze.SCENE_FILE, "\n".join([*lines, "</scene>", ""]))
 
 
 LAYOUT = Layout(
