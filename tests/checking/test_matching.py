@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from prbench.checking.verify_synthetic import Spread, match_events, verification
+from prbench.checking.verify_synthetic import Spread, match_events
 from prbench.sequences.sequence import Event
 from prbench.synthetic.performance import TrueEvent
+from tests.checking.levels import verification
 
 
 def true(

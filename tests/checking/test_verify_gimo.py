@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prbench.checking.verify_synthetic import verify_tree
 from prbench.curation import build_dataset, curate_recording
 from prbench.harness.synthetic_table import Staging, build_synthetic_table
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
-from tests.checking.levels import MOSTLY_SLOW, limits, verify_level
+from tests.checking.levels import MOSTLY_SLOW, limits, verify_level, verify_tree
 from tests.synthetic.behaviour import TARGETS
 
 SEED = 301

@@ -15,14 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prbench.checking.verify_synthetic import (
-    Match,
-    Verification,
-    match_events,
-    true_events,
-    verification,
-    verify_tree,
-)
+from prbench.checking.verify_synthetic import Match, match_events, true_events
 from prbench.curation import build_dataset, curate_recording
 from prbench.harness.synthetic_table import Staging, build_synthetic_table
 from prbench.protocol.manifests import load_manifest, load_protocol
@@ -31,7 +24,16 @@ from prbench.synthetic.layouts import layout_for
 from prbench.synthetic.performance import Performance
 from prbench.synthetic.sensors import Switches
 from prbench.synthetic.write_tree import synthesize_tree
-from tests.checking.levels import LEVELS, MOSTLY_SLOW, SensorLevel, limits, verify_level
+from tests.checking.levels import (
+    LEVELS,
+    MOSTLY_SLOW,
+    SensorLevel,
+    Verification,
+    limits,
+    verification,
+    verify_level,
+    verify_tree,
+)
 from tests.synthetic.behaviour import TARGETS
 
 RECORDINGS, EVENTS, SEED = 3, 6, 0

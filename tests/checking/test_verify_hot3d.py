@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prbench.checking.verify_synthetic import verify_tree
 from prbench.curation import build_dataset, curate_recording
 from prbench.curation.options import BuildOptions, CurationOptions
 from prbench.harness.synthetic_table import Staging, build_synthetic_table
@@ -21,7 +20,7 @@ from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.protocol.published import QUANTITIES, load_table_one
 from prbench.sequences import SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
-from tests.checking.levels import LEVELS, MOSTLY_SLOW, SensorLevel, limits, verify_level
+from tests.checking.levels import LEVELS, MOSTLY_SLOW, SensorLevel, limits, verify_level, verify_tree
 
 RECORDINGS, SEED = 3, 301
 

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from prbench.checking.verify_synthetic import Staging, staged_matches, verify_tree
 from prbench.curation import build_dataset
-from prbench.harness.synthetic_table import build_synthetic_table
+from prbench.harness.synthetic_table import Staging, build_synthetic_table
 from prbench.protocol.published import Spread
 from prbench.sequences import SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
-from tests.checking.levels import LEVELS, MOSTLY_SLOW, SensorLevel, limits, verify_level
+from tests.checking.levels import LEVELS, MOSTLY_SLOW, SensorLevel, limits, staged_matches, verify_level, verify_tree
 from tests.synthetic.behaviour import TARGETS, SequenceStatistics
 
 RECORDINGS, EVENTS, SEED = 2, 6, 301

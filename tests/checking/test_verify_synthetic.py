@@ -7,20 +7,23 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from prbench.checking.verify_synthetic import (
-    Staging,
-    Verification,
-    match_events,
-    staged_matches,
-    verification,
-    verify_tree,
-)
+from prbench.checking.verify_synthetic import match_events
 from prbench.curation import build_dataset, curate_recording
-from prbench.harness.synthetic_table import build_synthetic_table
+from prbench.harness.synthetic_table import Staging, build_synthetic_table
 from prbench.protocol.manifests import load_manifest, load_protocol
 from prbench.sequences import SequenceTable
 from prbench.synthetic.write_tree import synthesize_tree
-from tests.checking.levels import LEVELS, MOSTLY_SLOW, SensorLevel, limits, verify_level
+from tests.checking.levels import (
+    LEVELS,
+    MOSTLY_SLOW,
+    SensorLevel,
+    Verification,
+    limits,
+    staged_matches,
+    verification,
+    verify_level,
+    verify_tree,
+)
 
 RECORDINGS, SEED = 3, 301
 
