@@ -88,23 +88,20 @@ def test_on_a_terminal_the_findings_are_a_table(capsys, monkeypatch):
     assert "1 passed, 0 skipped, 0 warning, 1 failed" in shown
 
 
-def test_an_import_that_never_ends_has_a_limit_of_its_own_and_is_told_meanwhile(site, data, monkeypatch):
-    monkeypatch.setattr("prbench.checking.conformance.session._HEARTBEAT", 0.3)
-    words = []
+def test_an_import_that_never_ends_has_a_limit_of_its_own(site, data):
     request = CheckRequest("neverimported", data=data, start_limit=2.0)
-    report = check(request, lambda name, _place, _total: words.append(name))
+    report = check(request)
     (failed,) = report.failed
     assert failed.check == "import"
     assert "no end after 2 s, while importing prbench_methods_under_test_neverimported" in failed.said
     assert "--start-timeout" in failed.remedy
-    assert any(word.startswith("import: importing prbench_methods_under_test_neverimported, 1 s") for word in words)
     assert report.seconds < 60
 
 
 def test_findings_come_in_the_order_in_which_they_are_announced(site, data):
     announced = []
     report = check(CheckRequest("glide", data=data), lambda name, _place, _total: announced.append(name))
-    assert list(outcomes(report)) == [name for name in announced if ":" not in name]
+    assert list(outcomes(report)) == announced
     assert announced[-1] == "process"
 
 
