@@ -24,7 +24,7 @@ from typing import IO, Any
 
 import psutil
 
-from prbench.checking.conformance.cases import cases_of_table, kept_synthetic_cases
+from prbench.checking.conformance.cases import cases_of_table, synthetic_cases
 from prbench.checking.conformance.checks import CHECKS
 from prbench.checking.conformance.findings import (
     FORM,
@@ -60,7 +60,7 @@ class Judge:
 
 
 def _motions(spec: MethodSpec, request: CheckRequest, folder: Path) -> Subject:
-    cases = kept_synthetic_cases(folder) if request.data is None else cases_of_table(request.data)
+    cases = synthetic_cases(folder) if request.data is None else cases_of_table(request.data)
     return Subject(spec, cases, folder)
 
 

@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from prbench.checking.conformance.cases import Cases, write_training_table
+from prbench.checking.conformance.cases import Cases
 from prbench.checking.conformance.findings import Remedy
 from prbench.contract import Adapter, Condition, ConditionBatch, Motions
 from prbench.errors import PrbenchError
@@ -447,7 +447,7 @@ class Subject(MethodSubject):
 
     def fitted_spec(self) -> MethodSpec:
         """Fit it to the training split of the table, or to synthetic people."""
-        table = self.cases.train_folder or write_training_table(self.folder / "table")
+        table = self.cases.folder
         if self.spec.program is not None:
             return fitted_to(self.spec, SequenceTable.open(table).with_sequences())
         return replace(self.spec, fit_folder=self.folder / "fit", table_folder=table, fit=fit_to_training_rows)

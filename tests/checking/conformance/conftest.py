@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from prbench.checking.conformance.cases import SEQUENCES, Cases, cases_of, synthetic_sequences, write_sequences
+from prbench.checking.conformance.cases import Cases, cases_of_table, synthetic_cases
 from prbench.checking.conformance.checks import CHECKS
 from prbench.checking.conformance.findings import Finding, examine
 from prbench.checking.conformance.subject import Subject
 from prbench.harness.methods.loading import forget_loaded_methods, method_spec
-from prbench.sequences import Sequence
+from prbench.harness.synthetic_table import build_synthetic_table
 from tests.checking.conformance.methods_under_test import FAULTS
 
 MODULE = "prbench_methods_under_test"
@@ -43,21 +43,23 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="session")
-def people() -> list[Sequence]:
-    """The twelve synthetic test sequences."""
-    return synthetic_sequences("test", SEQUENCES)
+def cases(tmp_path_factory: pytest.TempPathFactory) -> Cases:
+    """Three of the twelve synthetic test sequences."""
+    return synthetic_cases(tmp_path_factory.mktemp("invented"), limit=3)
 
 
 @pytest.fixture(scope="session")
-def cases(people: list[Sequence]) -> Cases:
-    """Three of them, in memory."""
-    return cases_of([people[0], people[5], people[11]])
+def people(cases: Cases) -> Cases:
+    """All twelve."""
+    return cases_of_table(cases.folder)
 
 
 @pytest.fixture(scope="session")
-def data(people: list[Sequence], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of three of them, which a child opens faster than it makes them."""
-    return write_sequences(tmp_path_factory.mktemp("invented") / "table", people[:3])
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of a few test sequences, which a child opens faster than it makes them."""
+    folder = tmp_path_factory.mktemp("invented") / "table"
+    build_synthetic_table("adt", (2,), 2024, folder, n_events=3, noise=0.0, provocations={})
+    return folder
 
 
 @pytest.fixture
