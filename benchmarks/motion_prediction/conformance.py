@@ -69,13 +69,13 @@ def synthetic_windows(folder: Path) -> AskedWindows:
     Args:
         folder: Of this check alone.
     """
-    from prbench.checking.conformance.cases import synthetic_sequences, write_sequences
+    from prbench.checking.conformance.cases import RECORDINGS, write_synthetic_table
 
     anchored = folder / "anchored"
     if not (anchored / FILE_NAME).is_file():
-        sequences = [*synthetic_sequences("test", WINDOWS), *synthetic_sequences("train", _TO_LEARN_FROM)]
-        sequences.sort(key=lambda sequence: sequence.sequence_id)
-        build_anchored_windows(write_sequences(folder / "sequences", sequences), anchored, only=("prime",))
+        # More people to learn from than for motions, because a predictor may answer with one training window each.
+        table = write_synthetic_table(folder / "sequences", (*RECORDINGS, 3, 4, 6, 7, 8, 9, 10))
+        build_anchored_windows(table, anchored, only=("prime",))
     return windows_of_table(anchored, folder)
 
 
@@ -142,7 +142,6 @@ class PredictorSubject(MethodSubject):
     """
 
     case = "window"
-    answer = "window"
     things = "futures"
     asks = "predicts"
     shape = "(windows, samples, frames, joints, 3)"

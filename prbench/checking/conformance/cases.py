@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,8 +17,9 @@ from prbench.sequences.dataset_info import FILE_NAME as INFO_FILE
 SEQUENCES = 12
 """Asked about, unless a method is slow."""
 _SEED = 2024  # differs from that of the embedded tables, whose people a method may have learnt from
-_RECORDINGS = (0, 1, 2, 13)  # two people to learn from, two others to be asked about
 _EVENTS = 8
+RECORDINGS = (0, 1, 2, 13)
+"""Numbers of two people to learn from, and of two others (2 and 13) to be asked about."""
 
 
 @dataclass(frozen=True)
@@ -51,5 +53,11 @@ def synthetic_cases(folder: Path, limit: int = SEQUENCES) -> Cases:
     """
     table = folder / "table"
     if not (table / INFO_FILE).is_file():
-        build_synthetic_table("adt", _RECORDINGS, _SEED, table, n_events=_EVENTS, noise=0.0, provocations={})
+        write_synthetic_table(table)
     return cases_of_table(table, limit)
+
+
+def write_synthetic_table(folder: Path, recordings: Sequence[int] = RECORDINGS) -> Path:
+    """Write a table of synthetic people with ideal sensors, seven sequences a recording."""
+    build_synthetic_table("adt", recordings, _SEED, folder, n_events=_EVENTS, noise=0.0, provocations={})
+    return folder

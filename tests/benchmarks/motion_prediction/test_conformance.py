@@ -70,7 +70,7 @@ FAULTS = {
     "single-row": "joints = joints if len(batch) > 1 else joints[0]",
     "first-frame": "joints *= 1000",
     "bone-lengths": "joints = joints[..., ::-1, :].copy()",
-    "firewall": "joints[:] = self.known[: len(batch), None, : batch.n_future]",
+    "firewall": "joints[:] = np.nan_to_num(self.known[: len(batch), None, : batch.n_future])",
 }
 
 
