@@ -139,11 +139,6 @@ class LeaderboardRow:
         parts += [f"{key}={value}" for key, value in sorted(method.options.items())]
         return "; ".join(parts)
 
-    @property
-    def scored(self) -> int:
-        """Number of sequences behind the numbers."""
-        return self.summary.sequences - self.summary.unsupported
-
     def metric(self, name: str) -> MetricSummary | None:
         """Return one metric, or None if the run lacks it."""
         return self.summary.metric(name)

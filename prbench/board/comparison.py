@@ -19,7 +19,6 @@ from prbench.errors import RunError
 from prbench.harness.benchmark import Benchmark, load_benchmark
 from prbench.harness.intervals import Comparison, PairedValues, compare
 from prbench.harness.run_folder.folder import RunFolder
-from prbench.harness.run_folder.record import TableRecord
 from prbench.harness.run_folder.scores import CodedScores
 from prbench.harness.run_folder.summary import DatasetSummary
 from prbench.harness.verification import RunChecker
@@ -99,24 +98,48 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
             f"{first} and {second} follow different protocols, so their numbers cannot be compared. Run the method of"
             " the older one again, into another folder."
         )
-    names = [table.dataset for table in runs[0].record.tables]
+    tables = [{table.dataset: table for table in run.record.tables} for run in runs]
     # In the order of the second run; every dataset of both is compared, and all p-values are corrected together.
-    shared = [table.dataset for table in runs[1].record.tables if table.dataset in names]
+    shared = [name for name in tables[1] if name in tables[0]]
     if not shared:
         raise RunError(f"{first} and {second} have no dataset in common.")
-    unverified = tuple(_unverified(run, name, checker or RunChecker()) for run in runs for name in shared)
+    unverified = []
+    for run, own in zip(runs, tables):
+        for name in shared:
+            why = (checker or RunChecker()).check(run, own[name]).unverified
+            if why:
+                unverified.append(f"{run.path}: {why}")
     scores: dict[str, PairedValues] = {}
     left_out = []
     for name in shared:
-        common = _common_sequences(*runs, name)
-        scores |= paired_scores(*runs, name, only=common)
-        if common is not None:
-            chosen = _table_of(runs[0], name).sequences
-            left_out.append(f"{name}: compared on the {len(common)} of {chosen} sequences that both methods generated")
-    found = compare(scores)
+        pair = tables[0][name], tables[1][name]
+        paths = [run.dataset(name).scores for run in runs]
+        # Where both chose the same sequences and one could not generate all, those that both generated are compared.
+        common = None
+        if any(table.unsupported for table in pair) and pair[0].selection_digest == pair[1].selection_digest:
+            ids = [set(CodedScores.read(path).sequence_ids) for path in paths]
+            common = frozenset(ids[0] & ids[1])
+            if not common:
+                raise RunError(f"{first} and {second}: there is no sequence of {name} that both generated.")
+            left_out.append(
+                f"{name}: compared on the {len(common)} of {pair[0].sequences} sequences that both methods generated"
+            )
+        values = [sequence_scores(path, benchmark, only=common) for path in paths]
+        if pair[0].content_digest != pair[1].content_digest:
+            raise RunError(f"{first} and {second} were run on different tables of {name}.")
+        for info in benchmark.ranked_metrics:
+            try:
+                paired = paired_values(values[0], values[1], info, benchmark)
+            except ValueError as error:
+                raise RunError(
+                    f"{first} and {second} were scored on different sequences of {name}"
+                    f" ({error}). Run both with the same --split and --limit."
+                ) from error
+            if paired is not None:
+                scores[f"{name}\n{info.id}"] = paired
     infos = {info.id: info for info in benchmark.metrics}
     metrics = []
-    for key, comparison in found.items():
+    for key, comparison in compare(scores).items():
         dataset, metric = key.split("\n")
         metrics.append(ComparedMetric(dataset, infos[metric], comparison, comparison.conclusion))
     compared = []
@@ -126,71 +149,11 @@ def compare_runs(first: Path | str, second: Path | str, *, checker: RunChecker |
         compared.append(
             ComparedRun(run.path, method.name, method.origin, {name: mark for name, mark in marks.items() if mark})
         )
-    one, other = compared
-    return RunComparison(one, other, tuple(metrics), tuple(left_out), tuple(filter(None, unverified)))
+    return RunComparison(*compared, tuple(metrics), tuple(left_out), tuple(unverified))
 
 
-def _common_sequences(first: RunFolder, second: RunFolder, dataset: str) -> frozenset[str] | None:
-    """Ids that both generated, where both chose the same sequences and one could not generate all; else None.
-
-    Raises:
-        RunError: if there is no such sequence.
-    """
-    tables = [_table_of(run, dataset) for run in (first, second)]
-    if not any(table.unsupported for table in tables) or len({table.selection_digest for table in tables}) > 1:
-        return None
-    scored = [set(CodedScores.read(run.dataset(dataset).scores).sequence_ids) for run in (first, second)]
-    common = frozenset(scored[0] & scored[1])
-    if not common:
-        raise RunError(f"{first.path} and {second.path}: there is no sequence of {dataset} that both generated.")
-    return common
-
-
-def _unverified(run: RunFolder, dataset: str, checker: RunChecker) -> str:
-    """Return why the scores of a run are unverified, or an empty text."""
-    why = checker.check(run, _table_of(run, dataset)).unverified
-    return f"{run.path}: {why}" if why else ""
-
-
-def paired_scores(
-    first: RunFolder, second: RunFolder, dataset: str, *, only: frozenset[str] | None = None
-) -> dict[str, PairedValues]:
-    """The ranked metrics that both runs have, by dataset and metric (``dataset`` and ``metric`` on two lines).
-
-    Args:
-        first: A run on the dataset.
-        second: Another one, of the same chosen sequences.
-        dataset: Name of the dataset.
-        only: Ids of the sequences to compare; None for all that were scored.
-
-    Raises:
-        RunError: if they were run on different tables, or scored on different sequences.
-    """
-    benchmark = load_benchmark(first.record.benchmark)
-    scores = [sequence_scores(run.dataset(dataset).scores, benchmark, only=only) for run in (first, second)]
-    if _table_of(first, dataset).content_digest != _table_of(second, dataset).content_digest:
-        raise RunError(f"{first.path} and {second.path} were run on different tables of {dataset}.")
-    pairs = {}
-    for info in benchmark.ranked_metrics:
-        try:
-            pair = paired_values(scores[0], scores[1], info, benchmark)
-        except ValueError as error:
-            raise RunError(
-                f"{first.path} and {second.path} were scored on different sequences of {dataset}"
-                f" ({error}). Run both with the same --split and --limit."
-            ) from error
-        if pair is not None:
-            pairs[f"{dataset}\n{info.id}"] = pair
-    return pairs
-
-
-@dataclass(frozen=True, eq=False)
-class SequenceScores:
-    """Scores of one run on one dataset: each metric's mean over the samples of every sequence."""
-
-    sequence_ids: dict[str, list[str]]
-    """Maps a metric to the sequences that have it, sorted."""
-    values: dict[str, np.ndarray]
+SequenceScores = dict[str, tuple[list[str], np.ndarray]]
+"""Maps each metric to the sequences that have it, sorted, and to the mean over the samples of each."""
 
 
 def sequence_scores(path: Path, benchmark: Benchmark, *, only: frozenset[str] | None = None) -> SequenceScores:
@@ -210,8 +173,7 @@ def sequence_scores(path: Path, benchmark: Benchmark, *, only: frozenset[str] | 
     everything = sorted(scores.sequence_ids)
     place_of = {name: place for place, name in enumerate(everything)}
     places = np.array([place_of[name] for name in scores.sequence_ids], dtype=np.int64)
-    names: dict[str, list[str]] = {}
-    values: dict[str, np.ndarray] = {}
+    found: SequenceScores = {}
     for metric in (info.id for info in benchmark.main_metrics):
         rows = scores.rows_of(metric)
         if rows.size:
@@ -221,9 +183,9 @@ def sequence_scores(path: Path, benchmark: Benchmark, *, only: frozenset[str] | 
             sums = np.bincount(place, weights=scores.value[rows], minlength=len(everything))
             there = np.flatnonzero(counts)
             # One list for all metrics that all sequences have.
-            names[metric] = everything if len(there) == len(everything) else [everything[i] for i in there]
-            values[metric] = sums[there] / counts[there]
-    return SequenceScores(names, values)
+            names = everything if len(there) == len(everything) else [everything[i] for i in there]
+            found[metric] = names, sums[there] / counts[there]
+    return found
 
 
 def paired_values(
@@ -234,19 +196,15 @@ def paired_values(
     Raises:
         ValueError: if they were scored on different sequences, with the numbers of both.
     """
-    if info.id not in first.values or info.id not in second.values:
+    if info.id not in first or info.id not in second:
         return None
-    names = first.sequence_ids[info.id]
-    others = second.sequence_ids[info.id]
+    names, values = first[info.id]
+    others, other_values = second[info.id]
     if names != others:
         raise ValueError(f"{len(names)} and {len(others)}")
     # Sequences of one recording are not independent, so their spread is that between recordings.
     recordings = [benchmark.recording_key(name) for name in names]
-    return PairedValues(first.values[info.id], second.values[info.id], recordings, rate=info.unit == "rate")
-
-
-def _table_of(run: RunFolder, dataset: str) -> TableRecord:
-    return next(table for table in run.record.tables if table.dataset == dataset)
+    return PairedValues(values, other_values, recordings, rate=info.unit == "rate")
 
 
 Beaten = Mapping[tuple[int, str], frozenset[int]]
@@ -267,7 +225,13 @@ def separate_by_comparison(rows: Sequence[LeaderboardRow], metrics: Sequence[Met
     """
     if len(rows) < 2:
         return {}
-    scores = [_scores(row) for row in rows]
+    scores = []
+    for row in rows:
+        if row.scores is None:
+            raise RunError(
+                f"{row.run}: expected the run's scores beside its summary, found none. Run it again: it resumes."
+            )
+        scores.append(sequence_scores(row.scores, row.benchmark, only=row.only))
     directed = [info for info in metrics if info.higher_is_better is not None]
     pairs: dict[str, PairedValues] = {}
     for (i, first), (j, second) in combinations(enumerate(scores), 2):
@@ -285,11 +249,3 @@ def separate_by_comparison(rows: Sequence[LeaderboardRow], metrics: Sequence[Met
         winner, loser = (int(i), int(j)) if first_is_better else (int(j), int(i))
         better[loser, metric] = better.get((loser, metric), frozenset()) | {winner}
     return better
-
-
-def _scores(row: LeaderboardRow) -> SequenceScores:
-    if row.scores is None:
-        raise RunError(
-            f"{row.run}: expected the run's scores beside its summary, found none. Run it again: it resumes."
-        )
-    return sequence_scores(row.scores, row.benchmark, only=row.only)

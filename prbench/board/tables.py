@@ -78,16 +78,6 @@ class DatasetTable:
         """The benchmark of all rows."""
         return self.rows[0].entry.benchmark
 
-    @property
-    def estimated_bodies(self) -> bool:
-        """Bodies were estimated from whole tracks of the head."""
-        return self.rows[0].entry.table.estimated_bodies
-
-    @property
-    def protocol_digest(self) -> str:
-        """Digest of the rules by which the rows were scored."""
-        return self.key[0]
-
 
 @dataclass(frozen=True)
 class MacroRow:
@@ -151,62 +141,45 @@ def make_leaderboard(collected: CollectedRuns, *, separate: Separate = separate_
     """
     groups: dict[tuple[str, ...], list[LeaderboardRow]] = defaultdict(list)
     for row in collected.rows:
-        groups[(row.summary.dataset, *_comparison_key(row))].append(row)
+        table = row.table
+        digests = (row.record.protocol_digest, table.identity_digest, table.content_digest)
+        groups[row.summary.dataset, *digests, row.record.split, table.selection_digest].append(row)
     tables: list[DatasetTable] = []
     notes = [f"Left out: {reason}." for reason in collected.left_out]
-    for _, rows in sorted(groups.items()):
+    for (dataset, *key), rows in sorted(groups.items()):
         whole = [row for row in rows if not row.summary.unsupported]
         if whole:
-            tables.append(_dataset_table(whole, separate))
+            tables.append(_dataset_table(tuple(key), whole, separate))
         if len(whole) == len(rows):
             continue
-        common = _common_table(rows, separate)
-        if common is not None:
-            tables.append(common)
+        # All runs on the sequences that every one of them scored, if there is such a sequence.
+        scored = [row.sequences for row in rows if row.sequences is not None]
+        common = frozenset.intersection(*(each.ids for each in scored)) if len(scored) == len(rows) else frozenset()
+        if common:
+            restricted = [
+                replace(row, summary=each.summary_over(common), only=common) for row, each in zip(rows, scored)
+            ]
+            brief = (f"{row.method} ({row.summary.unsupported})" for row in rows if row.summary.unsupported)
+            table = _dataset_table(tuple(key), restricted, separate)
+            of = rows[0].summary.sequences
+            tables.append(replace(table, of=of, shortest=tuple(dict.fromkeys(brief)), common=common))
         else:
-            tables += [_dataset_table([row], separate) for row in rows if row.summary.unsupported]
-            notes.append(f"{rows[0].summary.dataset}: there is no sequence that every method generated.")
+            tables += [_dataset_table(tuple(key), [row], separate) for row in rows if row.summary.unsupported]
+            notes.append(f"{dataset}: there is no sequence that every method generated.")
     # Means over datasets are of all sequences; a dataset that no method generated as a whole gives its common ones.
     complete = {table.key for table in tables if not table.of}
     counted = [table for table in tables if not table.of or table.key not in complete]
-    notes += _separations(tables)
-    return Leaderboard(tuple(tables), tuple(_macro_tables(counted)), tuple(notes))
-
-
-def _common_table(rows: list[LeaderboardRow], separate: Separate) -> DatasetTable | None:
-    """All runs on the sequences that every one of them scored; None if there is no such sequence."""
-    scored = [row.sequences for row in rows]
-    known = [sequences for sequences in scored if sequences is not None]
-    if len(known) < len(rows):
-        return None
-    common = frozenset.intersection(*(sequences.ids for sequences in known))
-    if not common:
-        return None
-    restricted = [
-        replace(row, summary=sequences.summary_over(common), only=common) for row, sequences in zip(rows, known)
-    ]
-    left_out = dict.fromkeys(f"{row.method} ({row.summary.unsupported})" for row in rows if row.summary.unsupported)
-    table = _dataset_table(restricted, separate)
-    return replace(table, of=rows[0].summary.sequences, shortest=tuple(left_out), common=common)
-
-
-def _comparison_key(row: LeaderboardRow) -> tuple[str, ...]:
-    table = row.table
-    digests = (row.record.protocol_digest, table.identity_digest, table.content_digest)
-    return (*digests, row.record.split, table.selection_digest)
-
-
-def _separations(tables: Sequence[DatasetTable]) -> Iterable[str]:
-    """Yield a note for each dataset that has more than one table."""
     # Tables of two benchmarks are not expected to compare, and their titles tell them apart.
     for benchmark, dataset in sorted({(table.benchmark.name, table.dataset) for table in tables}):
         keys = [table.key for table in tables if (table.benchmark.name, table.dataset) == (benchmark, dataset)]
-        different = [name for i, name in enumerate(_KEYS) if len({key[i] for key in keys}) > 1]
+        different = [name for name, values in zip(_KEYS, zip(*keys)) if len(set(values)) > 1]
         if different:
-            yield f"{dataset} has {len(keys)} tables that must not be compared: they differ in {', '.join(different)}."
+            unlike = ", ".join(different)
+            notes.append(f"{dataset} has {len(keys)} tables that must not be compared: they differ in {unlike}.")
+    return Leaderboard(tuple(tables), tuple(_macro_tables(counted)), tuple(notes))
 
 
-def _dataset_table(entries: list[LeaderboardRow], separate: Separate) -> DatasetTable:
+def _dataset_table(key: tuple[str, ...], entries: list[LeaderboardRow], separate: Separate) -> DatasetTable:
     first = entries[0]
     metrics = first.benchmark.ranked_metrics
     ordered = sorted(entries, key=_place)
@@ -218,7 +191,11 @@ def _dataset_table(entries: list[LeaderboardRow], separate: Separate) -> Dataset
         ranked = [i for i, entry in enumerate(ordered) if entry.record.condition == condition and _is_ranked(entry)]
         beaten = separate([ordered[i] for i in ranked], metrics)
         for info in metrics:
-            shown = {place for place, i in enumerate(ranked) if _is_shown(ordered[i], info)}
+            shown = {
+                place
+                for place, i in enumerate(ranked)
+                if ordered[i].metric(info.id) is not None and not hides(ordered[i], info)
+            }
             # Being first of one is no distinction.
             if len(shown) < 2 or info.higher_is_better is None:
                 continue
@@ -238,15 +215,11 @@ def _dataset_table(entries: list[LeaderboardRow], separate: Separate) -> Dataset
         recordings=max(entry.summary.recordings for entry in entries),
         synthetic=first.summary.synthetic,
         redistribution=first.summary.redistribution,
-        key=_comparison_key(first),
+        key=key,
         rows=tuple(TableRow(*row) for row in zip(ordered, variants, ranks, map(frozenset, leads), beaten_by)),
         protocol=first.protocol,
         earlier_version=(None if first.protocol or version == first.benchmark.present_rules.version else version),
     )
-
-
-def _is_shown(entry: LeaderboardRow, info: MetricInfo) -> bool:
-    return entry.metric(info.id) is not None and not hides(entry, info)
 
 
 def _unique_variants(entries: list[LeaderboardRow]) -> list[str]:
@@ -254,27 +227,18 @@ def _unique_variants(entries: list[LeaderboardRow]) -> list[str]:
 
     Controls of all conditions stand together, so their condition distinguishes them first.
     """
-    plain = [entry.variant for entry in entries]
-    conditioned = [_joined(entry.variant, f"condition {entry.record.condition}") for entry in entries]
-    seeded = [_joined(entry.variant, f"seed {entry.record.seed}") for entry in entries]
-    named = [_joined(entry.variant, f"run {entry.run}") for entry in entries]
-
-    def shown(entry: LeaderboardRow, text: str) -> tuple[str, str, str, str]:
-        condition = "control" if entry.record.method.kind == CONTROL else entry.record.condition
-        return entry.method, entry.origin, condition, text
-
-    def first_unlike(i: int) -> str:
-        for texts in (plain, conditioned, seeded):
-            rows = [shown(entry, text) for entry, text in zip(entries, texts)]
-            if rows.count(rows[i]) == 1:
-                return texts[i]
-        return named[i]
-
-    return [first_unlike(i) for i in range(len(entries))]
-
-
-def _joined(*parts: str) -> str:
-    return "; ".join(part for part in parts if part)
+    found = [""] * len(entries)
+    unlike = set(range(len(entries)))
+    for added in ("", "condition {0.record.condition}", "seed {0.record.seed}", "run {0.run}"):
+        texts = ["; ".join(filter(None, (entry.variant, added.format(entry)))) for entry in entries]
+        keys = []
+        for entry, text in zip(entries, texts):
+            condition = "control" if entry.record.method.kind == CONTROL else entry.record.condition
+            keys.append((entry.method, entry.origin, condition, text))
+        for i in sorted(unlike):
+            found[i] = texts[i]
+        unlike = {i for i in unlike if keys.count(keys[i]) > 1}
+    return found
 
 
 def _place(entry: LeaderboardRow) -> tuple:
@@ -289,7 +253,7 @@ def _is_ranked(entry: LeaderboardRow) -> bool:
         and not entry.summary.hands_in_recordings
         and entry.record.is_usual
         and not entry.summary.unsupported
-        and entry.scored >= FEWEST_RANKED
+        and entry.summary.sequences >= FEWEST_RANKED
     )
 
 
@@ -307,20 +271,21 @@ def of_all_methods(tables: Iterable[DatasetTable]) -> tuple[DatasetTable, ...]:
 
 def undecided_lines(table: DatasetTable) -> tuple[str, ...]:
     """Return sentences on what the data of a table cannot decide, and the smallest differences that they can."""
-    entries = [row.entry for row in table.rows if not row.entry.is_control] or [row.entry for row in table.rows]
-    metrics = [[metric for metric in entry.summary.metrics if metric.metric not in _hidden(entry)] for entry in entries]
+    metrics = []
+    for entry in [row.entry for row in table.rows if not row.entry.is_control] or [row.entry for row in table.rows]:
+        hidden = {info.id for info in entry.benchmark.main_metrics if hides(entry, info)}
+        metrics.append([metric for metric in entry.summary.metrics if metric.metric not in hidden])
     ranked = table.benchmark.ranked_metrics
     return tuple(undecided(table.dataset, table.sequences, table.recordings, metrics, ranked=ranked))
 
 
-def _hidden(entry: LeaderboardRow) -> set[str]:
-    return {info.id for info in entry.benchmark.main_metrics if hides(entry, info)}
-
-
 def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
     """Yield a table for each protocol with two datasets or more, if each dataset has one table under it."""
-    for kind in sorted({_kind(table) for table in tables}):
-        under = [table for table in tables if _kind(table) == kind]
+    # One mean has one protocol, and bodies that are all measured or all estimated.
+    groups: dict[tuple[str, bool], list[DatasetTable]] = defaultdict(list)
+    for table in tables:
+        groups[table.key[0], table.rows[0].entry.table.estimated_bodies].append(table)
+    for _, under in sorted(groups.items()):
         datasets = tuple(table.dataset for table in under)
         # A mean over one dataset is that dataset's table; two tables of one dataset would count it twice.
         if len(datasets) < 2 or len(set(datasets)) < len(datasets):
@@ -329,11 +294,6 @@ def _macro_tables(tables: Sequence[DatasetTable]) -> Iterable[MacroTable]:
         yield MacroTable(
             datasets, synthetic, tuple(_macro_rows(under)), under[0].benchmark.name, under[0].earlier_version
         )
-
-
-def _kind(table: DatasetTable) -> tuple[str, bool]:
-    """What tables have in common that may enter one mean: the protocol, and whether bodies are estimates."""
-    return table.protocol_digest, table.estimated_bodies
 
 
 def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
@@ -346,11 +306,19 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
             found[key][table.dataset] = entry
             places[key].append(place)
     names = [table.dataset for table in tables]
-    means = {key: _macro_means(entries, names) for key, entries in found.items()}
+    benchmark = tables[0].benchmark
+    means: dict[tuple[str, str, str, str], dict[str, MeanOverDatasets]] = {key: {} for key in found}
     ranks: dict[tuple[str, str, str, str], dict[str, int]] = {key: {} for key in found}
-    for condition in tables[0].benchmark.about.conditions:
-        keys = [key for key in found if key[0] == condition and all(_is_ranked(entry) for entry in found[key].values())]
-        for info in tables[0].benchmark.ranked_metrics:
+    for key, entries in found.items():
+        # A mean over the easier datasets alone would look like a better method.
+        for info in benchmark.main_metrics if len(entries) == len(names) else ():
+            shown = [None if hides(entries[name], info) else entries[name].metric(info.id) for name in names]
+            mean = mean_over_datasets(shown)
+            if mean is not None:
+                means[key][info.id] = mean
+    for condition in benchmark.about.conditions:
+        keys = [key for key in found if key[0] == condition and all(map(_is_ranked, found[key].values()))]
+        for info in benchmark.ranked_metrics:
             shown = [key for key in keys if info.id in means[key]]
             if len(shown) < 2 or info.higher_is_better is None:
                 continue
@@ -364,26 +332,20 @@ def _macro_rows(tables: Sequence[DatasetTable]) -> Iterable[MacroRow]:
     for key in sorted(found, key=lambda key: min(_place(entry) for entry in found[key].values())):
         condition, method, variant, origin = key
         entries = found[key].values()
-        missing = tuple(name for name in names if name not in found[key])
-        is_control = any(entry.record.method.kind == CONTROL for entry in entries)
-        mark, symbols = next(((entry.mark, entry.summary.symbols) for entry in entries if entry.mark), ("", ""))
-        unverified = any(entry.unverified for entry in entries)
+        marked = [entry for entry in entries if entry.mark]
         yield MacroRow(
-            method, origin, mark, symbols, is_control, condition, variant, means[key], ranks[key], missing, unverified
+            method=method,
+            origin=origin,
+            mark=marked[0].mark if marked else "",
+            symbols=marked[0].summary.symbols if marked else "",
+            is_control=any(entry.record.method.kind == CONTROL for entry in entries),
+            condition=condition,
+            variant=variant,
+            means=means[key],
+            ranks=ranks[key],
+            missing=tuple(name for name in names if name not in found[key]),
+            unverified=any(entry.unverified for entry in entries),
         )
-
-
-def _macro_means(entries: dict[str, LeaderboardRow], datasets: list[str]) -> dict[str, MeanOverDatasets]:
-    # A mean over the easier datasets alone would look like a better method.
-    if any(name not in entries for name in datasets):
-        return {}
-    means = {}
-    for info in entries[datasets[0]].benchmark.main_metrics:
-        shown = [None if hides(entries[name], info) else entries[name].metric(info.id) for name in datasets]
-        mean = mean_over_datasets(shown)
-        if mean is not None:
-            means[info.id] = mean
-    return means
 
 
 FEWEST_RANKED = 50
@@ -417,7 +379,17 @@ def undecided(
         for metric in metrics:
             if metric.detectable is not None:
                 found.setdefault(metric.metric, []).append(metric.detectable)
-    texts = [_detectable_text(info, median(found[info.id])) for info in ranked if info.id in found]
+    texts = []
+    for info in ranked:
+        if info.id not in found:
+            continue
+        detectable = median(found[info.id])
+        if info.unit != "rate":
+            texts.append(f"{info.title} {info.scale * detectable:.2g}{printed_unit(info.unit)}")
+        elif detectable > 1:
+            texts.append(f"{info.title} none (not even 100 points)")
+        else:
+            texts.append(f"{info.title} {info.scale * detectable:.0f} points")
     if texts:
         yield (
             "Smallest difference between two unrelated methods of this spread that would be found in four of five"
@@ -427,16 +399,9 @@ def undecided(
 
     rate = next((info for info in ranked if info.unit == "rate" and found.get(info.id)), None)
     if rate is not None:
-        needed = [
-            recordings_needed(
-                median(found[rate.id]),
-                points / 100,
-                recordings=recordings,
-                comparisons=len(ranked),
-                power=POWER,
-            )
-            for points in POINTS
-        ]
+        detectable = median(found[rate.id])
+        same = {"recordings": recordings, "comparisons": len(ranked), "power": POWER}
+        needed = [recordings_needed(detectable, points / 100, **same) for points in POINTS]
         yield (
             f"{rate.title}: to find {_listed(POINTS)} points as surely, about {_listed(needed)} recordings like these"
             " are needed."
@@ -456,12 +421,3 @@ def why_undecided(sequences: int, recordings: int) -> str:
 def _listed(numbers: Sequence[int]) -> str:
     *first, last = map(str, numbers)
     return f"{', '.join(first)} and {last}"
-
-
-def _detectable_text(info: MetricInfo, detectable: float) -> str:
-    """A metric with its smallest detectable difference, or that there is none."""
-    if info.unit == "rate" and detectable > 1:
-        return f"{info.title} none (not even 100 points)"
-    if info.unit == "rate":
-        return f"{info.title} {info.scale * detectable:.0f} points"
-    return f"{info.title} {info.scale * detectable:.2g}{printed_unit(info.unit)}"

@@ -270,8 +270,8 @@ def test_ranks_on_common_sequences_follow_from_these_alone(tmp_path):
         name: sequence_scores(tmp_path / "runs" / name / "scores.parquet", PRIME_AND_REACH, only=common.common)
         for name in ("one", "two")
     }
-    assert set(scores["one"].sequence_ids["mpjpe"]) == short
-    assert np.array_equal(scores["one"].values["mpjpe"], scores["two"].values["mpjpe"])
+    assert set(scores["one"]["mpjpe"][0]) == short
+    assert np.array_equal(scores["one"]["mpjpe"][1], scores["two"]["mpjpe"][1])
     assert of_all_methods(make_leaderboard(collect_runs([tmp_path / "runs"])).tables)[0].common == common.common
 
 
